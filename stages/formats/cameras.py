@@ -1,0 +1,96 @@
+"""cameras.npz: where each frame was taken from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import StageError
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Pinhole cameras of one clip, all of one size.
+
+    `names` [C] str are frame names without suffix; `viewmats` [C,4,4] float64 are camera_from_world with OpenCV axes
+    (x right, y down, z forward), in the units of the file they came from (SfM units in sfm/cameras.npz);
+    `Ks` [C,3,3] float64 in px, the centre of the first pixel at (0.5, 0.5).
+    """
+
+    names: tuple[str, ...]
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    width: int
+    height: int
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def centers(self) -> np.ndarray:
+        """Camera positions in the world [C,3]."""
+        rotation = self.viewmats[:, :3, :3]
+        return -(rotation.mT @ self.viewmats[:, :3, 3:])[..., 0]
+
+
+def write_cameras(path: Path, cameras: Cameras) -> None:
+    """Write `cameras` as .npz without pickles."""
+    np.savez(
+        path,
+        names=np.array(cameras.names, dtype=np.str_),
+        viewmats=np.asarray(cameras.viewmats, dtype=np.float64),
+        Ks=np.asarray(cameras.Ks, dtype=np.float64),
+        width=np.int64(cameras.width),
+        height=np.int64(cameras.height),
+    )
+
+
+def read_cameras(path: Path) -> Cameras:
+    """Read a cameras.npz and check it; `names` may be absent (a user's camera path) and are then 000000, 000001 ...
+
+    Raises StageError with the offending key, shape or camera.
+    """
+    hint = "cameras need viewmats [C,4,4] (camera from world, OpenCV axes), Ks [C,3,3] in px, width and height"
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            arrays = dict(data)
+    except (OSError, ValueError) as error:
+        raise StageError(f"cannot read the cameras in {path}", hint, [str(error)]) from error
+    missing = sorted({"viewmats", "Ks", "width", "height"} - arrays.keys())
+    if missing:
+        raise StageError(f"{path} has no {', '.join(missing)}", hint, [f"it holds {', '.join(sorted(arrays))}"])
+    viewmats = arrays["viewmats"].astype(np.float64)
+    Ks = arrays["Ks"].astype(np.float64)
+    count = len(viewmats)
+    if viewmats.shape != (count, 4, 4) or Ks.shape != (count, 3, 3) or count == 0:
+        raise StageError(f"wrong shapes in {path}", hint, [f"viewmats {viewmats.shape}, Ks {Ks.shape}"])
+    names = arrays.get("names", np.array([f"{i:06d}" for i in range(count)]))
+    if len(names) != count or len(set(names.tolist())) != count:
+        raise StageError(f"the {len(names)} names in {path} do not name its {count} cameras one by one", hint)
+    _check_values(path, viewmats, Ks, hint)
+    return Cameras(
+        names=tuple(str(name) for name in names),
+        viewmats=viewmats,
+        Ks=Ks,
+        width=int(arrays["width"]),
+        height=int(arrays["height"]),
+    )
+
+
+def _check_values(path: Path, viewmats: np.ndarray, Ks: np.ndarray, hint: str) -> None:
+    finite = np.isfinite(viewmats).all((1, 2))
+    rotation = np.where(finite[:, None, None], viewmats, np.eye(4))[:, :3, :3]
+    off = np.abs(rotation @ rotation.mT - np.eye(3)).max((1, 2))
+    off = np.maximum(off, np.abs(np.linalg.det(rotation) - 1))
+    off = np.maximum(off, np.abs(viewmats[:, 3] - [0, 0, 0, 1]).max(1))
+    bad = ~finite | ~(off < 1e-4)
+    if bad.any():
+        i = int(np.flatnonzero(bad)[0])
+        fact = f"viewmat = {viewmats[i].tolist()}"
+        raise StageError(f"camera {i} of {path} is not a rotation and a translation", hint, [fact])
+    bad = ~np.isfinite(Ks).all((1, 2)) | ~(Ks[:, 0, 0] > 0) | ~(Ks[:, 1, 1] > 0)
+    if bad.any():
+        i = int(np.flatnonzero(bad)[0])
+        raise StageError(f"camera {i} of {path} has no usable focal length", hint, [f"K = {Ks[i].tolist()}"])

@@ -1,0 +1,63 @@
+"""points.ply: the sparse points of structure from motion, position and colour."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import StageError
+
+FIELDS = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "<i2"),
+    **dict.fromkeys(("ushort", "uint16"), "<u2"),
+    **dict.fromkeys(("int", "int32"), "<i4"),
+    **dict.fromkeys(("uint", "uint32"), "<u4"),
+    **dict.fromkeys(("float", "float32"), "<f4"),
+    **dict.fromkeys(("double", "float64"), "<f8"),
+}
+
+
+def write_points(path: Path, xyz: np.ndarray, rgb: np.ndarray) -> None:
+    """Write points `xyz` [P,3] (stored as float32) with colours `rgb` [P,3] uint8 as binary PLY; P may be 0."""
+    if xyz.shape != rgb.shape or xyz.shape[1:] != (3,) or rgb.dtype != np.uint8:
+        raise ValueError(f"points need xyz [P,3] and rgb [P,3] uint8, not {xyz.shape} and {rgb.shape} {rgb.dtype}")
+    table = np.empty(len(xyz), dtype=FIELDS)
+    for column, (name, _) in enumerate(FIELDS):
+        table[name] = xyz[:, column] if column < 3 else rgb[:, column - 3]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(xyz)}"]
+    lines += [f"property {'float' if kind == '<f4' else 'uchar'} {name}" for name, kind in FIELDS]
+    Path(path).write_bytes(("\n".join([*lines, "end_header"]) + "\n").encode() + table.tobytes())
+
+
+def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read a binary little-endian PLY whose first element is `vertex`: (xyz [P,3] float32, rgb [P,3] uint8).
+
+    Raises StageError for another kind of file, for a file cut short and for points that are not finite.
+    """
+    hint = "points.ply is written by the sfm stage; run `hugs run VIDEO sfm --force` to make it again"
+    data = Path(path).read_bytes()
+    head, mark, body = data.partition(b"end_header\n")
+    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
+    if not mark or lines[:1] != [["ply"]] or ["format", "binary_little_endian", "1.0"] not in lines:
+        raise StageError(f"{path} is not a binary little-endian PLY", hint)
+    elements = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
+    if not elements or lines[elements[0]][1] != "vertex":
+        raise StageError(f"{path} does not begin with vertices", hint)
+    end = elements[1] if len(elements) > 1 else len(lines)
+    properties = [line for line in lines[elements[0] : end] if line[0] == "property"]
+    names = [line[-1] for line in properties]
+    if any(line[1] not in TYPES for line in properties) or not {name for name, _ in FIELDS} <= set(names):
+        raise StageError(f"{path} lacks x y z red green blue", hint, [f"it has {', '.join(names)}"])
+    dtype = np.dtype([(line[2], TYPES[line[1]]) for line in properties])
+    count = int(lines[elements[0]][2])
+    if len(body) < count * dtype.itemsize:
+        raise StageError(f"{path} is cut short", hint, [f"{len(body)} of {count * dtype.itemsize} bytes"])
+    table = np.frombuffer(body, dtype, count)
+    xyz = np.stack([table[name].astype(np.float32) for name in ("x", "y", "z")], 1)
+    if not np.isfinite(xyz).all():
+        raise StageError(f"{path} has points that are not finite", hint, [f"{(~np.isfinite(xyz).all(1)).sum()} points"])
+    return xyz, np.stack([table[name].astype(np.uint8) for name in ("red", "green", "blue")], 1)
