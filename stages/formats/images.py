@@ -1,0 +1,92 @@
+"""Pictures and masks on disk, through OpenImageIO: 8-bit sRGB, rows from the top, alpha not multiplied into colour."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+from stages.contract import StageError
+
+PNG_LEVEL = 3  # zlib level: half the time of the default 6 for 4 % larger files
+TURNS = {3: 2, 6: -1, 8: 1}  # EXIF orientation -> quarter turns counter-clockwise that put the picture upright
+
+
+def read_pixels(path: Path) -> np.ndarray:
+    """Read any picture OpenImageIO knows as [H,W,channels] upright: uint8 or uint16 as stored, anything else float32.
+
+    Raises StageError for a missing, unknown or damaged file; a file cut short is never returned with made-up rows.
+    """
+    if not Path(path).is_file():
+        raise StageError(f"no picture at {path}", "check the path")
+    config = oiio.ImageSpec()
+    config["oiio:UnassociatedAlpha"] = 1
+    source = oiio.ImageInput.open(str(path), config)
+    if source is None:
+        raise StageError(f"{path} is not a picture", "use PNG, JPEG or TIFF", [first_line(oiio.geterror())])
+    spec = source.spec()
+    kind = str(spec.format) if str(spec.format) in ("uint8", "uint16") else "float"
+    pixels = source.read_image(0, 0, 0, spec.nchannels, kind)
+    trouble = source.geterror() or oiio.geterror()
+    source.close()
+    if pixels is None or trouble:
+        raise StageError(f"{path} is damaged or cut short", "make or copy the file again", [first_line(trouble)])
+    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
+    return np.ascontiguousarray(np.rot90(pixels, TURNS.get(spec.get_int_attribute("Orientation", 1), 0)))
+
+
+def read_image(path: Path) -> np.ndarray:
+    """Read a picture as uint8 [H,W,3] upright; grey is repeated, alpha is left out, 16 bit and float are rounded.
+
+    Raises StageError as `read_pixels` does.
+    """
+    pixels = read_pixels(path)
+    if pixels.dtype != np.uint8:
+        top = 65535.0 if pixels.dtype == np.uint16 else 1.0
+        pixels = np.rint(pixels.clip(0, top) * (255.0 / top)).astype(np.uint8)
+    colour = pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1]
+    return np.ascontiguousarray(np.broadcast_to(colour, (*pixels.shape[:2], 3)))
+
+
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    """Write uint8 [H,W,3], or [H,W,4] with alpha not multiplied into colour, in the format of the file's suffix."""
+    if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0:
+        raise ValueError(f"a picture is uint8 [H,W,3] or [H,W,4], not {pixels.dtype} {pixels.shape}")
+    write_uint8(path, pixels)
+
+
+def read_mask(path: Path) -> np.ndarray:
+    """Read a mask that `write_mask` made: uint8 [H,W], 255 = person. Raises StageError if the file is not 8-bit grey."""
+    pixels = read_pixels(path)
+    if pixels.dtype != np.uint8 or pixels.shape[2] != 1:
+        found = f"it has {pixels.shape[2]} channels of {pixels.dtype}"
+        raise StageError(f"{path} is not an 8-bit grey mask", "give foreign masks to the masks stage", [found])
+    return pixels[..., 0]
+
+
+def write_mask(path: Path, mask: np.ndarray) -> None:
+    """Write a mask uint8 [H,W], 255 = person, soft values between."""
+    if mask.dtype != np.uint8 or mask.ndim != 2 or mask.size == 0:
+        raise ValueError(f"a mask is uint8 [H,W], not {mask.dtype} {mask.shape}")
+    write_uint8(path, mask[..., None])
+
+
+def write_uint8(path: Path, pixels: np.ndarray) -> None:
+    """Write uint8 [H,W,channels]; raises StageError with OpenImageIO's reason if the file cannot be written."""
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, "uint8")
+    spec["oiio:UnassociatedAlpha"] = 1
+    spec["png:compressionLevel"] = PNG_LEVEL
+    target = oiio.ImageOutput.create(str(path))
+    done = target is not None and target.open(str(path), spec) and target.write_image(np.ascontiguousarray(pixels))
+    trouble = oiio.geterror() if target is None else target.geterror()
+    if target is not None:
+        done = target.close() and done
+    if not done:
+        raise StageError(f"cannot write {path}", "check the disk and the folder", [first_line(trouble)])
+
+
+def first_line(text: str) -> str:
+    """The first line of a library's message, or a plain word when it gave none."""
+    return text.strip().splitlines()[0] if text.strip() else "no reason given"

@@ -1,0 +1,185 @@
+"""Video files, through PyAV: frames upright with their own times, and H.264 that a browser plays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.images import first_line, read_image
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp")
+HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # ITU-T H.273 transfer characteristics
+BT709 = 1  # H.273 number of BT.709 for matrix, primaries and transfer
+QUARTER = 90  # degrees
+THREADS = 2
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a video says of itself, before decoding; width and height are upright, `frames` as declared or counted."""
+
+    path: str
+    width: int
+    height: int
+    fps: float
+    frames: int
+    duration_s: float
+    rotation: int
+    """Degrees counter-clockwise that put the stored picture upright: 0, 90, 180 or 270."""
+    transfer: str
+    """'sdr', 'PQ' or 'HLG'."""
+
+
+def natural(path: Path) -> list:
+    """Sort key that puts frame_9 before frame_10."""
+    parts, digits = [], ""
+    for letter in path.name.lower() + "\0":
+        if letter.isdigit() and letter.isascii():
+            digits += letter
+            continue
+        parts += [(0, int(digits), "")] if digits else []
+        parts += [(1, 0, letter)]
+        digits = ""
+    return [*parts, path.name]
+
+
+def pictures(folder: Path) -> list[Path]:
+    """The picture files of a folder in natural order."""
+    found = [p for p in Path(folder).iterdir() if p.suffix.lower() in PICTURES and not p.name.startswith(".")]
+    return sorted(found, key=natural)
+
+
+def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream.VideoStream]:
+    """Open a video's container and its first moving stream; StageError if there is none or the file is no video."""
+    path = Path(path)
+    if not path.exists():
+        raise StageError(f"no video at {path}", "check the path")
+    if path.stat().st_size == 0:
+        raise StageError(f"{path} is empty", "copy the video again")
+    try:
+        container = av.open(str(path))
+    except av.error.FFmpegError as error:
+        size = f"{path.stat().st_size} bytes; {first_line(error.strerror or str(error))}"
+        cause = "cut short (its index stands at the end and is missing)" if is_mp4(path) else "not a video"
+        raise StageError(
+            f"{path} is {cause}", "copy or export the video again (MP4, MOV, MKV, WebM)", [size]
+        ) from error
+    if not container.streams.video or container.format.name in ("tty", "png_pipe", "jpeg_pipe", "image2"):
+        kinds = ", ".join(sorted({stream.type for stream in container.streams})) or "no"
+        container.close()
+        found = f"{path.name} has {kinds} streams, read as {container.format.long_name}"
+        raise StageError(f"{path} is not a video", "give a video file or a folder of pictures", [found])
+    stream = container.streams.video[0]
+    stream.thread_type, stream.thread_count = "AUTO", THREADS
+    return container, stream
+
+
+def is_mp4(path: Path) -> bool:
+    """True if the file begins as MP4 or MOV does."""
+    with open(path, "rb") as file:
+        return file.read(12)[4:8] in (b"ftyp", b"moov", b"mdat", b"wide")
+
+
+def probe(path: Path) -> VideoInfo:
+    """Read what a video, or a folder of pictures, says of itself; walks its packets but decodes only one frame.
+
+    Raises StageError for a path that is missing, empty, not a video, or without a single frame.
+    """
+    if Path(path).is_dir():
+        files = pictures(path)
+        if not files:
+            raise StageError(f"no pictures in {path}", f"give a video, or a folder of {', '.join(PICTURES)} files")
+        height, width = read_image(files[0]).shape[:2]
+        return VideoInfo(str(path), width, height, 1.0, len(files), float(len(files)), 0, "sdr")
+    container, stream = open_video(path)
+    with container:
+        base, average, declared = stream.time_base, stream.average_rate, stream.frames
+        times = [p.pts for p in container.demux(stream) if p.pts is not None and p.size]
+    first = next(decode_frames(path), None)
+    if first is None:
+        raise StageError(
+            f"no frame of {path} can be decoded", "export the video again as H.264", [f"{len(times)} packets"]
+        )
+    rotation = round(first.rotation / QUARTER) % 4
+    width, height = (first.width, first.height) if rotation % 2 == 0 else (first.height, first.width)
+    span = float((max(times) - min(times)) * base) if times else 0.0
+    rate = (len(times) - 1) / span if span > 0 else float(average or 0)
+    transfer = HIGH_DYNAMIC_RANGE.get(int(first.color_trc), "sdr")
+    frames = declared or len(times)
+    duration = span + (1 / rate if rate > 0 else 0.0)
+    return VideoInfo(str(path), width, height, rate, frames, duration, rotation * QUARTER, transfer)
+
+
+def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
+    """Every frame that decodes, in order; damaged packets and frames marked corrupt are left out."""
+    container, stream = open_video(path)
+    with container:
+        packets = container.demux(stream)
+        while True:
+            try:
+                packet = next(packets, None)
+                frames = [] if packet is None else packet.decode()
+            except (av.error.InvalidDataError, av.error.EOFError):
+                continue
+            if packet is None:
+                return
+            yield from (frame for frame in frames if not frame.is_corrupt)
+
+
+def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
+    """Yield (index, time in seconds from the first frame, uint8 [H,W,3] upright) of a video or a folder of pictures.
+
+    Frames that do not decode are left out: compare the count with `probe`. A folder gives one picture a second.
+    Raises StageError as `probe` does, and for a folder whose pictures differ in size.
+    """
+    if Path(path).is_dir():
+        size = None
+        for index, file in enumerate(pictures(path)):
+            picture = read_image(file)
+            size = size or picture.shape
+            if picture.shape != size:
+                facts = [f"first {size[1]}x{size[0]}, {file.name} {picture.shape[1]}x{picture.shape[0]}"]
+                raise StageError(f"pictures of different sizes in {path}", "give pictures of one camera", facts)
+            yield index, float(index), picture
+        return
+    start = None
+    for index, frame in enumerate(decode_frames(path)):
+        time = frame.time if frame.time is not None else float(index)
+        start = time if start is None else start
+        upright = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / QUARTER))
+        yield index, time - start, np.ascontiguousarray(upright)
+
+
+def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int = 18) -> None:
+    """Write uint8 [H,W,3] frames as H.264 yuv420p BT.709 MP4 that starts at once in a browser.
+
+    An odd width or height gets its last column or row repeated. Raises ValueError without frames or with mixed sizes.
+    """
+    part = f"{os.fspath(path)}.part"
+    with av.open(part, "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        stream, size = None, None
+        for frame in frames:
+            if stream is None:
+                size = frame.shape
+                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+                stream.width, stream.height = size[1] + size[1] % 2, size[0] + size[0] % 2
+                stream.pix_fmt, stream.options = "yuv420p", {"crf": str(crf), "preset": "fast"}
+                context = stream.codec_context
+                context.colorspace = context.color_primaries = context.color_trc = BT709
+                context.color_range, context.thread_count = 1, THREADS  # 1: studio range
+            if frame.shape != size or frame.dtype != np.uint8:
+                raise ValueError(f"frames are uint8 of one size {size}, not {frame.dtype} {frame.shape}")
+            even = np.pad(frame, ((0, size[0] % 2), (0, size[1] % 2), (0, 0)), mode="edge")
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgb24")
+            container.mux(stream.encode(picture.reformat(format="yuv420p", dst_colorspace="ITU709")))
+        if stream is None:
+            raise ValueError("a video needs at least one frame")
+        container.mux(stream.encode(None))
+    os.replace(part, path)

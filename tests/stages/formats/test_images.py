@@ -1,0 +1,78 @@
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from stages.contract import StageError
+from stages.formats.images import read_image, read_mask, read_pixels, write_image, write_mask
+
+
+def picture(height=37, width=53, channels=3, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, channels), dtype=np.uint8)
+
+
+def write_raw(path, pixels, **attributes):
+    out = oiio.ImageOutput.create(str(path))
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype))
+    for key, value in attributes.items():
+        spec[key.replace("__", ":")] = value
+    assert out.open(str(path), spec) and out.write_image(pixels) and out.close()
+
+
+def test_round_trip_is_exact(tmp_path):
+    write_image(tmp_path / "a.png", picture())
+    assert np.array_equal(read_image(tmp_path / "a.png"), picture())
+    write_mask(tmp_path / "m.png", picture()[..., 0])
+    assert np.array_equal(read_mask(tmp_path / "m.png"), picture()[..., 0])
+
+
+def test_colour_under_low_alpha_survives(tmp_path):
+    rgba = picture(channels=4)
+    rgba[..., 3] = np.arange(53) % 7
+    write_image(tmp_path / "a.png", rgba)
+    assert np.array_equal(read_pixels(tmp_path / "a.png"), rgba)
+    assert np.array_equal(read_image(tmp_path / "a.png"), rgba[..., :3])
+
+
+def test_grey_and_16_bit_become_8_bit_rgb(tmp_path):
+    wide = picture(channels=1).astype(np.uint16) * 257
+    write_raw(tmp_path / "g.png", wide)
+    assert np.array_equal(read_image(tmp_path / "g.png"), np.repeat(picture(channels=1), 3, 2))
+
+
+@pytest.mark.parametrize("orientation,turns", [(1, 0), (3, 2), (6, -1), (8, 1)])
+def test_exif_orientation_is_applied(tmp_path, orientation, turns):
+    flat = np.zeros((40, 64, 3), np.uint8)
+    flat[:16, :16, 0] = 255
+    write_raw(tmp_path / "a.jpg", flat, Orientation=orientation, Compression="jpeg:100")
+    got = read_image(tmp_path / "a.jpg")
+    want = np.rot90(flat, turns)
+    assert got.shape == want.shape and np.abs(got.astype(int) - want).mean() < 4
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_a_file_cut_short_is_refused(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    write_image(path, picture(200, 200))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(StageError, match="damaged or cut short"):
+        read_image(path)
+
+
+def test_missing_and_foreign_files_are_named(tmp_path):
+    with pytest.raises(StageError, match="no picture"):
+        read_image(tmp_path / "no.png")
+    (tmp_path / "t.png").write_text("hello")
+    with pytest.raises(StageError, match="not a picture"):
+        read_image(tmp_path / "t.png")
+    write_image(tmp_path / "c.png", picture())
+    with pytest.raises(StageError, match="8-bit grey"):
+        read_mask(tmp_path / "c.png")
+
+
+def test_writing_fails_loudly(tmp_path):
+    with pytest.raises(StageError, match="cannot write"):
+        write_image(tmp_path / "nowhere" / "a.png", picture())
+    with pytest.raises(ValueError, match="uint8"):
+        write_image(tmp_path / "a.png", picture().astype(np.float32))
+    with pytest.raises(ValueError, match="uint8"):
+        write_mask(tmp_path / "a.png", picture())
