@@ -1,4 +1,4 @@
-"""Rotations as vectors, quaternions, 6D and matrices; every formula is smooth in value and gradient at its singular points.
+"""Rotations as vectors, quaternions, 6D and matrices, smooth in value and gradient at their singular points.
 
 All functions keep dtype, device and leading dimensions. NaN goes through as NaN, it is never hidden.
 """

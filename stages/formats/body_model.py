@@ -1,0 +1,145 @@
+"""The body model: SMPL's arrays, from a user's SMPL file or from the free body that comes with the program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.arrays import checked, read_npz, take
+from stages.formats.safe_pickle import read_pickle
+
+FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"
+BETAS = 10
+JOINTS = 24
+JOINT_NAMES = tuple(
+    """pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot
+    neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
+    left_hand right_hand""".split()
+)
+HINT = "give SMPL_NEUTRAL.pkl (SMPL 1.0 or 1.1, 24 joints) or its .npz, or leave --body-model out to use the free body"
+_OTHER_NAMES = {"f": "faces", "weights": "lbs_weights"}
+_SIBLINGS = {52: "an SMPL-H", 55: "an SMPL-X", 16: "a MANO"}
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """SMPL-format body of V vertices: metres, y up, facing +z, T-pose, its left hand at +x; float32.
+
+    `v_template` [V,3]; `faces` [T,3] int32; `shapedirs` [V,3,10] m per unit of beta; `posedirs` [V,3,207] m per entry
+    of (R - I), zero where the body has none; `J_regressor` [24,V]; `lbs_weights` [V,24], rows sum to 1; `parents` [24],
+    the root's is -1. `keypoint_regressor` [K,V] with `keypoint_names`, where the file has them.
+    """
+
+    v_template: np.ndarray
+    faces: np.ndarray
+    shapedirs: np.ndarray
+    posedirs: np.ndarray
+    J_regressor: np.ndarray
+    lbs_weights: np.ndarray
+    parents: np.ndarray
+    keypoint_regressor: np.ndarray | None = None
+    keypoint_names: tuple[str, ...] | None = None
+    name: str = ""
+
+    def landmark_regressor(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names and matrix [K,V]: landmarks = matrix @ vertices, on posed vertices too.
+
+        The stored keypoints (nose, left_ear, left_shoulder, ..., left_heel, left_big_toe), or where the file has none
+        the model's own limb joints (left_shoulder ... left_ankle, left_foot). Vertex ids mean nothing across models.
+        """
+        if self.keypoint_regressor is not None and self.keypoint_names is not None:
+            return self.keypoint_names, self.keypoint_regressor
+        parts = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
+        rows = [i for i, name in enumerate(JOINT_NAMES) if name.partition("_")[2] in parts]
+        return tuple(JOINT_NAMES[i] for i in rows), self.J_regressor[rows]
+
+
+def read_body_model(path: Path | None = None) -> BodyModel:
+    """Read a body model: SMPL .pkl (runs no pickled code, needs no chumpy), SMPL-format .npz, or None: the free body.
+
+    Raises StageError naming the key with its found and wanted shape, or the kind of model that the file is.
+    """
+    if path is None:
+        return _from_arrays(read_npz(FREE_BODY), FREE_BODY, "free body")
+    path = Path(path)
+    if not path.is_file():
+        raise StageError(f"no body model {path}", HINT)
+    arrays = read_npz(path, HINT) if path.suffix == ".npz" else read_pickle(path, HINT)
+    return _from_arrays(arrays, path, str(arrays["name"]) if "name" in arrays else path.stem)
+
+
+def write_body_model(path: Path, model: BodyModel) -> None:
+    """Write the model as .npz under SMPL's own keys, so that other programs read it."""
+    extra = {}
+    if model.keypoint_regressor is not None:
+        extra = {"keypoint_regressor": model.keypoint_regressor, "keypoint_names": np.array(model.keypoint_names)}
+    parents = model.parents.astype(np.int64) % 2**32
+    np.savez_compressed(
+        path,
+        v_template=model.v_template,
+        f=model.faces.astype(np.uint32),
+        shapedirs=model.shapedirs,
+        posedirs=model.posedirs,
+        J_regressor=model.J_regressor,
+        weights=model.lbs_weights,
+        kintree_table=np.stack([parents, np.arange(JOINTS)]).astype(np.uint32),
+        name=np.array(model.name),
+        **extra,
+    )
+
+
+def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
+    def get(key: str, *shape: int | None) -> np.ndarray:
+        stored = key if key in arrays else _OTHER_NAMES.get(key, key)
+        return checked(np.asarray(take(arrays, stored, path, HINT)), shape, stored, path, HINT)
+
+    joints = len(np.atleast_1d(np.asarray(take(arrays, "J_regressor", path, HINT))))
+    if joints in _SIBLINGS:
+        raise StageError(f"{path} is {_SIBLINGS[joints]} model", HINT, [f"it has {joints} joints, not {JOINTS}"])
+    v_template = get("v_template", None, 3)
+    count = len(v_template)
+    shapedirs = get("shapedirs", count, 3, None)
+    if shapedirs.shape[2] < BETAS:
+        facts = [f"found {count}x3x{shapedirs.shape[2]}, wanted {count}x3x{BETAS} or more"]
+        raise StageError(f"shapedirs in {path} has too few shape components", HINT, facts)
+    faces = get("f", None, 3).astype(np.int64)
+    if faces.size and not 0 <= faces.min() <= faces.max() < count:
+        facts = [f"they go from {faces.min()} to {faces.max()}"]
+        raise StageError(f"faces in {path} point outside its {count} vertices", HINT, facts)
+    weights = get("weights", count, JOINTS).astype(np.float64)
+    off = np.abs(weights.sum(1) - 1)
+    if off.max() > 1e-3 or weights.min() < -1e-6:
+        worst = int(off.argmax())
+        facts = [f"vertex {worst} sums to {weights[worst].sum():.4f}; the smallest weight is {weights.min():.4g}"]
+        raise StageError(f"skinning weights in {path} do not sum to 1", HINT, facts)
+    weights = np.clip(weights, 0, None)
+    has_keypoints = "keypoint_regressor" in arrays
+    return BodyModel(
+        v_template=v_template.astype(np.float32),
+        faces=faces.astype(np.int32),
+        shapedirs=np.ascontiguousarray(shapedirs[..., :BETAS], dtype=np.float32),
+        posedirs=get("posedirs", count, 3, 9 * (JOINTS - 1)).astype(np.float32),
+        J_regressor=get("J_regressor", JOINTS, count).astype(np.float32),
+        lbs_weights=(weights / weights.sum(1, keepdims=True)).astype(np.float32),
+        parents=_parents(arrays, path),
+        keypoint_regressor=get("keypoint_regressor", None, count).astype(np.float32) if has_keypoints else None,
+        keypoint_names=tuple(map(str, take(arrays, "keypoint_names", path, HINT))) if has_keypoints else None,
+        name=name,
+    )
+
+
+def _parents(arrays: Mapping[str, Any], path: Path) -> np.ndarray:
+    table = checked(np.asarray(take(arrays, "kintree_table", path, HINT)), (2, JOINTS), "kintree_table", path, HINT)
+    parents = table[0].astype(np.int64)
+    parents[parents == 2**32 - 1] = -1  # the root, kept unsigned
+    joint = np.arange(JOINTS)
+    wrong = np.flatnonzero(np.where(joint == 0, parents != -1, (parents < 0) | (parents >= joint)))
+    if len(wrong):
+        facts = [f"joint {i} has parent {parents[i]}" for i in wrong[:3]]
+        raise StageError(f"kintree_table in {path} is not a tree with each parent before its child", HINT, facts)
+    return parents.astype(np.int32)

@@ -1,0 +1,82 @@
+"""body.npz: the body's shape, and its pose in every frame, in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.arrays import checked, read_npz, take
+
+HINT = "body.npz needs names [F], betas [10], global_orient [F,3], body_pose [F,69], transl [F,3], world_from_sfm"
+
+
+@dataclass(frozen=True)
+class BodyPoses:
+    """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
+
+    `names` are frame names; `betas` [10]; `global_orient` [F,3] and `body_pose` [F,69] rotation vectors in radians;
+    `transl` [F,3] m; `confidence` [F] from 0 (no evidence, do not train on it) to 1. The world has the axes of the SfM
+    frame; `world_from_sfm` is its metres per SfM unit.
+    """
+
+    names: tuple[str, ...]
+    betas: np.ndarray
+    global_orient: np.ndarray
+    body_pose: np.ndarray
+    transl: np.ndarray
+    confidence: np.ndarray
+    world_from_sfm: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def write_poses(path: Path, poses: BodyPoses) -> None:
+    """Write `poses` as .npz, rotations and translations as float64, without pickles."""
+    arrays = {
+        "betas": poses.betas,
+        "global_orient": poses.global_orient,
+        "body_pose": poses.body_pose,
+        "transl": poses.transl,
+        "confidence": poses.confidence,
+        "world_from_sfm": poses.world_from_sfm,
+    }
+    arrays = {key: np.asarray(value, np.float64) for key, value in arrays.items()}
+    poses_from_arrays(arrays | {"names": np.array(poses.names, dtype=np.str_)}, path)
+    np.savez(path, names=np.array(poses.names, dtype=np.str_), **arrays)
+
+
+def read_poses(path: Path) -> BodyPoses:
+    """Read a body.npz; StageError with key, found and wanted shape, or first bad index."""
+    return poses_from_arrays(read_npz(path, HINT), path)
+
+
+def poses_from_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> BodyPoses:
+    """The same from arrays in memory; `confidence` may be absent and is then 1."""
+    names = tuple(map(str, take(arrays, "names", path, HINT)))
+    count = len(names)
+    if len(set(names)) != count:
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise StageError(
+            f"names in {path} are not one for each frame", HINT, [f"more than once: {', '.join(twice[:5])}"]
+        )
+
+    def get(key: str, *shape: int) -> np.ndarray:
+        return checked(take(arrays, key, path, HINT), shape, key, path, HINT).astype(np.float64)
+
+    scale = float(get("world_from_sfm"))
+    if not scale > 0:
+        raise StageError(f"world_from_sfm in {path} is not a positive scale", HINT, [f"it is {scale}"])
+    return BodyPoses(
+        names=names,
+        betas=get("betas", 10),
+        global_orient=get("global_orient", count, 3),
+        body_pose=get("body_pose", count, 69),
+        transl=get("transl", count, 3),
+        confidence=get("confidence", count) if "confidence" in arrays else np.ones(count),
+        world_from_sfm=scale,
+    )
