@@ -104,9 +104,9 @@ def probe(path: Path) -> VideoInfo:
         times = [p.pts for p in container.demux(stream) if p.pts is not None and p.size]
     first = next(decode_frames(path), None)
     if first is None:
-        raise StageError(
-            f"no frame of {path} can be decoded", "export the video again as H.264", [f"{len(times)} packets"]
-        )
+        facts = [f"{len(times)} packets, {declared or 'unknown'} frames declared"]
+        hint = "the file is damaged or its codec unknown; export it again as H.264"
+        raise StageError(f"no frame of {path} can be decoded", hint, facts)
     rotation = round(first.rotation / QUARTER) % 4
     width, height = (first.width, first.height) if rotation % 2 == 0 else (first.height, first.width)
     span = float((max(times) - min(times)) * base) if times else 0.0

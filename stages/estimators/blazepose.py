@@ -1,0 +1,234 @@
+"""BlazePose on LiteRT: finds one person in each frame of a clip and gives joints, joints in metres and an outline.
+
+The two networks are Google's (Bazarevsky et al. 2020, "BlazePose: On-device Real-time Body Pose Tracking"); what
+stands around them here is our own. Pixel coordinates have the first pixel's centre at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from ai_edge_litert.interpreter import Interpreter
+
+from stages.estimators import assets
+
+LANDMARKS = 33
+DETECTOR_SIDE, CROP_SIDE, HEATMAP_SIDE = 224, 256, 64  # px, the networks' own
+ROI_MARGIN = 1.25  # the person's circle is enlarged by this to make a crop
+SURE = 0.5  # probability from which a detection, a tracked person or a heat map counts
+NEIGHBOURHOOD = 3  # heat map cells on each side of the peak that take part in its mean
+SEEDS = 9  # frames looked at to choose whom to follow
+
+NAMES = (
+    "nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear "
+    "mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_pinky "
+    "right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee right_knee left_ankle "
+    "right_ankle left_heel right_heel left_foot_index right_foot_index"
+).split()
+
+
+@dataclass(frozen=True)
+class Roi:
+    """A square of the picture: centre in px, side in px, and the turn of its up direction in radians (clockwise)."""
+
+    x: float
+    y: float
+    side: float
+    angle: float
+
+    def matrix(self) -> np.ndarray:
+        """[2,3] taking crop coordinates in 0..1 to picture px."""
+        c, s = np.cos(self.angle) * self.side, np.sin(self.angle) * self.side
+        return np.array([[c, -s, self.x - (c - s) / 2], [s, c, self.y - (s + c) / 2]])
+
+    @staticmethod
+    def around(centre: np.ndarray, top: np.ndarray) -> Roi:
+        """The crop of a person whose circle has this centre and reaches to `top`, which shall point up."""
+        dx, dy = top - centre
+        side = 2 * float(np.hypot(dx, dy)) * ROI_MARGIN
+        return Roi(float(centre[0]), float(centre[1]), side, float(np.arctan2(dx, -dy)))
+
+
+@dataclass(frozen=True)
+class Pose:
+    """What was seen of the person in one frame."""
+
+    xy: np.ndarray
+    """[33,2] px."""
+    z: np.ndarray
+    """[33] depth against the hips, in px, smaller is nearer; weak."""
+    visibility: np.ndarray
+    """[33] probability that the joint is in the picture and not hidden."""
+    world: np.ndarray
+    """[33,3] metres from the hips' middle, x right, y down, z away from the camera."""
+    presence: float
+    """Probability that a person is in the crop."""
+    roi: Roi
+    """The crop in which the person was seen."""
+    next_roi: Roi
+    """The crop that fits the person as seen."""
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    """Logistic function without overflow."""
+    return 0.5 * (1 + np.tanh(0.5 * np.asarray(x, np.float32)))
+
+
+def anchors() -> np.ndarray:
+    """Centres [2254,2] in 0..1 of the detector's 28x28x2, 14x14x2 and 7x7x6 boxes."""
+    grids = []
+    for cells, each in ((28, 2), (14, 2), (7, 6)):
+        y, x = np.divmod(np.arange(cells * cells), cells)
+        grids.append(np.repeat(np.stack([x + 0.5, y + 0.5], 1) / cells, each, 0))
+    return np.concatenate(grids)
+
+
+def crop(image: np.ndarray, roi: Roi, side: int, border: int) -> np.ndarray:
+    """Cut a Roi out as [side,side,3], first shrunk by area means so that nothing aliases."""
+    factor = max(1, int(roi.side / side))
+    height, width = image.shape[:2]
+    if factor > 1:
+        image = cv2.resize(image, (-(-width // factor), -(-height // factor)), interpolation=cv2.INTER_AREA)
+    scale = np.array([[image.shape[1] / width], [image.shape[0] / height]])
+    matrix = roi.matrix() * scale
+    matrix[:, :2] /= side
+    matrix[:, 2] += matrix[:, :2].sum(1) / 2 - 0.5  # cv2 counts pixel centres at whole numbers
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(image, matrix, (side, side), flags=flags, borderMode=border)
+
+
+class BlazePose:
+    """The detector and the landmark network; raises StageError if they have not been fetched."""
+
+    def __init__(self, threads: int = 2):
+        self.detector, self.landmarker = (
+            Interpreter(str(assets.path(name)), num_threads=threads)
+            for name in ("pose_detection.tflite", "pose_landmark_full.tflite")
+        )
+        for network in (self.detector, self.landmarker):
+            network.allocate_tensors()
+        self.anchors = anchors()
+
+    def detect(self, image: np.ndarray, window: Roi | None = None) -> list[tuple[float, Roi]]:
+        """People in a window of the picture (default all of it): (probability, crop), best first, one per person."""
+        height, width = image.shape[:2]
+        window = window or Roi(width / 2, height / 2, float(max(width, height)), 0.0)
+        pixels = crop(image, window, DETECTOR_SIDE, cv2.BORDER_CONSTANT).astype(np.float32)
+        boxes, logits = run(self.detector, pixels / 127.5 - 1)
+        scores = sigmoid(logits.reshape(-1))
+        found: list[tuple[float, Roi]] = []
+        for i in np.argsort(-scores):
+            if scores[i] < SURE:
+                break
+            points = boxes.reshape(-1, 12)[i, 4:8].reshape(2, 2) / DETECTOR_SIDE + self.anchors[i]
+            roi = Roi.around(*to_picture(points, window))
+            if all(np.hypot(roi.x - r.x, roi.y - r.y) > 0.3 * r.side for _, r in found):
+                found.append((float(scores[i]), roi))
+        return found
+
+    def search(self, image: np.ndarray) -> list[tuple[float, Roi]]:
+        """People in the picture: looks at all of it, then, if nobody is found, at parts of it, then turned."""
+        height, width = image.shape[:2]
+        found = self.detect(image)
+        for part in (1.0, 0.6):
+            side = part * min(width, height)
+            if not found:
+                places = [
+                    Roi(x, y, side, 0.0)
+                    for x in np.linspace(side / 2, width - side / 2, 1 + int(np.ceil(1.5 * (width / side - 1))))
+                    for y in np.linspace(side / 2, height - side / 2, 1 + int(np.ceil(1.5 * (height / side - 1))))
+                ]
+                found = [hit for place in places for hit in self.detect(image, place)]
+        for turn in (0.5, -0.5, 1.0):
+            if not found:
+                whole = Roi(width / 2, height / 2, float(max(width, height)), turn * np.pi)
+                found = self.detect(image, whole)
+        return sorted(found, key=lambda hit: -hit[0])
+
+    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, np.ndarray]:
+        """Read the person in a crop: the pose, and the outline's logits [256,256] in the crop."""
+        pixels = crop(image, roi, CROP_SIDE, cv2.BORDER_REPLICATE).astype(np.float32)
+        points, presence, mask, heat, world = run(self.landmarker, pixels / 255)
+        points = points.reshape(-1, 5)
+        spots = refine(points[:, :2] / CROP_SIDE, sigmoid(heat.reshape(HEATMAP_SIDE, HEATMAP_SIDE, -1)))
+        xy = to_picture(spots, roi)
+        c, s = np.cos(roi.angle), np.sin(roi.angle)
+        turned = world.reshape(-1, 3)[:LANDMARKS] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        pose = Pose(
+            xy[:LANDMARKS],
+            points[:LANDMARKS, 2] * roi.side / CROP_SIDE,
+            sigmoid(points[:LANDMARKS, 3]) * sigmoid(points[:LANDMARKS, 4]),
+            turned,
+            float(presence.reshape(())),
+            roi,
+            Roi.around(xy[LANDMARKS], xy[LANDMARKS + 1]),
+        )
+        return pose, mask.reshape(CROP_SIDE, CROP_SIDE)
+
+    def follow(self, image: np.ndarray, last: Roi | None) -> Pose | None:
+        """The pose of the person who was last seen at a crop, read twice so that the crop fits; None if not there."""
+        for roi in ([last] if last else []) + [None]:
+            if roi is None:
+                hits = [r for _, r in self.search(image)]
+                hits.sort(key=lambda r: np.hypot(r.x - last.x, r.y - last.y) / last.side if last else 0)
+                if not hits:
+                    return None
+                roi = hits[0]
+            pose, _ = self.look(image, roi)
+            if pose.presence >= SURE:
+                pose, _ = self.look(image, pose.next_roi)
+                if pose.presence >= SURE:
+                    return pose
+        return None
+
+    def track(self, images: Sequence[np.ndarray]) -> list[Pose | None]:
+        """Follow one person through a clip's frames (uint8 [H,W,3] in order of time), both ways from where he is clear.
+
+        The person is the largest one surely seen among a few frames spread over the clip. A frame where he cannot be
+        found gives None; after it he is looked for again, nearest to where he was.
+        """
+        count = len(images)
+        seeds = []
+        for i in np.unique(np.linspace(0, count - 1, min(count, SEEDS)).round().astype(int)):
+            seeds += [(score * roi.side, int(i), roi) for score, roi in self.search(images[i])]
+        poses: list[Pose | None] = [None] * count
+        if not seeds:
+            return poses
+        _, start, roi = max(seeds, key=lambda seed: seed[0])
+        for order in (range(start, count), range(start - 1, -1, -1)):
+            last = poses[start].next_roi if poses[start] else roi
+            for i in order:
+                poses[i] = self.follow(images[i], last)
+                last = poses[i].next_roi if poses[i] else last
+        return poses
+
+
+def run(network: Interpreter, pixels: np.ndarray) -> Iterator[np.ndarray]:
+    """Run one picture [H,W,3] through a network and give its outputs in the order of their names."""
+    network.set_tensor(network.get_input_details()[0]["index"], np.ascontiguousarray(pixels[None], np.float32))
+    network.invoke()
+    return [network.get_tensor(output["index"])[0] for output in network.get_output_details()]
+
+
+def to_picture(points: np.ndarray, roi: Roi) -> np.ndarray:
+    """Take points [N,2] in 0..1 of a crop to picture px."""
+    matrix = roi.matrix()
+    return points @ matrix[:, :2].T + matrix[:, 2]
+
+
+def refine(points: np.ndarray, heat: np.ndarray) -> np.ndarray:
+    """Move points [N,2] in 0..1 to the mean of their heat map [S,S,N] near them where its peak is sure."""
+    refined = points.copy()
+    side = heat.shape[0]
+    for i, (x, y) in enumerate((points * side).astype(int)):
+        x0, x1 = max(x - NEIGHBOURHOOD, 0), min(x + NEIGHBOURHOOD + 1, side)
+        y0, y1 = max(y - NEIGHBOURHOOD, 0), min(y + NEIGHBOURHOOD + 1, side)
+        if x0 >= x1 or y0 >= y1:
+            continue
+        near = heat[y0:y1, x0:x1, i]
+        if near.max() >= SURE:
+            refined[i] = (near.sum(0) @ np.arange(x0, x1), near.sum(1) @ np.arange(y0, y1)) / near.sum() / side
+    return refined

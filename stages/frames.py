@@ -1,0 +1,196 @@
+"""Decodes a video and picks sharp frames, evenly spread in time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pydantic import Field
+
+from stages import contract
+from stages.contract import Job, StageError
+
+LEAST = 8
+"""Frames without which neither cameras nor a person can be had."""
+DECODED_SHARE = 0.5
+"""A file of which less than this decodes is refused; less than all is reported."""
+SCORE_SIDE = 480
+"""Longer side in px at which sharpness is compared, so that it does not depend on the resolution."""
+CENTRE_PULL = 0.3
+"""Share of its sharpness that a frame at the edge of its time slot is marked down, to spread the frames evenly."""
+SAME = 4.0
+"""Grey levels: two frames whose blurred thumbnails differ by less everywhere are the same picture."""
+BLURRED = 0.2
+"""A frame with less than this share of its neighbours' median sharpness is blurred (or a fade) and dropped."""
+NEIGHBOURS = 4
+"""Picked frames on each side that a frame's sharpness is compared with."""
+
+
+class Params(contract.Params):
+    """Which frames to take."""
+
+    count: int = Field(80, ge=LEAST)
+    """Frames to pick. More frames cost time in every later stage."""
+    max_side: int = Field(960, ge=64)
+    """Longer side of the pictures in px; larger videos are shrunk, smaller ones left as they are."""
+
+
+def run(job: Job, params: Params, *, video: Path) -> None:
+    """Write images/%06d.png (numbered by the frame in the video) and frames.json.
+
+    Time is cut into `count` equal slots; of each the sharpest frame is kept, then copies of the frame before and
+    blurred ones are dropped. One pass, one frame in memory. Raises StageError for a path that is missing, not a video,
+    cut short, or has too few frames.
+    """
+    from stages.formats.images import write_image
+    from stages.formats.video import decode, pictures, probe
+
+    info = probe(video)
+    if info.transfer != "sdr":
+        job.warn(f"the video is {info.transfer} (high dynamic range), decoded without tone mapping: colours look flat")
+    if info.frames < LEAST:
+        raise StageError(
+            f"{Path(video).name} has only {info.frames} frame{'s' * (info.frames != 1)}",
+            "film the person for some seconds, walking around them or with the phone moving",
+            [f"at least {LEAST} are needed"],
+        )
+    folder = job.out / "images"
+    folder.mkdir(exist_ok=True)
+    picker = Picker(params.count, info.duration_s, info.frames)
+    decoded = 0
+    for index, time, pixels in decode(video):
+        decoded += 1
+        small = shrink(pixels, params.max_side)
+        for picked in picker.offer(index, time, small):
+            write_image(folder / f"{picked['name']}.png", picked.pop("pixels"))
+        if decoded % 10 == 0:
+            job.progress(decoded, max(info.frames, decoded))
+    for picked in picker.close():
+        write_image(folder / f"{picked['name']}.png", picked.pop("pixels"))
+
+    if decoded < max(LEAST, DECODED_SHARE * info.frames):
+        raise StageError(
+            f"only {decoded} of {info.frames} frames of {Path(video).name} could be decoded",
+            "the file is damaged or cut short; copy or export it again",
+        )
+    if decoded < info.frames:
+        job.warn(f"only {decoded} of {info.frames} frames could be decoded; the file is damaged or cut short")
+    frames, blurred = without_blurred(picker.kept)
+    for frame in blurred:
+        (folder / f"{frame['name']}.png").unlink()
+    if len(frames) < LEAST:
+        raise StageError(
+            f"{Path(video).name} has only {len(frames)} usable frames",
+            "film longer, with the phone or the person moving and the picture sharp",
+            [f"{decoded} decoded, {picker.copies} copies of the frame before, {len(blurred)} blurred"],
+        )
+    if Path(video).is_dir():
+        names = [file.stem for file in pictures(video)]
+        frames = [{**frame, "source": names[frame["index"]]} for frame in frames]
+    dropped = {
+        "undecodable": max(info.frames - decoded, 0),
+        "not_sharpest": decoded - len(picker.kept) - picker.copies,
+        "copies": picker.copies,
+        "blurred": len(blurred),
+    }
+    height, width = small.shape[:2]
+    facts = {
+        "video": {
+            "path": Path(video).name,
+            "width": info.width,
+            "height": info.height,
+            "fps": round(info.fps, 3),
+            "frames": decoded,
+            "duration_s": round(info.duration_s, 4),
+            "rotation": info.rotation,
+        },
+        "width": width,
+        "height": height,
+        "frames": frames,
+        "dropped": dropped,
+    }
+    (job.out / "frames.json").write_text(json.dumps(facts, indent=1) + "\n")
+    job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
+    if picker.copies or blurred:
+        job.note(f"dropped {picker.copies} copies and {len(blurred)} blurred frames")
+
+
+class Picker:
+    """Keeps the sharpest frame of each of `count` equal time slots of a stream; a short clip keeps all its frames."""
+
+    def __init__(self, count: int, duration_s: float, frames: int):
+        self.slots, self.duration = min(count, frames), duration_s
+        self.slot, self.best, self.last = 0, None, None
+        self.kept: list[dict] = []
+        self.copies = 0
+
+    def offer(self, index: int, time_s: float, pixels):
+        """Take the next frame; yields the frame of a slot that has just ended, with its `pixels`."""
+        place = time_s / self.duration * self.slots
+        slot = min(int(place + 1e-6), self.slots - 1)
+        if slot != self.slot:
+            yield from self.close()
+            self.slot = slot
+        sharp = sharpness(pixels)
+        score = sharp * (1 - CENTRE_PULL * min(abs(place - slot - 0.5) * 2, 1) ** 2)
+        if self.best is None or score > self.best["score"]:
+            self.best = {"index": index, "time_s": time_s, "sharpness": sharp, "score": score, "pixels": pixels}
+
+    def close(self):
+        """End the slot: yields its best frame unless it is a copy of the one kept before."""
+        best, self.best = self.best, None
+        if best is None:
+            return
+        thumb = thumbnail(best["pixels"])
+        if self.last is not None and abs(thumb - self.last).max() < SAME:
+            self.copies += 1
+            return
+        self.last = thumb
+        frame = {
+            "name": f"{best['index']:06d}",
+            "index": best["index"],
+            "time_s": round(best["time_s"], 6),
+            "sharpness": round(best["sharpness"], 3),
+        }
+        self.kept.append(frame)
+        yield {**frame, "pixels": best["pixels"]}
+
+
+def without_blurred(frames: list[dict]) -> tuple[list[dict], list[dict]]:
+    """Split frames into those about as sharp as their neighbours and those far below them."""
+    import numpy as np
+
+    sharp = np.array([frame["sharpness"] for frame in frames])
+    usual = [np.median(sharp[max(i - NEIGHBOURS, 0) : i + NEIGHBOURS + 1]) for i in range(len(sharp))]
+    good = sharp >= BLURRED * np.array(usual)
+    flat = sharp < 1e-3 * max(np.median(sharp), 1e-9)
+    pairs = list(zip(frames, good & ~flat, strict=True))
+    return [frame for frame, keep in pairs if keep], [frame for frame, keep in pairs if not keep]
+
+
+def shrink(pixels, max_side: int):
+    """Resample uint8 [H,W,3] by area so that its longer side is at most `max_side` px; smaller pictures stay."""
+    import cv2
+
+    height, width = pixels.shape[:2]
+    scale = max_side / max(height, width)
+    if scale >= 1:
+        return pixels
+    size = (max(round(width * scale), 1), max(round(height * scale), 1))
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+
+
+def sharpness(pixels) -> float:
+    """Variance of the Laplacian of the grey picture at a fixed scale (Pech-Pacheco et al. 2000)."""
+    import cv2
+
+    grey = cv2.cvtColor(shrink(pixels, SCORE_SIDE), cv2.COLOR_RGB2GRAY)
+    return float(cv2.Laplacian(grey, cv2.CV_32F).var())
+
+
+def thumbnail(pixels):
+    """A small blurred grey picture, float32, in which compression noise is gone and a moving hand is not."""
+    import cv2
+
+    grey = cv2.cvtColor(shrink(pixels, 160), cv2.COLOR_RGB2GRAY)
+    return cv2.GaussianBlur(grey, (5, 5), 0).astype("float32")

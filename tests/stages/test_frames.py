@@ -1,0 +1,128 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from stages import frames
+from stages.contract import Job, StageError
+from stages.formats.images import read_image, write_image
+from stages.formats.video import decode, write_video
+
+HEIGHT, WIDTH = 96, 128
+
+
+def panned(count, blurred=(), step=2.0, seed=0, size=(HEIGHT, WIDTH)):
+    """A camera that slides over a random texture, with some frames blurred."""
+    rng = np.random.default_rng(seed)
+    wall = cv2.resize(rng.integers(0, 256, (size[0] // 4, size[1], 3), dtype=np.uint8), None, fx=4, fy=4)
+    made = [wall[: size[0], int(i * step) : int(i * step) + size[1]] for i in range(count)]
+    return [cv2.GaussianBlur(f, (0, 0), 4) if i in blurred else np.ascontiguousarray(f) for i, f in enumerate(made)]
+
+
+def pick(tmp_path, pictures, fps=30, **params):
+    write_video(tmp_path / "v.mp4", pictures, fps=fps)
+    return run(tmp_path, tmp_path / "v.mp4", **params)
+
+
+def run(tmp_path, video, **params):
+    out = tmp_path / "out"
+    out.mkdir()
+    events = []
+    frames.run(Job(out=out, emit=events.append), frames.Params(**params), video=video)
+    facts = json.loads((out / "frames.json").read_text())
+    assert sorted(p.stem for p in (out / "images").iterdir()) == [frame["name"] for frame in facts["frames"]]
+    return facts, out, [e["text"] for e in events if e["event"] == "warning"]
+
+
+def test_picks_one_sharp_frame_a_slot(tmp_path):
+    blurred = [i for i in range(60) if i % 3 != 1]
+    facts, out, warnings = pick(tmp_path, panned(60, blurred), count=20)
+    assert [frame["index"] for frame in facts["frames"]] == list(range(1, 60, 3)) and not warnings
+    for frame in facts["frames"]:
+        assert frame["name"] == f"{frame['index']:06d}" and abs(frame["time_s"] - frame["index"] / 30) < 1e-3
+    original = [picture for _, _, picture in decode(tmp_path / "v.mp4")]
+    assert np.array_equal(read_image(out / "images" / "000004.png"), original[4])
+    assert facts["video"] == {
+        **{"path": "v.mp4", "width": WIDTH, "height": HEIGHT, "fps": 30.0, "frames": 60, "rotation": 0},
+        "duration_s": 2.0,
+    }
+    assert (facts["width"], facts["height"]) == (WIDTH, HEIGHT)
+    assert sum(facts["dropped"].values()) + len(facts["frames"]) == 60
+
+
+def test_a_short_clip_keeps_all_but_copies_and_blur(tmp_path):
+    pictures = panned(24, blurred=[7])
+    pictures[15] = pictures[14]
+    facts, _, _ = pick(tmp_path, pictures, count=80)
+    assert facts["dropped"] == {"undecodable": 0, "not_sharpest": 0, "copies": 1, "blurred": 1}
+    assert [f["index"] for f in facts["frames"]] == [i for i in range(24) if i not in (7, 15)]
+
+
+def test_a_small_moving_thing_before_a_still_camera_is_not_a_copy(tmp_path):
+    pictures = [panned(1)[0].copy() for _ in range(12)]
+    for i, picture in enumerate(pictures):
+        cv2.circle(picture, (20 + 7 * i, 40), 5, (255, 255, 255), -1)
+    facts, _, _ = pick(tmp_path, pictures)
+    assert len(facts["frames"]) == 12
+
+
+def test_large_videos_are_shrunk_and_small_ones_left(tmp_path):
+    facts, out, _ = pick(tmp_path, panned(10, size=(240, 322)), max_side=161)
+    assert (facts["width"], facts["height"]) == (161, 120)
+    assert read_image(out / "images" / "000000.png").shape == (120, 161, 3)
+    assert facts["video"]["width"] == 322
+
+
+def test_uneven_times_are_spread_by_time(tmp_path):
+    picker = frames.Picker(10, 10.0, 100)
+    times = np.concatenate([np.linspace(0, 1, 90, endpoint=False), np.linspace(1, 10, 10, endpoint=False)])
+    pictures = panned(100)
+    for i, time in enumerate(times):
+        list(picker.offer(i, float(time), pictures[i]))
+    list(picker.close())
+    assert [int(frame["time_s"]) for frame in picker.kept] == list(range(10))
+
+
+def test_a_black_fade_is_dropped(tmp_path):
+    pictures = panned(20)
+    for i in range(6):
+        pictures[i] = np.full_like(pictures[i], 3 * i)
+    facts, _, _ = pick(tmp_path, pictures)
+    assert [f["index"] for f in facts["frames"]] == list(range(6, 20))
+
+
+def test_too_little_video_is_refused(tmp_path):
+    for count in (1, 5):
+        write_video(tmp_path / f"v{count}.mp4", panned(count), fps=30)
+        with pytest.raises(StageError, match=f"has only {count} frame"):
+            frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / f"v{count}.mp4")
+    write_video(tmp_path / "still.mp4", panned(1) * 40, fps=30)
+    with pytest.raises(StageError, match="has only 1 usable frames") as error:
+        frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "still.mp4")
+    assert "39 copies" in error.value.facts[0]
+    with pytest.raises(StageError, match="no video at"):
+        frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "none.mp4")
+
+
+def test_a_file_cut_short_gives_what_it_has_or_says_so(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 20, (60, HEIGHT, WIDTH, 3), dtype=np.uint8)
+    write_video(tmp_path / "v.mp4", [f // 2 + n for f, n in zip(panned(60), noise, strict=True)], fps=30)
+    whole = (tmp_path / "v.mp4").read_bytes()
+    (tmp_path / "cut.mp4").write_bytes(whole[: int(len(whole) * 0.8)])
+    facts, _, warnings = run(tmp_path, tmp_path / "cut.mp4")
+    assert f"only {facts['video']['frames']} of 60 frames" in warnings[0]
+    assert facts["dropped"]["undecodable"] == 60 - facts["video"]["frames"] > 0
+    (tmp_path / "stub.mp4").write_bytes(whole[: int(len(whole) * 0.4)])
+    with pytest.raises(StageError, match=r"only \d+ of 60 frames"):
+        frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "stub.mp4")
+
+
+def test_a_folder_of_pictures_keeps_their_names(tmp_path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for i, picture in enumerate(panned(10)):
+        write_image(folder / f"IMG_{i + 95}.png", picture)
+    facts, out, _ = run(tmp_path, folder)
+    assert [f["source"] for f in facts["frames"]] == [f"IMG_{i}" for i in range(95, 105)]
+    assert np.array_equal(read_image(out / "images" / "000009.png"), panned(10)[9])
