@@ -1,0 +1,40 @@
+"""The one place where person, scene and camera meet: training, rendering and evaluation all draw through it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from stages.avatar.gaussians import Splats
+from stages.avatar.rasterize import Rendering, rasterize
+
+
+def compose(
+    human: Splats | None,
+    scene: Splats | None,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    background: Tensor | None = None,
+    antialias: bool = False,
+) -> Rendering:
+    """Draw person and scene together, the person's rows first, sorted by depth as one set.
+
+    viewmat[4,4] camera_from_world in metres, K[3,3] pixels, background[3] (black if None). Colours are evaluated per
+    set, so each has its own spherical-harmonics degree. Raises ValueError when both sets are None.
+    """
+    sets = [s for s in (human, scene) if s is not None]
+    if not sets:
+        raise ValueError("compose needs a person or a scene")
+    centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    colors = [s.colors(centre) for s in sets]
+    if len(sets) == 1:
+        (only,) = sets
+        means, axes, opacities, color = only.means, only.axes, only.opacities, colors[0]
+    else:
+        means = torch.cat([s.means for s in sets])
+        axes = torch.cat([s.axes for s in sets])
+        opacities = torch.cat([s.opacities for s in sets])
+        color = torch.cat(colors)
+    return rasterize(means, axes, opacities, color, viewmat, K, width, height, background, antialias=antialias)

@@ -1,0 +1,54 @@
+"""The three networks of HUGS (appearance, geometry, deformation) as corrections of the initial Gaussians.
+
+Each network ends in a zero-initialised layer and its output is added to the initial value, so that the first render
+is exactly the initial body. The paper's pretraining, which teaches random networks those same values, is not needed.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from stages.avatar.sh import bases
+
+TEMPERATURE = 0.1  # of the skinning softmax (paper, appendix)
+WIDTHS = {"appearance": (64, 64), "geometry": (128, 128), "deformation": (128, 128, 128)}  # released configuration
+
+
+def _network(width: int, hidden: tuple[int, ...], out: int, generator: torch.Generator) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for size in hidden:
+        layers += [nn.Linear(width, size), nn.GELU()]
+        width = size
+    layers.append(nn.Linear(width, out))
+    for layer in layers[::2]:
+        bound = layer.in_features**-0.5
+        nn.init.uniform_(layer.weight, -bound, bound, generator=generator)
+        nn.init.uniform_(layer.bias, -bound, bound, generator=generator)
+    nn.init.zeros_(layers[-1].weight)
+    nn.init.zeros_(layers[-1].bias)
+    return nn.Sequential(*layers)
+
+
+class Decoders(nn.Module):
+    """Features [N,F] -> corrections of opacity, colour, position, rotation, scale and skinning weights."""
+
+    def __init__(self, features: int, sh_degree: int, joints: int, generator: torch.Generator):
+        super().__init__()
+        self.coefficients = bases(sh_degree)
+        self.appearance = _network(features, WIDTHS["appearance"], 1 + 3 * self.coefficients, generator)
+        self.geometry = _network(features, WIDTHS["geometry"], 12, generator)
+        self.deformation = _network(features, WIDTHS["deformation"], joints, generator)
+
+    def forward(self, features: Tensor) -> dict[str, Tensor]:
+        """Corrections: opacity [N] logit, sh [N,K,3], offset [N,3] m, turn [N,6], scale [N,3] log, skin [N,J] logits."""
+        look = self.appearance(features)
+        shape = self.geometry(features)
+        return {
+            "opacity": look[:, 0],
+            "sh": look[:, 1:].reshape(-1, self.coefficients, 3),
+            "offset": shape[:, 0:3],
+            "turn": shape[:, 3:9],
+            "scale": shape[:, 9:12],
+            "skin": self.deformation(features),
+        }

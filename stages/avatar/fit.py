@@ -1,0 +1,328 @@
+"""One joint optimisation of person and scene: what happens in a step, and all that a checkpoint must hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from stages.avatar import losses
+from stages.avatar.compose import compose
+from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
+from stages.avatar.gaussians import Splats, contain
+from stages.avatar.human import Canonical, HumanModel, bone_transforms, pose
+from stages.avatar.refine import FrameCorrections, spread
+from stages.avatar.scene import SceneModel
+from stages.avatar.skinning import knn_weights
+from stages.avatar.views import Person, Views, person_box
+
+LR_HUMAN = {"xyz": 2e-4, "triplane": 2e-3, "appearance": 2e-3, "geometry": 1e-3, "deformation": 2e-4}
+LR_SCENE = {  # `means` in units of the scene's extent
+    "means": 3e-4,
+    "quats": 2e-3,
+    "log_scales": 1e-2,
+    "logit_opacities": 5e-2,
+    "sh0": 5e-3,
+    "shN": 2.5e-4,
+}
+LR_FRAMES = {"pose": 1e-3, "place": 5e-4, "gain": 1e-3}
+LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
+LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
+SETTLE = 0.65
+HALF_UNTIL = 0.4  # share of the steps at half resolution
+LEAD_UNTIL = 0.3  # share of the steps in which person pixels teach the scene nothing (issue 21 of ml-hugs)
+SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
+HUMAN_GROWTH = (0.15, SETTLE)
+MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
+SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
+BAD_STEPS = 20  # in a row, after which training stops
+
+
+class Options(NamedTuple):
+    """How to fit."""
+
+    steps: int
+    views_per_decode: int
+    human_cap: int
+    scene_cap: int
+    extent: float
+    refine_pose: bool = True
+    exposure: bool = False
+    growth_rounds: int = 20
+    perceptual_every: int = 0
+
+
+class Fit:
+    """State of one training run. `train` lists the frames that may be learned from; nothing else is ever read from them."""
+
+    def __init__(
+        self,
+        views: Views,
+        train: list[int],
+        person: Person | None,
+        human: HumanModel | None,
+        scene: SceneModel | None,
+        options: Options,
+        generator: torch.Generator,
+        perceptual: Callable[[Tensor, Tensor], Tensor] | None = None,
+    ):
+        self.full, self.small = views, views.half()
+        self.train, self.person, self.human, self.scene = train, person, human, scene
+        self.options, self.generator, self.perceptual = options, generator, perceptual
+        self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
+        self.step = self.bad = self.bad_in_a_row = 0
+        self.order = torch.empty(0, dtype=torch.long)
+        self.usual_norm = 0.0
+        self.leaves: Canonical | None = None
+        self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
+        self._optimizers()
+        self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
+
+    def _sets(self) -> dict[str, Any]:
+        return {n: m for n, m in (("human", self.human), ("scene", self.scene)) if m is not None}
+
+    def _optimizers(self) -> None:
+        self.adam = {
+            "frames": torch.optim.SparseAdam(
+                [{"params": [getattr(self.frames, n).weight], "name": n, "base": r} for n, r in LR_FRAMES.items()]
+            )
+        }
+        if self.human is not None:
+            h = self.human
+            parts = {"xyz": [h.xyz], "triplane": [h.triplane.table]}
+            parts |= {n: list(getattr(h.decoders, n).parameters()) for n in ("appearance", "geometry", "deformation")}
+            groups = [{"params": p, "name": n, "base": LR_HUMAN[n]} for n, p in parts.items()]
+            self.adam["human"] = torch.optim.Adam(groups, eps=1e-15, fused=True)
+        if self.scene is not None:
+            rates = LR_SCENE | {"means": LR_SCENE["means"] * self.options.extent}
+            groups = [{"params": [getattr(self.scene, n)], "name": n, "base": r} for n, r in rates.items()]
+            self.adam["scene"] = torch.optim.Adam(groups, eps=1e-15, fused=True)
+
+    # ---- one step ----
+
+    @property
+    def done(self) -> float:
+        """Share of the steps behind us."""
+        return self.step / self.options.steps
+
+    def advance(self) -> dict[str, float]:
+        """Learn from one training frame; returns the losses. Raises FloatingPointError after too many bad steps in a row."""
+        frame = self._next_frame()
+        self._rates()
+        views = self.small if self.done < HALF_UNTIL else self.full
+        numbers = self._learn(frame, views)
+        self.step += 1
+        if self.human is not None and self.step % self.options.views_per_decode == 0:
+            self._learn_human()
+        self._grow()
+        return numbers
+
+    def _next_frame(self) -> int:
+        if len(self.order) == 0:
+            self.order = torch.randperm(len(self.train), generator=self.generator)
+        frame, self.order = self.train[int(self.order[0])], self.order[1:]
+        return frame
+
+    def _rates(self) -> None:
+        means = LAST_MEANS**self.done
+        others = LAST_OTHERS ** max(0.0, (self.done - SETTLE) / (1 - SETTLE))
+        for optimizer in self.adam.values():
+            for group in optimizer.param_groups:
+                group["lr"] = group["base"] * (means if group["name"] in ("means", "xyz") else others)
+
+    def canonical(self) -> Canonical:
+        """The decoded person as leaves that collect gradients until the next `_learn_human`."""
+        if self.leaves is None:
+            self.decoded, self.stray = self.human()
+            self.leaves = Canonical(*(t.detach().requires_grad_() for t in self.decoded))
+        return self.leaves
+
+    def posed(self, canonical: Canonical, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
+        """The person in the world at one pose."""
+        p = self.person
+        return pose(canonical, bone_transforms(p.joints, p.parents, p.canonical_pose, global_orient, body_pose), transl)
+
+    def _learn(self, frame: int, views: Views) -> dict[str, float]:
+        image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
+        viewmat, K = views.viewmats[frame], views.Ks[frame]
+        height, width = mask.shape
+        gains = self.frames.gains(frame) if self.options.exposure else None
+        human, drawn, only, numbers, loss = None, None, None, {}, 0.0
+        p = self.person
+        if self.human is not None and bool(p.present[frame]) and bool((mask > 0.5).any()):
+            body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
+            if self.options.refine_pose:
+                body = self.frames.body(frame, *body)
+            human = self.posed(self.canonical(), *body)
+        if self.scene is not None:
+            background = torch.rand(3, generator=self.generator).to(K)
+            drawn = compose(human, self.scene.splats(), viewmat, K, width, height, background)
+            rendered = drawn.image if gains is None else drawn.image * gains
+            share = 0.0 if human is None or self.done < LEAD_UNTIL else 1.0
+            joint = losses.photometric(losses.outside_person(rendered, image, mask, share), image)
+            loss = loss + joint
+            numbers["image"] = joint.item()
+        if human is not None:
+            left, top, right, bottom = person_box(mask, human.means.detach(), viewmat, K)
+            shifted = K.clone()
+            shifted[0, 2] -= left
+            shifted[1, 2] -= top
+            background = torch.rand(3, generator=self.generator).to(K)
+            only = compose(human, None, viewmat, shifted, right - left, bottom - top, background)
+            rendered = only.image if gains is None else background + gains * (only.image - background)
+            crop = (slice(top, bottom), slice(left, right))
+            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
+            loss = loss + apart
+            numbers["person"] = apart.item()
+            if self.perceptual and self.step % self.options.perceptual_every == 0:
+                target = losses.over_background(image[crop], mask[crop], background)
+                loss = loss + self.perceptual(rendered, target)
+        if not isinstance(loss, Tensor):
+            return numbers
+        if not math.isfinite(loss.item()):
+            return self._bad_step(frame, numbers)
+        self.bad_in_a_row = 0
+        loss.backward()
+        rows = 0 if human is None else len(human.means)
+        if drawn is not None:
+            self.growth["scene"].add(drawn.screen_grad_abs[rows:], drawn.radii[rows:], width, height)
+            self._apply("scene")
+        if only is not None:
+            self.growth["human"].add(only.screen_grad_abs, only.radii, right - left, bottom - top)
+        self.adam["frames"].step()
+        self.adam["frames"].zero_grad(set_to_none=True)
+        return numbers
+
+    def _bad_step(self, frame: int, numbers: dict[str, float]) -> dict[str, float]:
+        self.bad += 1
+        self.bad_in_a_row += 1
+        if self.bad_in_a_row >= BAD_STEPS:
+            raise FloatingPointError(f"{BAD_STEPS} steps in a row without a finite loss, last frame {frame}: {numbers}")
+        return numbers
+
+    def _apply(self, name: str) -> None:
+        optimizer = self.adam[name]
+        grads = [p.grad for g in optimizer.param_groups for p in g["params"] if p.grad is not None]
+        self.bad += contain(grads)
+        optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
+
+    def _learn_human(self) -> None:
+        if self.leaves is None or self.leaves.means.grad is None:
+            return
+        used = [
+            (d, leaf.grad / self.options.views_per_decode)
+            for d, leaf in zip(self.decoded, self.leaves, strict=True)
+            if leaf.grad is not None
+        ]
+        self.bad += contain([g for _, g in used])
+        prior = losses.skinning(self.decoded.weights, self._reference()) + losses.STRAY * self.stray
+        torch.autograd.backward([d for d, _ in used] + [prior], [g for _, g in used] + [torch.ones_like(prior)])
+        shared = [p for n, p in self.human.named_parameters() if n != "xyz"]
+        norm = torch.nn.utils.get_total_norm([p.grad for p in shared]).item()
+        if not math.isfinite(norm):
+            self.bad += 1
+        else:
+            if self.usual_norm and norm > SPIKE * self.usual_norm:
+                torch._foreach_mul_([p.grad for p in shared], SPIKE * self.usual_norm / norm)
+                norm = SPIKE * self.usual_norm
+            self.usual_norm = norm if not self.usual_norm else 0.99 * self.usual_norm + 0.01 * norm
+            self.adam["human"].step()
+        self.adam["human"].zero_grad(set_to_none=True)
+        self.leaves = None
+
+    def _reference(self) -> Tensor:
+        """Skinning weights [N,24] of the nearest body vertices, looked up again only for Gaussians that moved."""
+        at = self.decoded.means.detach()
+        if len(self.reference) != len(at):
+            self.reference_at = torch.full_like(at, math.inf)
+            self.reference = torch.zeros_like(self.decoded.weights.detach())
+        moved = ~((at - self.reference_at).norm(dim=1) < MOVED)
+        if moved.any():
+            self.reference[moved] = knn_weights(at[moved], self.person.vertices, self.person.weights)
+            self.reference_at[moved] = at[moved]
+        return self.reference
+
+    # ---- growth ----
+
+    def _grow(self) -> None:
+        o, extent = self.options, self.options.extent
+        every = max(1, round(o.steps * (SETTLE - SCENE_GROWTH[0]) / o.growth_rounds))
+        if self.scene is not None and SCENE_GROWTH[0] <= self.done <= SCENE_GROWTH[1] and self.step % every == 0:
+            rules = Rules(2e-4, 0.01 * extent, 0.5 * extent, 0.3, 0.005, o.scene_cap)
+            grow_scene(self.scene, self.adam["scene"], self.growth["scene"], rules, self._left(every), self.generator)
+        every = 3 * every // o.views_per_decode * o.views_per_decode or o.views_per_decode
+        if self.human is not None and HUMAN_GROWTH[0] <= self.done <= HUMAN_GROWTH[1] and self.step % every == 0:
+            rules = Rules(2e-4, 0.01, 0.1, 0.3, 0.005, o.human_cap)
+            grow_human(self.human, self.adam["human"], self.growth["human"], rules, self._left(every), self.generator)
+            self.leaves = None
+
+    def _left(self, every: int) -> int:
+        """Densifications still to come, this one included: the room up to the cap is shared out among them."""
+        return int((SETTLE * self.options.steps - self.step) // every) + 1
+
+    # ---- what comes out ----
+
+    @torch.no_grad()
+    def baked(self) -> Canonical | None:
+        """The decoded person as of now, without gradients."""
+        return None if self.human is None else Canonical(*(t.detach() for t in self.human()[0]))
+
+    @torch.no_grad()
+    def bodies(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; frames not trained on take their neighbours' correction."""
+        trained = torch.zeros(len(self.full.images), dtype=torch.bool)
+        trained[self.train] = True
+        turn, place = spread(self.frames.pose.weight, trained), spread(self.frames.place.weight, trained)
+        p = self.person
+        return p.global_orient + turn[:, :3], p.body_pose + turn[:, 3:], p.transl + place
+
+    @torch.no_grad()
+    def gains(self) -> Tensor:
+        """Exposure factors [F,3], of geometric mean 1 over the training frames."""
+        trained = torch.zeros(len(self.full.images), dtype=torch.bool)
+        trained[self.train] = True
+        table = self.frames.gain.weight
+        return spread(table - table[trained].mean(0), trained).exp()
+
+    # ---- checkpoint ----
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the run depends on. Only between decodes: a multiple of `views_per_decode` steps."""
+        if self.leaves is not None:
+            raise RuntimeError("a checkpoint between two decodes would lose gradients")
+        return {
+            "models": {n: m.state_dict() for n, m in self._modules().items()},
+            "adam": {n: a.state_dict() for n, a in self.adam.items()},
+            "growth": {n: g.state() for n, g in self.growth.items()},
+            "generator": self.generator.get_state(),
+            "order": self.order.clone(),
+            "reference": [self.reference.clone(), self.reference_at.clone()],
+            "numbers": [self.step, self.bad, self.bad_in_a_row, self.usual_norm],
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Continue from `state()`; raises RuntimeError, naming tensor and shapes, when it belongs to another model."""
+        for name, module in self._modules().items():
+            saved = state["models"][name]
+            for row in getattr(module, "ROWS", ()) + (("xyz",) if name == "human" else ()):
+                old = getattr(module, row)
+                like = torch.empty_like(saved[row])
+                setattr(module, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
+            module.load_state_dict(saved)
+        self._optimizers()
+        for name, optimizer in self.adam.items():
+            optimizer.load_state_dict(state["adam"][name])
+        for name, growth in self.growth.items():
+            growth.load(state["growth"][name])
+        self.generator.set_state(state["generator"])
+        self.order = state["order"].clone()
+        self.reference, self.reference_at = (t.clone() for t in state["reference"])
+        self.step, self.bad, self.bad_in_a_row, self.usual_norm = state["numbers"]
+        self.leaves = None
+
+    def _modules(self) -> dict[str, torch.nn.Module]:
+        return self._sets() | {"frames": self.frames}

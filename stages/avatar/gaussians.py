@@ -1,0 +1,63 @@
+"""Gaussians on their way to the screen, and what several kinds of them share."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from stages.avatar.sh import sh_colors
+
+SMALLEST = 1e-7  # of the extent; nearer neighbours are taken for duplicates
+
+
+class Splats(NamedTuple):
+    """N Gaussians in the world frame, metres, ready for any camera.
+
+    means[N,3], axes[N,3,3] (scaled axes as columns, covariance = axes axes^T), opacities[N], sh[N,K,3], and
+    turns[N,3,3] or None: how each Gaussian was turned away from the frame in which its colour is stored.
+    """
+
+    means: Tensor
+    axes: Tensor
+    opacities: Tensor
+    sh: Tensor
+    turns: Tensor | None = None
+
+    def colors(self, camera_centre: Tensor) -> Tensor:
+        """Colours [N,3] seen from `camera_centre`[3] in the world; a Gaussian at the centre itself gets degree 0."""
+        if self.sh.shape[1] == 1:
+            return sh_colors(self.sh, None)
+        away = self.means - camera_centre
+        if self.turns is not None:
+            away = torch.einsum("nij,ni->nj", self.turns, away)
+        squared = away.square().sum(1, keepdim=True)
+        return sh_colors(self.sh, away * squared.clamp_min(1e-12).rsqrt())
+
+
+def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
+    """Root mean square distance [N] in metres to the nearest other `points`[N,3], within 1e-7 and 0.1 of `extent`.
+
+    With fewer than 2 points, or only duplicates, the limits answer.
+    """
+    if len(points) < 2:
+        return torch.full((len(points),), 0.1 * extent).to(points)
+    k = min(neighbours, len(points) - 1)
+    distance, _ = cKDTree(points.detach().cpu().numpy()).query(points.detach().cpu().numpy(), k=list(range(2, k + 2)))
+    rms = torch.from_numpy(distance).square().mean(1).sqrt().to(points)
+    return rms.clamp(SMALLEST * extent, 0.1 * extent)
+
+
+def contain(tensors: list[Tensor]) -> int:
+    """Zero, in place, every row of the gradients `tensors`[N,...] that is not finite in any of them; how many there were.
+
+    One poisoned row must not reach the optimiser, whose moments would keep it for ever (hard case H01).
+    """
+    if all(bool(t.sum().isfinite()) for t in tensors):
+        return 0
+    bad = torch.stack([~t.flatten(1).isfinite().all(1) if t.dim() > 1 else ~t.isfinite() for t in tensors]).any(0)
+    for t in tensors:
+        t[bad] = 0
+    return int(bad.sum())

@@ -1,0 +1,141 @@
+"""The person: Gaussians in a canonical pose, decoded from a triplane, moved by learned skinning (HUGS section 3)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from stages.avatar.body import rest_relative_transforms, subdivide, vertex_normals
+from stages.avatar.decoders import TEMPERATURE, Decoders
+from stages.avatar.gaussians import Splats
+from stages.avatar.rotations import matrix_from_6d, matrix_from_quat, matrix_from_rotvec, rotation_z_to
+from stages.avatar.skinning import canonical_to_posed, skin
+from stages.avatar.triplane import Triplane
+
+MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
+START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
+WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
+SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
+
+
+class Canonical(NamedTuple):
+    """The person at the da-pose: means[N,3] m, frames[N,3,3] rotations, scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
+
+    means: Tensor
+    frames: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+    weights: Tensor
+
+
+def bone_transforms(
+    joints: Tensor, parents: list[int], canonical_pose: Tensor, global_orient: Tensor, body_pose: Tensor
+) -> Tensor:
+    """Transforms [J,4,4] of each bone from the canonical pose to (global_orient[3], body_pose[69]), axis-angle, metres."""
+    canonical = torch.cat([torch.zeros_like(global_orient), canonical_pose.to(body_pose)])
+    both = torch.stack([canonical, torch.cat([global_orient, body_pose])]).unflatten(-1, (-1, 3))
+    from_rest = rest_relative_transforms(joints, matrix_from_rotvec(both), parents)
+    return canonical_to_posed(from_rest[1], from_rest[0])
+
+
+def pose(person: Canonical, bones: Tensor, transl: Tensor) -> Splats:
+    """Move the canonical person by `bones`[J,4,4] and `transl`[3] m into the world; covariances follow the bone blend.
+
+    The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never turned into a rotation (hard case 14-9).
+    """
+    means, blend = skin(person.means, person.weights, bones)
+    axes = blend @ (person.frames * person.scales[:, None, :])
+    return Splats(means + transl, axes, person.opacities, person.sh, blend if person.sh.shape[1] > 1 else None)
+
+
+class Baked(NamedTuple):
+    """A trained person without any network: the canonical Gaussians and the skeleton."""
+
+    canonical: Canonical
+    joints: Tensor
+    parents: list[int]
+    canonical_pose: Tensor
+
+
+def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
+    """Tensors of an avatar's arrays (`formats.splats.Avatar` or anything with its fields), float32 on `device`."""
+
+    def to(name: str) -> Tensor:
+        return torch.as_tensor(getattr(arrays, name), dtype=torch.float32, device=device)
+
+    sh = torch.cat([to("sh0")[:, None], to("shN")], 1)
+    person = Canonical(to("means"), matrix_from_quat(to("quats")), to("scales"), to("opacities"), sh, to("lbs_weights"))
+    return Baked(person, to("joints"), [int(p) for p in arrays.parents], to("canonical_pose"))
+
+
+def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
+    """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
+    bones = bone_transforms(avatar.joints, avatar.parents, avatar.canonical_pose, global_orient, body_pose)
+    return pose(avatar.canonical, bones, transl)
+
+
+def _edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Mean length [V] of the edges at each vertex."""
+    corners = vertices[faces]
+    lengths = (corners - corners.roll(-1, 1)).norm(dim=2)
+    around = lengths + lengths.roll(1, 1)
+    total, count = (torch.zeros(len(vertices)).to(vertices) for _ in range(2))
+    total.index_add_(0, faces.flatten(), around.flatten())
+    count.index_add_(0, faces.flatten(), torch.full_like(around, 2).flatten())
+    return total / count.clamp_min(1)
+
+
+class HumanModel(nn.Module):
+    """The trainable person: positions per Gaussian, everything else = initial value + what triplane and decoders say.
+
+    Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J].
+    """
+
+    ROWS = ("frames", "log_sizes", "logits", "skin_logits")  # buffers with one row a Gaussian, besides `xyz`
+
+    def __init__(
+        self,
+        vertices: Tensor,
+        faces: Tensor,
+        weights: Tensor,
+        *,
+        rounds: int,
+        channels: int,
+        resolution: int,
+        sh_degree: int,
+        generator: torch.Generator,
+    ):
+        super().__init__()
+        size = vertices.amax(0) - vertices.amin(0)
+        pad = MARGIN * torch.maximum(size, size.max() * 0.25)
+        self.triplane = Triplane(vertices.amin(0) - pad, vertices.amax(0) + pad, channels, resolution, generator)
+        self.decoders = Decoders(self.triplane.width, sh_degree, weights.shape[1], generator).to(vertices)
+        triangles, (points, weights) = subdivide(faces, rounds, vertices, weights)
+        half = (0.5 * _edge_lengths(points, triangles)).clamp_min(1e-4)
+        self.xyz = nn.Parameter(points.clone())
+        self.register_buffer("frames", rotation_z_to(vertex_normals(points, triangles)))
+        self.register_buffer("log_sizes", torch.stack([half, half, 0.5 * half], 1).log())
+        self.register_buffer("logits", torch.full_like(half, math.log(START_OPACITY / (1 - START_OPACITY))))
+        self.register_buffer("skin_logits", TEMPERATURE * (weights + WEIGHT_FLOOR).log())
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def forward(self) -> tuple[Canonical, Tensor]:
+        """Decode all Gaussians: the canonical person, and the mean squared distance by which points left the box."""
+        out = self.decoders(self.triplane(self.xyz))
+        identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
+        scale = SCALE_RANGE * torch.tanh(out["scale"] / SCALE_RANGE)
+        person = Canonical(
+            means=self.xyz + out["offset"],
+            frames=self.frames @ matrix_from_6d(identity + out["turn"]),
+            scales=(self.log_sizes + scale).exp(),
+            opacities=torch.sigmoid(self.logits + out["opacity"]),
+            sh=out["sh"],
+            weights=torch.softmax((self.skin_logits + out["skin"]) / TEMPERATURE, 1),
+        )
+        return person, self.triplane.outside(self.xyz)

@@ -1,0 +1,55 @@
+"""What training minimises (HUGS section 3.3), as means that do not depend on resolution or number of Gaussians."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from stages.avatar.ssim import ssim
+
+SSIM_SHARE = 0.2
+ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
+LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
+STRAY = 10.0  # per metre^2 outside the triplane's box
+
+
+def photometric(image: Tensor, target: Tensor) -> Tensor:
+    """0.8 L1 + 0.2 (1 - SSIM) of image and target [H,W,3], means over pixels and channels; not clipped."""
+    return (1 - SSIM_SHARE) * (image - target).abs().mean() + SSIM_SHARE * (1 - ssim(image, target))
+
+
+def outside_person(image: Tensor, target: Tensor, mask: Tensor, share: float) -> Tensor:
+    """The image [H,W,3] with the gradient of its person pixels (mask[H,W] 0..1) scaled by `share`, the values kept.
+
+    At share 0 person pixels count as already right, so that the scene learns nothing from them.
+    """
+    if share >= 1:
+        return image
+    keep = (1 - (1 - share) * mask)[..., None]
+    return target + keep * (image - target)
+
+
+def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
+    """The person of image[H,W,3] by mask[H,W] in 0..1 on a solid background[3]: the target of the person-only render."""
+    return background + mask[..., None] * (image - background)
+
+
+def person_only(rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
+    """Loss of a person-only render [H,W,3] over `background`[3], with its alpha[H,W], against the masked image.
+
+    rendered, alpha, image, mask are one crop. Finite for every mask from empty to full; render and target share the
+    same draw of the background (G06, G16).
+    """
+    target = over_background(image, mask, background)
+    return photometric(rendered, target) + ALPHA * (alpha - mask).abs().mean()
+
+
+def skinning(weights: Tensor, reference: Tensor) -> Tensor:
+    """1000 x mean squared difference of skinning weights [N,J] from those of the body's nearest vertices, a constant."""
+    return LBS * (weights - reference.detach()).square().mean()
+
+
+def psnr(image: Tensor, target: Tensor) -> float:
+    """Peak signal-to-noise ratio in dB of [...,3] in 0..1, pooled over channels, at most 99."""
+    error = (image.clamp(0, 1) - target).square().mean().item()
+    return min(99.0, -10 * torch.log10(torch.tensor(max(error, 1e-12))).item())

@@ -1,0 +1,45 @@
+"""What is learned per frame: small corrections of the person's pose and place, and of the camera's exposure."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class FrameCorrections(nn.Module):
+    """Corrections of F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m, log gain [F,3].
+
+    Rows have sparse gradients, so that a frame moves only when it is seen.
+    """
+
+    def __init__(self, frames: int):
+        super().__init__()
+        self.pose = nn.Embedding(frames, 72, sparse=True)
+        self.place = nn.Embedding(frames, 3, sparse=True)
+        self.gain = nn.Embedding(frames, 3, sparse=True)
+        for table in (self.pose, self.place, self.gain):
+            nn.init.zeros_(table.weight)
+
+    def body(self, frame: int, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, ...]:
+        """Corrected global_orient[3], body_pose[69] and transl[3] of one frame."""
+        row = torch.tensor(frame, device=transl.device)
+        pose = torch.cat([global_orient, body_pose]) + self.pose(row)
+        return pose[:3], pose[3:], transl + self.place(row)
+
+    def gains(self, frame: int) -> Tensor:
+        """Factors [3] on the drawn colours of one frame."""
+        return self.gain(torch.tensor(frame, device=self.gain.weight.device)).exp()
+
+
+def spread(table: Tensor, trained: Tensor) -> Tensor:
+    """Rows [F,D] with those of untrained frames (trained[F] bool) taken from their neighbours: linear, constant at the ends."""
+    at = torch.arange(len(table), device=table.device)
+    known = at[trained]
+    if len(known) == 0:
+        return torch.zeros_like(table)
+    right = torch.searchsorted(known, at).clamp(max=len(known) - 1)
+    left = (right - 1).clamp(min=0)
+    left = torch.where(known[right] <= at, right, left)
+    gap = (known[right] - known[left]).clamp_min(1)
+    part = ((at - known[left]) / gap).clamp(0, 1).to(table)[:, None]
+    return table[known[left]] * (1 - part) + table[known[right]] * part

@@ -1,0 +1,109 @@
+"""The scene: plain 3D Gaussians, started from SfM points and from points filled in where SfM saw no texture."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from torch import Tensor, nn
+
+from stages.avatar.gaussians import Splats, spacing
+from stages.avatar.rasterize import gaussian_axes
+from stages.avatar.sh import bases, sh_from_rgb
+
+START_OPACITY = 0.3
+NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard case H17)
+
+
+def scene_extent(viewmats: Tensor, points: Tensor) -> float:
+    """Size in metres to which all scene lengths are relative: 1.1 x the spread of the cameras, at least half the median depth.
+
+    viewmats[C,4,4], points[P,3]. The floor keeps a tripod or a pure turn from making every length 0 (hard case H05).
+    """
+    rotations, shifts = viewmats[:, :3, :3].double(), viewmats[:, :3, 3].double()
+    centres = -(rotations.transpose(1, 2) @ shifts[..., None])[..., 0]
+    spread = 1.1 * (centres - centres.mean(0)).norm(dim=1).max().item()
+    if len(points) == 0:
+        return max(spread, 1.0)
+    depths = torch.einsum("cj,pj->cp", rotations[:, 2], points.double()) + shifts[:, 2:3]
+    front = depths[depths > 0]
+    return max(spread, 0.5 * front.median().item() if len(front) else 1.0)
+
+
+def fill_points(
+    points: np.ndarray,
+    images: list[np.ndarray],
+    masks: list[np.ndarray],
+    viewmats: np.ndarray,
+    Ks: np.ndarray,
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [<=count,3] m and their colours [.,3] uint8 at random pixels of background, as deep as the SfM points around.
+
+    points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3]. Inverse depth is
+    linear between the SfM points of a view and that of the nearest one beyond them. Views with under 8 points are left out.
+    """
+    xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
+    share = max(1, count // max(1, len(images)))
+    for image, mask, viewmat, K in zip(images, masks, viewmats, Ks, strict=True):
+        height, width = mask.shape
+        local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+        local = local[local[:, 2] > 1e-6]
+        pixels = local[:, :2] / local[:, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
+        seen = (pixels > 0).all(1) & (pixels < [width, height]).all(1)
+        pixels, inverse = pixels[seen], 1 / local[seen, 2]
+        if len(pixels) < 8:
+            continue
+        at = rng.random((share, 2)) * [width, height]
+        column, row = at.astype(int).T
+        free = mask[row, column] < 128
+        at, column, row = at[free], column[free], row[free]
+        w = LinearNDInterpolator(pixels, inverse)(at)
+        beyond = ~np.isfinite(w)
+        w[beyond] = NearestNDInterpolator(pixels, inverse)(at[beyond])
+        rays = np.concatenate([(at - [K[0, 2], K[1, 2]]) / [K[0, 0], K[1, 1]], np.ones((len(at), 1))], 1)
+        xyz.append((rays / w[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3])
+        rgb.append(image[row, column])
+    return np.concatenate(xyz), np.concatenate(rgb)
+
+
+class SceneModel(nn.Module):
+    """The trainable scene: one row a Gaussian in `means`, `quats`, `log_scales`, `logit_opacities`, `sh0`, `shN`."""
+
+    ROWS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")
+
+    def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float):
+        """points[P,3] m, rgb[P,3] in 0..1; raises ValueError when there is none."""
+        super().__init__()
+        if len(points) == 0:
+            raise ValueError("a scene needs at least one point")
+        n = len(points)
+        size = spacing(points, extent)
+        logit = math.log(START_OPACITY / (1 - START_OPACITY))
+        self.means = nn.Parameter(points.clone())
+        self.quats = nn.Parameter(torch.tensor([1.0, 0, 0, 0]).to(points).repeat(n, 1))
+        self.log_scales = nn.Parameter(size.log()[:, None].repeat(1, 3))
+        self.logit_opacities = nn.Parameter(torch.full((n,), logit).to(points))
+        self.sh0 = nn.Parameter(sh_from_rgb(rgb))
+        self.shN = nn.Parameter(torch.zeros(n, bases(sh_degree) - 1, 3).to(points))
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def splats(self) -> Splats:
+        """The scene as drawn."""
+        sh = self.sh0[:, None] if self.shN.shape[1] == 0 else torch.cat([self.sh0[:, None], self.shN], 1)
+        axes = gaussian_axes(self.quats, self.log_scales.exp())
+        return Splats(self.means, axes, self.logit_opacities.sigmoid(), sh)
+
+
+def load_scene(arrays, device: str | torch.device = "cpu") -> Splats:
+    """A trained scene as drawn, from `formats.splats.Scene` or anything with its fields, float32 on `device`."""
+    means, quats, scales, opacities, sh0, shN = (
+        torch.as_tensor(getattr(arrays, name), dtype=torch.float32, device=device)
+        for name in ("means", "quats", "scales", "opacities", "sh0", "shN")
+    )
+    return Splats(means, gaussian_axes(quats, scales), opacities, torch.cat([sh0[:, None], shN], 1))

@@ -1,0 +1,61 @@
+"""Spherical harmonics as colour: real basis to degree 3, in the order and signs of 3DGS files."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+SH_C0 = 0.5 / math.sqrt(math.pi)
+_C1 = math.sqrt(3 / (4 * math.pi))
+_C2 = math.sqrt(15 / (4 * math.pi))
+_C2Z = math.sqrt(5 / (16 * math.pi))
+_C3 = tuple(math.sqrt(x / math.pi) for x in (35 / 32, 105 / 4, 21 / 32, 7 / 16, 105 / 16))
+
+
+def bases(degree: int) -> int:
+    """Number of basis functions of all degrees up to `degree`."""
+    return (degree + 1) ** 2
+
+
+def sh_basis(directions: Tensor, degree: int) -> Tensor:
+    """Real spherical harmonics of unit `directions`[N,3] -> [N,(degree+1)^2], Condon-Shortley signs, degree 0 to 3."""
+    if not 0 <= degree <= 3:
+        raise ValueError(f"spherical harmonics of degree {degree}: 0 to 3 are known")
+    x, y, z = directions.unbind(-1)
+    basis = [torch.full_like(x, SH_C0)]
+    if degree > 0:
+        basis += [-_C1 * y, _C1 * z, -_C1 * x]
+    if degree > 1:
+        basis += [_C2 * x * y, -_C2 * y * z, _C2Z * (3 * z * z - 1), -_C2 * x * z, 0.5 * _C2 * (x * x - y * y)]
+    if degree > 2:
+        a, b, c, d, e = _C3
+        basis += [
+            -a * y * (3 * x * x - y * y),
+            b * x * y * z,
+            -c * y * (5 * z * z - 1),
+            d * z * (5 * z * z - 3),
+            -c * x * (5 * z * z - 1),
+            e * z * (x * x - y * y),
+            -a * x * (x * x - 3 * y * y),
+        ]
+    return torch.stack(basis, -1)
+
+
+def sh_colors(sh: Tensor, directions: Tensor | None) -> Tensor:
+    """Colours [N,3], not below 0, of coefficients `sh`[N,K,3] seen along unit `directions`[N,3] (unused for K = 1).
+
+    The gradient passes through the clamp at 0, so that a colour that became too dark can return.
+    """
+    if sh.shape[1] == 1:
+        colors = 0.5 + SH_C0 * sh[:, 0]
+    else:
+        basis = sh_basis(directions, math.isqrt(sh.shape[1]) - 1)
+        colors = 0.5 + torch.einsum("nk,nkc->nc", basis, sh)
+    return colors + (colors.detach().clamp_min(0) - colors.detach())
+
+
+def sh_from_rgb(rgb: Tensor) -> Tensor:
+    """Degree-0 coefficient of a colour in 0..1."""
+    return (rgb - 0.5) / SH_C0

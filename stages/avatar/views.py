@@ -1,0 +1,72 @@
+"""What training looks at: the pictures of a clip, the fitted body in them, and the window around the person."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+CROP = 12  # pixels left around the person in the person-only render
+NEAR = 0.05  # metres: points of the person nearer to the camera do not widen the window
+
+
+class Views(NamedTuple):
+    """Pictures: images uint8[F,H,W,3], masks uint8[F,H,W] (255 = person), viewmats[F,4,4] (metres), Ks[F,3,3] px."""
+
+    images: Tensor
+    masks: Tensor
+    viewmats: Tensor
+    Ks: Tensor
+
+    def half(self) -> Views:
+        """The same at half the resolution, by area."""
+        height, width = (max(1, n // 2) for n in self.masks.shape[1:])
+        small = [F.adaptive_avg_pool2d(i.permute(2, 0, 1).float(), (height, width)) for i in self.images]
+        masks = [F.adaptive_avg_pool2d(m[None].float(), (height, width))[0] for m in self.masks]
+        Ks = self.Ks.clone()
+        Ks[:, 0] *= width / self.masks.shape[2]
+        Ks[:, 1] *= height / self.masks.shape[1]
+        images = torch.stack([s.permute(1, 2, 0).round().to(torch.uint8) for s in small])
+        return Views(images, torch.stack([m.round().to(torch.uint8) for m in masks]), self.viewmats, Ks)
+
+
+class Person(NamedTuple):
+    """The fitted body of all frames: global_orient[F,3], body_pose[F,69], transl[F,3], and what the canonical pose needs:
+    joints[24,3] at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24].
+    present[F] is False where there is no fit worth learning from."""
+
+    global_orient: Tensor
+    body_pose: Tensor
+    transl: Tensor
+    present: Tensor
+    joints: Tensor
+    parents: list[int]
+    canonical_pose: Tensor
+    vertices: Tensor
+    weights: Tensor
+
+
+def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:
+    """Window (left, top, right, bottom) in px around the person's mask[H,W] and points[N,3] in the world, in the picture."""
+    height, width = mask.shape
+    rows, columns = (mask > 0.5).any(1).nonzero()[:, 0], (mask > 0.5).any(0).nonzero()[:, 0]
+    low, high = [], []
+    if len(rows):
+        low.append(torch.stack([columns[0], rows[0]]))
+        high.append(torch.stack([columns[-1], rows[-1]]) + 1)
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    local = local[local[:, 2] > NEAR]
+    if len(local):
+        at = local[:, :2] / local[:, 2:] * torch.stack([K[0, 0], K[1, 1]]) + K[:2, 2]
+        low.append(at.amin(0).floor())
+        high.append(at.amax(0).ceil())
+    if not low:
+        return 0, 0, width, height
+    size = torch.tensor([width, height])
+    start = (
+        (torch.stack([p.cpu().float() for p in low]).amin(0) - CROP).clamp(torch.zeros(2), size - 1.0).int().tolist()
+    )
+    end = (torch.stack([p.cpu().float() for p in high]).amax(0) + CROP).clamp(torch.ones(2), size * 1.0).int().tolist()
+    return start[0], start[1], max(end[0], start[0] + 1), max(end[1], start[1] + 1)

@@ -1,0 +1,92 @@
+"""What training leaves: the person and the scene as Gaussians, in `avatar.npz` and `scene.npz`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import StageError
+
+_ROWS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """N Gaussians in the world frame, metres.
+
+    means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
+    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms.
+    """
+
+    means: np.ndarray
+    quats: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    sh0: np.ndarray
+    shN: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True)
+class Avatar(Scene):
+    """N Gaussians in the canonical da-pose frame, metres, and all that posing them needs.
+
+    lbs_weights[N,24] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
+    canonical_pose[69] axis-angle of the pose in which the Gaussians stand.
+    """
+
+    lbs_weights: np.ndarray
+    joints: np.ndarray
+    parents: np.ndarray
+    betas: np.ndarray
+    canonical_pose: np.ndarray
+
+
+def write_splats(path: Path, splats: Scene | Avatar) -> None:
+    """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles."""
+    arrays = {f.name: np.asarray(getattr(splats, f.name)) for f in fields(splats)}
+    np.savez(path, **{k: v.astype(np.int32 if k == "parents" else np.float32) for k, v in arrays.items()})
+
+
+def read_scene(path: Path) -> Scene:
+    """Read `scene.npz`; raises StageError when arrays are missing, of unequal length or not finite."""
+    return _read(path, Scene)
+
+
+def read_avatar(path: Path) -> Avatar:
+    """Read `avatar.npz`; raises StageError as `read_scene` does, and when skinning weights do not sum to one."""
+    avatar = _read(path, Avatar)
+    off = np.abs(avatar.lbs_weights.sum(1) - 1)
+    if len(off) and off.max() > 1e-3:
+        raise StageError(
+            "the avatar's skinning weights do not sum to one",
+            facts=[f"{path.name}: row {int(off.argmax())} sums to {1 + off.max():.4f}"],
+            hint="train again: `hugs run VIDEO train --force`",
+        )
+    return avatar
+
+
+def _read(path: Path, kind: type) -> Scene | Avatar:
+    names = [f.name for f in fields(kind)]
+    with np.load(path, allow_pickle=False) as data:
+        missing = [n for n in names if n not in data]
+        if missing:
+            raise StageError(
+                f"{path.name} is not the Gaussians of a {kind.__name__.lower()}",
+                facts=[f"missing arrays: {', '.join(missing)}"],
+                hint="give the file that the train stage wrote",
+            )
+        arrays = {n: data[n] for n in names}
+    lengths = {n: len(arrays[n]) for n in names if n in _ROWS or n == "lbs_weights"}
+    bad = [n for n in names if arrays[n].dtype.kind == "f" and not np.isfinite(arrays[n]).all()]
+    if len(set(lengths.values())) != 1 or bad:
+        raise StageError(
+            f"{path.name} is damaged",
+            facts=[f"rows: {lengths}", f"arrays with values that are not finite: {', '.join(bad) or 'none'}"],
+            hint="train again: `hugs run VIDEO train --force`",
+        )
+    return kind(**arrays)

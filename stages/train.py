@@ -1,0 +1,309 @@
+"""Fit person and scene to the training frames, jointly, and write both as Gaussians that need no network."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from stages import contract
+from stages.contract import Job, StageError, Stopped
+
+if TYPE_CHECKING:
+    from stages.avatar.fit import Fit
+    from stages.formats.clip import Clip
+
+RESUMES = True
+CHECKPOINT_SECONDS = 60
+JUDGED = 6  # held-out frames on the accuracy curve
+BOX = 8  # px around the mask in the person's crop on the curve
+COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
+
+
+class Params(contract.Params):
+    steps: int = Field(5000, gt=0)
+    """Training frames looked at. Time grows linearly."""
+    rounds: int = Field(1, ge=0, le=3)
+    """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
+    human_cap: int = Field(40_000, gt=0)
+    """Most Gaussians the person may have."""
+    scene_cap: int = Field(80_000, gt=0)
+    """Most Gaussians the scene may have."""
+    scene_fill: int = Field(20_000, ge=0)
+    """Points added to those of SfM before training, where SfM saw no texture."""
+    human_sh: int = Field(0, ge=0, le=3)
+    """Degree of the person's view-dependent colour; 0 as in the paper."""
+    scene_sh: int = Field(1, ge=0, le=3)
+    """Degree of the scene's view-dependent colour."""
+    channels: int = Field(32, gt=0)
+    """Features of each triplane cell."""
+    resolution: int = Field(128, gt=1)
+    """Cells along each side of a triplane."""
+    views_per_decode: int = Field(4, gt=0)
+    """Training frames drawn for each run of the person's networks, whose gradients they share."""
+    perceptual_every: int = Field(0, ge=0)
+    """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""
+    curve_points: int = Field(12, gt=0)
+    """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
+
+
+def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
+    """Fit person and scene Gaussians to the frames, jointly."""
+    import torch
+
+    from stages.formats.clip import load_clip
+
+    decisions = json.loads((survey / "survey.json").read_text())["decisions"]
+    clip = load_clip(sfm, smpl)
+    train = [i for i in range(len(clip.names)) if not clip.heldout[i]]
+    if not train:
+        raise StageError(
+            "no frame is left to train on",
+            facts=[f"{len(clip.names)} frames registered, {int(clip.heldout.sum())} of them held out"],
+            hint="take more frames: `--set frames.count=80`",
+        )
+    fit = build(clip, train, params, decisions, job)
+    started = _resume(fit, job)
+    curve, seconds = started["curve"], started["seconds"]
+    job.note(f"{len(train)} training frames, {_size(fit)} Gaussians at the start, scene {'on' if fit.scene else 'off'}")
+    judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
+    judged = judged[:: max(1, len(judged) // JUDGED)][:JUDGED]
+    every = max(1, params.steps // params.curve_points)
+    mark, saved = time.perf_counter(), time.perf_counter()
+    while fit.step < params.steps:
+        numbers = _advance(fit)
+        whole = fit.leaves is None
+        if fit.step % every == 0 or fit.step == params.steps:
+            seconds += time.perf_counter() - mark
+            curve.append({"step": fit.step, "seconds": round(seconds, 3)} | judge(fit, judged))
+            job.progress(fit.step, params.steps, psnr=curve[-1]["psnr"], gaussians=sum(_size(fit).values()))
+            mark = time.perf_counter()
+        elif fit.step % 25 == 0:
+            job.progress(fit.step, params.steps, loss=sum(numbers.values()), gaussians=sum(_size(fit).values()))
+        if whole and (job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS):
+            total = seconds + time.perf_counter() - mark
+            _save(fit, job.out / "checkpoint.pt", {"curve": curve, "seconds": total})
+            saved = time.perf_counter()
+            if job.stop_asked:
+                raise Stopped(f"stopped after step {fit.step} of {params.steps}; the next run goes on from there")
+    _write(fit, clip, job, curve, params)
+    (job.out / "checkpoint.pt").unlink(missing_ok=True)
+
+
+def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any], job: Job) -> Fit:
+    """Everything that is trained, at its initial value."""
+    import numpy as np
+    import torch
+
+    from stages.avatar.body import DA_POSE, Body
+    from stages.avatar.fit import Fit, Options
+    from stages.avatar.human import HumanModel
+    from stages.avatar.scene import SceneModel, fill_points, scene_extent
+    from stages.avatar.views import Person, Views
+
+    generator = torch.Generator().manual_seed(job.seed)
+
+    def tensor(array) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(array), dtype=torch.float32, device=job.device)
+
+    frames = range(len(clip.names))
+    views = Views(
+        torch.as_tensor(np.stack([clip.images(i) for i in frames]), device=job.device),
+        torch.as_tensor(np.stack([clip.mask(i) for i in frames]), device=job.device),
+        tensor(clip.viewmats),
+        tensor(clip.Ks),
+    )
+    if not any((views.masks[i] > 127).any() for i in train):
+        raise StageError(
+            "no training frame shows a person",
+            facts=[f"the masks of all {len(train)} training frames are empty"],
+            hint="give masks of your own: `hugs run VIDEO --masks DIR`",
+        )
+    body = Body(clip.body_model)
+    betas = torch.as_tensor(clip.body.betas, dtype=torch.float32)
+    vertices, _ = body(betas, torch.zeros(1, 3), DA_POSE[None], torch.zeros(1, 3))
+    joints = body.rest(betas)[1]
+    faces = torch.as_tensor(np.asarray(clip.body_model.faces).astype(np.int64), device=job.device)
+    poses = (tensor(clip.body.global_orient), tensor(clip.body.body_pose), tensor(clip.body.transl))
+    weights = body.lbs_weights.to(job.device)
+    present = torch.as_tensor(np.asarray(clip.body.confidence) > 0)
+    person = Person(*poses, present, tensor(joints), body.parents, DA_POSE.to(job.device), tensor(vertices[0]), weights)
+    human = HumanModel(
+        person.vertices,
+        faces,
+        weights,
+        rounds=params.rounds,
+        channels=params.channels,
+        resolution=params.resolution,
+        sh_degree=params.human_sh,
+        generator=generator,
+    )
+    extent = scene_extent(tensor(clip.viewmats).cpu(), tensor(clip.points).cpu())
+    scene = None
+    if decisions.get("scene", True) and len(clip.points):
+        rng = np.random.default_rng(job.seed)
+        chosen = train[:: max(1, len(train) // 16)]
+        xyz, rgb = fill_points(
+            clip.points,
+            [clip.images(i) for i in chosen],
+            [clip.mask(i) for i in chosen],
+            clip.viewmats[chosen],
+            clip.Ks[chosen],
+            params.scene_fill,
+            rng,
+        )
+        points, colors = np.concatenate([clip.points, xyz]), np.concatenate([clip.colors, rgb])
+        scene = SceneModel(tensor(points), tensor(colors) / 255, params.scene_sh, extent)
+    options = Options(
+        steps=params.steps,
+        views_per_decode=params.views_per_decode,
+        human_cap=max(params.human_cap, len(human)),
+        scene_cap=params.scene_cap,
+        extent=extent,
+        refine_pose=decisions.get("pose_refinement", True),
+        exposure=decisions.get("exposure", False),
+        perceptual_every=params.perceptual_every,
+    )
+    return Fit(views, train, person, human, scene, options, generator, _perceptual(params))
+
+
+def _perceptual(params: Params):
+    if not params.perceptual_every:
+        return None
+    from stages.avatar.perceptual import Lpips
+    from stages.estimators.assets import fetch
+
+    return Lpips(fetch("lpips_vgg.npz"))
+
+
+def _advance(fit: Fit) -> dict[str, float]:
+    try:
+        return fit.advance()
+    except (FloatingPointError, ValueError) as error:
+        raise StageError(
+            "training broke down",
+            facts=[f"step {fit.step}: {error}", f"gradients or steps that were not finite so far: {fit.bad}"],
+            hint="look at the body overlay in the report: a wrong fit or mask is the usual cause; else try `--seed 1`",
+        ) from error
+
+
+def judge(fit: Fit, frames: list[int]) -> dict[str, Any]:
+    """Mean accuracy on `frames` at full size, whole and in the box of the person, with the number of Gaussians."""
+    import resource
+
+    import torch
+
+    from stages.avatar.compose import compose
+    from stages.avatar.losses import psnr
+    from stages.avatar.ssim import ssim
+    from stages.avatar.views import person_box
+
+    sums = dict.fromkeys(COLUMNS[2:6], 0.0)
+    views, (orient, body_pose, transl), gains = fit.full, fit.bodies(), fit.gains()
+    with torch.no_grad():
+        canonical = fit.baked()
+        for i in frames:
+            image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
+            human = fit.posed(canonical, orient[i], body_pose[i], transl[i])
+            scene = fit.scene.splats() if fit.scene else None
+            size = mask.shape[1], mask.shape[0]
+            drawn = compose(human, scene, views.viewmats[i], views.Ks[i], *size).image * gains[i]
+            if fit.scene is None:
+                image = image * mask[..., None]
+            left, top, right, bottom = person_box(mask, human.means[:0], views.viewmats[i], views.Ks[i])
+            crop = (slice(top, bottom), slice(left, right))
+            drawn = drawn.clamp(0, 1)
+            sums["psnr"] += psnr(drawn, image) / len(frames)
+            sums["ssim"] += ssim(drawn, image).item() / len(frames)
+            sums["psnr_person"] += psnr(drawn[crop], image[crop]) / len(frames)
+            sums["ssim_person"] += ssim(drawn[crop].contiguous(), image[crop].contiguous()).item() / len(frames)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    numbers = {k: round(v, 4) for k, v in sums.items()} if frames else dict.fromkeys(sums, "")
+    return numbers | _size(fit) | {"memory_bytes": memory}
+
+
+def _size(fit: Fit) -> dict[str, int]:
+    return {"human": len(fit.human) if fit.human else 0, "scene": len(fit.scene) if fit.scene else 0}
+
+
+def _save(fit: Fit, path: Path, more: dict[str, Any]) -> None:
+    """Write a checkpoint under another name, to the disk, and only then give it its name."""
+    import torch
+
+    partial = path.with_suffix(".part")
+    with partial.open("wb") as file:
+        torch.save({"fit": fit.state(), "threads": torch.get_num_threads()} | more, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+
+
+def _resume(fit: Fit, job: Job) -> dict[str, Any]:
+    import torch
+
+    path = job.out / "checkpoint.pt"
+    path.with_suffix(".part").unlink(missing_ok=True)
+    if not path.exists():
+        return {"curve": [], "seconds": 0.0}
+    saved = torch.load(path, map_location=job.device, weights_only=True)
+    fit.load(saved["fit"])
+    job.note(f"goes on after step {fit.step}")
+    if saved["threads"] != torch.get_num_threads():
+        job.warn(f"{saved['threads']} threads before, {torch.get_num_threads()} now: sums differ in their last digits")
+    return saved
+
+
+def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: Params) -> None:
+    """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json."""
+    from dataclasses import replace
+
+    import torch
+
+    from stages.avatar.rotations import quat_from_matrix
+    from stages.formats.poses import write_poses
+    from stages.formats.splats import Avatar, Scene, write_splats
+
+    def array(tensor: torch.Tensor):
+        return tensor.detach().cpu().numpy()
+
+    c, p = fit.baked(), fit.person
+    avatar = Avatar(
+        *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
+        lbs_weights=array(c.weights),
+        joints=array(p.joints),
+        parents=p.parents,
+        betas=clip.body.betas,
+        canonical_pose=array(p.canonical_pose),
+    )
+    write_splats(job.out / "avatar.npz", avatar)
+    if fit.scene:
+        s = fit.scene
+        quats = s.quats / s.quats.norm(dim=1, keepdim=True)
+        parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
+        write_splats(job.out / "scene.npz", Scene(*(array(t) for t in parts)))
+    orient, body_pose, transl = (array(t) for t in fit.bodies())
+    write_poses(job.out / "body.npz", replace(clip.body, global_orient=orient, body_pose=body_pose, transl=transl))
+    with (job.out / "curve.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(curve)
+    facts = {
+        "steps": fit.step,
+        "seconds": curve[-1]["seconds"],
+        "extent_m": fit.options.extent,
+        "gaussians": _size(fit),
+        "not_finite": fit.bad,
+        "train_frames": [clip.names[i] for i in fit.train],
+        "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",
+        "exposure": dict(zip(clip.names, array(fit.gains()).round(5).tolist(), strict=True))
+        if fit.options.exposure
+        else {},
+    }
+    (job.out / "train.json").write_text(json.dumps(facts, indent=1))
+    if fit.bad:
+        job.warn(f"{fit.bad} gradients or steps were not finite and were left out")
