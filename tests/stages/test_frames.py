@@ -43,10 +43,9 @@ def test_picks_one_sharp_frame_a_slot(tmp_path):
         assert frame["name"] == f"{frame['index']:06d}" and abs(frame["time_s"] - frame["index"] / 30) < 1e-3
     original = [picture for _, _, picture in decode(tmp_path / "v.mp4")]
     assert np.array_equal(read_image(out / "images" / "000004.png"), original[4])
-    assert facts["video"] == {
-        **{"path": "v.mp4", "width": WIDTH, "height": HEIGHT, "fps": 30.0, "frames": 60, "rotation": 0},
-        "duration_s": 2.0,
-    }
+    video = facts["video"]
+    assert (video["path"], video["width"], video["height"], video["rotation"]) == ("v.mp4", WIDTH, HEIGHT, 0)
+    assert (video["fps"], video["frames"], video["duration_s"]) == (30.0, 60, 2.0)
     assert (facts["width"], facts["height"]) == (WIDTH, HEIGHT)
     assert sum(facts["dropped"].values()) + len(facts["frames"]) == 60
 
