@@ -1,0 +1,112 @@
+"""One clip as everything after the body fit sees it: frames, masks, cameras and body in one world of metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.body_model import BodyModel, read_body_model
+from stages.formats.cameras import Cameras, read_cameras
+from stages.formats.images import read_image, read_mask
+from stages.formats.points import read_points
+from stages.formats.poses import BodyPoses, read_poses
+
+HELD_OUT_EVERY, HELD_OUT_FIRST = 5, 2
+
+
+@dataclass(frozen=True)
+class Clip:
+    """C frames with their cameras and bodies, joined by name.
+
+    `names` [C]; `viewmats` [C,4,4] float64 camera_from_world in metres, `Ks` [C,3,3] px, one `width` and `height`;
+    `points` [P,3] metres and `colors` [P,3] uint8 from SfM (P may be 0); `body` in the order of `names`.
+    """
+
+    folder: Path
+    cameras: Cameras
+    viewmats: np.ndarray
+    points: np.ndarray
+    colors: np.ndarray
+    body: BodyPoses
+    body_model: BodyModel
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.cameras.names
+
+    @property
+    def Ks(self) -> np.ndarray:
+        return self.cameras.Ks
+
+    @property
+    def width(self) -> int:
+        return self.cameras.width
+
+    @property
+    def height(self) -> int:
+        return self.cameras.height
+
+    @cached_property
+    def heldout(self) -> np.ndarray:
+        """bool [C]: every 5th frame, never trained on."""
+        return np.arange(len(self.names)) % HELD_OUT_EVERY == HELD_OUT_FIRST
+
+    def images(self, i: int) -> np.ndarray:
+        """Undistorted frame `i`, uint8 [H,W,3]."""
+        return self._sized(read_image(self.folder / "images" / f"{self.names[i]}.png"), "images", i)
+
+    def mask(self, i: int) -> np.ndarray:
+        """Its person mask, uint8 [H,W], 255 = person."""
+        return self._sized(read_mask(self.folder / "masks" / f"{self.names[i]}.png"), "masks", i)
+
+    def _sized(self, pixels: np.ndarray, kind: str, i: int) -> np.ndarray:
+        if pixels.shape[:2] != (self.height, self.width):
+            raise StageError(
+                f"{kind}/{self.names[i]}.png has not the size of its camera",
+                "run the sfm stage again: `hugs run VIDEO sfm --force`",
+                [f"picture {pixels.shape[1]}x{pixels.shape[0]}, camera {self.width}x{self.height}"],
+            )
+        return pixels
+
+
+def load_clip(sfm: Path, smpl: Path, body: Path | None = None) -> Clip:
+    """Join the folders of the `sfm` and `smpl` stages; `body` is another body.npz (train's refined one) to use instead.
+
+    Raises StageError when a frame with a camera has no body.
+    """
+    cameras = read_cameras(sfm / "cameras.npz")
+    poses = read_poses(body or smpl / "body.npz")
+    row = {name: i for i, name in enumerate(poses.names)}
+    missing = [name for name in cameras.names if name not in row]
+    if missing:
+        raise StageError(
+            f"{len(missing)} of {len(cameras)} frames have a camera but no body",
+            "run the smpl stage again: `hugs run VIDEO smpl --force`",
+            [f"first: {', '.join(missing[:5])}"],
+        )
+    order = [row[name] for name in cameras.names]
+    ordered = BodyPoses(
+        names=cameras.names,
+        betas=poses.betas,
+        global_orient=poses.global_orient[order],
+        body_pose=poses.body_pose[order],
+        transl=poses.transl[order],
+        confidence=poses.confidence[order],
+        world_from_sfm=poses.world_from_sfm,
+    )
+    viewmats = cameras.viewmats.copy()
+    viewmats[:, :3, 3] *= poses.world_from_sfm
+    xyz, rgb = read_points(sfm / "points.ply")
+    return Clip(
+        folder=sfm,
+        cameras=cameras,
+        viewmats=viewmats,
+        points=xyz.astype(np.float64) * poses.world_from_sfm,
+        colors=rgb,
+        body=ordered,
+        body_model=read_body_model(smpl / "body_model.npz"),
+    )
