@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+
 from stages.avatar.body import DA_POSE, Body, Landmarks, subdivide, vertex_normals
 from stages.avatar.rotations import matrix_from_rotvec
 

@@ -5,6 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from stages.avatar import rotations as r
 
 AXES = [torch.tensor(a, dtype=torch.float64) for a in itertools.product((-1.0, 0, 1), repeat=3) if any(a)]

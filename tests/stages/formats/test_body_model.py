@@ -5,6 +5,7 @@ import types
 
 import numpy as np
 import pytest
+
 from stages.contract import StageError
 from stages.formats.body_model import FREE_BODY, read_body_model, write_body_model
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from stages.contract import StageError
 from stages.formats.poses import BodyPoses, read_poses, write_poses
 
