@@ -1,0 +1,25 @@
+# make run [VIDEO=dance.mp4]   the environment, the models, and the flow on a video (or on a synthetic clip)
+# make test                    the environment and the tests
+PYTHON ?= python3
+VENV   ?= .venv
+HUGS    = $(VENV)/bin/hugs
+
+run: $(VENV)/ready
+	@$(HUGS) doctor --fetch
+	@$(if $(VIDEO),$(HUGS) run "$(VIDEO)",$(HUGS) demo)
+
+test: $(VENV)/ready
+	$(HUGS) doctor --fetch
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/lint-imports
+	$(VENV)/bin/python -m pytest
+
+$(VENV)/ready: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; (3, 11) <= sys.version_info < (3, 14) or sys.exit("hugs needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + "; name another: make PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --upgrade pip
+	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	touch $@
+
+.PHONY: run test
