@@ -1,13 +1,14 @@
 """SMPL fits made by other programs: the simple .npz families, brought into one convention and into the world.
 
-| family                            | keys                                                          | frame             |
-|-----------------------------------|---------------------------------------------------------------|-------------------|
-| InstantAvatar, Anim-NeRF, ...     | betas, global_orient, body_pose (or thetas), transl           | camera, metres    |
-| AIST, AMASS-like (SMPL, 72)       | betas, poses, trans                                           | camera, metres    |
-| HUGS and NeuMan                   | the first, and scale [N] SfM units per metre: X = scale SMPL + transl | SfM       |
-| ours (body.npz)                   | the first, names, world_from_sfm                              | world, metres     |
+| family                      | keys                                                | frame          |
+|-----------------------------|-----------------------------------------------------|----------------|
+| InstantAvatar, Anim-NeRF    | betas, global_orient, body_pose (or thetas), transl | camera, metres |
+| AIST, AMASS-like (SMPL, 72) | betas, poses, trans                                 | camera, metres |
+| HUGS and NeuMan             | the first, and scale [N]: X = scale SMPL + transl   | SfM units      |
+| ours (body.npz)             | the first, names, world_from_sfm                    | world, metres  |
 
-Rows belong to frames by `names` (or `frame_ids`); without, row i is frame number i of the video, never the i-th of a list.
+Rows belong to frames by `names` (or `frame_ids`). Without, row i is frame number i of the video, never the i-th of a
+list.
 """
 
 from __future__ import annotations
@@ -168,9 +169,8 @@ def _rotvecs(array: np.ndarray, count: int, joints: int, key: str, path: Path) -
         off = np.maximum(off, np.abs(np.linalg.det(matrices) - 1))
         if off.max() > 1e-2:
             row, joint = (int(i) for i in np.unravel_index(off.argmax(), off.shape))
-            facts = [
-                f"row {row}, joint {joint}: off by {off.max():.3g}, determinant {np.linalg.det(matrices[row, joint]):.3g}"
-            ]
+            determinant = np.linalg.det(matrices[row, joint])
+            facts = [f"row {row}, joint {joint}: off by {off.max():.3g}, determinant {determinant:.3g}"]
             raise StageError(f"{key} in {path} holds matrices that are not rotations", HINT, facts)
         return np.array([[_rotvec(m) for m in row] for row in matrices]).reshape(count, joints * 3)
     flat = array.reshape(count, -1) if array.ndim == 3 and array.shape[0] == count else array
