@@ -14,7 +14,7 @@ class Params(contract.Params):
 
 
 def run(job: Job, params: Params, *, train: Path) -> None:
-    """Write avatar.ply (canonical pose, y up, metres), avatar.npz (with skeleton and weights), scene.ply (world, metres)."""
+    """Write avatar.ply (canonical pose, y up), avatar.npz (skeleton and weights) and scene.ply (world), in metres."""
     from stages.formats.ply import write_ply
     from stages.formats.splats import read_avatar, read_scene
 

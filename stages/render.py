@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -14,8 +14,8 @@ from stages.contract import Job, StageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.avatar.gaussians import Splats
-    from stages.avatar.human import Baked
+    from stages.avatar.drawing import Learned, Pose
+    from stages.formats.clip import Clip
 
 A_POSE = {2: 0.25, 5: -0.25, 47: -0.9, 50: 0.9}  # entries of body_pose, rad: a relaxed stand for the turntable
 
@@ -31,14 +31,6 @@ class Params(contract.Params):
     """Length of that motion."""
 
 
-class Learned(NamedTuple):
-    """What training left, ready to draw: the person, the scene or None, and the person's poses by frame name."""
-
-    avatar: Baked
-    scene: Splats | None
-    poses: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
-
-
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None:
     """Render heldout.mp4, turntable.mp4, motion.mp4 and, if there is a scene, scene.mp4."""
     import numpy as np
@@ -47,152 +39,105 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.formats.video import write_video
 
     clip = load_clip(sfm, smpl)
-    learned = load_learned(train, job.device)
-    held = np.flatnonzero(clip.heldout)
-    shots: dict[str, tuple[Iterator[np.ndarray], int, float]] = {
-        "heldout": (_side_by_side(clip, learned, held), len(held), 4.0),
-        "turntable": (_turntable(learned, params.turntable_frames), params.turntable_frames, params.fps),
+    learned, poses = _read(train, job.device)
+    fps = float(params.fps)
+    shots: dict[str, tuple[list[np.ndarray] | Iterator[np.ndarray], float]] = {
+        "heldout": (_beside_truth(clip, learned, poses, np.flatnonzero(clip.heldout)), 4.0),
+        "turntable": (_turntable(learned, params.turntable_frames), fps),
+        "motion": (_motion(clip, learned, poses, params), fps),
     }
-    motion = _motion(clip, learned, params)
-    shots["motion"] = (motion, round(params.motion_seconds * params.fps), params.fps)
     if learned.scene is not None:
-        order = range(0, len(clip.names), max(1, len(clip.names) // 80))
-        shots["scene"] = (_empty(clip, learned, order), len(order), params.fps / 2)
-    total, done = sum(count for _, count, _ in shots.values()), 0
-
-    def counted(frames: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-        nonlocal done
-        for frame in frames:
-            yield frame
-            done += 1
-            job.progress(done, total)
-
-    for name, (frames, _, fps) in shots.items():
-        write_video(job.out / f"{name}.mp4", counted(frames), fps)
+        shots["scene"] = (_empty(clip, learned), fps / 2)
+    for done, (name, (pictures, rate)) in enumerate(shots.items()):
+        job.progress(done, len(shots))
+        write_video(job.out / f"{name}.mp4", pictures, rate)
     job.note(", ".join(f"{name}.mp4" for name in shots))
 
 
-def load_learned(train: Path, device: str = "cpu") -> Learned:
-    """Read the folder of the train stage; the tensors are on `device`."""
-    from stages.avatar.human import load_avatar
-    from stages.avatar.scene import load_scene
+def _read(train: Path, device: str) -> tuple[Learned, dict[str, Pose]]:
+    """What training left, and the person's poses by frame name."""
+    from stages.avatar.drawing import load_learned
     from stages.formats.poses import read_poses
     from stages.formats.splats import read_avatar, read_scene
 
+    scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     body = read_poses(train / "body.npz")
-    rows = zip(body.global_orient, body.body_pose, body.transl, strict=True)
-    scene = load_scene(read_scene(train / "scene.npz"), device) if (train / "scene.npz").exists() else None
-    return Learned(load_avatar(read_avatar(train / "avatar.npz"), device), scene, dict(zip(body.names, rows)))
+    poses = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
+    return load_learned(read_avatar(train / "avatar.npz"), scene, device), poses
 
 
-def person(learned: Learned, pose: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Splats:
-    """The person's Gaussians at one pose (global_orient [3], body_pose [69] rad, transl [3] m)."""
-    import torch
-
-    from stages.avatar.human import pose_avatar
-
-    like = learned.avatar.joints
-    return pose_avatar(learned.avatar, *(torch.as_tensor(part).to(like) for part in pose))
-
-
-def draw(
-    human: Splats | None,
-    scene: Splats | None,
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    size: tuple[int, int],
-    background: float = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Colours [H,W,3] over a grey `background` and coverage [H,W], float32, of one camera (metres, px, width x height)."""
-    import torch
-
-    from stages.avatar.compose import compose
-
-    like = (human or scene).means
-    view, intrinsics = (torch.as_tensor(m).to(like) for m in (viewmat, K))
-    with torch.no_grad():
-        drawn = compose(human, scene, view, intrinsics, *size, torch.full((3,), background).to(like))
-    return drawn.image.cpu().numpy(), drawn.alpha.cpu().numpy()
-
-
-def to_uint8(image: np.ndarray) -> np.ndarray:
-    """Colours in 0..1 as bytes, clipped and rounded."""
+def _beside_truth(clip: Clip, learned: Learned, poses: dict[str, Pose], order: Iterable[int]) -> Iterator[np.ndarray]:
     import numpy as np
 
-    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
-
-
-def _side_by_side(clip, learned: Learned, order) -> Iterator[np.ndarray]:
-    import numpy as np
+    from stages.avatar.drawing import draw, to_uint8
 
     for i in order:
-        drawn, _ = draw(
-            person(learned, learned.poses[clip.names[i]]),
-            learned.scene,
-            clip.viewmats[i],
-            clip.Ks[i],
-            (clip.width, clip.height),
-        )
+        human = learned.person(poses[clip.names[i]])
+        drawn, _ = draw(human, learned.scene, clip.viewmats[i], clip.Ks[i], (clip.width, clip.height))
         yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)
 
 
-def _empty(clip, learned: Learned, order) -> Iterator[np.ndarray]:
-    for i in order:
-        yield to_uint8(draw(None, learned.scene, clip.viewmats[i], clip.Ks[i], (clip.width, clip.height))[0])
+def _empty(clip: Clip, learned: Learned) -> Iterator[np.ndarray]:
+    from stages.avatar.drawing import draw, to_uint8
+
+    for viewmat, K in zip(clip.viewmats, clip.Ks, strict=True):
+        yield to_uint8(draw(None, learned.scene, viewmat, K, (clip.width, clip.height))[0])
 
 
 def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.ndarray]:
-    """The person at a relaxed stand, seen from all sides, over white; y is up in the canonical frame."""
+    """The person at a relaxed stand, seen from all sides over white; the canonical frame has y up and looks along z."""
     import numpy as np
 
-    pose = np.zeros(69)
-    pose[list(A_POSE)] = list(A_POSE.values())
-    human = person(learned, (np.zeros(3), pose, np.zeros(3)))
+    from stages.avatar.drawing import draw, to_uint8
+
+    stand = np.zeros(69)
+    stand[list(A_POSE)] = list(A_POSE.values())
+    human = learned.person((np.zeros(3), stand, np.zeros(3)))
     points = human.means.cpu().numpy()
     low, high = np.percentile(points, 0.2, axis=0), np.percentile(points, 99.8, axis=0)
-    middle, tall = (low + high) / 2, max(high - low)
-    focal = 2.2 * side
+    focal, away = 2.2 * side, 2.6 * max(high - low)
     K = np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
     for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
         cos, sin = np.cos(angle), np.sin(angle)
-        rotation = np.array([[-cos, 0, sin], [0, -1, 0], [sin, 0, cos]]) @ np.diag([-1, 1, -1])
         view = np.eye(4)
-        view[:3, :3] = rotation
-        view[:3, 3] = -rotation @ middle + [0, 0, 2.6 * tall]
+        view[:3, :3] = np.diag([1.0, -1, -1]) @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
+        view[:3, 3] = [0, 0, away] - view[:3, :3] @ ((low + high) / 2)
         yield to_uint8(draw(human, None, view, K, (side, side), 1.0)[0])
 
 
-def _motion(clip, learned: Learned, params: Params) -> Iterator[np.ndarray]:
+def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params) -> Iterator[np.ndarray]:
     """The person doing something new where it stood in the clip, seen by the camera of the middle frame."""
     import numpy as np
     from scipy.spatial.transform import Rotation
 
     from stages.avatar import motion
+    from stages.avatar.drawing import draw, to_uint8
 
-    orient, body_pose, transl = getattr(motion, params.motion)(params.motion_seconds, params.fps)
+    orients, body_poses, steps = getattr(motion, params.motion)(params.motion_seconds, params.fps)
     middle = len(clip.names) // 2
-    stand = upright(np.stack([learned.poses[name][0] for name in clip.names]), learned.poses[clip.names[middle]][0])
-    pelvis = learned.avatar.joints[0].cpu().numpy()
-    start = pelvis + learned.poses[clip.names[middle]][2]
-    for turn, pose, step in zip(orient, body_pose, transl, strict=True):
+    orient, _, transl = poses[clip.names[middle]]
+    stand = upright(np.stack([poses[name][0] for name in clip.names]), orient)
+    for turn, pose, step in zip(orients, body_poses, steps, strict=True):
         turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
-        human = person(learned, (turned, pose, start + stand @ step - pelvis))
+        human = learned.person((turned, pose, transl + stand @ step))
         view = (clip.viewmats[middle], clip.Ks[middle], (clip.width, clip.height))
-        yield to_uint8(draw(human, learned.scene, *view, 0.0 if learned.scene else 1.0)[0])
+        yield to_uint8(draw(human, learned.scene, *view, background=0.0 if learned.scene else 1.0)[0])
 
 
 def upright(orients: np.ndarray, facing: np.ndarray) -> np.ndarray:
-    """Rotation [3,3] from the y-up frame of motions to the world: y goes to the mean up of `orients` [F,3] (rotation
-    vectors), z to the heading of `facing` [3]."""
+    """Rotation [3,3] from the frame of motions (y up, z ahead) to the world, for a person who stood in the clip.
+
+    y goes to the mean up of the bodies `orients` [F,3], z to the heading of the body `facing` [3] (rotation vectors).
+    """
     import numpy as np
     from scipy.spatial.transform import Rotation
 
     up = Rotation.from_rotvec(orients).apply([0.0, 1.0, 0.0]).mean(0)
     up /= np.linalg.norm(up)
-    front = Rotation.from_rotvec(facing).apply([0.0, 0.0, 1.0])
-    front -= up * (front @ up)
-    front /= np.linalg.norm(front)
-    return np.stack([np.cross(up, front), up, front], 1)
+    ahead = Rotation.from_rotvec(facing).apply([0.0, 0.0, 1.0])
+    ahead -= up * (ahead @ up)
+    ahead /= np.linalg.norm(ahead)
+    return np.stack([np.cross(up, ahead), up, ahead], 1)
 
 
 def render_views(
@@ -206,25 +151,27 @@ def render_views(
 ) -> int:
     """Write one PNG with alpha (not multiplied into colour) per camera of `cameras` into `out`; returns how many.
 
-    `cameras` is a cameras.npz in the clip's world (metres); `poses` a body.npz with one pose, or one per camera. Without
-    it a camera named as a frame of the clip gets that frame's pose, any other the middle frame's. Raises StageError
-    when the counts differ or the scene is asked for and there is none.
+    `cameras` is a cameras.npz in the clip's world (metres); `poses` a body.npz with one pose or one per camera.
+    Without it a camera named as a frame of the clip gets that frame's pose, any other the middle frame's.
+    Raises StageError when the counts differ, or when the scene is asked for and there is none.
     """
     import numpy as np
 
+    from stages.avatar.drawing import draw, to_uint8
     from stages.formats.cameras import read_cameras
     from stages.formats.images import write_image
     from stages.formats.poses import read_poses
 
-    path, learned = read_cameras(cameras), load_learned(train, device)
+    path = read_cameras(cameras)
+    learned, known = _read(train, device)
     if learned.scene is None and only != "human":
         raise StageError(
             "this clip has a person only, no scene",
             "add `--only human`",
-            [f"no scene.npz in {train}: its camera did not move, or the scene was switched off"],
+            [f"no scene.npz in {train}: the camera did not move, or the scene was switched off"],
         )
-    middle = list(learned.poses.values())[len(learned.poses) // 2]
-    chosen = [learned.poses.get(name, middle) for name in path.names]
+    middle = list(known.values())[len(known) // 2]
+    chosen = [known.get(name, middle) for name in path.names]
     if poses is not None:
         given = read_poses(poses)
         if len(given) not in (1, len(path)):
@@ -237,7 +184,7 @@ def render_views(
         chosen = rows * len(path) if len(rows) == 1 else rows
     out.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(path.names):
-        human = person(learned, chosen[i]) if only != "scene" else None
+        human = learned.person(chosen[i]) if only != "scene" else None
         scene = learned.scene if only != "human" else None
         image, alpha = draw(human, scene, path.viewmats[i], path.Ks[i], (path.width, path.height))
         colour = image / np.maximum(alpha, 1 / 255)[..., None]

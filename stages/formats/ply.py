@@ -20,7 +20,7 @@ def _names() -> list[str]:
 
 
 def write_ply(path: Path, splats: Scene) -> int:
-    """Write Gaussians as binary little-endian PLY in the layout of 3DGS (INRIA); returns how many opacities were bounded.
+    """Write Gaussians as binary PLY in the layout of 3DGS; returns how many opacities were bounded.
 
     Opacity is stored as its logit (bounded at +-15), scales as logarithms, rotation as w x y z, higher harmonics
     channel by channel. Raises StageError when a scale is not positive.

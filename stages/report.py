@@ -1,0 +1,209 @@
+"""One page to look at: what was learned, how good it is, what it cost, and what to know before trusting it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stages import contract
+from stages.contract import Job
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stages.formats.clip import Clip
+
+OVERLAYS = 6
+FILMS = {
+    "heldout": "frames never trained on: the clip on the left, ours on the right",
+    "turntable": "the person from all sides",
+    "motion": "a motion that is not in the clip",
+    "scene": "the scene without the person",
+}
+PROTOCOLS = {
+    "heldout": "held out",
+    "heldout_fitted": "held out, poses fitted",
+}
+REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
+
+
+class Params(contract.Params):
+    pass
+
+
+def run(
+    job: Job,
+    params: Params,
+    *,
+    frames: Path,
+    masks: Path,
+    sfm: Path,
+    smpl: Path,
+    survey: Path,
+    train: Path,
+    export: Path,
+    render: Path,
+    evaluate: Path,
+) -> None:
+    """Write report.html, one self-contained page."""
+    from stages.formats import page
+    from stages.formats.clip import load_clip
+
+    folders = (frames, masks, sfm, smpl, survey, train, export, render, evaluate)
+    names = ("frames", "masks", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
+    stamps = {name: _json(folder / "stamp.json") for name, folder in zip(names, folders, strict=True)}
+    video, metrics = _json(frames / "frames.json")["video"], _json(evaluate / "metrics.json")
+    clip = load_clip(sfm, smpl)
+    name = Path(video["path"]).name
+    sizes = metrics["gaussians"]
+    parts = [
+        f"<h1>{page.escape(name)}</h1>",
+        f'<p class="soft">{len(clip.names)} frames of {clip.width}x{clip.height} px, '
+        f"{sizes['human']:,} Gaussians in the person, {sizes['scene']:,} in the scene</p>",
+        page.facts(_headline(metrics)),
+        *(page.warning(f"{stage}: {text}") for stage, stamp in stamps.items() for text in stamp.get("warnings", [])),
+        page.section("What was learned", _films(render)),
+        page.section(
+            "Held-out frames",
+            page.row([page.picture(*shot) for shot in _comparisons(evaluate)], 420),
+            note="The clip on the left, ours in the middle, the person alone on the right. Nothing of these frames was "
+            "trained on.",
+        ),
+        page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics["protocol"]),
+        page.section("Accuracy over time", _curve(train), note="The clock stands still while accuracy is measured."),
+        page.section("Where the time went", _times(stamps)),
+        page.section(
+            "The body fit",
+            page.row([page.picture(*shot) for shot in _overlays(clip)], 240),
+            note="The fitted body over the frames. Where the outline leaves the person, the avatar suffers.",
+        ),
+        page.section("What was measured and decided", _survey(survey)),
+        page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
+    ]
+    (job.out / "report.html").write_text(page.page(f"{name}: hugs", parts), encoding="utf-8")
+    job.note(f"report.html, {(job.out / 'report.html').stat().st_size / 2**20:.1f} MiB")
+
+
+def _json(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _headline(metrics: dict[str, Any]) -> list[tuple[str, str]]:
+    held, seconds = metrics["heldout"], metrics["seconds"]["total"]
+    numbers = [
+        ("PSNR, whole picture", held["full"]["psnr"], "dB"),
+        ("PSNR, box of the person", held["person_crop"]["psnr"], "dB"),
+    ]
+    shown = [(name, f"{value:.1f} {unit}") for name, value, unit in numbers if value is not None]
+    memory = metrics["peak_memory_bytes"] / 2**30
+    return [*shown, ("from video to avatar", _duration(seconds)), ("peak memory", f"{memory:.1f} GiB")]
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds // 60)} min {int(seconds % 60)} s"
+
+
+def _films(render: Path) -> str:
+    from stages.formats import page
+
+    known = [(render / f"{name}.mp4", caption) for name, caption in FILMS.items()]
+    return page.row([page.film(path, caption) for path, caption in known if path.exists()], 380)
+
+
+def _comparisons(evaluate: Path) -> list[tuple[np.ndarray, str]]:
+    from stages.formats.images import read_image
+
+    return [(read_image(path), f"frame {path.stem}") for path in sorted((evaluate / "heldout").glob("*.png"))]
+
+
+def _accuracy(metrics: dict[str, Any]) -> str:
+    from stages.formats import page
+
+    rows = []
+    for protocol, title in PROTOCOLS.items():
+        for region, where in REGIONS.items():
+            values = metrics[protocol][region]
+            if values["psnr"] is not None:
+                rows.append(
+                    [title, where, *(f"{values[k]:.{d}f}" for k, d in (("psnr", 2), ("ssim", 3), ("lpips", 3)))]
+                )
+    return page.table(["poses", "where", "PSNR dB", "SSIM", "LPIPS"], rows, numeric=(2, 3, 4))
+
+
+def _curve(train: Path) -> str:
+    import csv
+
+    from stages.formats import page
+
+    with (train / "curve.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    lines = {}
+    for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
+        known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
+        lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
+    return page.chart(lines, "minutes of training", "PSNR dB")
+
+
+def _times(stamps: dict[str, dict[str, Any]]) -> str:
+    from stages.formats import page
+
+    spent = {name: stamp["seconds"] for name, stamp in stamps.items() if "seconds" in stamp}
+    longest = max(spent.values(), default=1.0) or 1.0
+    rows = [
+        [name, _duration(s), f"{stamps[name]['peak_memory_bytes'] / 2**20:.0f} MiB", page.bar(s / longest)]
+        for name, s in spent.items()
+    ]
+    return page.table(["stage", "time", "peak memory", ""], rows, numeric=(1, 2))
+
+
+def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
+    """The posed body, shaded, over evenly spread frames, its outline against the mask's."""
+    import cv2
+    import numpy as np
+    import torch
+
+    from stages.avatar.body import Body
+
+    body = Body(clip.body_model)
+    chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)
+    rows = (clip.body.global_orient[chosen], clip.body.body_pose[chosen], clip.body.transl[chosen])
+    with torch.no_grad():
+        parts = [torch.as_tensor(row, dtype=torch.float32) for row in rows]
+        vertices, _ = body(torch.as_tensor(clip.body.betas, dtype=torch.float32), *parts)
+    shots = []
+    for i, points in zip(chosen, vertices.numpy().astype(np.float64), strict=True):
+        local = points @ clip.viewmats[i, :3, :3].T + clip.viewmats[i, :3, 3]
+        image = clip.images(i)
+        if (local[:, 2] > 1e-3).all():
+            pixels = local @ clip.Ks[i].T
+            pixels = pixels[:, :2] / pixels[:, 2:] - 0.5
+            covered = np.zeros(image.shape[:2], np.uint8)
+            for corners in np.rint(pixels[clip.body_model.faces] * 8).astype(np.int32):
+                cv2.fillConvexPoly(covered, corners, 255, shift=3)
+            inside = covered > 0
+            image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
+        edges, _ = cv2.findContours((clip.mask(i) > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, edges, -1, (255, 140, 0), max(1, clip.height // 400))
+        shots.append((image, f"frame {clip.names[i]}: body blue, mask edge orange"))
+    return shots
+
+
+def _survey(survey: Path) -> str:
+    from stages.formats import page
+
+    found = _json(survey / "survey.json")
+    rows = [
+        [name.replace("_", " "), f"{_number(m.get('value'))} {m.get('unit') or ''}", str(m.get("verdict", ""))]
+        for name, m in found["measures"].items()
+    ]
+    decided = ", ".join(f"{k.replace('_', ' ')} {'on' if v else 'off'}" for k, v in found["decisions"].items())
+    return page.table(["measured", "value", "verdict"], rows) + f"<p>Decided: {page.escape(decided)}.</p>"
+
+
+def _number(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _notes(stamps: dict[str, dict[str, Any]]) -> list[list[str]]:
+    return [[stage, note] for stage, stamp in stamps.items() for note in stamp.get("notes", [])]
