@@ -14,7 +14,6 @@ from stages import contract
 from stages.contract import Job
 
 if TYPE_CHECKING:
-    import numpy as np
     import torch
 
     from stages.avatar.drawing import Learned, Pose
@@ -138,7 +137,7 @@ class Shot:
 
 
 def fit_pose(shot: Shot, steps: int) -> Pose:
-    """The pose after `steps` of Adam on the absolute difference around the person; the best one seen. No Gaussian moves."""
+    """The pose after `steps` of Adam on the absolute difference around the person, the best one seen; no Gaussian moves."""
     import torch
 
     from stages.avatar.human import pose_avatar

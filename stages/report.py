@@ -94,6 +94,7 @@ def _headline(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     numbers = [
         ("PSNR, whole picture", held["full"]["psnr"], "dB"),
         ("PSNR, box of the person", held["person_crop"]["psnr"], "dB"),
+        ("PSNR, person over white", held["person_white"]["psnr"], "dB"),
     ]
     shown = [(name, f"{value:.1f} {unit}") for name, value, unit in numbers if value is not None]
     memory = metrics["peak_memory_bytes"] / 2**30
