@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 RESUMES = True
 CHECKPOINT_SECONDS = 60
 JUDGED = 6  # held-out frames on the accuracy curve
-BOX = 8  # px around the mask in the person's crop on the curve
 COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
 
 
@@ -54,7 +53,6 @@ class Params(contract.Params):
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
     """Fit person and scene Gaussians to the frames, jointly."""
-    import torch
 
     from stages.formats.clip import load_clip
 
@@ -101,9 +99,10 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     import torch
 
     from stages.avatar.body import DA_POSE, Body
-    from stages.avatar.fit import Fit, Options
+    from stages.avatar.fit import Fit
     from stages.avatar.human import HumanModel
     from stages.avatar.scene import SceneModel, fill_points, scene_extent
+    from stages.avatar.schedule import Options
     from stages.avatar.views import Person, Views
 
     generator = torch.Generator().manual_seed(job.seed)
@@ -169,16 +168,19 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         exposure=decisions.get("exposure", False),
         perceptual_every=params.perceptual_every,
     )
-    return Fit(views, train, person, human, scene, options, generator, _perceptual(params))
+    return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device))
 
 
-def _perceptual(params: Params):
+def _perceptual(params: Params, device: str):
     if not params.perceptual_every:
         return None
+    import numpy as np
+
     from stages.avatar.perceptual import Lpips
     from stages.estimators.assets import fetch
 
-    return Lpips(fetch("lpips_vgg.npz"))
+    with np.load(fetch("lpips_vgg.npz")) as arrays:
+        return Lpips(arrays).to(device)
 
 
 def _advance(fit: Fit) -> dict[str, float]:
@@ -199,29 +201,25 @@ def judge(fit: Fit, frames: list[int]) -> dict[str, Any]:
     import torch
 
     from stages.avatar.compose import compose
-    from stages.avatar.losses import psnr
-    from stages.avatar.ssim import ssim
-    from stages.avatar.views import person_box
+    from stages.avatar.metrics import person_crop, scores
 
     sums = dict.fromkeys(COLUMNS[2:6], 0.0)
     views, (orient, body_pose, transl), gains = fit.full, fit.bodies(), fit.gains()
     with torch.no_grad():
-        canonical = fit.baked()
+        _, resting = fit.baked()
+        scene = fit.scene.splats() if fit.scene else None
         for i in frames:
             image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
-            human = fit.posed(canonical, orient[i], body_pose[i], transl[i])
-            scene = fit.scene.splats() if fit.scene else None
-            size = mask.shape[1], mask.shape[0]
-            drawn = compose(human, scene, views.viewmats[i], views.Ks[i], *size).image * gains[i]
-            if fit.scene is None:
+            human = fit.posed(resting, orient[i], body_pose[i], transl[i])
+            drawn = compose(human, scene, views.viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0]).image
+            drawn = (drawn * gains[i]).clamp(0, 1)
+            if scene is None:
                 image = image * mask[..., None]
-            left, top, right, bottom = person_box(mask, human.means[:0], views.viewmats[i], views.Ks[i])
-            crop = (slice(top, bottom), slice(left, right))
-            drawn = drawn.clamp(0, 1)
-            sums["psnr"] += psnr(drawn, image) / len(frames)
-            sums["ssim"] += ssim(drawn, image).item() / len(frames)
-            sums["psnr_person"] += psnr(drawn[crop], image[crop]) / len(frames)
-            sums["ssim_person"] += ssim(drawn[crop].contiguous(), image[crop].contiguous()).item() / len(frames)
+            crop = person_crop(mask)
+            for end, a, b in (("", drawn, image), ("_person", drawn[crop].contiguous(), image[crop].contiguous())):
+                score = scores(a, b)
+                sums["psnr" + end] += score["psnr"] / len(frames)
+                sums["ssim" + end] += score["ssim"] / len(frames)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     numbers = {k: round(v, 4) for k, v in sums.items()} if frames else dict.fromkeys(sums, "")
     return numbers | _size(fit) | {"memory_bytes": memory}
@@ -271,7 +269,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     def array(tensor: torch.Tensor):
         return tensor.detach().cpu().numpy()
 
-    c, p = fit.baked(), fit.person
+    (c, _), p = fit.baked(), fit.person
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
         lbs_weights=array(c.weights),

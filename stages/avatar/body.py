@@ -124,7 +124,7 @@ class Landmarks(nn.Module):
 
 
 def rest_relative_transforms(joints: Tensor, rotations: Tensor, parents: list[int]) -> Tensor:
-    """Transforms A [...,24,4,4] of each bone from the rest `joints` [24,3] or [...,24,3], local `rotations` [...,24,3,3]."""
+    """Transforms A [...,24,4,4] of each bone from rest `joints` [24,3] or [...,24,3], local `rotations` [...,24,3,3]."""
     joints = joints.expand(*rotations.shape[:-3], 24, 3)
     world_r, world_t = [rotations[..., :1, :, :]], [joints[..., :1, :]]
     order = [0]

@@ -41,7 +41,7 @@ class Decoders(nn.Module):
         self.deformation = _network(features, WIDTHS["deformation"], joints, generator)
 
     def forward(self, features: Tensor) -> dict[str, Tensor]:
-        """Corrections: opacity [N] logit, sh [N,K,3], offset [N,3] m, turn [N,6], scale [N,3] log, skin [N,J] logits."""
+        """Corrections: opacity [N] logit, sh [N,K,3], offset [N,3] m, turn [N,6], scale [N,3] log, skin [N,J]."""
         look = self.appearance(features)
         shape = self.geometry(features)
         return {

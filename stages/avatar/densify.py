@@ -65,7 +65,7 @@ class Growth:
 
 
 class Plan(NamedTuple):
-    """Rows of the next set: `source`[M] the old row each comes from, `fresh`[M] new ones, `child`[M] parts of a split."""
+    """Rows of the next set: `source`[M] the old row of each, `fresh`[M] new ones, `child`[M] parts of a split."""
 
     source: Tensor
     fresh: Tensor

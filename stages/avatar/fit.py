@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,50 +12,32 @@ from stages.avatar import losses
 from stages.avatar.compose import compose
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.gaussians import Splats, contain
-from stages.avatar.human import Canonical, HumanModel, bone_transforms, pose
+from stages.avatar.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
+from stages.avatar.perceptual import Lpips
 from stages.avatar.refine import FrameCorrections, spread
 from stages.avatar.scene import SceneModel
+from stages.avatar.schedule import (
+    HALF_UNTIL,
+    HUMAN_GROWTH,
+    LEAD_UNTIL,
+    LR_FRAMES,
+    LR_HUMAN,
+    LR_SCENE,
+    SCENE_GROWTH,
+    SETTLE,
+    Options,
+    rate,
+)
 from stages.avatar.skinning import knn_weights
 from stages.avatar.views import Person, Views, person_box
 
-LR_HUMAN = {"xyz": 2e-4, "triplane": 2e-3, "appearance": 2e-3, "geometry": 1e-3, "deformation": 2e-4}
-LR_SCENE = {  # `means` in units of the scene's extent
-    "means": 3e-4,
-    "quats": 2e-3,
-    "log_scales": 1e-2,
-    "logit_opacities": 5e-2,
-    "sh0": 5e-3,
-    "shN": 2.5e-4,
-}
-LR_FRAMES = {"pose": 1e-3, "place": 5e-4, "gain": 1e-3}
-LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
-LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
-SETTLE = 0.65
-HALF_UNTIL = 0.4  # share of the steps at half resolution
-LEAD_UNTIL = 0.3  # share of the steps in which person pixels teach the scene nothing (issue 21 of ml-hugs)
-SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
-HUMAN_GROWTH = (0.15, SETTLE)
-MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
 BAD_STEPS = 20  # in a row, after which training stops
-
-
-class Options(NamedTuple):
-    """How to fit."""
-
-    steps: int
-    views_per_decode: int
-    human_cap: int
-    scene_cap: int
-    extent: float
-    refine_pose: bool = True
-    exposure: bool = False
-    growth_rounds: int = 20
-    perceptual_every: int = 0
+MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
 class Fit:
-    """State of one training run. `train` lists the frames that may be learned from; nothing else is ever read from them."""
+    """State of one training run. `train` lists the frames that may be learned from; no other is looked at."""
 
     def __init__(
         self,
@@ -67,7 +48,7 @@ class Fit:
         scene: SceneModel | None,
         options: Options,
         generator: torch.Generator,
-        perceptual: Callable[[Tensor, Tensor], Tensor] | None = None,
+        perceptual: Lpips | None = None,
     ):
         self.full, self.small = views, views.half()
         self.train, self.person, self.human, self.scene = train, person, human, scene
@@ -76,7 +57,10 @@ class Fit:
         self.step = self.bad = self.bad_in_a_row = 0
         self.order = torch.empty(0, dtype=torch.long)
         self.usual_norm = 0.0
-        self.leaves: Canonical | None = None
+        self.leaves: Resting | None = None
+        if person is not None:
+            still = torch.zeros(3).to(person.joints)
+            self.canonical_bones = bone_transforms(person.joints, person.parents, still, person.canonical_pose)
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self._optimizers()
         self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
@@ -109,7 +93,7 @@ class Fit:
         return self.step / self.options.steps
 
     def advance(self) -> dict[str, float]:
-        """Learn from one training frame; returns the losses. Raises FloatingPointError after too many bad steps in a row."""
+        """Learn from one training frame; returns the losses. FloatingPointError after too many bad steps in a row."""
         frame = self._next_frame()
         self._rates()
         views = self.small if self.done < HALF_UNTIL else self.full
@@ -127,23 +111,25 @@ class Fit:
         return frame
 
     def _rates(self) -> None:
-        means = LAST_MEANS**self.done
-        others = LAST_OTHERS ** max(0.0, (self.done - SETTLE) / (1 - SETTLE))
         for optimizer in self.adam.values():
             for group in optimizer.param_groups:
-                group["lr"] = group["base"] * (means if group["name"] in ("means", "xyz") else others)
+                group["lr"] = group["base"] * rate(group["name"], self.done)
 
-    def canonical(self) -> Canonical:
+    def _decode(self) -> tuple[Canonical, Resting, Tensor]:
+        canonical, stray = self.human()
+        return canonical, rest(canonical, self.canonical_bones), stray
+
+    def resting(self) -> Resting:
         """The decoded person as leaves that collect gradients until the next `_learn_human`."""
         if self.leaves is None:
-            self.decoded, self.stray = self.human()
-            self.leaves = Canonical(*(t.detach().requires_grad_() for t in self.decoded))
+            self.canonical, self.decoded, self.stray = self._decode()
+            self.leaves = Resting(*(t.detach().requires_grad_() for t in self.decoded))
         return self.leaves
 
-    def posed(self, canonical: Canonical, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
+    def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
         """The person in the world at one pose."""
         p = self.person
-        return pose(canonical, bone_transforms(p.joints, p.parents, p.canonical_pose, global_orient, body_pose), transl)
+        return pose(resting, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
 
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
         image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
@@ -156,7 +142,7 @@ class Fit:
             body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
             if self.options.refine_pose:
                 body = self.frames.body(frame, *body)
-            human = self.posed(self.canonical(), *body)
+            human = self.posed(self.resting(), *body)
         if self.scene is not None:
             background = torch.rand(3, generator=self.generator).to(K)
             drawn = compose(human, self.scene.splats(), viewmat, K, width, height, background)
@@ -178,8 +164,10 @@ class Fit:
             loss = loss + apart
             numbers["person"] = apart.item()
             if self.perceptual and self.step % self.options.perceptual_every == 0:
-                target = losses.over_background(image[crop], mask[crop], background)
-                loss = loss + self.perceptual(rendered, target)
+                window = losses.patch(mask[crop], losses.PATCH, self.generator)
+                target = losses.over_background(image[crop], mask[crop], background)[window]
+                if min(target.shape[:2]) >= self.perceptual.smallest:
+                    loss = loss + losses.PERCEPTUAL * self.perceptual(rendered[window], target)
         if not isinstance(loss, Tensor):
             return numbers
         if not math.isfinite(loss.item()):
@@ -219,7 +207,7 @@ class Fit:
             if leaf.grad is not None
         ]
         self.bad += contain([g for _, g in used])
-        prior = losses.skinning(self.decoded.weights, self._reference()) + losses.STRAY * self.stray
+        prior = losses.skinning(self.canonical.weights, self._reference()) + losses.STRAY * self.stray
         torch.autograd.backward([d for d, _ in used] + [prior], [g for _, g in used] + [torch.ones_like(prior)])
         shared = [p for n, p in self.human.named_parameters() if n != "xyz"]
         norm = torch.nn.utils.get_total_norm([p.grad for p in shared]).item()
@@ -236,10 +224,10 @@ class Fit:
 
     def _reference(self) -> Tensor:
         """Skinning weights [N,24] of the nearest body vertices, looked up again only for Gaussians that moved."""
-        at = self.decoded.means.detach()
+        at = self.canonical.means.detach()
         if len(self.reference) != len(at):
             self.reference_at = torch.full_like(at, math.inf)
-            self.reference = torch.zeros_like(self.decoded.weights.detach())
+            self.reference = torch.zeros_like(self.canonical.weights.detach())
         moved = ~((at - self.reference_at).norm(dim=1) < MOVED)
         if moved.any():
             self.reference[moved] = knn_weights(at[moved], self.person.vertices, self.person.weights)
@@ -267,13 +255,13 @@ class Fit:
     # ---- what comes out ----
 
     @torch.no_grad()
-    def baked(self) -> Canonical | None:
-        """The decoded person as of now, without gradients."""
-        return None if self.human is None else Canonical(*(t.detach() for t in self.human()[0]))
+    def baked(self) -> tuple[Canonical, Resting]:
+        """The decoded person as of now, without gradients, in the canonical and in the rest pose."""
+        return self._decode()[:2]
 
     @torch.no_grad()
     def bodies(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; frames not trained on take their neighbours' correction."""
+        """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; untrained frames take their neighbours' correction."""
         trained = torch.zeros(len(self.full.images), dtype=torch.bool)
         trained[self.train] = True
         turn, place = spread(self.frames.pose.weight, trained), spread(self.frames.place.weight, trained)
@@ -291,7 +279,7 @@ class Fit:
     # ---- checkpoint ----
 
     def state(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on. Only between decodes: a multiple of `views_per_decode` steps."""
+        """Everything that the rest of the run depends on. Only between decodes: multiples of `views_per_decode` steps."""
         if self.leaves is not None:
             raise RuntimeError("a checkpoint between two decodes would lose gradients")
         return {

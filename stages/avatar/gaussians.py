@@ -51,7 +51,7 @@ def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
 
 
 def contain(tensors: list[Tensor]) -> int:
-    """Zero, in place, every row of the gradients `tensors`[N,...] that is not finite in any of them; how many there were.
+    """Zero, in place, every row of the gradients `tensors`[N,...] that is not finite in any of them; returns how many.
 
     One poisoned row must not reach the optimiser, whose moments would keep it for ever (hard case H01).
     """

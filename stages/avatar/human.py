@@ -12,7 +12,7 @@ from stages.avatar.body import rest_relative_transforms, subdivide, vertex_norma
 from stages.avatar.decoders import TEMPERATURE, Decoders
 from stages.avatar.gaussians import Splats
 from stages.avatar.rotations import matrix_from_6d, matrix_from_quat, matrix_from_rotvec, rotation_z_to
-from stages.avatar.skinning import canonical_to_posed, skin
+from stages.avatar.skinning import skin
 from stages.avatar.triplane import Triplane
 
 MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
@@ -22,7 +22,7 @@ SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
 
 class Canonical(NamedTuple):
-    """The person at the da-pose: means[N,3] m, frames[N,3,3] rotations, scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
+    """The person at the da-pose: means[N,3] m, frames[N,3,3], scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
 
     means: Tensor
     frames: Tensor
@@ -32,33 +32,63 @@ class Canonical(NamedTuple):
     weights: Tensor
 
 
-def bone_transforms(
-    joints: Tensor, parents: list[int], canonical_pose: Tensor, global_orient: Tensor, body_pose: Tensor
-) -> Tensor:
-    """Transforms [J,4,4] of each bone from the canonical pose to (global_orient[3], body_pose[69]), axis-angle, metres."""
-    canonical = torch.cat([torch.zeros_like(global_orient), canonical_pose.to(body_pose)])
-    both = torch.stack([canonical, torch.cat([global_orient, body_pose])]).unflatten(-1, (-1, 3))
-    from_rest = rest_relative_transforms(joints, matrix_from_rotvec(both), parents)
-    return canonical_to_posed(from_rest[1], from_rest[0])
+class Resting(NamedTuple):
+    """The same person in the rest pose of the skeleton, from which every pose starts.
+
+    means[N,3] m, axes[N,3,3] scaled axes as columns, opacities[N], sh[N,K,3], weights[N,J], turns[N,3,3] from the
+    canonical frame, in which colour is stored.
+    """
+
+    means: Tensor
+    axes: Tensor
+    opacities: Tensor
+    sh: Tensor
+    weights: Tensor
+    turns: Tensor
 
 
-def pose(person: Canonical, bones: Tensor, transl: Tensor) -> Splats:
-    """Move the canonical person by `bones`[J,4,4] and `transl`[3] m into the world; covariances follow the bone blend.
+def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, body_pose: Tensor) -> Tensor:
+    """Transforms [J,4,4] of each bone from the rest pose to (global_orient[3], body_pose[69]), axis-angle, metres."""
+    rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose]).unflatten(-1, (-1, 3)))
+    return rest_relative_transforms(joints, rotations, parents)
 
-    The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never turned into a rotation (hard case 14-9).
+
+def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
+    """Take the person back to the rest pose: the inverse of the blend of `canonical_bones`[J,4,4] (rest to canonical).
+
+    HUGS blends products of bone transforms, which shrinks the hips by 23 % at half weights; with the inverse of the
+    blend the untrained model is exactly SMPL in every pose. The da-pose blends at most +-1 rad about z, so no blend
+    has a determinant under 0.29.
+    """
+    blend = (person.weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
+    turns = _inverse(blend[..., :3])
+    means = (turns @ (person.means - blend[..., 3])[..., None])[..., 0]
+    axes = turns @ (person.frames * person.scales[:, None, :])
+    return Resting(means, axes, person.opacities, person.sh, person.weights, turns)
+
+
+def _inverse(matrices: Tensor) -> Tensor:
+    a, b, c = matrices.unbind(-1)
+    rows = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], -2)
+    return rows / (a * rows[..., 0, :]).sum(-1)[..., None, None]
+
+
+def pose(person: Resting, bones: Tensor, transl: Tensor) -> Splats:
+    """Move the person by `bones`[J,4,4] (rest to posed) and `transl`[3] m into the world; covariances follow.
+
+    The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9).
     """
     means, blend = skin(person.means, person.weights, bones)
-    axes = blend @ (person.frames * person.scales[:, None, :])
-    return Splats(means + transl, axes, person.opacities, person.sh, blend if person.sh.shape[1] > 1 else None)
+    turns = blend @ person.turns if person.sh.shape[1] > 1 else None
+    return Splats(means + transl, blend @ person.axes, person.opacities, person.sh, turns)
 
 
 class Baked(NamedTuple):
-    """A trained person without any network: the canonical Gaussians and the skeleton."""
+    """A trained person without any network: the Gaussians at rest and the skeleton."""
 
-    canonical: Canonical
+    resting: Resting
     joints: Tensor
     parents: list[int]
-    canonical_pose: Tensor
 
 
 def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
@@ -68,14 +98,16 @@ def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
         return torch.as_tensor(getattr(arrays, name), dtype=torch.float32, device=device)
 
     sh = torch.cat([to("sh0")[:, None], to("shN")], 1)
-    person = Canonical(to("means"), matrix_from_quat(to("quats")), to("scales"), to("opacities"), sh, to("lbs_weights"))
-    return Baked(person, to("joints"), [int(p) for p in arrays.parents], to("canonical_pose"))
+    frames = matrix_from_quat(to("quats"))
+    person = Canonical(to("means"), frames, to("scales"), to("opacities"), sh, to("lbs_weights"))
+    joints, parents = to("joints"), [int(p) for p in arrays.parents]
+    bones = bone_transforms(joints, parents, torch.zeros(3, device=device), to("canonical_pose"))
+    return Baked(rest(person, bones), joints, parents)
 
 
 def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
     """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
-    bones = bone_transforms(avatar.joints, avatar.parents, avatar.canonical_pose, global_orient, body_pose)
-    return pose(avatar.canonical, bones, transl)
+    return pose(avatar.resting, bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose), transl)
 
 
 def _edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:

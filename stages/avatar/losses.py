@@ -11,6 +11,8 @@ SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
 LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
 STRAY = 10.0  # per metre^2 outside the triplane's box
+PERCEPTUAL = 0.2  # of LPIPS on a patch
+PATCH = 128  # px
 
 
 def photometric(image: Tensor, target: Tensor) -> Tensor:
@@ -30,7 +32,7 @@ def outside_person(image: Tensor, target: Tensor, mask: Tensor, share: float) ->
 
 
 def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
-    """The person of image[H,W,3] by mask[H,W] in 0..1 on a solid background[3]: the target of the person-only render."""
+    """The person of image[H,W,3] by mask[H,W] in 0..1 on a solid background[3]: the target of a person-only render."""
     return background + mask[..., None] * (image - background)
 
 
@@ -45,11 +47,20 @@ def person_only(rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, ba
 
 
 def skinning(weights: Tensor, reference: Tensor) -> Tensor:
-    """1000 x mean squared difference of skinning weights [N,J] from those of the body's nearest vertices, a constant."""
+    """1000 x mean squared difference of skinning weights [N,J] from those of the nearest body vertices, a constant."""
     return LBS * (weights - reference.detach()).square().mean()
 
 
-def psnr(image: Tensor, target: Tensor) -> float:
-    """Peak signal-to-noise ratio in dB of [...,3] in 0..1, pooled over channels, at most 99."""
-    error = (image.clamp(0, 1) - target).square().mean().item()
-    return min(99.0, -10 * torch.log10(torch.tensor(max(error, 1e-12))).item())
+def patch(mask: Tensor, size: int, generator: torch.Generator) -> tuple[slice, slice]:
+    """Rows and columns of a window of size x size px around a random person pixel of mask[H,W], inside the picture.
+
+    Anywhere when the mask is empty; smaller where the picture is (hard case G08).
+    """
+    inside = (mask > 0.5).nonzero()
+    if len(inside):
+        centre = inside[int(torch.randint(len(inside), (1,), generator=generator))].tolist()
+    else:
+        centre = [int(torch.randint(n, (1,), generator=generator)) for n in mask.shape]
+    starts = [max(0, min(c - size // 2, n - size)) for c, n in zip(centre, mask.shape, strict=True)]
+    rows, columns = (slice(a, min(a + size, n)) for a, n in zip(starts, mask.shape, strict=True))
+    return rows, columns

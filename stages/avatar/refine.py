@@ -32,7 +32,7 @@ class FrameCorrections(nn.Module):
 
 
 def spread(table: Tensor, trained: Tensor) -> Tensor:
-    """Rows [F,D] with those of untrained frames (trained[F] bool) taken from their neighbours: linear, constant at the ends."""
+    """Rows [F,D], those of untrained frames (trained[F] bool) from their neighbours: linear, constant at the ends."""
     at = torch.arange(len(table), device=table.device)
     known = at[trained]
     if len(known) == 0:

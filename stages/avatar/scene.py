@@ -18,7 +18,7 @@ NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard cas
 
 
 def scene_extent(viewmats: Tensor, points: Tensor) -> float:
-    """Size in metres to which all scene lengths are relative: 1.1 x the spread of the cameras, at least half the median depth.
+    """Size in metres to which scene lengths are relative: 1.1 x the spread of cameras, at least half the median depth.
 
     viewmats[C,4,4], points[P,3]. The floor keeps a tripod or a pure turn from making every length 0 (hard case H05).
     """
@@ -41,10 +41,10 @@ def fill_points(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points [<=count,3] m and their colours [.,3] uint8 at random pixels of background, as deep as the SfM points around.
+    """Points [<=count,3] m and colours [.,3] uint8 at random pixels of background, as deep as the SfM points around.
 
     points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3]. Inverse depth is
-    linear between the SfM points of a view and that of the nearest one beyond them. Views with under 8 points are left out.
+    linear between the SfM points of a view and that of the nearest one beyond them. Views with under 8 points are skipped.
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))

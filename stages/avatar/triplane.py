@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 
 class Triplane(nn.Module):
-    """Three planes (xy, xz, yz) of `channels` x `resolution`^2 features spanning the box lower[3]..upper[3] in metres."""
+    """Three planes (xy, xz, yz) of `channels` x `resolution`^2 features over the box lower[3]..upper[3] in metres."""
 
     def __init__(self, lower: Tensor, upper: Tensor, channels: int, resolution: int, generator: torch.Generator):
         super().__init__()

@@ -33,9 +33,11 @@ class Views(NamedTuple):
 
 
 class Person(NamedTuple):
-    """The fitted body of all frames: global_orient[F,3], body_pose[F,69], transl[F,3], and what the canonical pose needs:
-    joints[24,3] at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24].
-    present[F] is False where there is no fit worth learning from."""
+    """The fitted body of all frames, and what the canonical pose needs.
+
+    global_orient[F,3], body_pose[F,69], transl[F,3], present[F] (False: no fit worth learning from), joints[24,3] at
+    rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24].
+    """
 
     global_orient: Tensor
     body_pose: Tensor
@@ -49,7 +51,7 @@ class Person(NamedTuple):
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:
-    """Window (left, top, right, bottom) in px around the person's mask[H,W] and points[N,3] in the world, in the picture."""
+    """Window (left, top, right, bottom) px of the picture around the person's mask[H,W] and points[N,3] in the world."""
     height, width = mask.shape
     rows, columns = (mask > 0.5).any(1).nonzero()[:, 0], (mask > 0.5).any(0).nonzero()[:, 0]
     low, high = [], []

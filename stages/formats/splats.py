@@ -76,7 +76,7 @@ def _read(path: Path, kind: type) -> Scene | Avatar:
         missing = [n for n in names if n not in data]
         if missing:
             raise StageError(
-                f"{path.name} is not the Gaussians of a {kind.__name__.lower()}",
+                f"{path.name} does not hold the Gaussians of the {kind.__name__.lower()}",
                 facts=[f"missing arrays: {', '.join(missing)}"],
                 hint="give the file that the train stage wrote",
             )

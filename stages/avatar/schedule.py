@@ -1,0 +1,44 @@
+"""When and how fast: learning rates, the phases of a run, and its sizes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+LR_HUMAN = {"xyz": 2e-4, "triplane": 2e-3, "appearance": 2e-3, "geometry": 1e-3, "deformation": 2e-4}
+LR_SCENE = {  # `means` in units of the scene's extent
+    "means": 3e-4,
+    "quats": 2e-3,
+    "log_scales": 1e-2,
+    "logit_opacities": 5e-2,
+    "sh0": 5e-3,
+    "shN": 2.5e-4,
+}
+LR_FRAMES = {"pose": 1e-3, "place": 5e-4, "gain": 1e-3}
+LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
+LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
+SETTLE = 0.65
+HALF_UNTIL = 0.4  # share of the steps at half resolution
+LEAD_UNTIL = 0.3  # share of the steps in which person pixels teach the scene nothing (issue 21 of ml-hugs)
+SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
+HUMAN_GROWTH = (0.15, SETTLE)
+
+
+class Options(NamedTuple):
+    """How to fit."""
+
+    steps: int
+    views_per_decode: int
+    human_cap: int
+    scene_cap: int
+    extent: float
+    refine_pose: bool = True
+    exposure: bool = False
+    growth_rounds: int = 20
+    perceptual_every: int = 0
+
+
+def rate(name: str, done: float) -> float:
+    """Factor on the learning rate of `name` after the share `done` of the steps: from 1 to the LAST ones."""
+    if name in ("means", "xyz"):
+        return LAST_MEANS**done
+    return LAST_OTHERS ** max(0.0, (done - SETTLE) / (1 - SETTLE))

@@ -1,0 +1,152 @@
+import pytest
+import torch
+
+from stages.avatar.body import DA_POSE, Body
+from stages.avatar.human import HumanModel, bone_transforms, pose, rest
+from stages.avatar.rotations import matrix_from_rotvec
+
+
+@pytest.fixture
+def person(small_body):
+    """A small body, its joints, and the untrained model of it."""
+    body = Body(small_body())
+    betas = torch.linspace(-1, 1, 10)
+    vertices, _ = body(betas, torch.zeros(1, 3), DA_POSE[None], torch.zeros(1, 3))
+    model = HumanModel(
+        vertices[0],
+        torch.as_tensor(small_body().faces),
+        body.lbs_weights,
+        rounds=1,
+        channels=4,
+        resolution=16,
+        sh_degree=1,
+        generator=torch.Generator().manual_seed(0),
+    )
+    return body, body.rest(betas)[1], vertices[0], model
+
+
+def at_rest(body, joints, canonical):
+    return rest(canonical, bone_transforms(joints, body.parents, torch.zeros(3), DA_POSE))
+
+
+def disturb(model):
+    """Networks that say something, as after training."""
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for network in (model.decoders.appearance, model.decoders.geometry, model.decoders.deformation):
+            network[-1].weight += 0.1 * torch.randn(network[-1].weight.shape, generator=generator)
+
+
+def test_before_training_it_is_the_body(person):
+    body, _, vertices, model = person
+    canonical, stray = model()
+    assert torch.equal(canonical.means[: len(vertices)], vertices) and stray.item() == 0
+    assert torch.allclose(canonical.weights[: len(vertices)], body.lbs_weights, atol=3e-3)
+    assert torch.allclose(canonical.frames @ canonical.frames.mT, torch.eye(3).expand_as(canonical.frames), atol=1e-5)
+    assert (canonical.scales > 0).all() and torch.allclose(canonical.opacities, torch.tensor(0.8))
+
+
+def test_the_canonical_pose_moves_nothing(person):
+    body, joints, _, model = person
+    disturb(model)
+    canonical, _ = model()
+    bones = bone_transforms(joints, body.parents, torch.zeros(3), DA_POSE)
+    splats = pose(at_rest(body, joints, canonical), bones, torch.zeros(3))
+    assert torch.allclose(splats.means, canonical.means, atol=1e-5)
+    assert torch.allclose(splats.axes, canonical.frames * canonical.scales[:, None], atol=1e-5)
+
+
+def test_vertices_follow_the_body(person, small_body):
+    _, _, _, model = person
+    body = Body(small_body(posedirs=False))
+    betas = torch.linspace(-1, 1, 10)
+    canonical_vertices, _ = body(betas, torch.zeros(1, 3), DA_POSE[None], torch.zeros(1, 3))
+    orient, body_pose, transl = (
+        torch.tensor([0.3, -1, 0.2]),
+        0.4 * torch.sin(torch.arange(69.0)),
+        torch.tensor([1.0, 2, 3]),
+    )
+    posed, _ = body(betas, orient[None], body_pose[None], transl[None])
+    canonical, _ = model()
+    n = len(canonical_vertices[0])
+    exact = canonical._replace(
+        means=canonical_vertices[0],
+        weights=body.lbs_weights,
+        **{k: getattr(canonical, k)[:n] for k in ("frames", "scales", "opacities", "sh")},
+    )
+    bones = bone_transforms(body.rest(betas)[1], body.parents, orient, body_pose)
+    assert torch.allclose(pose(at_rest(body, body.rest(betas)[1], exact), bones, transl).means, posed[0], atol=1e-4)
+
+
+def test_pose_gradient_at_rest_and_at_a_half_turn_is_finite_and_not_zero(person):
+    body, joints, _, model = person
+    for angle in (0.0, 3.14159265):
+        orient = torch.tensor([0.0, angle, 0], requires_grad=True)
+        body_pose = torch.zeros(69, requires_grad=True)
+        splats = pose(
+            at_rest(body, joints, model()[0]), bone_transforms(joints, body.parents, orient, body_pose), torch.zeros(3)
+        )
+        (splats.means.square().sum() + splats.axes.square().sum()).backward()
+        for grad in (orient.grad, body_pose.grad):
+            assert grad.isfinite().all() and grad.abs().sum() > 1e-4
+
+
+def test_gradients_of_the_first_step_reach_every_network(person):
+    _, _, _, model = person
+    canonical, stray = model()
+    (sum(t.square().sum() for t in canonical) + stray).backward()
+    for name, p in model.named_parameters():
+        assert p.grad is not None and p.grad.isfinite().all(), name
+        if name.endswith("bias") and name.split(".")[2] == str(len(getattr(model.decoders, name.split(".")[1])) - 1):
+            assert p.grad.abs().sum() > 0, name
+
+
+@pytest.mark.parametrize("height", [1.2, 1.8, 2.4])
+def test_the_box_fits_bodies_of_every_size(person, height):
+    body, _, vertices, _ = person
+    scaled = vertices * height
+    model = HumanModel(
+        scaled,
+        torch.arange(60).reshape(20, 3),
+        body.lbs_weights,
+        rounds=0,
+        channels=2,
+        resolution=8,
+        sh_degree=0,
+        generator=torch.Generator().manual_seed(0),
+    )
+    with torch.no_grad():
+        model.xyz[0] += 20
+    canonical, stray = model()
+    (canonical.means.sum() + stray).backward()
+    assert stray > 0 and model.xyz.grad.isfinite().all()
+
+
+def test_a_joint_at_weight_0_can_come_back(person):
+    _, _, _, model = person
+    target = torch.zeros(len(model), 24)
+    target[:, 7] = 1
+    adam = torch.optim.Adam(model.decoders.deformation.parameters(), lr=2e-3)
+    first = None
+    for _ in range(150):
+        loss = 1000 * (model()[0].weights - target).square().mean()
+        first = first or loss.item()
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+    assert loss.item() < 0.2 * first
+
+
+def test_view_dependent_colour_turns_with_the_body(person):
+    body, joints, _, model = person
+    disturb(model)
+    canonical, _ = model()
+    turn = torch.tensor([0.0, 1.3, 0])
+    resting = at_rest(body, joints, canonical)
+    still = pose(resting, bone_transforms(joints, body.parents, torch.zeros(3), DA_POSE), torch.zeros(3))
+    turned = pose(resting, bone_transforms(joints, body.parents, turn, DA_POSE), torch.zeros(3))
+    camera = torch.tensor([0.5, 0.3, 3.0])
+    pelvis = joints[0]
+    moved = matrix_from_rotvec(turn) @ (camera - pelvis) + pelvis
+    assert torch.allclose(still.colors(camera), turned.colors(moved), atol=1e-4)
+    assert not torch.allclose(still.colors(camera), turned.colors(camera), atol=1e-3)

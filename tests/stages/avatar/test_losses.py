@@ -1,0 +1,59 @@
+import pytest
+import torch
+
+from stages.avatar import losses
+
+
+def picture(seed: int = 0) -> torch.Tensor:
+    return torch.rand(40, 32, 3, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("fill", [0.0, 1.0, 0.5])
+def test_person_only_is_finite_for_every_mask(fill):
+    image, mask = picture(), torch.full((40, 32), fill)
+    rendered, alpha = picture(1).requires_grad_(), torch.rand(40, 32, requires_grad=True)
+    losses.person_only(rendered, alpha, image, mask, torch.rand(3)).backward()
+    assert rendered.grad.isfinite().all() and alpha.grad.isfinite().all()
+
+
+def test_a_perfect_render_costs_nothing_for_any_background():
+    image, mask = picture(), (picture(2)[..., 0] > 0.5).float()
+    for _ in range(3):
+        background = torch.rand(3)
+        rendered = losses.over_background(image, mask, background)
+        assert losses.person_only(rendered, mask, image, mask, background).item() < 1e-5
+
+
+def test_person_pixels_teach_the_scene_nothing_at_share_0():
+    image, mask = picture(), torch.zeros(40, 32)
+    mask[10:30, 8:20] = 1
+    rendered = picture(1).requires_grad_()
+    losses.photometric(losses.outside_person(rendered, image, mask, 0.0), image).backward()
+    assert (rendered.grad[mask > 0] == 0).all()
+    assert rendered.grad[mask == 0].abs().sum() > 0
+    assert losses.outside_person(rendered, image, mask, 1.0) is rendered
+
+
+def test_skinning_is_a_mean_and_its_reference_a_constant():
+    a = torch.tensor([[1.0, 0.0], [0.25, 0.75]], requires_grad=True)
+    b = torch.tensor([[0.5, 0.5], [0.25, 0.75]], requires_grad=True)
+    loss = losses.skinning(a, b)
+    assert loss.item() == pytest.approx(1000 * 0.5 / 4)
+    loss.backward()
+    assert b.grad is None
+    assert losses.skinning(a.repeat(3, 1), b.repeat(3, 1)).item() == pytest.approx(loss.item())
+
+
+@pytest.mark.parametrize("shape", [(100, 80), (300, 40), (400, 300), (1, 1)])
+@pytest.mark.parametrize("where", ["nowhere", "corner", "all"])
+def test_a_patch_is_always_a_window_of_the_picture(shape, where):
+    mask = torch.zeros(shape)
+    if where == "corner":
+        mask[-1, -1] = 1
+    if where == "all":
+        mask[:] = 1
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(10):
+        window = losses.patch(mask, 128, generator)
+        assert mask[window].shape == tuple(min(128, n) for n in shape)
+        assert where != "corner" or mask[window].sum() == 1

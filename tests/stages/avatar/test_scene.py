@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+import torch
+
+from stages.avatar.gaussians import Splats, contain, spacing
+from stages.avatar.scene import SceneModel, fill_points, scene_extent
+
+
+def ring(n: int = 5, radius: float = 2.0) -> torch.Tensor:
+    viewmats = torch.eye(4).repeat(n, 1, 1)
+    viewmats[:, 0, 3] = torch.linspace(-radius, radius, n)
+    viewmats[:, 2, 3] = 4
+    return viewmats
+
+
+def test_extent_follows_the_cameras_and_survives_a_tripod():
+    points = torch.rand(50, 3) - 0.5
+    assert scene_extent(ring(), points) == pytest.approx(2.2, rel=0.1)
+    still = scene_extent(ring(radius=0.0), points)
+    assert still == pytest.approx(2.0, rel=0.1)
+    assert scene_extent(ring(radius=0.0), torch.zeros(0, 3)) == 1.0
+    assert scene_extent(ring(radius=0.0), points - torch.tensor([0, 0, 50.0])) == 1.0
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_extent_scales_with_the_world(scale):
+    points, viewmats = torch.rand(50, 3) - 0.5, ring()
+    scaled = viewmats.clone()
+    scaled[:, :3, 3] *= scale
+    assert scene_extent(scaled, points * scale) == pytest.approx(scale * scene_extent(viewmats, points), rel=1e-5)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+def test_spacing_of_few_points_has_limits(n):
+    distance = spacing(torch.rand(n, 3), 2.0)
+    assert distance.shape == (n,) and ((distance >= 2e-7) & (distance <= 0.2)).all()
+
+
+def test_spacing_of_duplicates_and_of_a_grid():
+    assert torch.equal(spacing(torch.ones(100, 3), 1.0), torch.full((100,), 1e-7))
+    grid = torch.stack(torch.meshgrid(*[torch.arange(4.0) * 0.01] * 3, indexing="ij"), -1).reshape(-1, 3)
+    assert torch.allclose(spacing(grid, 1.0), torch.full((64,), 0.01), rtol=1e-4)
+
+
+def test_a_scene_starts_as_its_points_and_needs_one():
+    points, rgb = torch.rand(20, 3), torch.rand(20, 3)
+    splats = SceneModel(points, rgb, 2, 1.0).splats()
+    assert torch.equal(splats.means, points)
+    assert torch.allclose(splats.colors(torch.tensor([0.0, 0, -3])), rgb, atol=1e-6)
+    with pytest.raises(ValueError, match="at least one point"):
+        SceneModel(torch.zeros(0, 3), torch.zeros(0, 3), 0, 1.0)
+
+
+def test_a_gaussian_on_the_camera_has_a_colour_and_a_gradient():
+    means = torch.zeros(1, 3, requires_grad=True)
+    splats = Splats(means, torch.eye(3)[None], torch.ones(1), torch.ones(1, 4, 3))
+    color = splats.colors(torch.zeros(3))
+    color.sum().backward()
+    assert color.isfinite().all() and means.grad.isfinite().all()
+
+
+def test_filled_points_lie_on_the_wall_and_never_on_the_person():
+    rng = np.random.default_rng(0)
+    wall = np.concatenate([rng.uniform(-3, 3, (300, 2)), np.full((300, 1), 5.0)], 1)
+    K = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
+    viewmat = np.eye(4)
+    viewmat[:3, 3] = [0.3, -0.2, 0.5]
+    image = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    mask = np.zeros((48, 64), np.uint8)
+    mask[10:30, 20:40] = 255
+    xyz, rgb = fill_points(wall, [image], [mask], viewmat[None], K[None], 400, rng)
+    assert 200 < len(xyz) < 400 and np.allclose(xyz[:, 2], 5, atol=1e-6)
+    local = xyz + viewmat[:3, 3]
+    column, row = ((local[:, :2] / local[:, 2:]) * 50 + [32, 24]).T.astype(int)
+    assert (mask[row, column] == 0).all() and (image[row, column] == rgb).mean() > 0.95
+    none, _ = fill_points(wall[:5], [image], [mask], viewmat[None], K[None], 400, rng)
+    assert len(none) == 0
+
+
+def test_rows_that_are_not_finite_are_zeroed_in_all_tensors_and_counted():
+    a, b = torch.ones(4, 3), torch.ones(4)
+    a[1, 2], b[3] = float("nan"), float("inf")
+    assert contain([a, b]) == 2
+    assert a.tolist() == [[1] * 3, [0] * 3, [1] * 3, [0] * 3] and b.tolist() == [1, 0, 1, 0]
+    assert contain([a, b]) == 0
+    huge = torch.full((2, 3), 3e38)
+    assert contain([huge]) == 0 and (huge == 3e38).all()

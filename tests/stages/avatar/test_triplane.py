@@ -1,0 +1,73 @@
+import pytest
+import torch
+import torch.nn.functional as F
+
+from stages.avatar.triplane import Triplane
+
+
+def field(resolution: int = 9, channels: int = 4) -> Triplane:
+    generator = torch.Generator().manual_seed(3)
+    return Triplane(torch.tensor([-1.0, 0, -0.2]), torch.tensor([1.0, 2, 0.3]), channels, resolution, generator)
+
+
+def points(n: int = 200) -> torch.Tensor:
+    t = field()
+    return t.lower + (t.upper - t.lower) * torch.rand(n, 3, generator=torch.Generator().manual_seed(1))
+
+
+def test_equals_grid_sample_in_value_and_gradient():
+    t, p = field().double(), points().double()
+    x = p.clone().requires_grad_()
+    ours = t(x)
+    planes = t.table.detach().reshape(3, 9, 9, 4).permute(0, 3, 1, 2).clone().requires_grad_()
+    y = p.clone().requires_grad_()
+    u = (y - t.lower) / (t.upper - t.lower) * 2 - 1
+    grid = torch.stack([u[:, [0, 1]], u[:, [0, 2]], u[:, [1, 2]]])[:, :, None]
+    theirs = F.grid_sample(planes, grid, align_corners=True)[..., 0].permute(2, 0, 1).reshape(len(p), -1)
+    assert torch.allclose(ours, theirs, atol=1e-10)
+    weight = torch.randn_like(ours)
+    (ours * weight).sum().backward()
+    (theirs * weight).sum().backward()
+    assert torch.allclose(x.grad, y.grad, atol=1e-9)
+    assert torch.allclose(t.table.grad.reshape(3, 9, 9, 4), planes.grad.permute(0, 2, 3, 1), atol=1e-9)
+
+
+def test_reproduces_a_linear_field_and_notices_swapped_axes():
+    t = field(channels=1)
+    i = torch.arange(9.0)
+    with torch.no_grad():
+        t.table.copy_((2 * i[None, :] + 5 * i[:, None]).reshape(-1, 1).repeat(3, 1))
+    p = points()
+    u = (p - t.lower) / (t.upper - t.lower) * 8
+    want = torch.stack([2 * u[:, a] + 5 * u[:, b] for a, b in ((0, 1), (0, 2), (1, 2))], 1)
+    assert torch.allclose(t(p), want, atol=1e-4)
+    assert not torch.allclose(t(p[:, [1, 0, 2]]), want, atol=1e-1)
+
+
+def test_outside_reads_the_face_and_can_return():
+    t = field()
+    far = torch.tensor([[40.0, 1.0, 0.0]], requires_grad=True)
+    face = torch.tensor([[1.0, 1.0, 0.0]])
+    assert torch.allclose(t(far), t(face))
+    t.outside(far).backward()
+    assert far.grad[0, 0] > 0 and (far.grad[0, 1:] == 0).all()
+    again = far.detach().requires_grad_()
+    t(again).square().sum().backward()
+    assert again.grad.isfinite().all() and again.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_a_point_that_is_not_finite_is_named(bad):
+    p = points(8)
+    p[5, 1] = bad
+    with pytest.raises(ValueError, match="point 5"):
+        field()(p)
+
+
+def test_crowding_in_one_cell_is_summed_right():
+    t = field()
+    p = t.lower + 1e-3 + torch.zeros(20_000, 3)
+    t(p).sum().backward()
+    single = field()
+    single(p[:1]).sum().backward()
+    assert torch.allclose(t.table.grad / len(p), single.table.grad, rtol=1e-3, atol=1e-7)

@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+
+from stages.contract import StageError
+from stages.formats.splats import Avatar, Scene, read_avatar, read_scene, write_splats
+
+
+def scene(n: int = 5) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (3,), "shN": (0, 3)}
+    return {k: rng.random((n, *shape)).astype(np.float32) for k, shape in shapes.items()}
+
+
+def avatar(n: int = 5) -> dict[str, np.ndarray]:
+    weights = np.full((n, 24), 1 / 24, np.float32)
+    more = {
+        "joints": np.ones((24, 3)),
+        "parents": np.arange(24) - 1,
+        "betas": np.ones(10),
+        "canonical_pose": np.ones(69),
+    }
+    return scene(n) | {"lbs_weights": weights} | more
+
+
+def test_round_trip_without_pickles(tmp_path):
+    write_splats(tmp_path / "scene.npz", Scene(**scene()))
+    write_splats(tmp_path / "avatar.npz", Avatar(**avatar()))
+    back = read_avatar(tmp_path / "avatar.npz")
+    assert len(read_scene(tmp_path / "scene.npz")) == 5
+    for name, value in avatar().items():
+        assert np.array_equal(getattr(back, name), value), name
+    assert back.parents.dtype == np.int32 and back.parents[0] == -1
+    with np.load(tmp_path / "avatar.npz", allow_pickle=False) as data:
+        assert all(data[k].dtype != object for k in data)
+
+
+def test_damage_is_named(tmp_path):
+    path = tmp_path / "avatar.npz"
+    np.savez(path, **scene())
+    with pytest.raises(StageError, match="does not hold the Gaussians of the avatar") as error:
+        read_avatar(path)
+    assert "lbs_weights" in error.value.facts[0]
+    np.savez(path, **(avatar() | {"sh0": np.zeros((4, 3), np.float32)}))
+    with pytest.raises(StageError, match="damaged") as error:
+        read_avatar(path)
+    assert "'sh0': 4" in error.value.facts[0]
+    broken = avatar()
+    broken["means"][2, 1] = np.nan
+    np.savez(path, **broken)
+    with pytest.raises(StageError, match="damaged") as error:
+        read_avatar(path)
+    assert "means" in error.value.facts[1]
+    np.savez(path, **(avatar() | {"lbs_weights": np.full((5, 24), 0.05, np.float32)}))
+    with pytest.raises(StageError, match="do not sum to one"):
+        read_avatar(path)

@@ -1,0 +1,194 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from stages import train
+from stages.avatar.human import load_avatar, pose_avatar
+from stages.avatar.scene import load_scene
+from stages.contract import Job, StageError, Stopped
+from stages.formats.body_model import read_body_model, write_body_model
+from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.clip import load_clip
+from stages.formats.images import write_image, write_mask
+from stages.formats.points import write_points
+from stages.formats.poses import BodyPoses, read_poses, write_poses
+from stages.formats.splats import read_avatar, read_scene
+
+FRAMES, WIDTH, HEIGHT = 8, 48, 40
+PARAMS = train.Params(
+    steps=8,
+    rounds=0,
+    human_cap=7000,
+    scene_cap=60,
+    scene_fill=20,
+    channels=4,
+    resolution=8,
+    views_per_decode=2,
+    curve_points=2,
+)
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    """Folders of sfm, smpl and survey of a clip made of noise: the plumbing is tested here, not the picture."""
+    rng = np.random.default_rng(0)
+    names = tuple(f"{i:06d}" for i in range(FRAMES))
+    viewmats = np.tile(np.eye(4), (FRAMES, 1, 1))
+    viewmats[:, 2, 3], viewmats[:, 0, 3] = 3, np.linspace(-1, 1, FRAMES)
+    Ks = np.tile(np.array([[50.0, 0, WIDTH / 2], [0, 50, HEIGHT / 2], [0, 0, 1]]), (FRAMES, 1, 1))
+    sfm, smpl, survey = (tmp_path / n for n in ("sfm", "smpl", "survey"))
+    for folder in (sfm / "images", sfm / "masks", smpl, survey):
+        folder.mkdir(parents=True)
+    write_cameras(sfm / "cameras.npz", Cameras(names, viewmats, Ks, WIDTH, HEIGHT))
+    write_points(sfm / "points.ply", rng.uniform(-2, 2, (30, 3)), rng.integers(0, 255, (30, 3), dtype=np.uint8))
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[8:32, 16:32] = 255
+    for name in names:
+        write_image(sfm / "images" / f"{name}.png", rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8))
+        write_mask(sfm / "masks" / f"{name}.png", mask)
+    body_pose = 0.1 * np.sin(np.arange(FRAMES)[:, None] + np.arange(69))
+    still = np.zeros((FRAMES, 3))
+    write_poses(smpl / "body.npz", BodyPoses(names, np.zeros(10), still, body_pose, still, np.ones(FRAMES), 1.0))
+    write_body_model(smpl / "body_model.npz", read_body_model())
+    decide(survey)
+    return {"sfm": sfm, "smpl": smpl, "survey": survey}
+
+
+def decide(survey, **decisions):
+    chosen = {"scene": True, "pose_refinement": True, "exposure": False} | decisions
+    (survey / "survey.json").write_text(json.dumps({"measures": {}, "decisions": chosen}))
+
+
+def fresh(tmp_path, name: str) -> Job:
+    (tmp_path / name).mkdir()
+    return Job(out=tmp_path / name)
+
+
+def stopping(tmp_path, name: str, after: int) -> Job:
+    """A job that is asked to stop when `after` steps are done."""
+    job = fresh(tmp_path, name)
+    job.emit = lambda event: setattr(job, "_stop", job._stop or event.get("done", 0) >= after)
+    return job
+
+
+def contents(folder) -> dict:
+    return {p.name: dict(np.load(p)) for p in folder.glob("*.npz")}
+
+
+def test_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch):
+    kept = []
+    monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
+    job = fresh(tmp_path, "out")
+    train.run(job, PARAMS, **inputs)
+    assert sorted(p.name for p in job.out.iterdir()) == [
+        "avatar.npz",
+        "body.npz",
+        "curve.csv",
+        "scene.npz",
+        "train.json",
+    ]
+    (fit,) = kept
+    clip = load_clip(inputs["sfm"], inputs["smpl"], body=job.out / "body.npz")
+    body = [
+        torch.tensor(getattr(clip.body, k)[3], dtype=torch.float32) for k in ("global_orient", "body_pose", "transl")
+    ]
+    baked = pose_avatar(load_avatar(read_avatar(job.out / "avatar.npz")), *body)
+    with torch.no_grad():
+        network = fit.posed(fit.baked()[1], *body)
+    assert torch.allclose(baked.means, network.means, atol=1e-5)
+    assert torch.allclose(baked.axes @ baked.axes.mT, network.axes @ network.axes.mT, atol=1e-6)
+    assert torch.allclose(baked.sh, network.sh) and torch.allclose(baked.opacities, network.opacities)
+    scene, trained = load_scene(read_scene(job.out / "scene.npz")), fit.scene.splats()
+    assert torch.allclose(scene.axes, trained.axes, atol=1e-6) and torch.equal(scene.means, trained.means)
+    rows = list(csv.DictReader((job.out / "curve.csv").open()))
+    assert [int(r["step"]) for r in rows] == [4, 8] and float(rows[1]["psnr"]) > 0
+    assert 0 < float(rows[0]["seconds"]) < float(rows[1]["seconds"])
+    assert json.loads((job.out / "train.json").read_text())["train_frames"] == [
+        clip.names[i] for i in (0, 1, 3, 4, 5, 6)
+    ]
+
+
+def test_held_out_pictures_and_masks_change_nothing(tmp_path, inputs):
+    first, second = fresh(tmp_path, "first"), fresh(tmp_path, "second")
+    train.run(first, PARAMS, **inputs)
+    write_image(inputs["sfm"] / "images" / "000002.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    write_mask(inputs["sfm"] / "masks" / "000007.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    train.run(second, PARAMS, **inputs)
+    for name, arrays in contents(first.out).items():
+        for key, value in arrays.items():
+            assert np.array_equal(value, contents(second.out)[name][key]), (name, key)
+
+
+@pytest.mark.parametrize("killed_while_saving", [False, True])
+def test_stopped_and_resumed_equals_straight(tmp_path, inputs, monkeypatch, killed_while_saving):
+    straight = fresh(tmp_path, "straight")
+    train.run(straight, PARAMS, **inputs)
+    job = stopping(tmp_path, "job", after=4)
+    with pytest.raises(Stopped, match="goes on from there"):
+        train.run(job, PARAMS, **inputs)
+    assert (job.out / "checkpoint.pt").exists() and not (job.out / "avatar.npz").exists()
+    if killed_while_saving:
+        (job.out / "checkpoint.part").write_bytes(b"half a file")
+    train.run(Job(out=job.out), PARAMS, **inputs)
+    assert not list(job.out.glob("checkpoint*"))
+    for name, arrays in contents(straight.out).items():
+        for key, value in arrays.items():
+            assert np.array_equal(value, contents(job.out)[name][key]), (name, key)
+
+
+def test_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkeypatch):
+    job = stopping(tmp_path, "job", after=4)
+    with pytest.raises(Stopped):
+        train.run(job, PARAMS, **inputs)
+    before = (job.out / "checkpoint.pt").read_bytes()
+
+    def dies(value, file):
+        file.write(b"half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(torch, "save", dies)
+    again = stopping(tmp_path, "again", after=8)
+    again.out = job.out
+    monkeypatch.setattr(train, "CHECKPOINT_SECONDS", -1)
+    with pytest.raises(OSError, match="disk full"):
+        train.run(again, PARAMS, **inputs)
+    assert (job.out / "checkpoint.pt").read_bytes() == before
+
+
+def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
+    decide(inputs["survey"], scene=False)
+    job = fresh(tmp_path, "out")
+    train.run(job, PARAMS, **inputs)
+    assert not (job.out / "scene.npz").exists() and len(read_avatar(job.out / "avatar.npz")) > 0
+
+
+def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs):
+    job = fresh(tmp_path, "out")
+    train.run(job, PARAMS, **inputs)
+    fitted, refined = read_poses(inputs["smpl"] / "body.npz"), read_poses(job.out / "body.npz")
+    assert not np.allclose(fitted.body_pose[1], refined.body_pose[1], atol=1e-6)
+    decide(inputs["survey"], pose_refinement=False)
+    job = fresh(tmp_path, "off")
+    train.run(job, PARAMS, **inputs)
+    assert np.allclose(read_poses(job.out / "body.npz").body_pose, fitted.body_pose, atol=1e-6)
+
+
+def test_no_person_anywhere_is_a_clear_error(tmp_path, inputs):
+    for path in (inputs["sfm"] / "masks").iterdir():
+        write_mask(path, np.zeros((HEIGHT, WIDTH), np.uint8))
+    with pytest.raises(StageError, match="no training frame shows a person") as error:
+        train.run(fresh(tmp_path, "out"), PARAMS, **inputs)
+    assert "6 training frames" in error.value.facts[0]
+
+
+def test_importing_the_stage_loads_nothing_heavy():
+    import subprocess
+    import sys
+
+    code = "import sys, stages.train; print([m for m in ('torch', 'cv2', 'numba', 'pycolmap') if m in sys.modules])"
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    )
