@@ -1,0 +1,28 @@
+"""Shared by the tests of stages and estimators: the real clip's frames, and the trained networks."""
+
+from __future__ import annotations
+
+import pytest
+
+from stages.contract import StageError
+from stages.estimators import assets
+from stages.formats.video import decode
+
+
+@pytest.fixture(scope="session")
+def blazepose():
+    """A BlazePose with its networks, fetched if need be; skipped, with the reason printed, without a network."""
+    from stages.estimators.blazepose import BlazePose
+
+    try:
+        for name in ("pose_detection.tflite", "pose_landmark_full.tflite"):
+            assets.fetch(name)
+    except StageError as error:
+        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    return BlazePose()
+
+
+@pytest.fixture(scope="session")
+def kitchen(shared_data):
+    """Every 10th frame of the kitchen clip: index -> uint8 [864,480,3]."""
+    return {i: image for i, _, image in decode(shared_data / "kitchen" / "kitchen.mp4") if i % 10 == 0}

@@ -1,0 +1,146 @@
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from stages import masks
+from stages.contract import Job, StageError
+from stages.formats.images import read_image, read_mask, write_image, write_mask
+
+SIZE = (96, 128)
+
+
+def body(i=0, size=SIZE):
+    """A white ellipse that moves with the frame number."""
+    mask = np.zeros(size, np.uint8)
+    cv2.ellipse(mask, (size[1] // 3 + i, size[0] // 2), (size[1] // 9, size[0] // 3), 0, 0, 360, 255, -1)
+    return mask
+
+
+@pytest.fixture
+def frames(tmp_path):
+    return make_frames(tmp_path, [0, 3, 9, 10])
+
+
+def make_frames(tmp_path, indices, sources=None, total=12):
+    out = tmp_path / "frames"
+    (out / "images").mkdir(parents=True)
+    listed = []
+    for k, i in enumerate(indices):
+        write_image(out / "images" / f"{i:06d}.png", np.full((*SIZE, 3), 50, np.uint8))
+        listed.append({"name": f"{i:06d}", "index": i, **({"source": sources[k]} if sources else {})})
+    facts = {"video": {"frames": total}, "width": SIZE[1], "height": SIZE[0], "frames": listed}
+    (out / "frames.json").write_text(json.dumps(facts))
+    return out
+
+
+def run(tmp_path, frames, folder, **params):
+    out = tmp_path / "out"
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir()
+    events = []
+    masks.run(Job(out=out, emit=events.append), masks.Params(**params), frames=frames, mask_files=folder)
+    facts = json.loads((out / "masks.json").read_text())
+    made = {p.stem: read_mask(p) for p in sorted((out / "masks").iterdir())}
+    said = [e["text"] for e in events if "text" in e]
+    return facts, made, said
+
+
+def given(tmp_path, named):
+    folder = tmp_path / "given"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, mask in named.items():
+        write_mask(folder / name, mask)
+    return folder
+
+
+@pytest.mark.parametrize("pattern", ["{:06d}.png", "frame_{}.png", "{:06d}.jpg.png", "mask2_{:04d}.png"])
+def test_masks_are_joined_by_name_never_by_order(tmp_path, frames, pattern):
+    folder = given(tmp_path, {pattern.format(i): body(i) for i in range(12) if i != 5})
+    facts, made, said = run(tmp_path, frames, folder)
+    assert facts["source"] == "imported" and facts["unused"] == 7 and facts["no_person"] == []
+    assert list(made) == ["000000", "000003", "000009", "000010"]
+    for i in (0, 3, 9, 10):
+        assert np.array_equal(made[f"{i:06d}"], body(i))
+    assert facts["frames"]["000003"]["coverage"] == pytest.approx((body() > 127).mean(), abs=1e-3)
+    assert any("taken as they are" in line for line in said)
+
+
+def test_missing_masks_are_named(tmp_path, frames):
+    folder = given(tmp_path, {f"{i}.png": body(i) for i in (0, 1, 2, 9)})
+    with pytest.raises(StageError, match="missing for 2 of 4 frames") as error:
+        run(tmp_path, frames, folder)
+    assert "000003, 000010" in error.value.facts[0] and "--masks" in error.value.hint
+
+
+def test_names_counted_from_one_are_noticed(tmp_path, frames):
+    folder = given(tmp_path, {f"{i + 1:05d}.png": body(i) for i in range(12)})
+    _, made, said = run(tmp_path, frames, folder)
+    assert np.array_equal(made["000009"], body(9)) and any("counted from 1" in line for line in said)
+
+
+def test_pictures_of_a_folder_are_joined_by_their_own_names(tmp_path):
+    frames = make_frames(tmp_path, [0, 1], sources=["IMG_7", "IMG_9"])
+    folder = given(tmp_path, {"IMG_9.jpg.png": body(9), "IMG_7.png": body(7), "IMG_1.png": body(1)})
+    _, made, _ = run(tmp_path, frames, folder)
+    assert np.array_equal(made["000000"], body(7)) and np.array_equal(made["000001"], body(9))
+
+
+def test_polarity_is_found_and_can_be_forced(tmp_path, frames):
+    folder = given(tmp_path, {f"{i}.png": 255 - body(i) for i in range(12)})
+    facts, made, said = run(tmp_path, frames, folder)
+    assert facts["inverted"] and np.array_equal(made["000003"], body(3)) and any("inverted" in line for line in said)
+    facts, made, _ = run(tmp_path, frames, folder, invert="never")
+    assert not facts["inverted"] and np.array_equal(made["000003"], 255 - body(3))
+
+
+def test_a_person_who_fills_the_picture_is_left_and_said(tmp_path, frames):
+    close = np.zeros(SIZE, np.uint8)
+    close[8:, 10:-10] = 255
+    facts, made, said = run(tmp_path, frames, given(tmp_path, {f"{i}.png": close for i in range(12)}))
+    assert not facts["inverted"] and np.array_equal(made["000000"], close)
+    assert any("unsure" in line for line in said) and any("cut off at the bottom in 4 of 4" in line for line in said)
+    assert facts["frames"]["000000"]["touches_border"] == ["bottom"]
+
+
+def test_masks_of_the_full_video_are_resized_and_others_refused(tmp_path, frames):
+    large = {f"{i}.png": body(2 * i, (SIZE[0] * 2, SIZE[1] * 2)) for i in range(12)}
+    _, made, _ = run(tmp_path, frames, given(tmp_path, large))
+    assert ((made["000003"] > 127) != (body(3) > 127)).mean() < 0.01
+    turned = {f"{i}.png": np.ascontiguousarray(body(i).T) for i in range(12)}
+    with pytest.raises(StageError, match="not a mask of these frames") as error:
+        run(tmp_path, frames, given(tmp_path, turned))
+    assert "96x128" in error.value.facts[0] and "128x96" in error.value.facts[0]
+
+
+def test_frames_without_a_person_are_named_and_none_at_all_is_refused(tmp_path, frames):
+    named = {f"{i}.png": body(i) if i != 9 else np.zeros(SIZE, np.uint8) for i in range(12)}
+    facts, _, said = run(tmp_path, frames, given(tmp_path, named))
+    assert facts["no_person"] == ["000009"] and any("nobody in 1 of 4 frames: 000009" in line for line in said)
+    with pytest.raises(StageError, match="no person found in any of 4 frames"):
+        run(tmp_path, frames, given(tmp_path, {f"{i}.png": np.zeros(SIZE, np.uint8) for i in range(12)}))
+
+
+def test_an_empty_room_has_no_person(tmp_path, frames, blazepose):
+    with pytest.raises(StageError, match="no person found in any of 4 frames"):
+        run(tmp_path, frames, None)
+
+
+def test_the_kitchen_man_is_outlined(tmp_path, blazepose, kitchen):
+    indices = [0, 60, 120, 180]
+    frames = make_frames(tmp_path, indices, total=191)
+    facts = json.loads((frames / "frames.json").read_text())
+    facts["width"], facts["height"] = 480, 864
+    (frames / "frames.json").write_text(json.dumps(facts))
+    for i in indices:
+        write_image(frames / "images" / f"{i:06d}.png", kitchen[i])
+    facts, made, _ = run(tmp_path, frames, None)
+    assert facts["source"] == "blazepose" and facts["no_person"] == []
+    for name, mask in made.items():
+        assert 0.1 < facts["frames"][name]["coverage"] < 0.22 and ((mask > 25) & (mask < 230)).mean() < 0.03
+        _, _, stats, _ = cv2.connectedComponentsWithStats((mask > 127).astype(np.uint8))
+        assert stats[1:, cv2.CC_STAT_AREA].max() > 0.98 * stats[1:, cv2.CC_STAT_AREA].sum()
+        assert read_image(frames / "images" / f"{name}.png").shape[:2] == mask.shape
