@@ -42,9 +42,8 @@ class Lpips(nn.Module):
         Raises ValueError for pictures under `smallest` px (64 for AlexNet, whose last tap would see next to nothing).
         """
         if a.shape != b.shape or a.shape[-1] != 3:
-            raise ValueError(
-                f"LPIPS compares pictures [..., H, W, 3] of one size, not {tuple(a.shape)} and {tuple(b.shape)}"
-            )
+            shapes = f"{tuple(a.shape)} and {tuple(b.shape)}"
+            raise ValueError(f"LPIPS compares pictures [..., H, W, 3] of one size, not {shapes}")
         if min(a.shape[-3:-1]) < self.smallest:
             height, width = a.shape[-3:-1]
             raise ValueError(f"LPIPS on {self.net} needs {self.smallest} px each way, the picture has {width}x{height}")

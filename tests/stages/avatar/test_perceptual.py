@@ -29,19 +29,15 @@ def conv(x, arrays, i, stride=1, pad=1):
     out = np.zeros((rows, columns, len(kernel))) + arrays[f"conv{i}_b"].astype(np.float64)
     for r in range(size):
         for c in range(size):
-            out += (
-                x[r : r + stride * rows : stride, c : c + stride * columns : stride][:rows, :columns]
-                @ kernel[:, :, r, c].T
-            )
+            under = x[r : r + stride * rows : stride, c : c + stride * columns : stride][:rows, :columns]
+            out += under @ kernel[:, :, r, c].T
     return np.maximum(out, 0)
 
 
 def pool(x, size):
     rows, columns = ((n - size) // 2 + 1 for n in x.shape[:2])
-    places = [
-        x[r : r + 2 * rows : 2, c : c + 2 * columns : 2][:rows, :columns] for r in range(size) for c in range(size)
-    ]
-    return np.max(places, 0)
+    places = [(r, c) for r in range(size) for c in range(size)]
+    return np.max([x[r : r + 2 * rows : 2, c : c + 2 * columns : 2][:rows, :columns] for r, c in places], 0)
 
 
 def taps(x, arrays, net):
