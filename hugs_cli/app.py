@@ -1,0 +1,273 @@
+"""The commands: parse, call, print, exit code (0 done, 1 a stage failed, 2 wrong usage, 130 stopped)."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Option
+
+from hugs_cli import child, engine, options, pipelines
+from hugs_cli.console import Console, reasons_text, relative, size
+from hugs_cli.engine import RunStopped
+from hugs_cli.freshness import Judge, Verdict
+from hugs_cli.options import AsJson, DeviceName, DryRun, Force, PipelineName, Settings, Stages, Work, on_clip
+from hugs_cli.pipelines import UsageError
+from hugs_cli.workspace import Stamp, Workspace, size_of
+from stages.contract import StageError
+
+HELP = "From a phone video to an animatable person and the scene, as 3D Gaussians."
+app = typer.Typer(
+    help=HELP, no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
+)
+SHOWN = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
+
+
+@app.command()
+@on_clip
+def run(
+    judge: Judge,
+    stages: Stages = None,
+    device: DeviceName = options.Device.auto,
+    force: Force = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run what is not fresh. The last line on stdout is the path of the report, or of the last stage asked for."""
+    go(judge, stages, device, force, dry_run, as_json)
+
+
+def go(
+    judge: Judge,
+    stages: list[str] | None,
+    device: options.Device,
+    force: bool = False,
+    dry_run: bool = False,
+    as_json: bool = False,
+) -> None:
+    """What `run` and `demo` have in common."""
+    wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
+    forced = frozenset(stages or wanted) if force else frozenset()
+    console = Console(name_width=max(9, *(len(name) + 1 for name in wanted)))
+    if dry_run:
+        show(console, judge.all(wanted, forced), as_json)
+        return
+    video, workspace = judge.sources["video"], judge.workspace
+    console.header(video.name, clip_facts(workspace), f"pipeline {judge.pipeline.name}", relative(workspace.root))
+    ran = engine.run(judge, wanted, forced, device.value, console)
+    path = workspace.links / (stages or wanted)[-1]
+    path = path / "report.html" if path.name == "report" else path
+    if not as_json:
+        console.result(relative(path))
+        return
+    rows = [
+        {"stage": one.stage, "state": one.state, "reasons": list(map(str, one.reasons)), "folder": str(one.folder)}
+        | shown(one.stamp)
+        for one in ran
+    ]
+    result = {"clip": video.name, "pipeline": judge.pipeline.name, "result": str(path), "stages": rows}
+    console.result(json.dumps(result, indent=1))
+
+
+@app.command()
+@on_clip
+def status(judge: Judge, as_json: AsJson = False) -> None:
+    """A line a stage: is its result fresh, and if not, why."""
+    show(Console(), judge.all(list(judge.pipeline.stages)), as_json)
+
+
+@app.command()
+@on_clip
+def why(judge: Judge, stages: Stages = None) -> None:
+    """What a stage's last result was made of, and what is different now."""
+    from hugs_cli.doctor import installed
+
+    wanted = stages or list(judge.pipeline.stages)
+    verdicts, console, now = judge.all(judge.pipeline.upstream(wanted)), Console(), installed()
+    for i, name in enumerate(wanted):
+        if i:
+            console.result()
+        console.why(verdicts[name], now)
+
+
+@app.command("stages")
+def list_stages(
+    stages: Stages = None,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    as_json: AsJson = False,
+    pipelines_file: options.PipelinesFile = pipelines.FILE,
+) -> None:
+    """The pipelines, and the stages of one: what each needs, its settings and their meaning."""
+    loaded, console = pipelines.load(pipeline, set_ or (), pipelines_file), Console()
+    loaded.upstream(stages or [])  # refuses unknown names
+    chosen = [loaded.stages[name] for name in stages or loaded.stages]
+    if as_json:
+        rows = [
+            {"stage": s.name, "needs": s.needs, "doc": s.doc, "params": s.params.model_dump("json")} for s in chosen
+        ]
+        console.result(json.dumps({"pipeline": pipeline, "doc": loaded.doc, "stages": rows}, indent=1))
+        return
+    for name, doc in pipelines.names(pipelines_file).items():
+        console.result(f"{'*' if name == pipeline else ' '} {name:<12}{doc}")
+    for stage in chosen:
+        console.result(f"\n{stage.name}  <- {', '.join(stage.needs)}\n  {stage.doc}".rstrip())
+        for name, info in type(stage.params).model_fields.items():
+            doc = " ".join((info.description or "").split())
+            console.result(f"    {name} = {getattr(stage.params, name)}{'   ' + doc if doc else ''}")
+
+
+@app.command()
+@on_clip
+def accept(judge: Judge, stages: Stages = None) -> None:
+    """Take present results as fresh although code has changed, because you know that the change does not alter them."""
+    judge.pipeline.upstream(stages or [])  # refuses unknown names
+    console = Console()
+    for name, (verdict, taken) in engine.accept(judge, stages or list(judge.pipeline.stages), console).items():
+        if taken:
+            changed = ", ".join(map(str, verdict.reasons))
+            console.result(f"{name} accepted: {verdict.last.key[:8]} is now {verdict.recipe.key[:8]}; {changed}")
+        elif verdict.fresh:
+            console.result(f"{name} is fresh: nothing to accept")
+        else:
+            console.result(f"{name} not accepted, only changes of code can be: {reasons_text(verdict.reasons)}")
+
+
+@app.command()
+def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work")) -> None:
+    """Remove a clip's results that no pipeline links to, and what stopped runs left."""
+    workspace, console, freed = Workspace(video, work, "default"), Console(), 0
+    if not workspace.store.is_dir():
+        raise UsageError(f"no results of {video.name} in {work}", "choose the folder with `--work`")
+    with workspace.lock(console.waiting):
+        for folder in workspace.garbage():
+            freed += size_of(folder)
+            said = "would remove" if dry_run else "removed"
+            console.result(f"{said} {relative(folder)}  {size(size_of(folder))}")
+            if not dry_run:
+                shutil.rmtree(folder)
+    console.result(f"{size(freed)} {'to free' if dry_run else 'freed'}")
+
+
+@app.command()
+def demo(
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    seed: options.Seed = 0,
+    device: DeviceName = options.Device.auto,
+    work: Work = Path("work"),
+    pipelines_file: options.PipelinesFile = pipelines.FILE,
+) -> None:
+    """Make a synthetic clip, with its truth beside it, and run a pipeline on it."""
+    from hugs_cli.demo import synthetic_clip
+
+    video = synthetic_clip(work, seed, Console())
+    judge = options.judge_of(video, pipeline, set_, seed=seed, work=work, pipelines_file=pipelines_file)
+    go(judge, None, device)
+
+
+@app.command()
+def doctor(
+    fetch: Annotated[bool, Option("--fetch", help="Bring the model files that are missing (needs a network).")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """What is installed, what the machine has, what is missing and how to get it."""
+    from hugs_cli.doctor import examine, fetch_missing
+
+    console = Console()
+    if fetch:
+        fetch_missing(console.say)
+    findings = examine()
+    if as_json:
+        console.result(json.dumps([asdict(finding) for finding in findings], indent=1))
+    else:
+        console.findings(findings)
+    if not all(finding.ok or finding.optional for finding in findings):
+        raise typer.Exit(1)
+
+
+@app.command()
+def render(
+    video: options.Video,
+    cameras: Annotated[Path, Option(help="npz: viewmats [C,4,4], Ks [C,3,3], width, height; the clip's world.")],
+    out: Annotated[Path, Option(help="Folder for the PNGs (with alpha).")],
+    poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
+    only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
+    pipeline: PipelineName = "default",
+    device: DeviceName = options.Device.auto,
+    work: Work = Path("work"),
+) -> None:
+    """Render given cameras, and given poses, from what `hugs run` made."""
+    workspace = Workspace(video, work, pipeline)
+    needs = {name: workspace.linked(name) for name in ("sfm", "smpl", "train")}
+    for name, folder in needs.items():
+        if folder is None or Stamp.read(folder) is None:
+            command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
+            raise UsageError(f"no finished {name} of {video.name} in pipeline {pipeline}", f"`{command}`")
+    for path in filter(None, (cameras, poses)):
+        if not path.is_file():
+            raise UsageError(f"no file at {path}", "check the path")
+    where = engine.find_device() if device is options.Device.auto else device.value
+    from stages.render import render_views
+
+    render_views(*needs.values(), cameras, poses, only.value, out, where)
+    Console().result(relative(out))
+
+
+def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:
+    """Print verdicts as rows or as JSON."""
+    if not as_json:
+        console.verdicts(verdicts)
+        return
+    rows = [
+        {"stage": name, "state": verdict.state, "reasons": list(map(str, verdict.reasons))}
+        | shown(verdict.stamp or verdict.last)
+        for name, verdict in verdicts.items()
+    ]
+    console.result(json.dumps(rows, indent=1))
+
+
+def shown(stamp: Stamp | None) -> dict[str, Any]:
+    """What `--json` shows of a stamp."""
+    return {name: getattr(stamp, name) for name in SHOWN} if stamp else {}
+
+
+def clip_facts(workspace: Workspace) -> str:
+    """Length and size of the clip, once the frames stage has read them."""
+    file = workspace.links / "frames" / "frames.json"
+    if not file.is_file():
+        return ""
+    video = json.loads(file.read_bytes()).get("video", {})
+    if not {"duration_s", "frames", "width", "height"} <= set(video):
+        return ""
+    return f"{video['duration_s']:.1f} s, {video['frames']} frames, {video['width']}x{video['height']}"
+
+
+def stop(signum: int, frame: Any) -> None:
+    """Ctrl-C or SIGTERM while no stage runs."""
+    raise RunStopped("", False)
+
+
+def main() -> None:
+    """The command `hugs`."""
+    child.prepare()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    try:
+        app()
+    except RunStopped as stopped:
+        Console().stopped(stopped.stage, stopped.continues)
+        sys.exit(130)
+    except StageError as error:
+        Console().error(error)
+        sys.exit(2 if isinstance(error, UsageError) else 1)
+
+
+if __name__ == "__main__":
+    main()

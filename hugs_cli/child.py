@@ -1,0 +1,233 @@
+"""Runs one stage in a process of its own: `launch` on this side, `main` on the other.
+
+The stage's process reads its job from stdin and lives as long as that stays open, so it ends with a run that is
+killed. It reports events as JSON lines on a pipe; its stdout and stderr go to log.txt.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+VERSIONS = ("torch", "numpy", "numba", "scipy", "cv2", "OpenImageIO", "av", "pycolmap", "trimesh", "gsplat")
+PROGRESS_EVERY = 0.1  # s between progress events of one stage
+TICK = 0.25  # s between looks at the clock
+MAXRSS = 1 if sys.platform == "darwin" else 1024  # bytes in one unit of ru_maxrss
+
+
+def prepare() -> None:
+    """Set what must stand before any numerical library loads.
+
+    Spinning OpenMP threads made a 4.7 ms call take 37 ms on a shared machine; libraries count the machine's
+    processors, not the container's; pycolmap corrupts the heap unless the system's zlib was loaded before it.
+    """
+    import zlib  # noqa: F401
+
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, str(processors()))
+
+
+def processors() -> int:
+    """Processors that this process may use: its affinity, and the container's quota where there is one."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+    except (OSError, ValueError):
+        return count
+    return count if quota == "max" else max(1, min(count, round(int(quota) / int(period))))
+
+
+@dataclass
+class Outcome:
+    """How a stage's process ended."""
+
+    kind: str
+    """done, error (StageError), crash (a bug), killed (by a signal), stopped (asked to)."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """Of the last event: versions; or problem, facts, hint; or traceback; or signal."""
+    seconds: float = 0.0
+    peak_memory_bytes: int = 0
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str, Any]], None]) -> Outcome:
+    """Run one job (module, params, inputs, out, device, seed) to its end; `heard` gets each event and {} each tick.
+
+    SIGINT and SIGTERM are passed on once as a request to stop; the second time the process is killed.
+    """
+    started = time.monotonic()
+    read, write = os.pipe()
+    with open(log, "ab") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-P", __file__],
+            stdin=subprocess.PIPE,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            pass_fds=(write, lock),
+            start_new_session=True,
+        )
+    os.close(write)
+    asked: list[int] = []
+
+    def stop(signum: int, frame: Any) -> None:
+        asked.append(signum)
+        process.send_signal(signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    outcome = Outcome("killed")
+    try:
+        job = {**job, "events": write, "path": sys.path}
+        process.stdin.write(json.dumps(job).encode() + b"\n")
+        process.stdin.flush()
+        for event in events(read, heard):
+            if event["event"] in ("note", "warning"):
+                (outcome.notes if event["event"] == "note" else outcome.warnings).append(event["text"])
+            elif event["event"] in ("done", "error", "crash", "stopped"):
+                outcome.kind, outcome.facts = event["event"], event
+            heard(event)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    except BrokenPipeError:  # it died before it read its job
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    finally:
+        os.close(read)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    outcome.seconds = time.monotonic() - started
+    outcome.peak_memory_bytes = max(usage.ru_maxrss * MAXRSS, outcome.facts.get("peak_memory_bytes", 0))
+    if process.returncode < 0 or (process.returncode and outcome.kind in ("done", "killed")):
+        outcome.kind = "killed"
+        outcome.facts = {"signal": -process.returncode, "exit": process.returncode}
+    if asked and outcome.kind != "done":
+        outcome.kind = "stopped"
+    return outcome
+
+
+def events(pipe: int, heard: Callable[[dict[str, Any]], None]):
+    """The events that come through a pipe, until its other end is closed."""
+    rest = b""
+    while True:
+        if not select.select([pipe], [], [], TICK)[0]:
+            heard({})
+            continue
+        data = os.read(pipe, 65536)
+        if not data:
+            return
+        *lines, rest = (rest + data).split(b"\n")
+        yield from map(json.loads, lines)
+
+
+def main() -> int:
+    """The stage's process."""
+    import errno
+    import faulthandler
+    import threading
+    import traceback
+
+    job = json.loads(read_line(0))
+    sys.path[:] = job["path"]
+    os.set_inheritable(job["events"], False)
+    faulthandler.enable()
+    prepare()
+    watch = threading.Thread(target=end_with_parent, daemon=True)
+    watch.start()
+    from stages.contract import Job, StageError, Stopped
+
+    pipe = os.fdopen(job["events"], "w", encoding="utf-8", buffering=1)
+    last = 0.0
+
+    def emit(event: dict[str, Any]) -> None:
+        nonlocal last
+        if event["event"] == "progress" and event["done"] < event["total"]:
+            if time.monotonic() - last < PROGRESS_EVERY:
+                return
+            last = time.monotonic()
+        pipe.write(json.dumps(event, default=float) + "\n")
+
+    stage_job = Job(Path(job["out"]), job["device"], job["seed"], emit)
+    if job["resumes"]:
+        stage_job.listen_for_stop()
+    else:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        import importlib
+
+        module = importlib.import_module(job["module"])
+        inputs = {name: Path(path) if path else None for name, path in job["inputs"].items()}
+        module.run(stage_job, module.Params(**job["params"]), **inputs)
+        emit({"event": "done", "versions": versions(), "peak_memory_bytes": peak_memory(), **gpu_memory()})
+        return 0
+    except Stopped:
+        emit({"event": "stopped"})
+        return 130
+    except StageError as error:
+        emit({"event": "error", "problem": error.problem, "facts": error.facts, "hint": error.hint})
+    except MemoryError:
+        problem = "the machine has no memory left for this stage"
+        emit(
+            {"event": "error", "problem": problem, "facts": [], "hint": "close other programs, or use smaller settings"}
+        )
+        traceback.print_exc()
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            hint = "free some space; `hugs gc` removes results that nothing uses"
+            emit({"event": "error", "problem": f"the disk is full at {job['out']}", "facts": [], "hint": hint})
+        else:
+            text = f"{type(error).__name__}: {error}"
+            emit({"event": "crash", "problem": text, "traceback": traceback.format_exc()})
+        traceback.print_exc()
+    return 1
+
+
+def read_line(handle: int) -> bytes:
+    """The first line of a file handle; unbuffered, so that nothing holds stdin when the interpreter ends."""
+    line = b""
+    while not line.endswith(b"\n"):
+        data = os.read(handle, 65536)
+        if not data:
+            raise EOFError("the run that started this stage is gone")
+        line += data
+    return line
+
+
+def end_with_parent() -> None:
+    """Wait until the run that started this process is gone, then ask it to stop as Ctrl-C would."""
+    while os.read(0, 1):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def versions() -> dict[str, str]:
+    """Versions of the numerical libraries that this process loaded."""
+    loaded = {name: getattr(sys.modules[name], "__version__", "") for name in VERSIONS if name in sys.modules}
+    return {"python": sys.version.split()[0], **{name: str(version) for name, version in loaded.items()}}
+
+
+def peak_memory() -> int:
+    """Most bytes of memory that this process, or one of its own, held at once."""
+    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) * MAXRSS
+
+
+def gpu_memory() -> dict[str, int]:
+    """Most bytes that torch held on the GPU, where it was used."""
+    torch = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
+        return {}
+    return {"peak_gpu_memory_bytes": torch.cuda.max_memory_allocated()}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

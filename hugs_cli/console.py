@@ -1,0 +1,304 @@
+"""Everything printed: rows and progress to stderr, results to stdout; a moving row only on a terminal."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
+
+from hugs_cli.child import Outcome
+from hugs_cli.engine import StageFailed
+from hugs_cli.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Verdict
+from hugs_cli.workspace import Stamp
+from stages.contract import StageError
+
+if TYPE_CHECKING:
+    from hugs_cli.doctor import Finding
+
+STATE_WIDTH, TIME_WIDTH = 12, 15
+QUIET_EVERY = 60.0  # s between lines of a long stage where no row can move
+ENDINGS = {"done": "done", "stopped": "stopped"}  # every other ending reads 'failed'
+
+
+def duration(seconds: float) -> str:
+    """3.2 s, 2m 31s, 1h 02m."""
+    if seconds < 59.95:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}m {rest:02d}s" if minutes < 60 else f"{minutes // 60}h {minutes % 60:02d}m"
+
+
+def size(count: float) -> str:
+    """812 B, 24 KiB, 2.1 GiB."""
+    for unit in ("B", "KiB", "MiB", "GiB"):
+        if count < 1024 or unit == "GiB":
+            return f"{count:.0f} {unit}" if unit in ("B", "KiB", "MiB") else f"{count:.1f} {unit}"
+        count /= 1024
+    raise AssertionError
+
+
+def ago(made: str) -> str:
+    """How long ago a stamp's time was: 2 days ago."""
+    seconds = (datetime.now(UTC) - datetime.fromisoformat(made)).total_seconds()
+    for unit, length in (("day", 86400), ("hour", 3600), ("minute", 60)):
+        if seconds >= length:
+            count = int(seconds // length)
+            return f"{count} {unit}{'s' if count > 1 else ''} ago"
+    return "just now"
+
+
+def number(name: str, value: Any) -> str:
+    """One named number of a stage's progress: 'psnr 27.1', '142k gaussians', '2.1 GiB'."""
+    if name.endswith("bytes"):
+        return size(value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        return (
+            f"{value / 1e6:.1f}M {name}"
+            if value >= 1e6
+            else f"{value // 1000}k {name}"
+            if value >= 1e4
+            else f"{value} {name}"
+        )
+    return f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+
+
+def reasons_text(reasons: tuple[Reason, ...]) -> str:
+    """Reasons of a re-run on one line; many edited modules are counted."""
+    code = [reason for reason in reasons if isinstance(reason, CodeChanged)]
+    texts = [str(reason) for reason in reasons if not isinstance(reason, CodeChanged)]
+    if len(code) > 2:
+        texts.append(f"{code[0]} and {len(code) - 1} more")
+    else:
+        texts += map(str, code)
+    return ", ".join(texts)
+
+
+@dataclass
+class Progress:
+    """What is known of the running stage: when it began and how fast it moves."""
+
+    started: float
+    first: tuple[float, int] | None = None
+    event: dict[str, Any] = field(default_factory=dict)
+
+    def take(self, event: dict[str, Any], now: float) -> None:
+        """Note a progress event; a new total or a step back begins a new part, with its own speed."""
+        restarted = self.event and (event["total"] != self.event["total"] or event["done"] < self.event["done"])
+        if self.first is None or restarted:
+            self.first = (now, event["done"])
+        self.event = event
+
+    def left(self, now: float) -> float | None:
+        """Seconds until the present part ends at its speed so far, or None while that is a guess."""
+        if self.first is None or self.event["done"] <= self.first[1] or now - self.first[0] < 2:
+            return None
+        speed = (self.event["done"] - self.first[1]) / (now - self.first[0])
+        return (self.event["total"] - self.event["done"]) / speed
+
+
+class Console:
+    """Prints one command's output; a Watcher of the engine."""
+
+    def __init__(self, out: TextIO | None = None, err: TextIO | None = None, clock=time.monotonic, name_width: int = 9):
+        self.out, self.err, self.clock = out or sys.stdout, err or sys.stderr, clock
+        self.live = self.err.isatty() and os.environ.get("TERM") != "dumb"
+        self.colour = self.live and not os.environ.get("NO_COLOR")
+        self.name_width = name_width
+        self.progress: Progress | None = None
+        self.reasons = ""
+        self.said = 0.0
+
+    # results
+
+    def result(self, text: str = "") -> None:
+        """One line of a command's result."""
+        print(text, file=self.out, flush=True)
+
+    def error(self, error: StageError) -> None:
+        """What is wrong, facts, a blank line, what helps; for a bug its traceback first."""
+        self.clear()
+        if isinstance(error, StageFailed) and error.traceback:
+            self.say(error.traceback.rstrip())
+        self.say(f"{self.paint('error:', 31)} {error.problem}")
+        for fact in error.facts:
+            self.say(f"  {fact}")
+        if error.hint:
+            self.say(f"\n{self.paint('hint:', 36)} {error.hint}")
+
+    def stopped(self, stage: str, continues: bool) -> None:
+        """The run was asked to stop and did."""
+        where = f" in {stage}; the next run {'continues it' if continues else 'begins it again'}" if stage else ""
+        self.say(f"stopped{where}; finished stages are kept")
+
+    # progress
+
+    def say(self, text: str) -> None:
+        """One line to stderr, after the moving row is wiped."""
+        self.clear()
+        print(text, file=self.err, flush=True)
+
+    def header(self, *parts: str) -> None:
+        """The first line of a run."""
+        self.say("   ".join(part for part in parts if part))
+
+    def row(self, stage: str, state: str, seconds: str, text: str) -> str:
+        """Stage, state, time, text in columns."""
+        return f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}{seconds:<{TIME_WIDTH}}{text}".rstrip()
+
+    def below(self, text: str) -> None:
+        """A line that belongs to the row above."""
+        self.say(f"  {'':<{self.name_width}}{text}")
+
+    def waiting(self, holder: str) -> None:
+        """Another run holds this clip."""
+        self.say(f"waiting: {holder} is working on this clip; this run goes on when it is done (Ctrl-C gives up)")
+
+    def cached(self, stage: str, stamp: Stamp) -> None:
+        """A stage whose result is fresh."""
+        self.say(self.row(stage, "cached", "", f"saved {duration(stamp.seconds):>9}"))
+        for warning in stamp.warnings:
+            self.warning(warning)
+
+    def started(self, stage: str, reasons: tuple[Reason, ...]) -> None:
+        """A stage's process begins."""
+        self.progress = Progress(self.clock())
+        self.reasons = reasons_text(reasons)
+        self.said = self.clock()
+        self.draw(stage)
+
+    def heard(self, stage: str, event: dict[str, Any]) -> None:
+        """A stage reports something, or ({}) time has passed."""
+        kind = event.get("event")
+        if kind == "progress":
+            self.progress.take(event, self.clock())
+        if kind in (None, "progress"):
+            self.draw(stage)
+
+    def ended(self, stage: str, outcome: Outcome) -> None:
+        """A stage's process has ended: its row for good, its notes and warnings below."""
+        state = ENDINGS.get(outcome.kind, "failed")
+        text = self.reasons
+        short = "; ".join([text, *outcome.notes]) if outcome.kind == "done" else text
+        together = len(self.row(stage, state, "", short)) <= 118
+        self.say(self.row(stage, state, duration(outcome.seconds), short if together else text))
+        for note in [] if together else outcome.notes:
+            self.below(note)
+        for warning in outcome.warnings:
+            self.warning(warning)
+        self.progress = None
+
+    def warning(self, text: str) -> None:
+        """What a user should know before trusting a result."""
+        self.below(f"{self.paint('warning:', 33)} {text}")
+
+    def draw(self, stage: str) -> None:
+        """Show how far the running stage is: redraw the row on a terminal, elsewhere a line every minute."""
+        now, progress = self.clock(), self.progress
+        if not self.live and now - self.said < QUIET_EVERY:
+            return
+        state, text = "running", self.reasons
+        elapsed = duration(now - progress.started)
+        if progress.event:
+            done, total = progress.event["done"], progress.event["total"]
+            state = f"{done}/{total}  {100 * done // max(total, 1)} %"
+            text = "  ".join(number(name, value) for name, value in progress.event["numbers"].items())
+            if (left := progress.left(now)) is not None:
+                text = f"{text}  about {duration(left)} left".strip()
+        if self.live:
+            line = f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}  {elapsed:<7}  {text}".rstrip()
+            self.err.write(f"\r\x1b[2K{line[: shutil.get_terminal_size().columns - 1]}")
+            self.err.flush()
+        else:
+            self.said = now
+            self.say(f"  {stage:<{self.name_width}}{state}  {elapsed}  {text}".rstrip())
+
+    def clear(self) -> None:
+        """Wipe the moving row."""
+        if self.live:
+            self.err.write("\r\x1b[2K")
+
+    def paint(self, text: str, colour: int) -> str:
+        """The text in a colour where that is wanted; the words say it all without."""
+        return f"\x1b[1;{colour}m{text}\x1b[0m" if self.colour else text
+
+    # status and why
+
+    def verdicts(self, verdicts: dict[str, Verdict]) -> None:
+        """A line a stage: fresh or not, since when, how long it took, why it would run."""
+        self.name_width = max([self.name_width, *(len(name) + 1 for name in verdicts)])
+        for name, verdict in verdicts.items():
+            stamp = verdict.stamp or verdict.last
+            took = duration(stamp.seconds) if stamp else ""
+            text = f"made {ago(stamp.made)}" if verdict.fresh else reasons_text(verdict.reasons)
+            self.result(self.row(name, verdict.state, took, text))
+            for warning in stamp.warnings if verdict.fresh else []:
+                self.result(f"  {'':<{self.name_width}}warning: {warning}")
+
+    def why(self, verdict: Verdict, now: dict[str, str]) -> None:
+        """Everything about one stage: what its last result was made of and what is different. `now`: versions."""
+        stamp = verdict.stamp or verdict.last
+        if stamp is None:
+            self.result(f"{verdict.stage} would run: {reasons_text(verdict.reasons)}.")
+            return
+        last = f"{stamp.key[:8]}, {ago(stamp.made)}, {duration(stamp.seconds)}"
+        if verdict.fresh:
+            self.result(f"{verdict.stage} is fresh ({last}).")
+        else:
+            may = "may run" if verdict.state == "waits" else "would run"
+            self.result(f"{verdict.stage} {may}. Its last result ({last}) was made with")
+        for reason in verdict.reasons:
+            self.result(f"  {why_line(reason)}")
+        for entry in stamp.accepted:
+            self.result(f"Accepted {ago(entry['when'])}: {', '.join(entry['changes'])}")
+        self.result(same_text(stamp, verdict.reasons))
+        machine = stamp.machine
+        with_ = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
+        self.result(f"Made on {machine['host']}, {machine['device']}, {machine['processors']} processors, {with_}")
+        other = [
+            f"{name} {old} -> {now[name]}"
+            for name, old in machine["versions"].items()
+            if now.get(name, old).partition("+")[0] != old.partition("+")[0]
+        ]
+        if other:
+            self.result(f"Since then (makes nothing stale): {', '.join(other)}")
+
+    def findings(self, findings: list[Finding]) -> None:
+        """A line for each thing that doctor looked at, with what helps below it."""
+        for finding in findings:
+            state = "ok" if finding.ok else "none" if finding.optional else "missing"
+            self.result(f"  {finding.name:<32}{state:<9}{finding.text}".rstrip())
+            if finding.hint and not finding.ok:
+                self.result(f"  {'':<32}hint: {finding.hint}")
+
+
+def why_line(reason: Reason) -> str:
+    """A reason in columns: kind, what, how."""
+    match reason:
+        case CodeChanged(module, how):
+            return f"{'code':<9}{module:<22} {how} since".rstrip()
+        case ParamChanged(name, old, new):
+            return f"{'params':<9}{name:<22} {old} -> {new}"
+        case InputChanged(name, how):
+            return f"{'inputs':<9}{name:<22} {how} since"
+        case SeedChanged(old, new):
+            return f"{'seed':<9}{'':<22} {old} -> {new}"
+    return str(reason)
+
+
+def same_text(stamp: Stamp, reasons: tuple[Reason, ...]) -> str:
+    """What is as it was: inputs by name, settings and modules counted."""
+    changed = {getattr(reason, "name", getattr(reason, "module", None)) for reason in reasons}
+    inputs = [name for name, content in stamp.inputs.items() if name not in changed and content]
+    settings = sum(name not in changed for name in stamp.params)
+    modules = sum(name not in changed for name in stamp.code)
+    return f"Same as before: {', '.join([*inputs, f'{settings} settings', f'{modules} modules'])}"
+
+
+def relative(path: Path) -> str:
+    """A path as short as it can be said from here."""
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)

@@ -1,0 +1,136 @@
+"""What is installed, what the machine has, which model files are here; what is missing and how to get it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from hugs_cli import child
+from hugs_cli.console import size
+from hugs_cli.engine import find_device
+
+DISTRIBUTIONS = {
+    "typer": "typer",
+    "torch": "torch",
+    "pycolmap": "pycolmap",
+    "cv2": "opencv-contrib-python-headless",
+    "trimesh": "trimesh",
+    "numpy": "numpy",
+    "OpenImageIO": "OpenImageIO",
+    "yaml": "PyYAML",
+    "pydantic": "pydantic",
+    "rich": "rich",
+    "scipy": "scipy",
+    "numba": "numba",
+    "av": "av",
+    "ai_edge_litert": "ai-edge-litert",
+}
+OPTIONAL = {"gsplat": "gsplat"}
+MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # the bar of the whole flow; results of one clip and its copies
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at."""
+
+    name: str
+    ok: bool
+    text: str = ""
+    hint: str = ""
+    optional: bool = False
+
+
+def installed() -> dict[str, str]:
+    """Versions of the libraries by the name they are imported under, without importing them."""
+    found = {"python": platform.python_version()}
+    for module, distribution in {**DISTRIBUTIONS, **OPTIONAL}.items():
+        try:
+            found[module] = importlib.metadata.version(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def examine() -> list[Finding]:
+    """Everything, in the order in which it is printed."""
+    return [*machine(), *packages(), *codecs(), *models()]
+
+
+def machine() -> list[Finding]:
+    """Python, processors, memory, disk, GPU."""
+    python = sys.version_info[:2]
+    memory, disk = memory_bytes(), shutil.disk_usage(Path.cwd()).free
+    gpu = find_device() == "cuda"
+    return [
+        Finding("python", (3, 11) <= python <= (3, 13), platform.python_version(), "use Python 3.11, 3.12 or 3.13"),
+        Finding("processors", True, str(child.processors())),
+        Finding("memory", memory >= MEMORY_NEEDED, size(memory), "6 GiB are needed; try `--pipeline draft`", True),
+        Finding("disk", disk >= DISK_NEEDED, f"{size(disk)} free", "`hugs gc` frees some", True),
+        Finding("GPU", gpu, "CUDA" if gpu else "", "not needed; with an NVIDIA GPU install torch for CUDA", True),
+    ]
+
+
+def memory_bytes() -> int:
+    """Memory of the machine, or of the container where that is less."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    limit = Path("/sys/fs/cgroup/memory.max")
+    text = limit.read_text().strip() if limit.is_file() else "max"
+    return total if text == "max" else min(total, int(text))
+
+
+def packages() -> list[Finding]:
+    """Each library with its version."""
+    versions = installed()
+    found = []
+    for module, distribution in {**DISTRIBUTIONS, **OPTIONAL}.items():
+        hint = f"pip install {distribution}"
+        found.append(Finding(distribution, module in versions, versions.get(module, ""), hint, module in OPTIONAL))
+    if importlib.util.find_spec("torchvision"):
+        found.append(Finding("torchvision", True, "not used; it is not ours"))
+    return found
+
+
+def codecs() -> list[Finding]:
+    """Can videos be read and H.264 be written?"""
+    if importlib.util.find_spec("av") is None:
+        return []
+    import av
+
+    found = []
+    for name, mode, what in (
+        ("h264", "r", "reads H.264"),
+        ("hevc", "r", "reads HEVC"),
+        ("libx264", "w", "writes H.264"),
+    ):
+        hint = "pip install --force-reinstall av"
+        found.append(Finding(f"codec {name}", name in av.codecs_available, what, hint))
+        if found[-1].ok:
+            av.codec.Codec(name, mode)
+    return found
+
+
+def models() -> list[Finding]:
+    """The body that ships with hugs, and the model files that are fetched."""
+    from stages.estimators import assets
+
+    body = Path(assets.__file__).with_name("free_body.npz")
+    found = [Finding("free body", body.is_file(), "ships with hugs", "clone the repository again")]
+    for name, asset in assets.ASSETS.items():
+        found.append(Finding(name, assets.present(name), asset.why, "hugs doctor --fetch"))
+    return found
+
+
+def fetch_missing(say: Callable[[str], None]) -> None:
+    """Bring every model file that is not here; StageError if one cannot be had."""
+    from stages.estimators import assets
+
+    for name in assets.ASSETS:
+        if not assets.present(name):
+            assets.fetch(name, say)

@@ -1,0 +1,196 @@
+"""Digests of files, of folders, and of the code that a stage runs.
+
+Code is the syntax tree without docstrings and comments, of the stage's module and of every module of the same top
+package that it imports, directly or not, at the top of a file or inside a function; plus the data files of that
+package that those modules name.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import json
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+FILE_NAME = re.compile(r"[\w./-]*\w\.\w{1,8}")
+MODULE_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
+FORMAT = f"1 {sys.version_info[0]}.{sys.version_info[1]}"  # of the remembered digests; Python's syntax trees differ
+REMEMBERED = 1000  # modules; beyond it only those in use are kept
+
+
+def digest(value: Any) -> str:
+    """sha256 of a JSON value, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """sha256 of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def files_under(path: Path) -> dict[str, Path]:
+    """The files of a folder by relative name, hidden ones left out; or the one file, named ''."""
+    if path.is_file():
+        return {"": path}
+    found = {}
+    for folder, folders, files in os.walk(path):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(files):
+            if not name.startswith("."):
+                found[(Path(folder) / name).relative_to(path).as_posix()] = Path(folder) / name
+    return found
+
+
+def content_digest(path: Path) -> str:
+    """sha256 of a file's bytes, or of a folder's names and bytes."""
+    return digest({name: file_digest(file) for name, file in files_under(path).items()})
+
+
+def stat_digest(path: Path) -> str:
+    """Changes when a file, or any file of a folder, changes name, size or time: cheap to ask, says 'look again'."""
+    stats = {name: file.stat() for name, file in files_under(path).items()}
+    return digest({name: [stat.st_size, stat.st_mtime_ns] for name, stat in stats.items()})
+
+
+class Code:
+    """Digests the code of stages; remembers in `memory` (a JSON file) what each source text came to."""
+
+    def __init__(self, memory: Path | None = None):
+        self.memory = memory
+        self.known: dict[str, Any] = {}
+        self.used: dict[str, Any] = {}
+        self.files: dict[str, dict[str, Path]] = {}
+        if memory and memory.is_file():
+            try:
+                content = json.loads(memory.read_bytes())
+            except ValueError:
+                content = {}  # only a memory: what cannot be read is worked out again
+            self.known = content.get("modules", {}) if content.get("format") == FORMAT else {}
+
+    def digests(self, module: str) -> dict[str, str]:
+        """Digest of each module and data file that `module` comes to: {'stages.train': ..., 'stages/x.npz': ...}."""
+        top = module.partition(".")[0]
+        root = package_folder(top)
+        found: dict[str, str] = {}
+        seen: set[str] = set()
+        open_ = [module]
+        for name in open_:
+            path = module_file(root, name) if name.partition(".")[0] == top else None
+            if path is None or name in seen:
+                continue
+            seen.add(name)
+            facts = self.read(name, path)
+            found[name] = facts["digest"]
+            open_ += [*parents(name), *facts["imports"]]
+            for data in facts["names"]:
+                if file := self.data_files(root).get(Path(data).name):
+                    found[file.relative_to(root.parent).as_posix()] = file_digest(file)
+        return dict(sorted(found.items()))
+
+    def read(self, name: str, path: Path) -> dict[str, Any]:
+        """What one module is (digest), what it imports, and which files it may name."""
+        source = path.read_bytes()
+        text = hashlib.sha256(f"{name} {path.name}\0".encode() + source).hexdigest()
+        if text not in self.used:
+            self.used[text] = self.known.get(text) or look_into(source, name, path.name == "__init__.py")
+        return self.used[text]
+
+    def data_files(self, root: Path) -> dict[str, Path]:
+        """The files of a package that are not code, by name."""
+        key = str(root)
+        if key not in self.files:
+            every = files_under(root).values()
+            self.files[key] = {p.name: p for p in every if p.suffix not in (".py", ".pyc", ".pyi")}
+        return self.files[key]
+
+    def save(self) -> None:
+        """Write what was learned, if anything was; a folder that cannot be written costs time, not correctness."""
+        if self.memory is None or set(self.used) <= set(self.known):
+            return
+        modules = {**self.known, **self.used} if len(self.known) < REMEMBERED else self.used
+        part = self.memory.with_name(f"{self.memory.name}.{os.getpid()}")
+        try:
+            part.write_text(json.dumps({"format": FORMAT, "modules": modules}))
+            os.replace(part, self.memory)
+        except OSError:
+            part.unlink(missing_ok=True)
+
+
+def package_folder(top: str) -> Path:
+    """The folder of a top-level package, found without importing it."""
+    spec = importlib.util.find_spec(top)
+    if spec is None or not spec.submodule_search_locations:
+        raise ModuleNotFoundError(f"no package {top}", name=top)
+    return Path(next(iter(spec.submodule_search_locations)))
+
+
+def module_file(root: Path, name: str) -> Path | None:
+    """The file of a dotted name under a package's folder, or None: an attribute, not a module."""
+    path = root.joinpath(*name.split(".")[1:])
+    for file in (path / "__init__.py", path.with_name(f"{path.name}.py")):
+        if file.is_file():
+            return file
+    return None
+
+
+def parents(name: str) -> list[str]:
+    """'a.b.c' -> ['a', 'a.b']: importing a module runs its packages too."""
+    parts = name.split(".")
+    return [".".join(parts[:i]) for i in range(1, len(parts))]
+
+
+def look_into(source: bytes, name: str, is_package: bool) -> dict[str, Any]:
+    """Digest, imports and named files of one module's source."""
+    tree = ast.parse(source)
+    package = name if is_package else name.rpartition(".")[0]
+    imports: set[str] = set()
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imports.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*above, *([base] if base else [])])
+            imports.add(base)
+            imports.update(f"{base}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            if MODULE_NAME.fullmatch(node.value):
+                imports.add(node.value)  # importlib.import_module("stages.x")
+            if FILE_NAME.fullmatch(node.value):
+                names.add(node.value)
+    top = name.partition(".")[0]
+    own = sorted(i for i in imports if i == top or i.startswith(f"{top}."))
+    tokens: list[str] = []
+    flatten(tree, tokens)
+    return {"digest": digest(tokens), "imports": own, "names": sorted(names)}
+
+
+def flatten(node: Any, tokens: list[str]) -> None:
+    """Write a syntax tree as a list of words; statements that are only a string (docstrings) leave no trace."""
+    if isinstance(node, ast.AST):
+        tokens.append(f"({type(node).__name__}")
+        for field, value in ast.iter_fields(node):
+            if value is not None and value != [] and field not in ("ctx", "type_comment", "kind"):
+                tokens.append(field)
+                flatten(value, tokens)
+        tokens.append(")")
+    elif isinstance(node, list):
+        for item in node:
+            if not (isinstance(item, ast.Expr) and is_text(item.value)):
+                flatten(item, tokens)
+        tokens.append(";")
+    else:
+        tokens.append(repr(node))
+
+
+def is_text(node: ast.AST) -> bool:
+    """True for a plain string literal."""
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)

@@ -1,0 +1,212 @@
+"""pipelines.yaml -> a checked Pipeline: known keys, known settings, needs that match what each stage takes."""
+
+from __future__ import annotations
+
+import graphlib
+import importlib
+import inspect
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from stages.contract import Params, StageError
+
+FILE = Path(__file__).parents[1] / "pipelines.yaml"
+SOURCES = {"video": "VIDEO", "mask_files": "--masks", "smpl_fit": "--smpl-fit", "body_model": "--body-model"}
+PIPELINE_KEYS = ("doc", "extends", "stages")
+STAGE_KEYS = ("needs", "module", "params")
+NAME = re.compile(r"[a-z][a-z0-9_]*")
+RESERVED = ("store",)  # a folder beside the pipelines' folders
+
+
+class UsageError(StageError):
+    """What was asked for cannot be understood or found: exit code 2."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of one pipeline: its module, what it needs, and its checked settings."""
+
+    name: str
+    module: str
+    needs: tuple[str, ...]
+    params: Params
+    resumes: bool
+    doc: str
+
+    def settings(self, speed_only: bool = False) -> dict[str, Any]:
+        """The settings that make the result (or those that only change speed), as plain JSON values."""
+        chosen = {
+            name
+            for name, info in type(self.params).model_fields.items()
+            if bool((info.json_schema_extra or {}).get("speed_only")) == speed_only
+        }
+        return self.params.model_dump(mode="json", include=chosen)
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """Stages by name, in an order that runs every stage after what it needs."""
+
+    name: str
+    doc: str
+    stages: dict[str, Stage]
+
+    def upstream(self, wanted: Iterable[str]) -> list[str]:
+        """The wanted stages and everything they need, in running order; UsageError for an unknown name."""
+        found, open_ = set(), list(wanted)
+        for name in open_:
+            if name not in self.stages:
+                raise unknown("stage", name, self.stages, f"pipeline {self.name}")
+            if name not in found:
+                found.add(name)
+                open_ += [need for need in self.stages[name].needs if need in self.stages]
+        return [name for name in self.stages if name in found]
+
+
+def load(name: str, overrides: Iterable[str] = (), file: Path = FILE) -> Pipeline:
+    """Read one pipeline, apply `stage.param=value` overrides, and check it all; UsageError says what is wrong."""
+    entry = merged(name, read_yaml(file), file)
+    stages = entry["stages"]
+    for override in overrides:
+        stage, param, value = parse_override(override)
+        if stage not in stages:
+            raise unknown("stage", stage, stages, f"--set {override}")
+        stages[stage]["params"][param] = value
+    checked = {stage: check_stage(stage, stages[stage], stages, name) for stage in running_order(stages, name)}
+    return Pipeline(name, entry["doc"], checked)
+
+
+def names(file: Path = FILE) -> dict[str, str]:
+    """Every pipeline of the file with its one-line description."""
+    return {name: str((entry or {}).get("doc", "")) for name, entry in read_yaml(file).items()}
+
+
+def read_yaml(file: Path) -> dict[str, Any]:
+    """The file as a mapping of pipelines; UsageError if it is missing or no such mapping."""
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        content = yaml.load(file.read_text(encoding="utf-8"), loader)
+    except OSError as error:
+        raise UsageError(f"cannot read {file}", "give the file with `--pipelines`", [str(error.strerror)]) from error
+    except yaml.YAMLError as error:
+        raise UsageError(f"{file} is not valid YAML", "mend the line named above", str(error).splitlines()) from error
+    if not isinstance(content, dict):
+        raise UsageError(f"{file} holds no pipelines", "it maps a pipeline's name to doc, extends and stages")
+    return content
+
+
+def merged(name: str, content: dict[str, Any], file: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """One pipeline with what it extends folded in: stage by stage, setting by setting; `stage: null` leaves one out."""
+    if name not in content:
+        raise unknown("pipeline", name, content, file.name)
+    if name in seen:
+        raise UsageError(f"pipeline {name} extends itself", f"look at {file.name}", [" -> ".join((*seen, name))])
+    if not NAME.fullmatch(name) or name in RESERVED:
+        raise UsageError(f"{name!r} cannot name a pipeline", "use small letters, digits and _; not `store`")
+    entry = content[name]
+    where = f"pipeline {name}"
+    check_keys(entry, PIPELINE_KEYS, where)
+    base = merged(entry["extends"], content, file, (*seen, name))["stages"] if "extends" in entry else {}
+    stages = dict(base)
+    for stage, own in check_keys(entry.get("stages", {}), None, f"{where}, stages").items():
+        if own is None:
+            stages.pop(stage, None)
+            continue
+        check_keys(own, STAGE_KEYS, f"{where}, stage {stage}")
+        old = stages.get(stage, {"needs": None, "module": f"stages.{stage}", "params": {}})
+        params = {**old["params"], **check_keys(own.get("params", {}), None, f"{where}, stage {stage}, params")}
+        stages[stage] = {**old, **own, "params": params}
+    copied = {stage: {**value, "params": dict(value["params"])} for stage, value in stages.items()}
+    return {"doc": str(entry.get("doc", "")), "stages": copied}
+
+
+def check_keys(value: Any, allowed: tuple[str, ...] | None, where: str) -> dict[str, Any]:
+    """The value if it is a mapping of allowed keys, else UsageError with the nearest allowed key."""
+    if not isinstance(value, dict):
+        raise UsageError(f"{where}: a mapping is needed, not {value!r}", "see the other pipelines for the form")
+    for key in value if allowed else ():
+        if key not in allowed:
+            raise unknown("key", str(key), allowed, where)
+    return value
+
+
+def running_order(stages: dict[str, Any], pipeline: str) -> list[str]:
+    """Stages after what they need, otherwise in the order of the file; UsageError for unknown needs and cycles."""
+    for stage, entry in stages.items():
+        if not isinstance(entry["needs"], list):
+            raise UsageError(f"pipeline {pipeline}, stage {stage}: needs is missing", "give it as `needs: [video]`")
+        for need in entry["needs"]:
+            if need not in stages and need not in SOURCES:
+                raise unknown("need", str(need), [*stages, *SOURCES], f"pipeline {pipeline}, stage {stage}")
+    graph = graphlib.TopologicalSorter({s: [n for n in e["needs"] if n in stages] for s, e in stages.items()})
+    try:
+        graph.prepare()
+    except graphlib.CycleError as error:
+        circle = " -> ".join(error.args[1])
+        raise UsageError(f"pipeline {pipeline}: stages need each other in a circle", "break it", [circle]) from error
+    order: list[str] = []
+    ready: list[str] = []
+    position = {stage: i for i, stage in enumerate(stages)}
+    while graph.is_active():
+        ready = sorted([*ready, *graph.get_ready()], key=position.__getitem__)
+        order.append(ready.pop(0))
+        graph.done(order[-1])
+    return order
+
+
+def check_stage(name: str, entry: dict[str, Any], stages: dict[str, Any], pipeline: str) -> Stage:
+    """Import a stage's (light) module, compare `needs` with the keywords of run(), and check the settings."""
+    where = f"pipeline {pipeline}, stage {name}"
+    try:
+        module = importlib.import_module(entry["module"])
+    except ModuleNotFoundError as error:
+        if not error.name or not f"{entry['module']}.".startswith(f"{error.name}."):
+            raise
+        raise UsageError(f"{where}: there is no module {entry['module']}", "write it, or mend `module:`") from error
+    keywords = list(inspect.signature(module.run).parameters.values())
+    takes = [p.name for p in keywords if p.kind is p.KEYWORD_ONLY]
+    if set(takes) != set(entry["needs"]):
+        facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(takes)}"]
+        raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "make them the same", facts)
+    for param in entry["params"]:
+        if param not in module.Params.model_fields:
+            raise unknown("setting", str(param), module.Params.model_fields, where)
+    try:
+        params = module.Params(**entry["params"])
+    except ValidationError as error:
+        facts = [
+            f"{name}.{'.'.join(map(str, e['loc']))}: {e['msg'][0].lower()}{e['msg'][1:]}, got {e['input']!r}"
+            for e in error.errors(include_url=False)
+        ]
+        raise UsageError(f"{where}: settings are not valid", f"`hugs stages {name}` lists them", facts) from error
+    doc = inspect.getdoc(module.run) or inspect.getdoc(module) or ""
+    resumes = bool(getattr(module, "RESUMES", False))
+    return Stage(name, entry["module"], tuple(entry["needs"]), params, resumes, doc.splitlines()[0] if doc else "")
+
+
+def parse_override(text: str) -> tuple[str, str, Any]:
+    """`stage.param=value` -> its parts, the value read as YAML."""
+    target, equals, value = text.partition("=")
+    stage, dot, param = target.strip().partition(".")
+    if not (equals and dot and stage and param):
+        raise UsageError(f"--set {text} is not understood", "write `--set stage.param=value`")
+    try:
+        return stage, param, yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise UsageError(f"--set {text}: the value is not understood", "quote it for the shell") from error
+
+
+def unknown(kind: str, name: str, allowed: Iterable[str], where: str) -> UsageError:
+    """The error for a name that is not one of those allowed, with the nearest one as its hint."""
+    from difflib import get_close_matches
+
+    allowed = list(allowed)
+    near = get_close_matches(name, allowed, n=1)
+    hint = f"did you mean `{near[0]}`?" if near else f"one of: {', '.join(allowed)}" if allowed else "there are none"
+    return UsageError(f"{where}: no {kind} {name!r}", hint)

@@ -1,0 +1,22 @@
+"""Shared by all tests: where the real clips lie, and the markers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """`slow` sorts tests of more than 5 s; it leaves none out."""
+    config.addinivalue_line("markers", "slow: takes more than 5 s")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real clips; the test is skipped, with the reason printed, where it is absent."""
+    if not DATA.is_dir():
+        pytest.skip(f"no real clips at {DATA}")
+    return DATA
