@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import shutil
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -67,6 +65,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     from stages.avatar import lens
     from stages.estimators import colmap
     from stages.formats.cameras import Cameras, write_cameras
+    from stages.formats.undistorted import write_undistorted
 
     listing = json.loads((frames / "frames.json").read_text())
     names = [frame["name"] for frame in listing["frames"]]
@@ -84,7 +83,10 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     if shift >= NO_SHIFT:
         pinhole = lens.pinhole_focal(solution.focal, np.array(solution.center), solution.k, width, height)
     K = np.array([[pinhole, 0, width / 2], [0, pinhole, height / 2], [0, 0, 1.0]])
-    write_pictures(job, solution, frames, masks, pinhole, width, height, shift >= NO_SHIFT)
+    center = np.array(solution.center)
+    grid = lens.remap_grid(solution.focal, center, solution.k, pinhole, width, height) if shift >= NO_SHIFT else None
+    for done in write_undistorted(frames, masks, job.out, solution.names, grid):
+        job.progress(85 + 14 * done // len(solution.names), 100)
     Ks = np.tile(K, (len(solution.names), 1, 1))
     write_cameras(job.out / "cameras.npz", Cameras(tuple(solution.names), solution.viewmats, Ks, width, height))
     sparse = job.out / "sparse"
@@ -268,40 +270,6 @@ def write_ignored(names: list[str], masks: Path, out: Path, side: int) -> None:
     for name in names:
         person = (read_mask(masks / "masks" / f"{name}.png") >= PERSON).astype(np.uint8)
         write_mask(out / f"{name}.png", 255 * (1 - cv2.dilate(person, brush)))
-
-
-def write_pictures(
-    job: Job, solution: Solution, frames: Path, masks: Path, pinhole: float, width: int, height: int, resample: bool
-) -> None:
-    """Undistort frames and masks to the centred pinhole camera, or link them where the lens moves nothing."""
-    import cv2
-    import numpy as np
-
-    from stages.avatar.lens import remap_grid
-    from stages.formats.images import read_image, read_mask, write_image, write_mask
-
-    for kind in ("images", "masks"):
-        (job.out / kind).mkdir()
-    grid = remap_grid(solution.focal, np.array(solution.center), solution.k, pinhole, width, height)
-    for i, name in enumerate(solution.names):
-        image, mask = (Path("images") / f"{name}.png", Path("masks") / f"{name}.png")
-        if resample:
-            seen = cv2.remap(read_image(frames / image), *grid, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            person = cv2.remap(read_mask(masks / mask), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            write_image(job.out / image, seen)
-            write_mask(job.out / mask, person)
-        else:
-            link(frames / image, job.out / image)
-            link(masks / mask, job.out / mask)
-        job.progress(85 + 14 * (i + 1) // len(solution.names), 100)
-
-
-def link(source: Path, target: Path) -> None:
-    """Hard link `source` as `target`, or copy it where the file system cannot link."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copy2(source, target)
 
 
 def write_points(job: Job, solution: Solution, K: np.ndarray) -> dict:

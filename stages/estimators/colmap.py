@@ -77,7 +77,7 @@ def extract(database: Path, images: Path, masks: Path, files: list[str], feature
 def match(database: Path, overlap: int, growing: bool) -> None:
     """Match and verify each frame with the next `overlap` frames, or, if `growing`, with those 1, 2, 4, 8 ... later."""
     matching = pycolmap.FeatureMatchingOptions()
-    matching.use_gpu = False
+    matching.use_gpu, matching.num_threads = False, 1  # two threads find other matches from run to run, and no faster
     pairing = pycolmap.SequentialPairingOptions()
     pairing.overlap, pairing.quadratic_overlap = overlap, growing
     verification = pycolmap.TwoViewGeometryOptions()

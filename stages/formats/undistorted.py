@@ -1,0 +1,44 @@
+"""images/ and masks/ of the sfm stage: the frames as a pinhole camera would have taken them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from stages.formats.images import read_image, read_mask, write_image, write_mask
+
+
+def write_undistorted(
+    frames: Path, masks: Path, out: Path, names: list[str], grid: tuple[np.ndarray, np.ndarray] | None
+) -> Iterator[int]:
+    """Write `names` from frames/images and masks/masks to `out`, sampled at `grid`, yielding how many are done.
+
+    `grid` is (x, y) [H,W] float32 as cv2.remap wants it: centre of the first pixel at (0, 0). None links the files
+    unchanged. Colours are sampled bicubically, masks bilinearly; a sample outside the image takes its nearest pixel.
+    """
+    for kind in ("images", "masks"):
+        (out / kind).mkdir()
+    for done, name in enumerate(names, 1):
+        image, mask = Path("images", f"{name}.png"), Path("masks", f"{name}.png")
+        if grid is None:
+            link(frames / image, out / image)
+            link(masks / mask, out / mask)
+        else:
+            sampled = cv2.remap(read_image(frames / image), *grid, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            person = cv2.remap(read_mask(masks / mask), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            write_image(out / image, sampled)
+            write_mask(out / mask, person)
+        yield done
+
+
+def link(source: Path, target: Path) -> None:
+    """Hard link `source` as `target`, or copy it where the file system cannot link."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
