@@ -59,7 +59,9 @@ def go(
         show(console, judge.all(wanted, forced), as_json)
         return
     video, workspace = judge.sources["video"], judge.workspace
-    console.header(video.name, clip_facts(workspace), f"pipeline {judge.pipeline.name}", relative(workspace.root))
+    judge.check_sources()
+    workspace.create()
+    console.header(video.name, clip_facts(workspace), judge.pipeline.name, relative(workspace.root))
     ran = engine.run(judge, wanted, forced, device.value, console)
     path = workspace.links / (stages or wanted)[-1]
     path = path / "report.html" if path.name == "report" else path
@@ -110,7 +112,8 @@ def list_stages(
     chosen = [loaded.stages[name] for name in stages or loaded.stages]
     if as_json:
         rows = [
-            {"stage": s.name, "needs": s.needs, "doc": s.doc, "params": s.params.model_dump("json")} for s in chosen
+            {"stage": s.name, "needs": s.needs, "doc": s.doc, "params": s.params.model_dump(mode="json")}
+            for s in chosen
         ]
         console.result(json.dumps({"pipeline": pipeline, "doc": loaded.doc, "stages": rows}, indent=1))
         return
@@ -128,6 +131,8 @@ def list_stages(
 def accept(judge: Judge, stages: Stages = None) -> None:
     """Take present results as fresh although code has changed, because you know that the change does not alter them."""
     judge.pipeline.upstream(stages or [])  # refuses unknown names
+    judge.check_sources()
+    judge.workspace.create()
     console = Console()
     for name, (verdict, taken) in engine.accept(judge, stages or list(judge.pipeline.stages), console).items():
         if taken:

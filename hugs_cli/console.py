@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from hugs_cli.child import Outcome
 from hugs_cli.engine import StageFailed
-from hugs_cli.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Verdict
+from hugs_cli.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
 from hugs_cli.workspace import Stamp
 from stages.contract import StageError
 
@@ -70,12 +70,9 @@ def number(name: str, value: Any) -> str:
 def reasons_text(reasons: tuple[Reason, ...]) -> str:
     """Reasons of a re-run on one line; many edited modules are counted."""
     code = [reason for reason in reasons if isinstance(reason, CodeChanged)]
-    texts = [str(reason) for reason in reasons if not isinstance(reason, CodeChanged)]
-    if len(code) > 2:
-        texts.append(f"{code[0]} and {len(code) - 1} more")
-    else:
-        texts += map(str, code)
-    return ", ".join(texts)
+    counted = code[1:] if len(code) > 2 else []
+    texts = [str(reason) for reason in reasons if reason not in counted]
+    return ", ".join([*texts, *([f"and {len(counted)} modules more"] if counted else [])])
 
 
 @dataclass
@@ -142,9 +139,9 @@ class Console:
         self.clear()
         print(text, file=self.err, flush=True)
 
-    def header(self, *parts: str) -> None:
+    def header(self, clip: str, facts: str, pipeline: str, folder: str) -> None:
         """The first line of a run."""
-        self.say("   ".join(part for part in parts if part))
+        self.say(f"{clip}  {facts}".rstrip() + f"   pipeline {pipeline}   {folder}")
 
     def row(self, stage: str, state: str, seconds: str, text: str) -> str:
         """Stage, state, time, text in columns."""
@@ -287,6 +284,8 @@ def why_line(reason: Reason) -> str:
             return f"{'inputs':<9}{name:<22} {how} since"
         case SeedChanged(old, new):
             return f"{'seed':<9}{'':<22} {old} -> {new}"
+        case Upstream(stages):
+            return f"{'after':<9}{', '.join(stages):<22} would run first"
     return str(reason)
 
 

@@ -61,8 +61,6 @@ class RunStopped(Exception):
 def run(judge: Judge, wanted: list[str], forced: frozenset[str], device: str, watcher: Watcher) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
     stage that does not finish. What was finished before stays."""
-    judge.check_sources()
-    judge.workspace.create()
     done: dict[str, Verdict] = {}
     ran: list[Ran] = []
     with judge.workspace.lock(watcher.waiting) as lock:
@@ -197,8 +195,6 @@ def failure(stage: Stage, outcome: Outcome, log: Path) -> Exception:
 def accept(judge: Judge, wanted: list[str], watcher: Watcher) -> dict[str, tuple[Verdict, bool]]:
     """Take present results as made by the present code, where nothing but code has changed; returns each wanted
     stage's verdict and whether it was accepted. The result's folder and stamp get the new key, its content stays."""
-    judge.check_sources()
-    judge.workspace.create()
     found: dict[str, Verdict] = {}
     said: dict[str, tuple[Verdict, bool]] = {}
     with judge.workspace.lock(watcher.waiting):

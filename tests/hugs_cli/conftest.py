@@ -8,7 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -129,6 +129,15 @@ class Flow:
 def flow(tmp_path: Path) -> Flow:
     """A fresh clip and package."""
     return Flow(tmp_path)
+
+
+@pytest.fixture
+def importable(flow: Flow, monkeypatch: pytest.MonkeyPatch) -> Iterator[Flow]:
+    """A fresh clip and package that this process can import."""
+    monkeypatch.syspath_prepend(str(flow.folder))
+    yield flow
+    for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
+        del sys.modules[name]
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 30.0) -> None:

@@ -8,6 +8,7 @@ import signal
 import time
 
 import pytest
+
 from tests.hugs_cli.conftest import NEEDS, wait_for
 
 ALL = list(NEEDS)
@@ -147,8 +148,7 @@ def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
     assert [(line["stage"], line["result"]) for line in lines] == [("one", "done"), ("two", "killed")]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("stage", ["two", "three"])
+@pytest.mark.parametrize(("number", "stage"), [(signal.SIGTERM, "two"), (signal.SIGINT, "three")])
 def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, stage):
     run = flow.start("--set", f"{stage}.delay=30")
     wait_for(lambda: list(flow.store.glob(f"{stage}-*.part/step1")))

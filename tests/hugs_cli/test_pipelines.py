@@ -1,0 +1,105 @@
+"""pipelines.yaml: what is refused and how it is said; and the real file against the real stages."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hugs_cli import pipelines
+from hugs_cli.pipelines import SOURCES, UsageError, load
+
+REAL = yaml.safe_load(pipelines.FILE.read_text())
+HEAVY = ("torch", "cv2", "pycolmap", "numpy", "scipy", "numba", "av", "OpenImageIO", "trimesh")
+
+
+@pytest.fixture
+def refused(importable):
+    """Loads the flow's default pipeline after a change of the file's text; the error it gives."""
+    flow = importable
+    file = flow.folder / "pipelines.yaml"
+
+    def change(old: str = "", new: str = "", name: str = "default", overrides: tuple[str, ...] = ()) -> UsageError:
+        text = file.read_text()
+        assert old in text
+        file.write_text(text.replace(old, new, 1))
+        with pytest.raises(UsageError) as caught:
+            load(name, overrides, file)
+        return caught.value
+
+    return change
+
+
+def test_a_pipeline_is_read_in_running_order_with_what_it_extends(importable):
+    file = importable.folder / "pipelines.yaml"
+    other = load("other", ["two.word=b", "four.delay=2"], file)
+    assert list(other.stages) == ["one", "two", "three", "four"]
+    assert other.stages["four"].settings() == {"word": "z"}
+    assert other.stages["four"].settings(speed_only=True) == {"delay": 2.0}
+    assert other.stages["two"].params.word == "b" and other.stages["three"].resumes
+    assert load("default", (), file).stages["four"].settings() == {"word": "a"}  # what extends it changes nothing here
+    assert other.upstream(["two"]) == ["one", "two"]
+    assert pipelines.names(file) == {"default": "Four.", "other": "Another."}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem", "hint"),
+    [
+        ("doc: Four.", "docs: Four.", "pipeline default: no key 'docs'", "did you mean `doc`?"),
+        ("{needs: [video]", "{need: [video]", "pipeline default, stage one: no key 'need'", "did you mean `needs`?"),
+        ("[video]", "[vidoe]", "pipeline default, stage one: no need 'vidoe'", "did you mean `video`?"),
+        ("module: flow.two", "module: flow.tow", "pipeline default, stage two: there is no module flow.tow", "write"),
+        ("[two, three]", "[two]", "stage four: needs and flow.four.run() differ", "make them the same"),
+        ("[video]", "[four]", "pipeline default: stages need each other in a circle", "break it"),
+        ("flow.one}", "flow.one, params: {wrod: b}}", "pipeline default, stage one: no setting 'wrod'", "`word`?"),
+        ("flow.one}", "flow.one, params: {delay: x}}", "stage one: settings are not valid", "`hugs stages one`"),
+        ("doc: Four.", "extends: default", "pipeline default extends itself", "look at pipelines.yaml"),
+        ("  stages:\n", "  stages: [\n", "is not valid YAML", "mend"),
+        ("needs: [video], ", "", "pipeline default, stage one: needs is missing", "needs: [video]"),
+    ],
+)
+def test_what_is_wrong_is_refused_and_named(refused, old, new, problem, hint):
+    error = refused(old, new)
+    assert problem in error.problem and hint in error.hint
+
+
+def test_wrong_overrides_and_names_are_refused(refused):
+    assert "did you mean `default`?" in refused(name="defualt").hint
+    assert "did you mean `word`?" in refused(overrides=("one.wort=b",)).hint
+    assert "did you mean `three`?" in refused(overrides=("tree.word=b",)).hint
+    assert "`--set stage.param=value`" in refused(overrides=("word=b",)).hint
+    error = refused(overrides=("one.delay=soon",))
+    assert error.facts == ("one.delay: input should be a valid number, unable to parse string as a number, got 'soon'",)
+
+
+def test_an_error_inside_a_stage_module_is_not_called_a_missing_module(importable):
+    importable.write("two", "import no_such_library\n")
+    with pytest.raises(ModuleNotFoundError, match="no_such_library"):
+        load("default", (), importable.folder / "pipelines.yaml")
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_needs_equal_what_each_stage_takes(name):
+    for stage in load(name).stages.values():
+        keywords = inspect.signature(importlib.import_module(stage.module).run).parameters
+        takes = [p.name for p in keywords.values() if p.kind is p.KEYWORD_ONLY]
+        assert set(takes) == set(stage.needs), stage.name
+        assert list(keywords)[:2] == ["job", "params"]
+        assert all(need in SOURCES or need in load(name).stages for need in takes)
+        assert stage.doc, f"{stage.name} says nothing of what it does"
+
+
+@pytest.mark.parametrize("stage", REAL["default"]["stages"])
+def test_stage_modules_are_light_and_know_no_other_stage(stage):
+    code = f"import sys, stages.{stage}; print(*sys.modules)"
+    root = Path(pipelines.FILE).parent
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    loaded = done.stdout.split()
+    assert not set(HEAVY) & set(loaded)
+    others = {f"stages.{name}" for name in REAL["default"]["stages"]} - {f"stages.{stage}"}
+    assert not others & set(loaded)
