@@ -15,7 +15,7 @@ from stages.estimators import bodyfit_scale as scales
 from stages.estimators import bodyfit_terms as terms
 from stages.estimators.bodyfit_evidence import Evidence
 from stages.estimators.bodyfit_solve import Solver, State, World
-from stages.estimators.bodyfit_start import fill, place, start_pose
+from stages.estimators.bodyfit_start import continuous, fill_poses, place, start_pose
 from stages.formats.body_model import BodyModel
 from stages.formats.cameras import Cameras
 from stages.formats.poses import BodyPoses
@@ -93,44 +93,30 @@ def _solver(body, model, regressor, evidence, cameras, times, moving, frames, fl
 
 def _find_scale(solver, state, cameras, points, seen, moving):
     """Metres per SfM unit before the joint solve, how it was found, and the floor."""
-    if not moving:
-        return {"initial": 1.0, "how": "one fixed camera: the world is its frame, in metres"}, None
-    turn, centers = solver.world.turn.double().numpy(), cameras.centers[seen]
+    turn = solver.world.turn.double().numpy()
     with torch.no_grad():
         soles = solver.surface(state, solver.soles.flatten())[0]
         pixels = solver.pixels(soles).numpy()
         up = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
-    soles = soles.double().numpy() @ turn
-    found: dict[str, Any] = {}
-    floor = None
-    if points is not None and len(points):
-        height = solver.evidence.height
-        floor = scales.find_floor(points, cameras.viewmats[seen], cameras.Ks[seen], pixels, height, up)
-    on_floor = scales.floor_scale(floor, soles, centers) if floor is not None else None
-    feet = soles.reshape(len(seen), 2, -1, 3).mean(2)
-    still = scales.still_scale(feet, centers, solver.world.times.double().numpy())
-    if still is not None:
-        found |= {"from_still_feet": still[0], "still_feet_error": still[1]}
-    if on_floor is not None:
-        found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
-        return found | {"how": "the feet stand on the floor's SfM points"}, floor
-    if still is not None:
-        return found | {"initial": still[0], "how": "standing feet do not slide while the camera moves"}, None
-    return found | {"initial": 1.0, "how": "not found: no floor and no standing foot"}, None
+    soles = (soles.double().numpy() @ turn).reshape(len(seen), 2, -1, 3)
+    times = solver.world.times.double().numpy()
+    views = scales.Views(cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times)
+    return scales.find_scale(views if moving else None, points, soles, pixels, solver.evidence.height, up)
 
 
 def _all_frames(solver, state, body, model, regressor, evidence, cameras, times, seen, floor):
     """Solver and state of all frames, from those of the seen ones; the others filled in between, in the world."""
-    whole = _solver(body, model, regressor, evidence, cameras, times, solver.world.moving, np.arange(len(times)), floor)
+    every = np.arange(len(times))
+    whole = _solver(body, model, regressor, evidence, cameras, times, solver.world.moving, every, floor)
     if len(seen) == len(times):
         return whole, state
-    turn, all_turn = solver.world.turn, whole.world.turn
-    place_world = solver.to_world(state, state.place[:, None], state.scale)[:, 0]
-    root_world = continuous(rotvec_from_matrix(turn.mT @ state.root).numpy().reshape(-1, 1, 3)).reshape(-1, 3)
-    filled = [fill(np.asarray(a, np.float64), times[seen], times) for a in (root_world, place_world, state.pose)]
-    root, spot, pose = (torch.tensor(a, dtype=torch.float32) for a in filled)
-    spot = (all_turn @ (spot - state.scale * whole.world.center)[..., None])[..., 0]
-    return whole, replace(state, root=all_turn @ matrix_from_rotvec(root), place=spot, pose=pose)
+    spot = solver.to_world(state, state.place[:, None], state.scale)[:, 0]
+    orient = rotvec_from_matrix(solver.world.turn.mT @ state.root)
+    filled = fill_poses(*(np.asarray(a, np.float64) for a in (orient, spot, state.pose)), times[seen], times)
+    orient, spot, pose = (torch.tensor(a, dtype=torch.float32) for a in filled)
+    turn = whole.world.turn
+    place = (turn @ (spot - state.scale * whole.world.center)[..., None])[..., 0]
+    return whole, replace(state, root=turn @ matrix_from_rotvec(orient), place=place, pose=pose)
 
 
 def _poses(solver: Solver, state: State, cameras: Cameras, confidence: np.ndarray) -> BodyPoses:
@@ -147,14 +133,3 @@ def _poses(solver: Solver, state: State, cameras: Cameras, confidence: np.ndarra
         confidence=confidence,
         world_from_sfm=state.scale,
     )
-
-
-def continuous(rotvecs: np.ndarray) -> np.ndarray:
-    """The same rotations [F,J,3] with each vector taken a whole turn further where that is nearer to the frame before."""
-    out = rotvecs.copy()
-    for i in range(1, len(out)):
-        angle = np.linalg.norm(out[i], axis=-1, keepdims=True)
-        other = out[i] - np.where(angle > 1e-6, out[i] / np.maximum(angle, 1e-6) * 2 * np.pi, 0)
-        nearer = np.linalg.norm(other - out[i - 1], axis=-1) < np.linalg.norm(out[i] - out[i - 1], axis=-1)
-        out[i] = np.where(nearer[:, None], other, out[i])
-    return out

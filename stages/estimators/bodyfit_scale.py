@@ -7,6 +7,7 @@ the body in metres from the camera (world axes), the point stands at f + s C: ev
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,47 @@ class Floor:
 
     def height(self, x: np.ndarray) -> np.ndarray:
         return x @ self.normal + self.offset
+
+
+@dataclass(frozen=True)
+class Views:
+    """Cameras of F frames: `viewmats` [F,4,4] and `centers` [F,3] in SfM units, `Ks` [F,3,3] px, `times` [F] s."""
+
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    centers: np.ndarray
+    times: np.ndarray
+
+
+def find_scale(
+    views: Views | None,
+    points: np.ndarray | None,
+    soles: np.ndarray,
+    pixels: np.ndarray,
+    height: np.ndarray,
+    up: np.ndarray,
+) -> tuple[dict[str, Any], Floor | None]:
+    """Metres per SfM unit (`initial`), `how` it was found with numbers, and the floor if there is one.
+
+    `views` None: one fixed camera. `soles` [F,2,S,3] m of both feet from the camera, world axes, seen at `pixels`
+    [F,2S,2]; `height` [F] px and mean `up` axis [3] of the person.
+    """
+    if views is None:
+        return {"initial": 1.0, "how": "one fixed camera: the world is its frame, in metres"}, None
+    found: dict[str, Any] = {}
+    still = still_scale(soles.mean(2), views.centers, views.times)
+    if still is not None:
+        found |= {"from_still_feet": still[0], "still_feet_error": still[1]}
+    floor = None
+    if points is not None:
+        floor = find_floor(points, views.viewmats, views.Ks, pixels, height, up)
+    on_floor = None if floor is None else floor_scale(floor, soles.reshape(len(soles), -1, 3), views.centers)
+    if floor is not None and on_floor is not None:
+        found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
+        return found | {"how": "the feet stand on the floor's SfM points"}, floor
+    if still is not None:
+        return found | {"initial": still[0], "how": "standing feet do not slide while the camera moves"}, None
+    return found | {"initial": 1.0, "how": "not found: no floor and no standing foot"}, None
 
 
 def find_floor(

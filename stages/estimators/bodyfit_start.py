@@ -72,10 +72,28 @@ def place(points: np.ndarray, xy: np.ndarray, weight: np.ndarray, K: np.ndarray)
     return shifts
 
 
-def fill(values: np.ndarray, known: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """`values` [M,...] at times `known` [M] s, at all `times` [F] s: straight lines between, held at both ends."""
-    columns = [np.interp(times, known, column) for column in values.reshape(len(values), -1).T]
-    return np.stack(columns, -1).reshape(len(times), *values.shape[1:])
+def fill_poses(
+    orient: np.ndarray, place: np.ndarray, pose: np.ndarray, known: np.ndarray, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """World root rotations [M,3], places [M,3] and pose [M,69] at times `known` [M] s, at all `times` [F] s.
+
+    Straight lines between neighbours, of rotation vectors that take the short way; held at both ends.
+    """
+    turns = continuous(np.concatenate([orient, pose], 1).reshape(len(known), -1, 3)).reshape(len(known), -1)
+    columns = [np.interp(times, known, column) for column in np.concatenate([turns, place], 1).T]
+    filled = np.stack(columns, -1)
+    return filled[:, :3], filled[:, -3:], filled[:, 3:-3]
+
+
+def continuous(rotvecs: np.ndarray) -> np.ndarray:
+    """The same rotations [F,J,3] with each vector taken a whole turn further where that is nearer to the frame before."""
+    out = rotvecs.copy()
+    for i in range(1, len(out)):
+        angle = np.linalg.norm(out[i], axis=-1, keepdims=True)
+        other = out[i] - np.where(angle > 1e-6, out[i] / np.maximum(angle, 1e-6) * 2 * np.pi, 0)
+        nearer = np.linalg.norm(other - out[i - 1], axis=-1) < np.linalg.norm(out[i] - out[i - 1], axis=-1)
+        out[i] = np.where(nearer[:, None], other, out[i])
+    return out
 
 
 def unit(v: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ import torch
 
 from stages.avatar.body import Body
 from stages.avatar.cameras import look_at, pinhole, project
-from stages.estimators.bodyfit_evidence import NAMES, STAND_INS, model_landmarks
 from stages.estimators.blazepose import Pose, Roi
+from stages.estimators.bodyfit_evidence import NAMES, STAND_INS, model_landmarks
 from stages.formats.body_model import BodyModel
 from stages.formats.cameras import Cameras
 

@@ -1,0 +1,199 @@
+"""frames, sfm (or an SMPL fit of another program) -> body.npz: one body through the clip, in metres in the SfM frame."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from stages import contract
+from stages.contract import Job, StageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stages.estimators.bodyfit_judge import Verdict
+    from stages.formats.body_model import BodyModel
+    from stages.formats.cameras import Cameras
+    from stages.formats.poses import BodyPoses
+
+STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
+FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
+SEEN_LEAST = 0.1  # share of the frames that must show a person
+
+
+class Params(contract.Params):
+    doubtful: float = Field(0.5, ge=0, le=1)
+    """Confidence under which a frame's pose is named as doubtful."""
+
+
+def run(
+    job: Job, params: Params, *, frames: Path, sfm: Path, smpl_fit: Path | None = None, body_model: Path | None = None
+) -> None:
+    """Write body.npz, body_model.npz, smpl.json, and landmarks.npz if the poses were estimated here.
+
+    Poses come from `smpl_fit`, or from BlazePose landmarks and the masks. Frames without a person are filled in between
+    their neighbours with confidence 0. Raises StageError if nearly no frame shows a person.
+    """
+    import numpy as np
+
+    from stages.estimators.bodyfit_judge import judge
+    from stages.formats.body_model import read_body_model, write_body_model
+    from stages.formats.cameras import read_cameras
+    from stages.formats.images import read_mask
+    from stages.formats.points import read_points
+    from stages.formats.poses import write_poses
+
+    model = read_body_model(body_model)
+    cameras = read_cameras(sfm / "cameras.npz")
+    masks = [read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names]
+    points = read_points(sfm / "points.ply")[0].astype(np.float64)
+    moving = json.loads((sfm / "sfm.json").read_text())["verdict"] == "moving"
+    listing = {frame["name"]: frame["time_s"] for frame in json.loads((frames / "frames.json").read_text())["frames"]}
+    times = np.array([listing[name] for name in cameras.names], np.float64)
+    if smpl_fit is not None:
+        poses, facts = imported(job, smpl_fit, model, cameras, times, points, moving)
+        verdict = judge(poses, model, cameras, times, masks)
+    else:
+        poses, facts, evidence, pixels = estimated(job, sfm, model, cameras, times, points, moving, masks)
+        verdict = judge(poses, model, cameras, times, masks, evidence, pixels)
+    poses = replace(poses, confidence=verdict.confidence)
+    write_poses(job.out / "body.npz", poses)
+    write_body_model(job.out / "body_model.npz", model)
+    warn_of_scale(job, facts["scale"])
+    facts = {**facts, **summary(job, params, poses, model, verdict)}
+    (job.out / "smpl.json").write_text(json.dumps(facts, indent=1) + "\n")
+
+
+def imported(
+    job: Job,
+    smpl_fit: Path,
+    model: BodyModel,
+    cameras: Cameras,
+    times: np.ndarray,
+    points: np.ndarray,
+    moving: bool,
+) -> tuple[BodyPoses, dict[str, Any]]:
+    """Poses read from another program's file."""
+    from stages.estimators.bodyfit_import import import_fit
+    from stages.formats.smpl_fits import read_smpl_fit
+
+    fit = read_smpl_fit(smpl_fit)
+    for note in fit.notes:
+        job.warn(note)
+    poses, scale = import_fit(fit, model, cameras, times, points, moving)
+    return poses, {"source": str(smpl_fit), "scale": scale}
+
+
+def estimated(
+    job: Job,
+    sfm: Path,
+    model: BodyModel,
+    cameras: Cameras,
+    times: np.ndarray,
+    points: np.ndarray,
+    moving: bool,
+    masks: list[np.ndarray],
+):
+    """Poses fitted to BlazePose landmarks and the masks; writes landmarks.npz. Also gives evidence and pixels."""
+    import numpy as np
+
+    from stages.estimators import bodyfit_evidence as evidences
+    from stages.estimators.blazepose import BlazePose
+    from stages.estimators.bodyfit import fit_body
+    from stages.formats.images import read_image
+
+    names, regressor = evidences.model_landmarks(model)
+    job.progress(0, 100)
+    tracks = BlazePose().track([read_image(sfm / "images" / f"{name}.png") for name in cameras.names])
+    job.progress(40, 100)
+    evidence, strangers = evidences.without_strangers(evidences.gather(tracks, names), masks)
+    evidence, swapped = evidences.with_sides_voted(evidence)
+    count = int(evidence.seen.sum())
+    if count < max(2, SEEN_LEAST * len(tracks)):
+        raise StageError(
+            f"a person was found in only {count} of {len(tracks)} frames",
+            "use a clip that shows one whole person, or give a fit of your own with --smpl-fit FIT.npz",
+            [f"{int(strangers.sum())} more frames showed somebody else than the masked person"],
+        )
+    blank = np.zeros((33, 6))
+    found = np.stack([blank if t is None else np.c_[t.xy, t.visibility, t.world] for t in tracks])
+    np.savez(
+        job.out / "landmarks.npz",
+        names=np.array(cameras.names),
+        xy=found[..., :2],
+        visibility=found[..., 2],
+        world=found[..., 3:],
+    )
+    named = lambda chosen: [n for n, c in zip(cameras.names, chosen, strict=True) if c]  # noqa: E731
+    if strangers.any():
+        job.warn(f"somebody else than the masked person was found in {_some(named(strangers))}; left out")
+    if swapped.any():
+        job.note(f"left and right exchanged in {_some(named(swapped))}")
+    shown = lambda done, total, cost: job.progress(40 + 55 * done // total, 100, cost=round(cost, 2))  # noqa: E731
+    fit = fit_body(model, regressor, evidence, cameras, times, masks, points, moving, shown)
+    facts = {
+        "source": "blazepose",
+        "scale": fit.scale,
+        "not_seen": named(~evidence.seen),
+        "strangers": named(strangers),
+        "sides_exchanged": named(swapped),
+    }
+    return fit.poses, facts, evidence, fit.pixels
+
+
+def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
+    """Say so where the size of the person against the scene is weakly known."""
+    if scale["how"].startswith("not found"):
+        job.warn(
+            "the size of the person against the scene is unknown: no floor under the feet, and no foot that stands"
+        )
+    elif scale.get("floor_spread", 0) > FLOOR_SPREAD:
+        job.warn(f"the feet meet the floor at scales that differ by {100 * scale['floor_spread']:.0f} %")
+
+
+def summary(job: Job, params: Params, poses: BodyPoses, model: BodyModel, verdict: Verdict) -> dict[str, Any]:
+    """What smpl.json says about the result, and the notes and warnings a user should see."""
+    import numpy as np
+
+    def mean(values: np.ndarray) -> float | None:
+        known = values[~np.isnan(values)]
+        return round(float(known.mean()), 4) if len(known) else None
+
+    shape = model.v_template + model.shapedirs @ poses.betas
+    stature = float(np.ptp(shape[:, 1]))
+    doubtful = [n for n, c in zip(poses.names, verdict.confidence, strict=True) if c < params.doubtful]
+    fast = [f"{n} ({joint})" for n, joint in zip(poses.names, verdict.fast, strict=True) if joint]
+    error, iou = mean(verdict.error_px), mean(verdict.iou)
+    told = [f"body {stature:.2f} m tall, {poses.world_from_sfm:.4g} m per SfM unit"]
+    told += [f"landmarks {error:.1f} px off"] if error is not None else []
+    told += [f"outline IoU {iou:.2f}"] if iou is not None else []
+    job.note(", ".join(told))
+    if doubtful:
+        job.warn(f"the body's pose is doubtful in {_some(doubtful)}")
+    if fast:
+        job.warn(f"the body jumps at {_some(fast)}")
+    if not STOCKY[0] < stature < STOCKY[1] or np.abs(poses.betas).max() > EXTREME_BETA:
+        job.warn(f"an unusual shape: {stature:.2f} m tall, betas up to {np.abs(poses.betas).max():.1f}")
+    rounded = lambda value: None if np.isnan(value) else round(float(value), 4)  # noqa: E731
+    each = zip(poses.names, verdict.error_px, verdict.iou, verdict.confidence, strict=True)
+    return {
+        "body_model": model.name,
+        "world_from_sfm": poses.world_from_sfm,
+        "stature_m": round(stature, 4),
+        "betas": [round(float(b), 4) for b in poses.betas],
+        "mean_error_px": error,
+        "mean_iou": iou,
+        "doubtful": doubtful,
+        "fast": fast,
+        "frames": {n: {"error_px": rounded(e), "iou": rounded(u), "confidence": rounded(c)} for n, e, u, c in each},
+    }
+
+
+def _some(names: list[str]) -> str:
+    """A few names and how many there are."""
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return f"{len(names)} frame{'s' if len(names) > 1 else ''}: {', '.join(names[:5])}{more}"
