@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 import signal
@@ -272,6 +273,12 @@ def main() -> None:
     except StageError as error:
         Console().error(error)
         sys.exit(2 if isinstance(error, UsageError) else 1)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES):
+            raise
+        hint = "`hugs gc` frees what nothing uses; `--work` chooses another folder"
+        Console().error(StageError(f"cannot write {error.filename or 'results'}: {error.strerror.lower()}", hint))
+        sys.exit(1)
 
 
 if __name__ == "__main__":

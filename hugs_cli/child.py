@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -91,7 +91,7 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
         job = {**job, "events": write, "path": sys.path}
         process.stdin.write(json.dumps(job).encode() + b"\n")
         process.stdin.flush()
-        for event in events(read, heard):
+        for event in events(read, process.pid, heard):
             if event["event"] in ("note", "warning"):
                 (outcome.notes if event["event"] == "note" else outcome.warnings).append(event["text"])
             elif event["event"] in ("done", "error", "crash", "stopped"):
@@ -116,11 +116,14 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
     return outcome
 
 
-def events(pipe: int, heard: Callable[[dict[str, Any]], None]):
-    """The events that come through a pipe, until its other end is closed."""
+def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> Iterator[dict[str, Any]]:
+    """The events that come through a pipe, until its other end is closed or the process is gone."""
     rest = b""
     while True:
         if not select.select([pipe], [], [], TICK)[0]:
+            # A worker that the stage left behind may hold the pipe open for ever.
+            if os.waitid(os.P_PID, process, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                return
             heard({})
             continue
         data = os.read(pipe, 65536)

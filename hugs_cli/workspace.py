@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -131,18 +131,17 @@ class Workspace:
         """Digest of a source's content, remembered while size and time of its files stay; None if not given."""
         if path is None:
             return None
-        notes = self.root / "sources.json"
-        known = json.loads(notes.read_bytes()) if notes.is_file() else {}
-        stat = fingerprint.stat_digest(path)
+        memory = self.root / "sources.json"
+        known, stat = read_json(memory), fingerprint.stat_digest(path)
         entry = known.get(name, {})
         if entry.get("path") == str(path) and entry.get("stat") == stat:
             return entry["sha256"]
         sha256 = fingerprint.content_digest(path)
-        if self.root.is_dir():
-            files = fingerprint.files_under(path).values()
-            size = sum(file.stat().st_size for file in files)
-            entry = {"path": str(path), "size": size, "files": len(files), "stat": stat, "sha256": sha256}
-            write_json(notes, {**known, name: entry})
+        files = fingerprint.files_under(path).values()
+        size = sum(file.stat().st_size for file in files)
+        entry = {"path": str(path), "size": size, "files": len(files), "stat": stat, "sha256": sha256}
+        with suppress(OSError):  # no folder yet, or one that may only be read: it costs time, not correctness
+            write_json(memory, {**known, name: entry})
         return sha256
 
     def log_run(self, **facts: Any) -> None:
@@ -216,6 +215,14 @@ def sync(path: Path) -> None:
 def size_of(folder: Path) -> int:
     """Bytes of all files under a folder."""
     return sum(file.lstat().st_size for file in folder.rglob("*") if file.is_file())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON file that is only a memory: empty where it is missing or broken."""
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
 
 
 def write_json(path: Path, value: Any) -> None:

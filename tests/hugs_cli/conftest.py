@@ -119,6 +119,14 @@ class Flow:
         """What a stage wrote."""
         return (self.work / "clip" / pipeline / stage / "out.txt").read_text()
 
+    @staticmethod
+    def wait_for(condition: Callable[[], object], seconds: float = 30.0) -> None:
+        """Wait until something is so; fails if it does not come to be."""
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, "waited in vain"
+            time.sleep(0.01)
+
     @property
     def store(self) -> Path:
         """The folder of results."""
@@ -138,11 +146,3 @@ def importable(flow: Flow, monkeypatch: pytest.MonkeyPatch) -> Iterator[Flow]:
     yield flow
     for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
         del sys.modules[name]
-
-
-def wait_for(condition: Callable[[], object], seconds: float = 30.0) -> None:
-    """Wait until something is so; fails if it does not come to be."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)

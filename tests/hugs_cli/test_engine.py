@@ -9,9 +9,7 @@ import time
 
 import pytest
 
-from tests.hugs_cli.conftest import NEEDS, wait_for
-
-ALL = list(NEEDS)
+ALL = ["one", "two", "three", "four"]
 WHOLE = "four:a(two:a(one:a(pixels)),three:a(one:a(pixels)))"
 
 
@@ -119,13 +117,13 @@ def test_pipelines_share_results(flow):
 def test_killed_inside_each_stage_and_run_again(flow, stage):
     slow = f"{stage}.delay=30"
     run = flow.start("--set", slow)
-    wait_for(lambda: list(flow.store.glob(f"{stage}-*.part/step1")))
+    flow.wait_for(lambda: list(flow.store.glob(f"{stage}-*.part/step0")))
     children = child_of(run.pid)
     run.kill()
     run.wait()
     before = {name for name in ALL if (flow.work / "clip/default" / name).exists()}
     assert stage not in before
-    wait_for(lambda: not any(map(alive, children)))  # the stage ends with its run
+    flow.wait_for(lambda: not any(map(alive, children)))  # the stage ends with its run
     assert not [folder for folder in flow.store.iterdir() if folder.name.startswith(stage) and folder.suffix != ".part"]
     ran = flow.ran("--set", f"{stage}.delay=0.05")
     assert set(ran) == set(ALL) - before
@@ -139,7 +137,7 @@ def test_killed_inside_each_stage_and_run_again(flow, stage):
 
 def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
     run = flow.start("--set", "two.delay=30")
-    wait_for(lambda: list(flow.store.glob("two-*.part/step1")))
+    flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
     os.kill(child_of(run.pid)[0], signal.SIGKILL)
     _, err = run.communicate(timeout=30)
     assert run.returncode == 1
@@ -151,7 +149,7 @@ def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
 @pytest.mark.parametrize(("number", "stage"), [(signal.SIGTERM, "two"), (signal.SIGINT, "three")])
 def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, stage):
     run = flow.start("--set", f"{stage}.delay=30")
-    wait_for(lambda: list(flow.store.glob(f"{stage}-*.part/step1")))
+    flow.wait_for(lambda: list(flow.store.glob(f"{stage}-*.part/step0")))
     asked = time.monotonic()
     run.send_signal(number)
     _, err = run.communicate(timeout=30)
@@ -164,8 +162,8 @@ def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, s
 
 def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
     first = flow.start("--set", "two.delay=1.5")
-    wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
-    out, err = flow.hugs("--set", "two.delay=1.5")
+    flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
+    _, err = flow.hugs("--set", "two.delay=1.5")
     assert f"waiting: process {first.pid} is working on this clip" in err
     assert err.count(" cached ") == 4
     _, err = first.communicate(timeout=30)
@@ -226,6 +224,13 @@ def test_a_stage_that_writes_nothing_or_dies_early_is_an_error(flow):
     flow.edit("two", "import os; os._exit(3)", "import os; os.abort()")
     _, err = flow.hugs(code=1)
     assert "error: stage two was killed by SIGABRT" in err
+
+
+def test_a_worker_that_a_stage_leaves_behind_does_not_hold_the_run(flow):
+    line = "import os, time\n    if os.fork() == 0:\n        time.sleep(60)\n        os._exit(0)\n    "
+    flow.edit("four", "from flow import helper", line + "from flow import helper")
+    flow.hugs()
+    assert flow.text("four") == WHOLE
 
 
 def test_status_why_and_dry_run_say_what_would_run(flow):
