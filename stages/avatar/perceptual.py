@@ -83,7 +83,5 @@ class Lpips(nn.Module):
 
 
 def _unit(features: Tensor) -> Tensor:
-    """Features [P,C,H,W] divided by their length over C; where all are 0 they stay 0, with a finite gradient."""
-    squared = features.square().sum(1, keepdim=True)
-    zero = squared == 0
-    return features / (torch.where(zero, 1.0, squared).sqrt().masked_fill(zero, 0.0) + EPS)
+    """Features [P,C,H,W] divided by their length over C; where all are 0 they stay 0 (norm's gradient there is 0)."""
+    return features / (features.norm(dim=1, keepdim=True) + EPS)
