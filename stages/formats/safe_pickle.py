@@ -94,8 +94,8 @@ class _ArraysOnly(pickle.Unpickler):
             return {"_reconstruct": _reconstruct, "scalar": scalar}[name]
         if module == "numpy" and name in ("ndarray", "dtype"):
             return getattr(np, name)
-        if module in ("__builtin__", "builtins") and name == "object":
-            return object
+        if module in ("__builtin__", "builtins") and name in ("object", "set", "frozenset"):
+            return {"object": object, "set": set, "frozenset": frozenset}[name]
         if module in ("copy_reg", "copyreg") and name == "_reconstructor":
             return _bare_object
         if module == "_codecs" and name == "encode":

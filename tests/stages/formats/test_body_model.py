@@ -69,7 +69,9 @@ def test_reads_an_old_smpl_pickle_without_chumpy(tmp_path, chumpy, protocol):
 
     sparse = csc_matrix(arrays["J_regressor"])
     old = dict(arrays, bs_type="lrotmin", bs_style="lbs")
-    old["shapedirs"] = made(chumpy.Ch, x=arrays["shapedirs"], _depends={}, dterms=())
+    state = {"_dirty_vars": {"x"}, "_itr": None, "_make_dense": False}  # what chumpy's own __getstate__ leaves
+    state["_depends_on_deps"] = {"J": {"deps": frozenset(["x"]), "value": None, "out_of_date": True}}
+    old["shapedirs"] = made(chumpy.Ch, x=arrays["shapedirs"], **state)
     order = np.arange(V * 3)[::-1]
     shuffled = made(chumpy.Ch, x=arrays["v_template"].ravel()[::-1].copy())
     old["v_template"] = made(chumpy.Select, a=shuffled, idxs=order, preferred_shape=(V, 3))
