@@ -1,0 +1,47 @@
+"""3D Gaussians to pixels: one signature, several makers. The torch reference is the specification."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from stages.avatar.rasterize import cache  # noqa: F401  (first: it names the folder of the compiled kernels)
+from stages.avatar.rasterize import cpu, reference  # isort: skip
+from stages.avatar.rasterize.rendering import Rendering
+
+__all__ = ["Rendering", "gaussian_axes", "rasterize"]
+
+
+def _fast(like: Tensor) -> bool:
+    return like.dtype == torch.float32 and like.device.type == "cpu"
+
+
+def gaussian_axes(quats: Tensor, scales: Tensor) -> Tensor:
+    """Scaled axes [N,3,3] (columns) of Gaussians with rotations quats[N,4] (w x y z, any length) and scales[N,3] m."""
+    return (cpu if _fast(quats) else reference).gaussian_axes(quats, scales)
+
+
+def rasterize(
+    means: Tensor,
+    axes: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    background: Tensor | None = None,
+    antialias: bool = False,
+    near: float = 0.01,
+) -> Rendering:
+    """Draw N Gaussians, nearest first (3DGS, Kerbl et al. 2023; thresholds of gsplat 1.5).
+
+    means[N,3] m; axes[N,3,3], whose columns are the scaled axes: the covariance is axes axes^T, so a Gaussian moved by
+    any linear blend needs no polar decomposition; opacities[N] in 0..1; colors[N,3]; viewmat[4,4] camera_from_world
+    with OpenCV axes; K[3,3] px, the first pixel centre at (0.5, 0.5); background[3], black if None. With `antialias`
+    opacity is lowered as the screen blur widens a Gaussian. Gaussians nearer than `near` m are not drawn.
+    Differentiable in means, axes, opacities, colors, viewmat and background. A row that is not finite is left out and
+    counted. Float32 on a CPU goes to the fast kernel, everything else to the reference.
+    """
+    maker = cpu if _fast(means) else reference
+    return maker.rasterize(means, axes, opacities, colors, viewmat, K, width, height, background, antialias, near)
