@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 RESUMES = True
 CHECKPOINT_SECONDS = 60
+PAINTED = 24  # frames from which the person's first colours are read
 JUDGED = 6  # held-out frames on the accuracy curve
 COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
 
@@ -101,8 +102,10 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     from stages.avatar.body import DA_POSE, Body
     from stages.avatar.fit import Fit
     from stages.avatar.human import HumanModel
+    from stages.avatar.paint import seen_colors
     from stages.avatar.scene import SceneModel, fill_points, scene_extent
     from stages.avatar.schedule import Options
+    from stages.avatar.sh import sh_from_rgb
     from stages.avatar.views import Person, Views
 
     generator = torch.Generator().manual_seed(job.seed)
@@ -142,6 +145,10 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         sh_degree=params.human_sh,
         generator=generator,
     )
+    seen = [i for i in train if present[i]]
+    colors, share = seen_colors(human, person, views, seen[:: max(1, len(seen) // PAINTED)])
+    human.sh_starts.copy_(sh_from_rgb(colors))
+    job.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
     extent = scene_extent(tensor(clip.viewmats).cpu(), tensor(clip.points).cpu())
     scene = None
     if decisions.get("scene", True) and len(clip.points):

@@ -127,7 +127,13 @@ class HumanModel(nn.Module):
     Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J].
     """
 
-    ROWS = ("frames", "log_sizes", "logits", "skin_logits")  # buffers with one row a Gaussian, besides `xyz`
+    ROWS = (
+        "frames",
+        "log_sizes",
+        "logits",
+        "sh_starts",
+        "skin_logits",
+    )  # buffers with one row a Gaussian, besides `xyz`
 
     def __init__(
         self,
@@ -152,6 +158,7 @@ class HumanModel(nn.Module):
         self.register_buffer("frames", rotation_z_to(vertex_normals(points, triangles)))
         self.register_buffer("log_sizes", torch.stack([half, half, 0.5 * half], 1).log())
         self.register_buffer("logits", torch.full_like(half, math.log(START_OPACITY / (1 - START_OPACITY))))
+        self.register_buffer("sh_starts", torch.zeros_like(points))
         self.register_buffer("skin_logits", TEMPERATURE * (weights + WEIGHT_FLOOR).log())
 
     def __len__(self) -> int:
@@ -167,7 +174,7 @@ class HumanModel(nn.Module):
             frames=self.frames @ matrix_from_6d(identity + out["turn"]),
             scales=(self.log_sizes + scale).exp(),
             opacities=torch.sigmoid(self.logits + out["opacity"]),
-            sh=out["sh"],
+            sh=torch.cat([self.sh_starts[:, None] + out["sh"][:, :1], out["sh"][:, 1:]], 1),
             weights=torch.softmax((self.skin_logits + out["skin"]) / TEMPERATURE, 1),
         )
         return person, self.triplane.outside(self.xyz)

@@ -55,12 +55,11 @@ def fill_points(
         pixels = local[:, :2] / local[:, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
         seen = (pixels > 0).all(1) & (pixels < [width, height]).all(1)
         pixels, inverse = pixels[seen], 1 / local[seen, 2]
-        if len(pixels) < 8:
+        free = np.flatnonzero(mask < 128)
+        if len(pixels) < 8 or len(free) == 0:
             continue
-        at = rng.random((share, 2)) * [width, height]
-        column, row = at.astype(int).T
-        free = mask[row, column] < 128
-        at, column, row = at[free], column[free], row[free]
+        row, column = np.divmod(rng.choice(free, share), width)
+        at = np.stack([column, row], 1) + rng.random((share, 2))
         w = LinearNDInterpolator(pixels, inverse)(at)
         beyond = ~np.isfinite(w)
         w[beyond] = NearestNDInterpolator(pixels, inverse)(at[beyond])

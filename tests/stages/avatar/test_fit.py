@@ -148,7 +148,7 @@ def test_a_gradient_that_is_not_finite_stays_in_its_row(clip):
 def test_a_loss_that_is_never_finite_stops_training(clip):
     fit = fit_of(clip)
     with torch.no_grad():
-        fit.scene.sh0.fill_(float("nan"))
+        fit.frames.gain.weight.fill_(float("nan"))
     with pytest.raises(FloatingPointError, match="20 steps in a row"):
         run(fit, 40)
 
