@@ -10,14 +10,14 @@ from hugs_cli.console import Console
 from hugs_cli.fingerprint import Code, digest
 from stages.contract import StageError
 
-MODULE = "stages.formats.synthetic_clip"
+MODULES = ("stages.avatar.synthetic", "stages.formats.synthetic_clip")
 
 
 def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
     """The path of the clip, written if it is not there yet; its truth lies in truth/ beside it."""
     folder = work / "clip" / "synthetic"
     video, note = folder / "clip.mp4", folder / "made.json"
-    made_of = digest([seed, Code().digests(MODULE)])
+    made_of = digest([seed, [Code().digests(module) for module in MODULES]])
     if video.is_file() and note.is_file() and json.loads(note.read_bytes()) == made_of:
         return video
     folder.mkdir(parents=True, exist_ok=True)
@@ -34,6 +34,8 @@ def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
 
 def write(folder: Path, seed: int) -> None:
     """In a process of its own, so that what it loads is gone afterwards."""
-    from stages.formats.synthetic_clip import write_synthetic_clip
+    from stages.avatar.synthetic import make_clip
+    from stages.formats.body_model import read_body_model
+    from stages.formats.synthetic_clip import write_clip
 
-    write_synthetic_clip(folder, seed)
+    write_clip(folder, make_clip(read_body_model(), seed=seed))

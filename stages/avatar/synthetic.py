@@ -1,0 +1,182 @@
+"""A clip whose truth is known: a dressed body moves in a textured room before a hand-held camera, all from one seed.
+
+The world is in metres with y up, the floor at y = 0 and the person at the origin. Cameras have OpenCV axes and are
+exact pinholes; the centre of the first pixel is at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from stages.avatar import synthetic_person as person
+from stages.avatar.body import Body, vertex_normals
+from stages.avatar.cameras import look_at, pinhole
+from stages.avatar.mesh_render import cast, fill
+from stages.avatar.synthetic_room import Room, make_room
+
+SUPERSAMPLE = 2
+DISTANCE, ARC = 2.55, 1.0
+"""The camera's distance from the person in m, and the angle of its path around them in rad."""
+FOCAL = 0.95
+"""Focal length in image heights: a field of view of 56 degrees."""
+LIGHT = np.array([0.3, 0.9, 0.32]) / np.linalg.norm([0.3, 0.9, 0.32])
+UP = np.array([0.0, 1.0, 0.0])
+
+Motion = Literal["moving", "static", "rotating"]
+
+
+@dataclass(frozen=True)
+class Views:
+    """V pictures of the person with everything that is true of them.
+
+    `images` [V,H,W,3] and `masks` [V,H,W] uint8 (255 = person, soft edges), `depths` [V,H,W] float32 z in metres at
+    the pixel centres, `viewmats` [V,4,4] camera_from_world, `Ks` [V,3,3] px, `global_orient` [V,3], `body_pose` [V,69]
+    rad, `transl` [V,3] m, `joints` [V,24,3] m in the world.
+    """
+
+    images: np.ndarray
+    masks: np.ndarray
+    depths: np.ndarray
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    global_orient: np.ndarray
+    body_pose: np.ndarray
+    transl: np.ndarray
+    joints: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+@dataclass(frozen=True)
+class SyntheticClip:
+    """The clip's `frames`, further views in `novel` poses that no frame shows, the body's `betas` [10], frame rate."""
+
+    frames: Views
+    novel: Views
+    betas: np.ndarray
+    fps: float
+
+
+def make_clip(
+    model: Any,
+    *,
+    seed: int = 0,
+    width: int = 384,
+    height: int = 512,
+    frames: int = 60,
+    fps: float = 12.0,
+    camera: Motion = "moving",
+    done: Callable[[int, int], None] = lambda done, total: None,
+) -> SyntheticClip:
+    """Make the clip of that seed; the same arguments give the same bytes.
+
+    `model` is a formats.body_model.BodyModel with keypoints. `camera`: "moving" goes around the person, "rotating"
+    only turns, "static" stands. `done` hears of pictures made and their number.
+    """
+    rng = np.random.default_rng(seed)
+    stage = _Stage(model, make_room(rng), rng.uniform(-0.8, 0.8, 10), pinhole(FOCAL * height, width, height))
+    viewmats = camera_path(frames, fps, camera, rng)
+    orient, pose = person.make_motion(frames, fps, rng)
+    novel_orient, novel_pose = person.novel_poses()
+    beside = novel_cameras(len(novel_pose))
+    total = frames + len(novel_pose)
+    clip = stage.views(viewmats, orient, pose, width, height, lambda n: done(n, total))
+    novel = stage.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
+    return SyntheticClip(clip, novel, stage.betas, fps)
+
+
+def camera_path(frames: int, fps: float, motion: Motion, rng: np.random.Generator) -> np.ndarray:
+    """viewmats [F,4,4] of a hand-held camera that goes around the origin, or only turns, or stands still."""
+    t = np.arange(frames) / fps
+    u = np.linspace(-0.5, 0.5, frames)
+    shake = np.stack([sum(np.sin(2 * np.pi * f * t + p) / f for f, p in _tones(rng)) for _ in range(7)], 1)
+    still = np.zeros((frames, 3))
+    angle = ARC * u if motion == "moving" else np.zeros(frames)
+    eye = np.stack([DISTANCE * np.sin(angle), 1.35 + 0.12 * np.sin(2.5 * u), DISTANCE * np.cos(angle)], 1)
+    eye[:, 2] -= 0.15 * np.cos(np.pi * u) if motion == "moving" else 0
+    eye = eye + 0.01 * shake[:, :3] if motion == "moving" else np.broadcast_to([0, 1.35, DISTANCE], still.shape)
+    target = np.broadcast_to([0, 0.93, 0], still.shape) + (0.012 * shake[:, 3:6] if motion != "static" else 0)
+    if motion == "rotating":
+        target = target + np.stack([0.9 * u, 0.2 * np.sin(6 * u), 0 * u], 1)
+    roll = 0.008 * shake[:, 6] if motion != "static" else np.zeros(frames)
+    up = UP + np.stack([np.sin(roll) * np.cos(angle), 0 * roll, -np.sin(roll) * np.sin(angle)], 1)
+    return np.stack([look_at(*view) for view in zip(eye, target, up)])
+
+
+def novel_cameras(count: int) -> np.ndarray:
+    """viewmats [count,4,4] along the moving camera's arc, a little higher, lower and farther than it ever is."""
+    views = []
+    for i, angle in enumerate(np.linspace(-0.42, 0.42, count) * ARC):
+        distance, lift = DISTANCE * (1.0 + 0.06 * (i % 2)), 0.12 * (-1) ** i
+        eye = np.array([distance * np.sin(angle), 1.35 + lift, distance * np.cos(angle)])
+        views.append(look_at(eye, np.array([0, 0.98, 0]), UP))
+    return np.stack(views)
+
+
+def _tones(rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Frequencies in Hz and phases of a hand's tremor."""
+    return [(f * rng.uniform(0.8, 1.25), rng.uniform(0, 2 * np.pi)) for f in (0.4, 1.1, 2.3)]
+
+
+@dataclass
+class _Stage:
+    """Everything that does not change from picture to picture."""
+
+    model: Any
+    room: Room
+    betas: np.ndarray
+    K: np.ndarray
+
+    def __post_init__(self) -> None:
+        self.body = Body(self.model, dtype=torch.float64)
+        self.faces = np.ascontiguousarray(self.model.faces, dtype=np.int64)
+        self.rest = np.asarray(self.model.v_template, np.float64)
+        self.clothes = person.Clothes(self.model)
+
+    def views(self, viewmats, orient, pose, width: int, height: int, done: Callable[[int], None]) -> Views:
+        """Draw the person in each pose from its camera."""
+        transl, vertices, joints = person.pose_body(self.body, self.betas, orient, pose)
+        drawn = []
+        for i, viewmat in enumerate(viewmats):
+            drawn.append(self.draw(vertices[i], viewmat, width, height))
+            done(i + 1)
+        images, masks, depths = (np.stack(kind) for kind in zip(*drawn))
+        Ks = np.broadcast_to(self.K, (len(viewmats), 3, 3)).copy()
+        return Views(images, masks, depths, viewmats, Ks, orient, pose, transl, joints)
+
+    def draw(self, vertices: np.ndarray, viewmat: np.ndarray, width: int, height: int):
+        """Image uint8 [H,W,3], mask uint8 [H,W] and depth float32 [H,W] of one moment."""
+        fine = self.K * np.array([[SUPERSAMPLE], [SUPERSAMPLE], [1]])
+        room, room_depth = self.cast(viewmat, fine, width * SUPERSAMPLE, height * SUPERSAMPLE)
+        in_camera = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+        depth, face, weights = fill(in_camera, self.faces, fine, width * SUPERSAMPLE, height * SUPERSAMPLE)
+        seen = depth < room_depth
+        corners, blend = self.faces[face[seen]], weights[seen][..., None]
+        normals = vertex_normals(torch.from_numpy(vertices), torch.from_numpy(self.faces)).numpy()
+        normal = (normals[corners] * blend).sum(1)
+        facing = normal @ LIGHT / np.linalg.norm(normal, axis=1)
+        room[seen] = self.clothes((self.rest[corners] * blend).sum(1)) * (0.66 + 0.34 * (0.5 + 0.5 * facing))[:, None]
+        image = _shrink(room.clip(0, 1) * 255)
+        mask = _shrink(seen[..., None] * 255.0)[..., 0]
+        centres = np.minimum(self.cast(viewmat, self.K, width, height)[1],
+                             fill(in_camera, self.faces, self.K, width, height)[0])  # fmt: skip
+        return image, mask, centres.astype(np.float32)
+
+    def cast(self, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """Colour and depth of the empty room."""
+        room = self.room
+        pose = np.linalg.inv(viewmat)
+        return cast(pose, K, width, height, room.boxes, room.paint, room.tints, room.mips, room.per_metre, LIGHT)
+
+
+def _shrink(fine: np.ndarray) -> np.ndarray:
+    """Mean of each SUPERSAMPLE x SUPERSAMPLE block, as uint8."""
+    height, width, channels = fine.shape
+    blocks = fine.reshape(height // SUPERSAMPLE, SUPERSAMPLE, width // SUPERSAMPLE, SUPERSAMPLE, channels)
+    return np.rint(blocks.mean((1, 3))).astype(np.uint8)

@@ -1,0 +1,51 @@
+"""The synthetic clip on disk: clip.mp4, and truth/ with what is true of it.
+
+clip.mp4                 frame i of the video is the view named "%06d" % i
+truth/cameras.npz        as formats.cameras, metres, y up
+truth/body.npz           as formats.poses, world_from_sfm = 1
+truth/masks/%06d.png     255 = person
+truth/depth.npz          names [D], depths [D,H,W] float32: z in metres at the pixel centres of every 5th frame
+truth/images/%06d.png    the frames before the video's compression
+truth/novel/             the same files for views with poses and cameras that the video does not show
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.images import write_image, write_mask
+from stages.formats.poses import BodyPoses, write_poses
+from stages.formats.video import write_video
+
+CRF = 14
+DEPTH_EVERY, DEPTH_FIRST = 5, 2
+
+
+def write_clip(folder: Path, clip: Any) -> Path:
+    """Write `clip`, with the fields of avatar.synthetic.SyntheticClip, into `folder`; returns the path of the video."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_views(folder / "truth", clip.frames, clip.betas)
+    write_views(folder / "truth" / "novel", clip.novel, clip.betas)
+    video = folder / "clip.mp4"
+    write_video(video, clip.frames.images, clip.fps, crf=CRF)
+    return video
+
+
+def write_views(folder: Path, views: Any, betas: np.ndarray) -> None:
+    """Write pictures, masks, cameras, poses and depth of `views`, with the fields of avatar.synthetic.Views."""
+    names = tuple(f"{i:06d}" for i in range(len(views.images)))
+    for kind, write, pictures in (("images", write_image, views.images), ("masks", write_mask, views.masks)):
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+        for name, picture in zip(names, pictures):
+            write(folder / kind / f"{name}.png", picture)
+    height, width = views.masks.shape[1:]
+    write_cameras(folder / "cameras.npz", Cameras(names, views.viewmats, views.Ks, width, height))
+    poses = BodyPoses(names, betas, views.global_orient, views.body_pose, views.transl, np.ones(len(names)))
+    write_poses(folder / "body.npz", poses)
+    some = np.s_[DEPTH_FIRST::DEPTH_EVERY]
+    np.savez(folder / "depth.npz", names=np.array(names, np.str_)[some], depths=views.depths[some])
