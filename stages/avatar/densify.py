@@ -132,7 +132,7 @@ def grow_human(
 ) -> Plan:
     """Densify the person in place, as `grow_scene`; sizes and opacities are those decoded now."""
     with torch.no_grad():
-        person, _ = human()
+        person, *_ = human()
     rows = plan(growth, person.scales.amax(1), person.opacities, rules, _room(human, rules, rounds_left))
     moved = displacement(person.frames * person.scales[:, None, :], rows, generator)
     human.xyz = _regrow(optimizer, human.xyz, rows)

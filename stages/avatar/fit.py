@@ -19,7 +19,6 @@ from stages.avatar.scene import SceneModel
 from stages.avatar.schedule import (
     HALF_UNTIL,
     HUMAN_GROWTH,
-    LEAD_UNTIL,
     LR_FRAMES,
     LR_HUMAN,
     LR_SCENE,
@@ -116,13 +115,14 @@ class Fit:
                 group["lr"] = group["base"] * rate(group["name"], self.done)
 
     def _decode(self) -> tuple[Canonical, Resting, Tensor]:
-        canonical, stray = self.human()
-        return canonical, rest(canonical, self.canonical_bones), stray
+        canonical, stray, shy = self.human()
+        prior = losses.STRAY * stray + losses.SHY * shy
+        return canonical, rest(canonical, self.canonical_bones), prior
 
     def resting(self) -> Resting:
         """The decoded person as leaves that collect gradients until the next `_learn_human`."""
         if self.leaves is None:
-            self.canonical, self.decoded, self.stray = self._decode()
+            self.canonical, self.decoded, self.prior = self._decode()
             self.leaves = Resting(*(t.detach().requires_grad_() for t in self.decoded))
         return self.leaves
 
@@ -147,8 +147,7 @@ class Fit:
             background = torch.rand(3, generator=self.generator).to(K)
             drawn = compose(human, self.scene.splats(), viewmat, K, width, height, background)
             rendered = drawn.image if gains is None else drawn.image * gains
-            share = 0.0 if human is None or self.done < LEAD_UNTIL else 1.0
-            joint = losses.photometric(losses.outside_person(rendered, image, mask, share), image)
+            joint = losses.photometric(losses.outside_person(rendered, image, mask), image)
             loss = loss + joint
             numbers["image"] = joint.item()
         if human is not None:
@@ -207,7 +206,7 @@ class Fit:
             if leaf.grad is not None
         ]
         self.bad += contain([g for _, g in used])
-        prior = losses.skinning(self.canonical.weights, self._reference()) + losses.STRAY * self.stray
+        prior = losses.skinning(self.canonical.weights, self._reference()) + self.prior
         torch.autograd.backward([d for d, _ in used] + [prior], [g for _, g in used] + [torch.ones_like(prior)])
         shared = [p for n, p in self.human.named_parameters() if n != "xyz"]
         norm = torch.nn.utils.get_total_norm([p.grad for p in shared]).item()

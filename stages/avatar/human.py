@@ -18,6 +18,7 @@ from stages.avatar.triplane import Triplane
 MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
+OFFSET = 0.05  # metres; a usual thickness of clothes
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
 
@@ -164,8 +165,12 @@ class HumanModel(nn.Module):
     def __len__(self) -> int:
         return len(self.xyz)
 
-    def forward(self) -> tuple[Canonical, Tensor]:
-        """Decode all Gaussians: the canonical person, and the mean squared distance by which points left the box."""
+    def forward(self) -> tuple[Canonical, Tensor, Tensor]:
+        """Decode all Gaussians: the canonical person, and two penalties.
+
+        The first is the mean squared distance by which points left the triplane's box, the second the mean squared
+        correction of scale (log), opacity (logit) and place (in units of OFFSET).
+        """
         out = self.decoders(self.triplane(self.xyz))
         identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
         scale = SCALE_RANGE * torch.tanh(out["scale"] / SCALE_RANGE)
@@ -177,4 +182,6 @@ class HumanModel(nn.Module):
             sh=torch.cat([self.sh_starts[:, None] + out["sh"][:, :1], out["sh"][:, 1:]], 1),
             weights=torch.softmax((self.skin_logits + out["skin"]) / TEMPERATURE, 1),
         )
-        return person, self.triplane.outside(self.xyz)
+        place = (out["offset"] / OFFSET).square().sum(1)
+        shy = scale.square().sum(1) + out["opacity"].square() + place
+        return person, self.triplane.outside(self.xyz), shy.mean()

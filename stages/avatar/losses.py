@@ -11,6 +11,7 @@ SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
 LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
 STRAY = 10.0  # per metre^2 outside the triplane's box
+SHY = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
 PERCEPTUAL = 0.2  # of LPIPS on a patch
 PATCH = 128  # px
 
@@ -20,15 +21,12 @@ def photometric(image: Tensor, target: Tensor) -> Tensor:
     return (1 - SSIM_SHARE) * (image - target).abs().mean() + SSIM_SHARE * (1 - ssim(image, target))
 
 
-def outside_person(image: Tensor, target: Tensor, mask: Tensor, share: float) -> Tensor:
-    """The image [H,W,3] with the gradient of its person pixels (mask[H,W] 0..1) scaled by `share`, the values kept.
+def outside_person(image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+    """The image [H,W,3] with its person pixels (mask[H,W] 0..1) taken for right: the scene learns nothing from them.
 
-    At share 0 person pixels count as already right, so that the scene learns nothing from them.
+    Otherwise the scene explains what the body model does not, and keeps a ghost of the person (issue 21 of ml-hugs).
     """
-    if share >= 1:
-        return image
-    keep = (1 - (1 - share) * mask)[..., None]
-    return target + keep * (image - target)
+    return target + (1 - mask)[..., None] * (image - target)
 
 
 def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:

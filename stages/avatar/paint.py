@@ -20,7 +20,7 @@ def seen_colors(human: HumanModel, person: Person, views: Views, frames: list[in
     A Gaussian is seen where its normal faces the camera and its centre falls on the person's mask, weighted by the
     cosine. The others take the colour of the nearest seen one in the canonical pose; 0.5 if none is seen at all.
     """
-    canonical, _ = human()
+    canonical, *_ = human()
     still = torch.zeros(3).to(person.joints)
     resting = rest(canonical, bone_transforms(person.joints, person.parents, still, person.canonical_pose))
     total, weight = torch.zeros_like(canonical.means), torch.zeros_like(canonical.means[:, 0])

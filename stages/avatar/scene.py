@@ -7,13 +7,14 @@ import math
 import numpy as np
 import torch
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
 from stages.avatar.gaussians import Splats, spacing
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.sh import bases, sh_from_rgb
 
-START_OPACITY = 0.3
+START_OPACITY = 0.5
 NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard case H17)
 
 
@@ -41,10 +42,11 @@ def fill_points(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points [<=count,3] m and colours [.,3] uint8 at random pixels of background, as deep as the SfM points around.
+    """Points [<=count,3] m and colours [.,3] uint8 of background at random pixels, as deep as the SfM points around.
 
     points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3]. Inverse depth is
-    linear between the SfM points of a view and that of the nearest one beyond them. Views with under 8 points are skipped.
+    linear between the SfM points of a view and that of the nearest one beyond them. Behind the person the colour is that
+    of the nearest background pixel. Views with under 8 points are skipped.
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))
@@ -55,17 +57,17 @@ def fill_points(
         pixels = local[:, :2] / local[:, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
         seen = (pixels > 0).all(1) & (pixels < [width, height]).all(1)
         pixels, inverse = pixels[seen], 1 / local[seen, 2]
-        free = np.flatnonzero(mask < 128)
-        if len(pixels) < 8 or len(free) == 0:
+        if len(pixels) < 8 or (mask >= 128).all():
             continue
-        row, column = np.divmod(rng.choice(free, share), width)
-        at = np.stack([column, row], 1) + rng.random((share, 2))
+        at = rng.random((share, 2)) * [width, height]
+        column, row = at.astype(int).T
+        free_row, free_column = distance_transform_edt(mask >= 128, return_distances=False, return_indices=True)
         w = LinearNDInterpolator(pixels, inverse)(at)
         beyond = ~np.isfinite(w)
         w[beyond] = NearestNDInterpolator(pixels, inverse)(at[beyond])
         rays = np.concatenate([(at - [K[0, 2], K[1, 2]]) / [K[0, 0], K[1, 1]], np.ones((len(at), 1))], 1)
         xyz.append((rays / w[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3])
-        rgb.append(image[row, column])
+        rgb.append(image[free_row[row, column], free_column[row, column]])
     return np.concatenate(xyz), np.concatenate(rgb)
 
 

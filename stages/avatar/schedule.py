@@ -18,7 +18,6 @@ LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
 SETTLE = 0.65
 HALF_UNTIL = 0.4  # share of the steps at half resolution
-LEAD_UNTIL = 0.3  # share of the steps in which person pixels teach the scene nothing (issue 21 of ml-hugs)
 SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
 HUMAN_GROWTH = (0.15, SETTLE)
 

@@ -59,20 +59,23 @@ def test_a_gaussian_on_the_camera_has_a_colour_and_a_gradient():
     assert color.isfinite().all() and means.grad.isfinite().all()
 
 
-def test_filled_points_lie_on_the_wall_and_never_on_the_person():
+def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
     rng = np.random.default_rng(0)
     wall = np.concatenate([rng.uniform(-3, 3, (300, 2)), np.full((300, 1), 5.0)], 1)
     K = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
     viewmat = np.eye(4)
     viewmat[:3, 3] = [0.3, -0.2, 0.5]
-    image = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    image = rng.integers(0, 250, (48, 64, 3), dtype=np.uint8)
     mask = np.zeros((48, 64), np.uint8)
     mask[10:30, 20:40] = 255
+    image[mask > 0] = 255
     xyz, rgb = fill_points(wall, [image], [mask], viewmat[None], K[None], 400, rng)
     assert len(xyz) == 400 and np.allclose(xyz[:, 2], 5, atol=1e-6)
     local = xyz + viewmat[:3, 3]
     column, row = ((local[:, :2] / local[:, 2:]) * 50 + [32, 24]).T.astype(int)
-    assert (mask[row, column] == 0).all() and (image[row, column] == rgb).mean() > 0.95
+    free = mask[row, column] == 0
+    assert (image[row, column] == rgb)[free].mean() > 0.95
+    assert (~free).sum() > 10 and (rgb < 255).all()
     none, _ = fill_points(wall[:5], [image], [mask], viewmat[None], K[None], 400, rng)
     assert len(none) == 0
 
