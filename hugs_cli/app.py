@@ -15,11 +15,12 @@ import typer
 from typer import Option
 
 from hugs_cli import child, engine, options, pipelines
-from hugs_cli.console import Console, reasons_text, relative, size
+from hugs_cli.console import Console, reasons_text
 from hugs_cli.engine import RunStopped
 from hugs_cli.freshness import Judge, Verdict
 from hugs_cli.options import AsJson, DeviceName, DryRun, Force, PipelineName, Settings, Stages, Work, on_clip
 from hugs_cli.pipelines import UsageError
+from hugs_cli.words import relative, size
 from hugs_cli.workspace import Stamp, Workspace, size_of
 from stages.contract import StageError
 
@@ -35,7 +36,7 @@ SHOWN = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "no
 def run(
     judge: Judge,
     stages: Stages = None,
-    device: DeviceName = options.Device.auto,
+    device: DeviceName = options.Device.cpu,
     force: Force = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -89,10 +90,8 @@ def status(judge: Judge, as_json: AsJson = False) -> None:
 @on_clip
 def why(judge: Judge, stages: Stages = None) -> None:
     """What a stage's last result was made of, and what is different now."""
-    from hugs_cli.doctor import installed
-
     wanted = stages or list(judge.pipeline.stages)
-    verdicts, console, now = judge.all(judge.pipeline.upstream(wanted)), Console(), installed()
+    verdicts, console, now = judge.all(judge.pipeline.upstream(wanted)), Console(), child.versions(lambda module: True)
     for i, name in enumerate(wanted):
         if i:
             console.result()
@@ -166,7 +165,7 @@ def demo(
     pipeline: PipelineName = "default",
     set_: Settings = None,
     seed: options.Seed = 0,
-    device: DeviceName = options.Device.auto,
+    device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
     pipelines_file: options.PipelinesFile = pipelines.FILE,
 ) -> None:
@@ -206,7 +205,7 @@ def render(
     poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
     pipeline: PipelineName = "default",
-    device: DeviceName = options.Device.auto,
+    device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
     """Render given cameras, and given poses, from what `hugs run` made."""
@@ -219,7 +218,7 @@ def render(
     for path in filter(None, (cameras, poses)):
         if not path.is_file():
             raise UsageError(f"no file at {path}", "check the path")
-    where = engine.find_device() if device is options.Device.auto else device.value
+    where = engine.device_of(device.value)
     from stages.render import render_views
 
     render_views(*needs.values(), cameras, poses, only.value, out, where)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import resource
 import select
 import signal
@@ -15,11 +16,24 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-VERSIONS = ("torch", "numpy", "numba", "scipy", "cv2", "OpenImageIO", "av", "pycolmap", "trimesh", "gsplat")
+LIBRARIES = {
+    "torch": "torch",
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "numba": "numba",
+    "pycolmap": "pycolmap",
+    "cv2": "opencv-contrib-python-headless",
+    "OpenImageIO": "OpenImageIO",
+    "av": "av",
+    "trimesh": "trimesh",
+    "ai_edge_litert": "ai-edge-litert",
+}
+"""What computes: the module's name and the name it is installed under."""
 PROGRESS_EVERY = 0.1  # s between progress events of one stage
 TICK = 0.25  # s between looks at the clock
 MAXRSS = 1 if sys.platform == "darwin" else 1024  # bytes in one unit of ru_maxrss
@@ -213,10 +227,16 @@ def end_with_parent() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-def versions() -> dict[str, str]:
-    """Versions of the numerical libraries that this process loaded."""
-    loaded = {name: getattr(sys.modules[name], "__version__", "") for name in VERSIONS if name in sys.modules}
-    return {"python": sys.version.split()[0], **{name: str(version) for name, version in loaded.items()}}
+def versions(only: Callable[[str], object] = sys.modules.get) -> dict[str, str]:
+    """Versions of Python and of the libraries that compute; only those that this process has loaded."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {"python": platform.python_version()}
+    for module, distribution in LIBRARIES.items():
+        with suppress(PackageNotFoundError):  # a build of one's own: unknown
+            if only(module):
+                found[module] = version(distribution)
+    return found
 
 
 def peak_memory() -> int:

@@ -7,13 +7,12 @@ import shutil
 import sys
 import time
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from hugs_cli.child import Outcome
 from hugs_cli.engine import StageFailed
 from hugs_cli.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
+from hugs_cli.words import ago, count, duration, number
 from hugs_cli.workspace import Stamp
 from stages.contract import StageError
 
@@ -25,54 +24,12 @@ QUIET_EVERY = 60.0  # s between lines of a long stage where no row can move
 ENDINGS = {"done": "done", "stopped": "stopped"}  # every other ending reads 'failed'
 
 
-def duration(seconds: float) -> str:
-    """3.2 s, 2m 31s, 1h 02m."""
-    if seconds < 59.95:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}m {rest:02d}s" if minutes < 60 else f"{minutes // 60}h {minutes % 60:02d}m"
-
-
-def size(count: float) -> str:
-    """812 B, 24 KiB, 2.1 GiB."""
-    for unit in ("B", "KiB", "MiB", "GiB"):
-        if count < 1024 or unit == "GiB":
-            return f"{count:.0f} {unit}" if unit in ("B", "KiB", "MiB") else f"{count:.1f} {unit}"
-        count /= 1024
-    raise AssertionError
-
-
-def ago(made: str) -> str:
-    """How long ago a stamp's time was: 2 days ago."""
-    seconds = (datetime.now(UTC) - datetime.fromisoformat(made)).total_seconds()
-    for unit, length in (("day", 86400), ("hour", 3600), ("minute", 60)):
-        if seconds >= length:
-            count = int(seconds // length)
-            return f"{count} {unit}{'s' if count > 1 else ''} ago"
-    return "just now"
-
-
-def number(name: str, value: Any) -> str:
-    """One named number of a stage's progress: 'psnr 27.1', '142k gaussians', '2.1 GiB'."""
-    if name.endswith("bytes"):
-        return size(value)
-    if isinstance(value, int) and not isinstance(value, bool):
-        return (
-            f"{value / 1e6:.1f}M {name}"
-            if value >= 1e6
-            else f"{value // 1000}k {name}"
-            if value >= 1e4
-            else f"{value} {name}"
-        )
-    return f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
-
-
 def reasons_text(reasons: tuple[Reason, ...]) -> str:
     """Reasons of a re-run on one line; many edited modules are counted."""
     code = [reason for reason in reasons if isinstance(reason, CodeChanged)]
     counted = code[1:] if len(code) > 2 else []
     texts = [str(reason) for reason in reasons if reason not in counted]
-    return ", ".join([*texts, *([f"and {len(counted)} modules more"] if counted else [])])
+    return ", ".join([*texts, *([f"and {count(len(counted), 'module')} more"] if counted else [])])
 
 
 @dataclass
@@ -295,9 +252,4 @@ def same_text(stamp: Stamp, reasons: tuple[Reason, ...]) -> str:
     inputs = [name for name, content in stamp.inputs.items() if name not in changed and content]
     settings = sum(name not in changed for name in stamp.params)
     modules = sum(name not in changed for name in stamp.code)
-    return f"Same as before: {', '.join([*inputs, f'{settings} settings', f'{modules} modules'])}"
-
-
-def relative(path: Path) -> str:
-    """A path as short as it can be said from here."""
-    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)
+    return f"Same as before: {', '.join([*inputs, count(settings, 'setting'), count(modules, 'module')])}"

@@ -23,7 +23,7 @@ def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     note.unlink(missing_ok=True)
     console.say(f"making the synthetic clip in {folder}")
-    writer = multiprocessing.get_context("spawn").Process(target=write, args=(folder, seed))
+    writer = multiprocessing.get_context("spawn").Process(target=write, args=(folder, seed), daemon=True)
     writer.start()
     writer.join()
     if writer.exitcode != 0:
@@ -38,4 +38,4 @@ def write(folder: Path, seed: int) -> None:
     from stages.formats.body_model import read_body_model
     from stages.formats.synthetic_clip import write_clip
 
-    write_clip(folder, make_clip(read_body_model(), seed=seed))
+    write_clip(folder, make_clip(read_body_model(None), seed=seed))

@@ -13,26 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hugs_cli import child
-from hugs_cli.console import size
 from hugs_cli.engine import find_device
+from hugs_cli.words import size
 
-DISTRIBUTIONS = {
-    "typer": "typer",
-    "torch": "torch",
-    "pycolmap": "pycolmap",
-    "cv2": "opencv-contrib-python-headless",
-    "trimesh": "trimesh",
-    "numpy": "numpy",
-    "OpenImageIO": "OpenImageIO",
-    "yaml": "PyYAML",
-    "pydantic": "pydantic",
-    "rich": "rich",
-    "scipy": "scipy",
-    "numba": "numba",
-    "av": "av",
-    "ai_edge_litert": "ai-edge-litert",
-}
-OPTIONAL = {"gsplat": "gsplat"}
+DISTRIBUTIONS = {**child.LIBRARIES, "typer": "typer", "rich": "rich", "pydantic": "pydantic", "yaml": "PyYAML"}
 MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # the bar of the whole flow; results of one clip and its copies
 
 
@@ -45,17 +29,6 @@ class Finding:
     text: str = ""
     hint: str = ""
     optional: bool = False
-
-
-def installed() -> dict[str, str]:
-    """Versions of the libraries by the name they are imported under, without importing them."""
-    found = {"python": platform.python_version()}
-    for module, distribution in {**DISTRIBUTIONS, **OPTIONAL}.items():
-        try:
-            found[module] = importlib.metadata.version(distribution)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 def examine() -> list[Finding]:
@@ -86,14 +59,13 @@ def memory_bytes() -> int:
 
 
 def packages() -> list[Finding]:
-    """Each library with its version."""
-    versions = installed()
+    """Each library that hugs depends on, with its version."""
     found = []
-    for module, distribution in {**DISTRIBUTIONS, **OPTIONAL}.items():
-        hint = f"pip install {distribution}"
-        found.append(Finding(distribution, module in versions, versions.get(module, ""), hint, module in OPTIONAL))
-    if importlib.util.find_spec("torchvision"):
-        found.append(Finding("torchvision", True, "not used; it is not ours"))
+    for distribution in DISTRIBUTIONS.values():
+        try:
+            found.append(Finding(distribution, True, importlib.metadata.version(distribution)))
+        except importlib.metadata.PackageNotFoundError:
+            found.append(Finding(distribution, False, hint=f"pip install {distribution}"))
     return found
 
 

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from hugs_cli import child
 from hugs_cli.child import Outcome
 from hugs_cli.freshness import CodeChanged, Forced, Judge, Reason, Recipe, Unfinished, Verdict
-from hugs_cli.pipelines import Stage
+from hugs_cli.pipelines import Stage, UsageError
 from hugs_cli.workspace import LOG, STAMP, Stamp, seal
 from stages.contract import StageError
 
@@ -97,7 +97,7 @@ def make(
         shutil.rmtree(part)
     part.mkdir(exist_ok=True)
     (part / STAMP).unlink(missing_ok=True)
-    device = find_device() if device == "auto" else device
+    device = device_of(device)
     job = {
         "module": stage.module,
         "params": stage.params.model_dump(mode="json"),
@@ -235,6 +235,14 @@ def uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
+
+
+def device_of(name: str) -> str:
+    """'auto' made plain; UsageError for a GPU that is not there."""
+    found = find_device() if name != "cpu" else "cpu"
+    if name == "cuda" and found != "cuda":
+        raise UsageError("no GPU that torch can use", "leave out `--device cuda`; `hugs doctor` shows what is here")
+    return found
 
 
 def find_device() -> str:

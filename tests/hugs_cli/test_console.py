@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hugs_cli.child import Outcome
-from hugs_cli.console import Console, duration, number, size
+from hugs_cli.console import Console
 from hugs_cli.engine import StageFailed
 from hugs_cli.freshness import (
     CodeChanged,
@@ -23,6 +23,7 @@ from hugs_cli.freshness import (
     Upstream,
     Verdict,
 )
+from hugs_cli.words import duration, number, size
 from hugs_cli.workspace import Stamp
 
 GOLDEN = Path(__file__).parents[1] / "golden"

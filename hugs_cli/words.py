@@ -1,0 +1,59 @@
+"""Numbers, times, sizes and paths as a person reads them."""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+
+def duration(seconds: float) -> str:
+    """3.2 s, 2m 31s, 1h 02m."""
+    if seconds < 59.95:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}m {rest:02d}s" if minutes < 60 else f"{minutes // 60}h {minutes % 60:02d}m"
+
+
+def size(amount: float) -> str:
+    """812 B, 24 KiB, 2.1 GiB."""
+    for unit in ("B", "KiB", "MiB", "GiB"):
+        if amount < 1024 or unit == "GiB":
+            return f"{amount:.1f} {unit}" if unit == "GiB" else f"{amount:.0f} {unit}"
+        amount /= 1024
+    raise AssertionError
+
+
+def ago(made: str) -> str:
+    """How long ago a stamp's time was: 2 days ago."""
+    seconds = (datetime.now(UTC) - datetime.fromisoformat(made)).total_seconds()
+    for unit, length in (("day", 86400), ("hour", 3600), ("minute", 60)):
+        if seconds >= length:
+            return f"{count(int(seconds // length), unit)} ago"
+    return "just now"
+
+
+def number(name: str, value: Any) -> str:
+    """One named number of a stage's progress: 'psnr 27.1', '142k gaussians', '2.1 GiB'."""
+    if name.endswith("bytes"):
+        return size(value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        return (
+            f"{value / 1e6:.1f}M {name}"
+            if value >= 1e6
+            else f"{value // 1000}k {name}"
+            if value >= 1e4
+            else f"{value} {name}"
+        )
+    return f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+
+
+def count(number: int, what: str) -> str:
+    """1 module, 2 modules."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def relative(path: Path) -> str:
+    """A path as short as it can be said from here."""
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)
