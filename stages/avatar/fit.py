@@ -199,6 +199,7 @@ class Fit:
 
     def _learn_human(self) -> None:
         if self.leaves is None or self.leaves.means.grad is None:
+            self.leaves = None
             return
         used = [
             (d, leaf.grad / self.options.views_per_decode)
