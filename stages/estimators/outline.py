@@ -5,11 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stages.estimators.blazepose import CROP_SIDE, SURE, BlazePose, Roi, sigmoid
+from stages.estimators.blazepose import CROP_SIDE, LOOKS, SURE, BlazePose, Roi, sigmoid
 
-# Looks at the person: (side, turn in degrees, shift along the body), side and shift as shares of the person's crop.
-# Averaging them takes away the steps of the 256 px mask and the whims of a single look.
-WHOLE = ((1.0, 0, 0.0), (0.9, 8, 0.0), (0.9, -8, 0.0), (1.1, 4, 0.0), (1.1, -4, 0.0))
+# Closer looks at the upper and the lower half: (side, turn in degrees, shift along the body), as shares of the crop.
 HALVES = tuple((0.65, turn, shift) for shift in (-0.2, 0.2) for turn in (0, 8, -8))
 BAND = 2  # px of the whole person's mask: closer looks only move an edge that far
 FADE = 0.12  # share of a close look's side over which it fades out towards its rim
@@ -20,16 +18,13 @@ ISLAND = 0.01  # a part smaller than this share of the person is no part of the 
 
 def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
     """Probability [H,W] float32 that a pixel of the image uint8 [H,W,3] shows the person of the crop `roi`."""
-    whole, weight = np.zeros(image.shape[:2], np.float32), 0
-    for side, turn, shift in WHOLE:
-        mask, _ = look(network, image, moved(roi, side, turn, shift))
-        whole += mask
-        weight += 1
-    whole /= weight
+    whole = np.zeros(image.shape[:2], np.float32)
+    for change in LOOKS:
+        whole += look(network, image, roi.moved(*change))[0] / len(LOOKS)
     edge = near_edge(whole, BAND * roi.side / CROP_SIDE)
     close, weights = np.zeros_like(whole), np.zeros_like(whole)
-    for side, turn, shift in HALVES:
-        part = moved(roi, side, turn, shift)
+    for change in HALVES:
+        part = roi.moved(*change)
         mask, presence = look(network, image, part)
         if presence >= SURE:
             share = paste(rim_fade(), part, image.shape)
@@ -39,13 +34,6 @@ def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
     mixed = whole + trust * (close / np.maximum(weights, 1e-6) - whole)
     radius = max(round(GUIDE_RADIUS * roi.side / CROP_SIDE), 2)
     return without_islands(cv2.ximgproc.guidedFilter(image, mixed, radius, GUIDE_EPS).clip(0, 1))
-
-
-def moved(roi: Roi, side: float, turn: float, shift: float) -> Roi:
-    """A crop of another size, turned by degrees, moved along the body (down positive)."""
-    reach = shift * roi.side
-    x, y = roi.x - reach * np.sin(roi.angle), roi.y + reach * np.cos(roi.angle)
-    return Roi(x, y, roi.side * side, roi.angle + np.radians(turn))
 
 
 def look(network: BlazePose, image: np.ndarray, roi: Roi) -> tuple[np.ndarray, float]:

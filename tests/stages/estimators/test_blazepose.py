@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from stages.contract import StageError
 from stages.estimators import assets
-from stages.estimators.blazepose import LANDMARKS, NAMES, BlazePose, Roi, anchors, crop, refine, to_picture
+from stages.estimators.blazepose import LANDMARKS, LOOKS, NAMES, BlazePose, Roi, anchors, crop, refine, to_picture
 
 at = {name: i for i, name in enumerate(NAMES)}
 
@@ -80,6 +82,23 @@ def test_the_kitchen_man_is_followed(blazepose, kitchen):
     assert (np.abs(ankles - 627) < 25).all() and first.visibility.min() > 0.5
     heights = [np.ptp(pose.world[:, 1]) for pose in poses]
     assert min(heights) > 1.3 and max(heights) < 2.0
+
+
+def test_a_look_that_swaps_sides_is_left_out(blazepose, kitchen, monkeypatch):
+    image, plain = kitchen[0], BlazePose.look
+    want = blazepose.track([image])[0]
+    calls = []
+
+    def swapping(self, image, roi):
+        pose, mask = plain(self, image, roi)
+        calls.append(roi)
+        if len(calls) == 2:
+            pose = replace(pose, xy=pose.xy[::-1].copy())
+        return pose, mask
+
+    monkeypatch.setattr(BlazePose, "look", swapping)
+    got = blazepose.steady(image, want.roi)
+    assert len(calls) == len(LOOKS) and np.abs(got.xy - want.xy).max() < 4
 
 
 def test_a_turned_small_or_late_person_is_found(blazepose, kitchen):
