@@ -175,7 +175,7 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
     shots = []
     for i, points in zip(chosen, vertices.numpy().astype(np.float64), strict=True):
         local = points @ clip.viewmats[i, :3, :3].T + clip.viewmats[i, :3, 3]
-        image = clip.images(i)
+        image = clip.images(i).copy()
         if (local[:, 2] > 1e-3).all():
             pixels = local @ clip.Ks[i].T
             pixels = pixels[:, :2] / pixels[:, 2:] - 0.5
