@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.optim import Optimizer
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from stages.avatar.human import HumanModel
     from stages.avatar.scene import SceneModel
 
+FAR = 0.1  # metres from the body; hair and clothes seldom reach beyond
 SHRINK = 1.6  # the children of a split are this much smaller (3DGS section 5.2)
 
 
@@ -76,16 +78,18 @@ class Plan(NamedTuple):
 
 
 @torch.no_grad()
-def plan(growth: Growth, sizes: Tensor, opacities: Tensor, rules: Rules, room: int) -> Plan:
+def plan(growth: Growth, sizes: Tensor, opacities: Tensor, rules: Rules, room: int, lost: Tensor | None = None) -> Plan:
     """Decide which rows to clone, split and prune; sizes[N] largest scale in metres, opacities[N].
 
     At most `room` rows are added, those of the largest gradient first, and the result never exceeds `rules.cap`.
-    Rows that are not finite are pruned. Raises ValueError when nothing would be left.
+    Rows that are not finite and `lost`[N] ones are pruned. Raises ValueError when nothing would be left.
     """
     finite = sizes.isfinite() & opacities.isfinite()
     faint = opacities < rules.min_opacity
     huge = sizes > rules.max_size
     keep = finite & ~faint & ~huge
+    if lost is not None:
+        keep &= ~lost
     kept = int(keep.sum())
     if kept == 0:
         raise ValueError(
@@ -128,12 +132,24 @@ def grow_scene(
 
 
 def grow_human(
-    human: HumanModel, optimizer: Optimizer, growth: Growth, rules: Rules, rounds_left: int, generator: torch.Generator
+    human: HumanModel,
+    optimizer: Optimizer,
+    growth: Growth,
+    rules: Rules,
+    rounds_left: int,
+    body: Tensor,
+    generator: torch.Generator,
 ) -> Plan:
-    """Densify the person in place, as `grow_scene`; sizes and opacities are those decoded now."""
+    """Densify the person in place, as `grow_scene`; sizes and opacities are those decoded now.
+
+    Gaussians farther than FAR from the canonical body's vertices `body`[V,3] are no part of the person and go.
+    """
     with torch.no_grad():
         person, *_ = human()
-    rows = plan(growth, person.scales.amax(1), person.opacities, rules, _room(human, rules, rounds_left))
+    distance, _ = cKDTree(body.cpu().numpy()).query(person.means.cpu().numpy())
+    lost = torch.as_tensor(distance > FAR, device=body.device)
+    room = _room(human, rules, rounds_left)
+    rows = plan(growth, person.scales.amax(1), person.opacities, rules, room, lost)
     moved = displacement(person.frames * person.scales[:, None, :], rows, generator)
     human.xyz = _regrow(optimizer, human.xyz, rows)
     for name in human.ROWS:

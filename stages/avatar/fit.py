@@ -245,7 +245,8 @@ class Fit:
         every = 3 * every // o.views_per_decode * o.views_per_decode or o.views_per_decode
         if self.human is not None and HUMAN_GROWTH[0] <= self.done <= HUMAN_GROWTH[1] and self.step % every == 0:
             rules = Rules(2e-4, 0.01, 0.1, 0.3, 0.005, o.human_cap)
-            grow_human(self.human, self.adam["human"], self.growth["human"], rules, self._left(every), self.generator)
+            state = self.adam["human"], self.growth["human"]
+            grow_human(self.human, *state, rules, self._left(every), self.person.vertices, self.generator)
             self.leaves = None
 
     def _left(self, every: int) -> int:

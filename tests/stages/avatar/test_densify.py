@@ -101,3 +101,9 @@ def test_a_scene_grows_with_all_its_rows():
     assert {len(getattr(scene, n)) for n in scene.ROWS} == {40}
     held = {id(p) for group in adam.param_groups for p in group["params"]}
     assert held == {id(p) for p in scene.parameters()}
+
+
+def test_lost_rows_are_pruned_whatever_else_they_are():
+    lost = torch.tensor([False, True, False])
+    p = plan(growth([0, 9, 0]), torch.full((3,), 0.05), torch.ones(3), RULES, 9, lost)
+    assert p.pruned == 1 and p.source.tolist() == [0, 2]
