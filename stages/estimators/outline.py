@@ -5,11 +5,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stages.estimators.blazepose import CROP_SIDE, LOOKS, SURE, BlazePose, Roi, sigmoid
+from stages.estimators.blazepose import CROP_SIDE, SURE, BlazePose, Roi, sigmoid
 
+# Looks at the whole person: (side as a share of the fitting crop, turn in degrees), each also at the mirrored picture.
+# Measured on ten frames of the synthetic clip: IoU 0.88 from one look, 0.904 from these six.
+WHOLE = ((1.0, 0), (0.9, 8), (0.9, -8))
 # Closer looks at the upper and the lower half: (side, turn in degrees, shift along the body), as shares of the crop.
 HALVES = tuple((0.65, turn, shift) for shift in (-0.2, 0.2) for turn in (0, 8, -8))
 BAND = 2  # px of the whole person's mask: closer looks only move an edge that far
+CLOSE_SHARE = 0.5  # their say there; alone they err at the halves' ends (IoU 0.903, with both 0.907)
 FADE = 0.12  # share of a close look's side over which it fades out towards its rim
 GUIDE_RADIUS = 1.5  # px of the whole person's mask over which edges are set by colour
 GUIDE_EPS = 2e-4 * 255**2  # colour variance below which a guided filter takes a patch for flat
@@ -19,8 +23,12 @@ ISLAND = 0.01  # a part smaller than this share of the person is no part of the 
 def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
     """Probability [H,W] float32 that a pixel of the image uint8 [H,W,3] shows the person of the crop `roi`."""
     whole = np.zeros(image.shape[:2], np.float32)
-    for change in LOOKS:
-        whole += look(network, image, roi.moved(*change))[0] / len(LOOKS)
+    mirror = np.ascontiguousarray(image[:, ::-1])
+    for change in WHOLE:
+        part = roi.moved(*change)
+        mirrored = Roi(image.shape[1] - part.x, part.y, part.side, -part.angle)
+        whole += look(network, image, part)[0] + look(network, mirror, mirrored)[0][:, ::-1]
+    whole /= 2 * len(WHOLE)
     edge = near_edge(whole, BAND * roi.side / CROP_SIDE)
     close, weights = np.zeros_like(whole), np.zeros_like(whole)
     for change in HALVES:
@@ -30,7 +38,7 @@ def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
             share = paste(rim_fade(), part, image.shape)
             close += mask * share
             weights += share
-    trust = edge * np.minimum(weights, 1)
+    trust = CLOSE_SHARE * edge * np.minimum(weights, 1)
     mixed = whole + trust * (close / np.maximum(weights, 1e-6) - whole)
     radius = max(round(GUIDE_RADIUS * roi.side / CROP_SIDE), 2)
     return without_islands(cv2.ximgproc.guidedFilter(image, mixed, radius, GUIDE_EPS).clip(0, 1))
