@@ -20,7 +20,7 @@ from stages.avatar.mesh_render import cast, fill
 from stages.avatar.synthetic_room import Room, make_room
 
 SUPERSAMPLE = 2
-DISTANCE, ARC = 2.55, 1.0
+DISTANCE, ARC = 2.75, 1.0
 """The camera's distance from the person in m, and the angle of its path around them in rad."""
 FOCAL = 0.95
 """Focal length in image heights: a field of view of 56 degrees."""

@@ -13,7 +13,7 @@ from stages.avatar.motion import MOTIONS
 
 TURN = 4.6
 """How far the person turns during the clip, rad."""
-NOVEL = (("jumping_jacks", 0.5, -0.5), ("wave", 0.4, 0.2), ("squats", 0.5, 0.7), ("wave", 0.55, 2.4),
+NOVEL = (("jumping_jacks", 0.5, -0.5), ("wave", 0.4, 0.2), ("squats", 0.5, 0.7), ("walk_in_place", 0.25, 2.4),
          ("squats", 0.3, -2.0), ("jumping_jacks", 0.35, 3.1))  # fmt: skip
 """Motion, moment in its only cycle, and turn about y (rad) of each novel pose."""
 SHIRT, BAND, RED = (0.17, 0.33, 0.58), (0.86, 0.88, 0.9), (0.72, 0.16, 0.18)

@@ -62,10 +62,10 @@ def _noise(
 
     `stretch` > 1 makes it longer along x by that factor.
     """
-    frequency = np.fft.fftfreq(TEXELS, 1 / PER_METRE)
-    f = np.hypot(frequency[:, None], frequency[None] * stretch)
+    down, right = np.fft.fftfreq(TEXELS, 1 / PER_METRE), np.fft.rfftfreq(TEXELS, 1 / PER_METRE)
+    f = np.hypot(down[:, None], right[None] * stretch)
     gain = np.where((f > 1 / coarsest) & (f < 1 / finest), np.maximum(f, 1e-9) ** -slope, 0)
-    noise = np.fft.ifft2(np.fft.fft2(rng.standard_normal((TEXELS, TEXELS))) * gain).real
+    noise = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((TEXELS, TEXELS))) * gain)
     return noise / noise.std()
 
 
