@@ -18,11 +18,11 @@ def duration(seconds: float) -> str:
 
 def size(amount: float) -> str:
     """812 B, 24 KiB, 2.1 GiB."""
-    for unit in ("B", "KiB", "MiB", "GiB"):
-        if amount < 1024 or unit == "GiB":
-            return f"{amount:.1f} {unit}" if unit == "GiB" else f"{amount:.0f} {unit}"
+    for unit in ("B", "KiB", "MiB"):
+        if amount < 1024:
+            return f"{amount:.0f} {unit}"
         amount /= 1024
-    raise AssertionError
+    return f"{amount:.1f} GiB"
 
 
 def ago(made: str) -> str:
@@ -38,15 +38,12 @@ def number(name: str, value: Any) -> str:
     """One named number of a stage's progress: 'psnr 27.1', '142k gaussians', '2.1 GiB'."""
     if name.endswith("bytes"):
         return size(value)
-    if isinstance(value, int) and not isinstance(value, bool):
-        return (
-            f"{value / 1e6:.1f}M {name}"
-            if value >= 1e6
-            else f"{value // 1000}k {name}"
-            if value >= 1e4
-            else f"{value} {name}"
-        )
-    return f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+    if isinstance(value, float):
+        return f"{name} {value:.3g}"
+    if not isinstance(value, int):
+        return f"{name} {value}"
+    short = f"{value / 1e6:.1f}M" if value >= 1_000_000 else f"{value // 1000}k" if value >= 10_000 else str(value)
+    return f"{short} {name}"
 
 
 def count(number: int, what: str) -> str:
