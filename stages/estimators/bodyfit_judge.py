@@ -53,7 +53,7 @@ def judge(
             sure = evidence.weight[i] > 0.5
             if sure.any():
                 error[i] = off[i, sure].mean()
-                share[i] = error[i] / evidence.height[i]
+                share[i] = np.median(off[i, sure]) / evidence.height[i]  # one wild landmark is no bad pose
     if masks is not None:
         views = rescale_viewmats(cameras.viewmats, poses.world_from_sfm)
         for i, vertices in enumerate(posed_vertices(model, poses)):

@@ -32,7 +32,7 @@ SEGMENTS = (
     ("ear", "eye"), ("wrist", "hand"))),
     ("left_hip", "right_hip"), ("left_shoulder", "right_shoulder"), ("left_ear", "right_ear"),
 )  # fmt: skip
-LOOSE = {"hip": 0.4, "shoulder": 0.7, "heel": 0.6, "big_toe": 0.6, "foot": 0.4, "hand": 0.5, "ear": 0.6}
+LOOSE = {"hip": 0.4, "shoulder": 0.7, "heel": 0.6, "big_toe": 0.6, "foot": 0.4, "hand": 0.4, "ear": 0.25}
 """Trust in landmarks that BlazePose and the body model do not put at quite the same spot; 1 for the others."""
 
 

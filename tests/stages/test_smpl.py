@@ -1,0 +1,138 @@
+"""The smpl stage on a made clip: poses imported from other programs' files, poses estimated, and clear refusals."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from stages import smpl
+from stages.avatar.body import Body
+from stages.avatar.rotations import rotvec_from_matrix
+from stages.contract import Job, StageError
+from stages.estimators import blazepose
+from stages.formats.body_model import read_body_model
+from stages.formats.cameras import write_cameras
+from stages.formats.images import write_image, write_mask
+from stages.formats.points import write_points
+from stages.formats.poses import read_poses
+from tests.stages.estimators import bodyfit_clips
+
+MODEL = read_body_model()
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A clip of 16 frames as the frames and sfm stages leave it: (clip, frames folder, sfm folder)."""
+    clip = bodyfit_clips.make(MODEL, frames=16, betas=(0.0,))
+    root = tmp_path_factory.mktemp("clip")
+    frames, sfm = root / "frames", root / "sfm"
+    for folder in (frames, sfm / "images", sfm / "masks"):
+        folder.mkdir(parents=True)
+    listing = [{"name": n, "time_s": float(t)} for n, t in zip(clip.cameras.names, clip.times, strict=True)]
+    (frames / "frames.json").write_text(json.dumps({"frames": listing}))
+    (sfm / "sfm.json").write_text(json.dumps({"verdict": "moving"}))
+    write_cameras(sfm / "cameras.npz", clip.cameras)
+    write_points(sfm / "points.ply", clip.points, np.zeros((len(clip.points), 3), np.uint8))
+    blank = np.zeros((bodyfit_clips.HEIGHT, bodyfit_clips.WIDTH, 3), np.uint8)
+    for name, mask in zip(clip.cameras.names, clip.masks(), strict=True):
+        write_image(sfm / "images" / f"{name}.png", blank)
+        write_mask(sfm / "masks" / f"{name}.png", mask)
+    return clip, frames, sfm
+
+
+def run(folder, frames, sfm, **sources):
+    said = []
+    folder.mkdir(exist_ok=True)
+    smpl.run(Job(out=folder, emit=said.append), smpl.Params(), frames=frames, sfm=sfm, **sources)
+    return read_poses(folder / "body.npz"), json.loads((folder / "smpl.json").read_text()), said
+
+
+def world_joints(poses):
+    f32 = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
+    parts = (f32(a) for a in (poses.betas, poses.global_orient, poses.body_pose, poses.transl))
+    return Body(MODEL)(*parts)[1].numpy()
+
+
+def camera_fit(clip):
+    """The true motion as a program that knows no world writes it: per frame, in the camera."""
+    yaw, pose = bodyfit_clips.motion(clip.times)
+    zero = torch.zeros(len(yaw), 3)
+    rest = Body(MODEL)(torch.zeros(10), zero, torch.tensor(pose, dtype=torch.float32), zero)[1].numpy()
+    views = clip.cameras.viewmats.copy()
+    views[:, :3, 3] *= clip.scale
+    joints = clip.joints @ views[:, :3, :3].mT + views[:, None, :3, 3]
+    orient, transl = [], []
+    for a, b in zip(rest, joints, strict=True):
+        from stages.avatar.cameras import umeyama
+
+        _, turn, _ = umeyama(a.astype(float), b)
+        orient.append(rotvec_from_matrix(torch.tensor(turn)).numpy())
+        transl.append(b[0] - a[0])
+    return {"betas": np.zeros(10), "global_orient": np.array(orient), "body_pose": pose, "transl": np.array(transl)}
+
+
+def test_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folders, tmp_path):
+    clip, frames, sfm = folders
+    fit = camera_fit(clip)
+    kept = np.delete(np.arange(16), [4, 5])
+    rows = {key: value if key == "betas" else value[kept] for key, value in fit.items()}
+    np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names)[kept], **rows)
+    poses, facts, _ = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit.npz")
+    assert poses.world_from_sfm == pytest.approx(clip.scale, rel=0.03)
+    error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
+    assert error[kept].mean() < 0.05
+    assert np.flatnonzero(poses.confidence == 0).tolist() == [4, 5]
+    assert facts["doubtful"] == [clip.cameras.names[4], clip.cameras.names[5]]
+    assert facts["mean_iou"] > 0.9
+    assert not (tmp_path / "out" / "landmarks.npz").exists()
+    assert (tmp_path / "out" / "body_model.npz").exists()
+
+
+def test_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp_path):
+    clip, frames, sfm = folders
+    fit = camera_fit(clip)
+    views = clip.cameras.viewmats
+    pelvis = (MODEL.J_regressor @ MODEL.v_template)[0].astype(float)
+    per_frame = bodyfit_clips.SFM_FROM_WORLD * np.linspace(0.95, 1.05, 16)  # depth guesses that waver
+    orient, transl = [], []
+    for i in range(16):
+        from stages.avatar.rotations import matrix_from_rotvec
+
+        turn = views[i, :3, :3].T
+        orient.append(
+            rotvec_from_matrix(torch.tensor(turn) @ matrix_from_rotvec(torch.tensor(fit["global_orient"][i]))).numpy()
+        )
+        transl.append(per_frame[i] * (turn @ (pelvis + fit["transl"][i]) - pelvis) - turn @ views[i, :3, 3])
+    arrays = fit | {"global_orient": np.array(orient), "transl": np.array(transl), "scale": per_frame}
+    np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names), **arrays)
+    poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit.npz")
+    assert poses.world_from_sfm == pytest.approx(clip.scale, rel=1e-6)
+    np.testing.assert_allclose(world_joints(poses), clip.joints, atol=2e-3)
+    assert any(event["event"] == "warning" and "scale varies" in event["text"] for event in said)
+    assert facts["mean_iou"] > 0.97
+
+
+def test_landmarks_become_poses_and_frames_without_a_person_are_named(folders, tmp_path, monkeypatch):
+    clip, frames, sfm = folders
+    monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
+    monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images: clip.tracks)
+    poses, facts, _ = run(tmp_path / "out", frames, sfm)
+    error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
+    assert error.mean() < 0.05
+    assert facts["not_seen"] == [clip.cameras.names[i] for i in (13, 14)]
+    assert (poses.confidence[[13, 14]] == 0).all()
+    assert facts["mean_iou"] > 0.85 and facts["mean_error_px"] < 15
+    with np.load(tmp_path / "out" / "landmarks.npz") as landmarks:
+        assert landmarks["xy"].shape == (16, 33, 2) and (landmarks["visibility"][13] == 0).all()
+
+
+def test_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):
+    _, frames, sfm = folders
+    monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
+    monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images: [None] * 16)
+    with pytest.raises(StageError, match="0 of 16 frames") as error:
+        run(tmp_path / "out", frames, sfm)
+    assert "--smpl-fit" in error.value.hint
