@@ -6,6 +6,7 @@ killed. It reports events as JSON lines on a pipe; its stdout and stderr go to l
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
@@ -15,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -35,6 +37,7 @@ LIBRARIES = {
 }
 """What computes: the module's name and the name it is installed under."""
 PROGRESS_EVERY = 0.1  # s between progress events of one stage
+TORCH_MEMORY = ("OutOfMemoryError", "can't allocate memory")  # how torch says it, on a GPU and without
 TICK = 0.25  # s between looks at the clock
 MAXRSS = 1 if sys.platform == "darwin" else 1024  # bytes in one unit of ru_maxrss
 
@@ -149,10 +152,9 @@ def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> 
 
 def main() -> int:
     """The stage's process."""
-    import errno
     import faulthandler
+    import importlib
     import threading
-    import traceback
 
     job = json.loads(read_line(0))
     sys.path[:] = job["path"]
@@ -180,8 +182,6 @@ def main() -> int:
     else:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        import importlib
-
         module = importlib.import_module(job["module"])
         inputs = {name: Path(path) if path else None for name, path in job["inputs"].items()}
         module.run(stage_job, module.Params(**job["params"]), **inputs)
@@ -190,23 +190,26 @@ def main() -> int:
     except Stopped:
         emit({"event": "stopped"})
         return 130
-    except StageError as error:
-        emit({"event": "error", "problem": error.problem, "facts": error.facts, "hint": error.hint})
-    except MemoryError:
-        problem = "the machine has no memory left for this stage"
-        emit(
-            {"event": "error", "problem": problem, "facts": [], "hint": "close other programs, or use smaller settings"}
-        )
-        traceback.print_exc()
     except Exception as error:
-        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-            hint = "free some space; `hugs gc` removes results that nothing uses"
-            emit({"event": "error", "problem": f"the disk is full at {job['out']}", "facts": [], "hint": hint})
-        else:
-            text = f"{type(error).__name__}: {error}"
-            emit({"event": "crash", "problem": text, "traceback": traceback.format_exc()})
-        traceback.print_exc()
+        if not isinstance(error, StageError):
+            traceback.print_exc()
+        emit(failed(error, job["out"]))
     return 1
+
+
+def failed(error: Exception, out: str) -> dict[str, Any]:
+    """The event for what a stage raised: 'error' where its user can help, 'crash' for a bug."""
+    from stages.contract import StageError
+
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        error = StageError(f"the disk is full at {out}", "free some space; `hugs gc` removes results that nothing uses")
+    elif isinstance(error, MemoryError) or any(words in f"{type(error).__name__} {error}" for words in TORCH_MEMORY):
+        hint = "close other programs, or use smaller settings (`--pipeline draft`)"
+        error = StageError("the machine has no memory left for this stage", hint, [str(error).partition("\n")[0]])
+    if isinstance(error, StageError):
+        return {"event": "error", "problem": error.problem, "facts": error.facts, "hint": error.hint}
+    problem = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    return {"event": "crash", "problem": problem, "traceback": "".join(traceback.format_exception(error))}
 
 
 def read_line(handle: int) -> bytes:
