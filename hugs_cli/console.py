@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     from hugs_cli.doctor import Finding
 
 STATE_WIDTH, TIME_WIDTH = 12, 15
+ON_ONE_LINE = 4  # reasons
 QUIET_EVERY = 60.0  # s between lines of a long stage where no row can move
 ENDINGS = {"done": "done", "stopped": "stopped"}  # every other ending reads 'failed'
 
 
 def reasons_text(reasons: tuple[Reason, ...]) -> str:
-    """Reasons of a re-run on one line; many edited modules are counted."""
-    code = [reason for reason in reasons if isinstance(reason, CodeChanged)]
-    counted = code[1:] if len(code) > 2 else []
-    texts = [str(reason) for reason in reasons if reason not in counted]
-    return ", ".join([*texts, *([f"and {count(len(counted), 'module')} more"] if counted else [])])
+    """Reasons of a re-run on one line; `hugs why` shows those that find no room."""
+    texts = list(map(str, reasons))
+    if len(texts) > ON_ONE_LINE:
+        texts[ON_ONE_LINE - 1 :] = [f"{len(texts) - ON_ONE_LINE + 1} more"]
+    return ", ".join(texts)
 
 
 @dataclass
