@@ -81,10 +81,12 @@ class Code:
         seen: set[str] = set()
         open_ = [module]
         for name in open_:
-            path = module_file(root, name) if name.partition(".")[0] == top else None
-            if path is None or name in seen:
+            if name in seen:
                 continue
             seen.add(name)
+            path = module_file(root, name)
+            if path is None:
+                continue
             facts = self.read(name, path)
             found[name] = facts["digest"]
             open_ += [*parents(name), *facts["imports"]]
