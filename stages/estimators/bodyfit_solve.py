@@ -213,14 +213,14 @@ class Solver:
         in_world: bool,
         progress: Callable[[int, float], None],
     ) -> State:
-        """Adam from `state` for `steps` steps; `in_world` adds feet and the scale, and needs state.scale to be near."""
+        """Adam from `state` for `steps` steps; `in_world` adds feet and, without a floor, the scale, from near state.scale."""
         turn = torch.zeros(len(state.pose), 3, requires_grad=True)
         ray = torch.cat([state.place[:, :2] / state.place[:, 2:], state.place[:, 2:].log()], 1).requires_grad_()
         pose, betas = state.pose.clone().requires_grad_(), state.betas.clone().requires_grad_()
         log_scale = torch.tensor(float(np.log(state.scale)), requires_grad=True)
         groups = [(turn, 0.02), (ray, 0.01), (pose, 0.03), (betas, 0.03)]
-        if in_world and self.world.moving:
-            groups.append((log_scale, 0.004))
+        if in_world and self.world.moving and self.world.normal is None:
+            groups.append((log_scale, 0.004))  # on a floor the robust first scale is the better one (by 2 % once)
         adam = torch.optim.Adam([{"params": [p], "lr": lr} for p, lr in groups], betas=(0.9, 0.98))
         warm = lambda i: min(1.0, (i + 1) / 10) * (0.02 + 0.98 * 0.5 * (1 + np.cos(np.pi * i / steps)))  # noqa: E731
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, warm)
