@@ -14,13 +14,12 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from hugs_cli import child, engine, options, pipelines
+from hugs_cli import child, engine, options, pipelines, words
 from hugs_cli.console import Console, reasons_text
 from hugs_cli.engine import RunStopped
 from hugs_cli.freshness import Judge, Verdict
 from hugs_cli.options import AsJson, DeviceName, DryRun, Force, PipelineName, Settings, Stages, Work, on_clip
 from hugs_cli.pipelines import UsageError
-from hugs_cli.words import relative, size
 from hugs_cli.workspace import Stamp, Workspace, size_of
 from stages.contract import StageError
 
@@ -63,12 +62,12 @@ def go(
     video, workspace = judge.sources["video"], judge.workspace
     judge.check_sources()
     workspace.create()
-    console.header(video.name, clip_facts(workspace), judge.pipeline.name, relative(workspace.root))
+    console.header(video.name, clip_facts(workspace), judge.pipeline.name, words.relative(workspace.root))
     ran = engine.run(judge, wanted, forced, device.value, console)
     path = workspace.links / (stages or wanted)[-1]
     path = path / "report.html" if path.name == "report" else path
     if not as_json:
-        console.result(relative(path))
+        console.result(words.relative(path))
         return
     rows = [
         {"stage": one.stage, "state": one.state, "reasons": list(map(str, one.reasons)), "folder": str(one.folder)}
@@ -154,10 +153,10 @@ def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work"))
         for folder in workspace.garbage():
             freed += size_of(folder)
             said = "would remove" if dry_run else "removed"
-            console.result(f"{said} {relative(folder)}  {size(size_of(folder))}")
+            console.result(f"{said} {words.relative(folder)}  {words.size(size_of(folder))}")
             if not dry_run:
                 shutil.rmtree(folder)
-    console.result(f"{size(freed)} {'to free' if dry_run else 'freed'}")
+    console.result(f"{words.size(freed)} {'to free' if dry_run else 'freed'}")
 
 
 @app.command()
@@ -209,20 +208,20 @@ def render(
     work: Work = Path("work"),
 ) -> None:
     """Render given cameras, and given poses, from what `hugs run` made."""
-    workspace = Workspace(video, work, pipeline)
-    needs = {name: workspace.linked(name) for name in ("sfm", "smpl", "train")}
-    for name, folder in needs.items():
-        if folder is None or Stamp.read(folder) is None:
-            command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
-            raise UsageError(f"no finished {name} of {video.name} in pipeline {pipeline}", f"`{command}`")
+    train = Workspace(video, work, pipeline).linked("train")
+    if train is None or Stamp.read(train) is None:
+        command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
+        raise UsageError(f"no finished train of {video.name} in pipeline {pipeline}", f"`{command}`")
     for path in filter(None, (cameras, poses)):
         if not path.is_file():
             raise UsageError(f"no file at {path}", "check the path")
     where = engine.device_of(device.value)
     from stages.render import render_views
 
-    render_views(*needs.values(), cameras, poses, only.value, out, where)
-    Console().result(relative(out))
+    console = Console()
+    count = render_views(train=train, cameras=cameras, poses=poses, only=only.value, out=out, device=where)
+    console.say(f"{words.count(count, 'picture')} of {only.value}")
+    console.result(words.relative(out))
 
 
 def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:

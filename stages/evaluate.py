@@ -83,7 +83,7 @@ def run(
     memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
     metrics = {protocol: _means(found) for protocol, found in rows.items()} | {
         "frames": len(held),
-        "gaussians": {"human": len(learned.avatar.canonical.means), "scene": len(scene) if scene else 0},
+        "gaussians": {"human": len(learned.avatar.resting.means), "scene": len(scene) if scene else 0},
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
         "peak_memory_bytes": max(memory),
         "device": job.device,

@@ -100,7 +100,7 @@ def test_stages_lists_settings_with_their_meaning(flow):
 
 def test_render_without_a_finished_run_says_what_to_run(flow):
     _, err = flow.hugs("--cameras", "c.npz", "--out", "o", command="render", code=2)
-    assert err == "error: no finished sfm of clip.mp4 in pipeline default\n\nhint: `hugs run clip.mp4`\n"
+    assert err == "error: no finished train of clip.mp4 in pipeline default\n\nhint: `hugs run clip.mp4`\n"
 
 
 def test_gc_without_results_is_refused(flow):
