@@ -111,7 +111,8 @@ def _meet(eye, ray, boxes, i):
             if abs(o[k]) > box[3 + k]:
                 return np.inf, -1
             continue
-        low, high = (-box[3 + k] - o[k]) / d[k], (box[3 + k] - o[k]) / d[k]
+        per = 1 / d[k]
+        low, high = (-box[3 + k] - o[k]) * per, (box[3 + k] - o[k]) * per
         front = 2 * k if d[k] > 0 else 2 * k + 1
         near, far = min(low, high), max(low, high)
         if near > enter:

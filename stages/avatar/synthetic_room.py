@@ -119,8 +119,8 @@ def _rug(rng: np.random.Generator) -> np.ndarray:
     """Three colours in blots over a wide weave."""
     first = _step(_noise(rng, 1.6, 0.07, 0.7), 0.4)[..., None]
     second = _step(_noise(rng, 1.5, 0.06, 0.5) - 0.5, 0.4)[..., None]
-    ground = np.array([0.6, 0.36, 0.32]) * first + np.array([0.36, 0.38, 0.46]) * (1 - first)
-    return (ground * (1 - second) + np.array([0.76, 0.68, 0.55]) * second) * (1 + 0.06 * _noise(rng)[..., None])
+    ground = np.array([0.36, 0.47, 0.46]) * first + np.array([0.56, 0.55, 0.5]) * (1 - first)
+    return (ground * (1 - second) + np.array([0.76, 0.72, 0.62]) * second) * (1 + 0.06 * _noise(rng)[..., None])
 
 
 def _step(x: np.ndarray, width: float) -> np.ndarray:

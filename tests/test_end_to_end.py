@@ -1,0 +1,125 @@
+"""The whole flow on the synthetic clip, once, through the command line; then every stage's result against the truth.
+
+The bars hold for pipeline `ci`, the least the flow may reach with its few frames and steps. What `default` reaches
+stands in the README.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stages.formats.body_model import read_body_model
+from stages.formats.cameras import read_cameras, write_cameras
+from stages.formats.images import read_image, read_mask
+from stages.formats.poses import read_poses, write_poses
+from tests.truth import align, box_of, camera_errors, in_result_world, joint_errors, mask_ious, psnr
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[1]
+PIPELINE = "ci"
+
+
+def hugs(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run the command line; the test fails with all it said if it does."""
+    command = [sys.executable, "-c", "from hugs_cli.app import main; main()", *map(str, arguments)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1200)
+    assert done.returncode == 0, f"hugs {' '.join(map(str, arguments))}\n{done.stdout}\n{done.stderr}"
+    return done
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("work")
+
+
+@pytest.fixture(scope="module")
+def flow(work) -> tuple[Path, Path]:
+    """The folder of stage results and the folder of the truth, after `hugs demo --pipeline ci`."""
+    began = time.monotonic()
+    said = hugs("demo", "--pipeline", PIPELINE, "--work", work)
+    print(f"the whole flow took {time.monotonic() - began:.0f} s\n{said.stderr}")
+    return work / "clip" / PIPELINE, work / "clip" / "synthetic" / "truth"
+
+
+@pytest.fixture(scope="module")
+def cameras(flow):
+    """Found and true cameras."""
+    return read_cameras(flow[0] / "sfm" / "cameras.npz"), read_cameras(flow[1] / "cameras.npz")
+
+
+def test_sfm_finds_the_cameras(flow, cameras):
+    frames = len(json.loads((flow[0] / "frames" / "frames.json").read_bytes())["frames"])
+    errors = camera_errors(*cameras, frames)
+    print(errors)
+    assert errors.registered >= 0.95
+    assert errors.worst < 0.01 * errors.extent
+    assert errors.turn_degrees < 0.2
+    assert errors.focal < 0.02
+
+
+def test_masks_cover_the_person(flow):
+    ious = mask_ious(flow[0] / "masks" / "masks", flow[1] / "masks")
+    print(f"IoU mean {ious.mean():.3f}, least {ious.min():.3f}")
+    assert ious.mean() >= 0.9
+    assert ious.min() >= 0.75
+
+
+def test_the_body_is_where_the_person_is(flow, cameras):
+    found, truth = read_poses(flow[0] / "smpl" / "body.npz"), read_poses(flow[1] / "body.npz")
+    similarity = align(*cameras, found.world_from_sfm)
+    model = read_body_model(flow[0] / "smpl" / "body_model.npz")
+    world, about = joint_errors(found, truth, similarity, model, read_body_model())
+    print(
+        f"joints {100 * world:.1f} cm off in the world, {100 * about:.1f} cm about the pelvis; x{similarity.scale:.3f}"
+    )
+    assert about <= 0.06
+    assert world <= 0.09
+    assert 0.93 < similarity.scale < 1.07, "metres are metres, as far as one camera can know"
+
+
+def test_unseen_frames_are_predicted(flow):
+    metrics = json.loads((flow[0] / "evaluate" / "metrics.json").read_bytes())
+    print(json.dumps(metrics["heldout"]))
+    assert metrics["frames"] >= 6
+    assert metrics["heldout"]["full"]["psnr"] >= 21
+    assert metrics["heldout"]["person_crop"]["psnr"] >= 17
+
+
+def test_a_pose_that_no_frame_shows_is_predicted(flow, cameras, work, tmp_path):
+    """True novel poses and cameras, told in the clip's world, through `hugs render`."""
+    results, truth = flow
+    fitted, model = read_poses(results / "train" / "body.npz"), read_body_model(results / "smpl" / "body_model.npz")
+    similarity = align(*cameras, fitted.world_from_sfm)
+    views, poses = in_result_world(truth / "novel", similarity, fitted, model, read_body_model())
+    write_cameras(tmp_path / "cameras.npz", views)
+    write_poses(tmp_path / "poses.npz", poses)
+    video = truth.parent / "clip.mp4"
+    hugs("render", video, "--cameras", tmp_path / "cameras.npz", "--poses", tmp_path / "poses.npz",
+         "--out", tmp_path / "out", "--pipeline", PIPELINE, "--work", work)  # fmt: skip
+    full, crop = [], []
+    for name in views.names:
+        found, wanted = (
+            read_image(tmp_path / "out" / f"{name}.png"),
+            read_image(truth / "novel" / "images" / f"{name}.png"),
+        )
+        box = box_of(read_mask(truth / "novel" / "masks" / f"{name}.png"))
+        full.append(psnr(found, wanted))
+        crop.append(psnr(found[box], wanted[box]))
+    print(f"novel pose: whole picture {np.mean(full):.2f} dB, person crop {np.mean(crop):.2f} dB")
+    assert np.mean(full) >= 18
+    assert np.mean(crop) >= 15
+
+
+def test_the_report_is_there_and_nothing_needs_to_run_again(flow, work):
+    assert (flow[0] / "report" / "report.html").stat().st_size > 10_000
+    began = time.monotonic()
+    hugs("run", flow[1].parent / "clip.mp4", "--pipeline", PIPELINE, "--work", work)
+    assert time.monotonic() - began < 5, "a run with nothing to do loads nothing"
