@@ -113,7 +113,7 @@ def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params
     from stages.avatar import motion
     from stages.avatar.drawing import draw, to_uint8
 
-    orients, body_poses, steps = getattr(motion, params.motion)(params.motion_seconds, params.fps)
+    orients, body_poses, steps = (t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
     middle = len(clip.names) // 2
     orient, _, transl = poses[clip.names[middle]]
     stand = upright(np.stack([poses[name][0] for name in clip.names]), orient)

@@ -160,6 +160,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
             [clip.mask(i) for i in chosen],
             clip.viewmats[chosen],
             clip.Ks[chosen],
+            clip.body.transl[chosen] + joints[0].cpu().numpy(),
             params.scene_fill,
             rng,
         )

@@ -35,6 +35,20 @@ BAD_STEPS = 20  # in a row, after which training stops
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
+def veil(scene: Splats, person: Tensor, viewmat: Tensor) -> Splats | None:
+    """The Gaussians of the scene nearer to a camera than most of the person's means[N,3]; None without any.
+
+    Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told.
+    """
+    with torch.no_grad():
+        depth = person @ viewmat[2, :3] + viewmat[2, 3]
+        far = depth.kthvalue(max(1, int(0.9 * len(depth)))).values
+        rows = (scene.means @ viewmat[2, :3] + viewmat[2, 3] < far).nonzero()[:, 0]
+    if len(rows) == 0:
+        return None
+    return Splats(scene.means[rows], scene.axes[rows], scene.opacities[rows], scene.sh[rows])
+
+
 class Fit:
     """State of one training run. `train` lists the frames that may be learned from; no other is looked at."""
 
@@ -145,7 +159,8 @@ class Fit:
             human = self.posed(self.resting(), *body)
         if self.scene is not None:
             background = torch.rand(3, generator=self.generator).to(K)
-            drawn = compose(human, self.scene.splats(), viewmat, K, width, height, background)
+            scene = self.scene.splats()
+            drawn = compose(human, scene, viewmat, K, width, height, background)
             rendered = drawn.image if gains is None else drawn.image * gains
             joint = losses.photometric(losses.outside_person(rendered, image, mask), image)
             loss = loss + joint
@@ -162,6 +177,10 @@ class Fit:
             apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
             loss = loss + apart
             numbers["person"] = apart.item()
+            before = None if self.scene is None else veil(scene, human.means, viewmat)
+            if before is not None:
+                veiled = compose(None, before, viewmat, shifted, right - left, bottom - top).alpha * mask[crop]
+                loss = loss + losses.VEIL * veiled.mean()
             if self.perceptual and self.step % self.options.perceptual_every == 0:
                 window = losses.patch(mask[crop], losses.PATCH, self.generator)
                 target = losses.over_background(image[crop], mask[crop], background)[window]

@@ -15,6 +15,7 @@ from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.sh import bases, sh_from_rgb
 
 START_OPACITY = 0.5
+BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
 NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard case H17)
 
 
@@ -39,18 +40,19 @@ def fill_points(
     masks: list[np.ndarray],
     viewmats: np.ndarray,
     Ks: np.ndarray,
+    person: np.ndarray,
     count: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [<=count,3] m and colours [.,3] uint8 of background at random pixels, as deep as the SfM points around.
 
-    points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3]. Inverse depth is
-    linear between the SfM points of a view and that of the nearest one beyond them. Behind the person the colour is that
-    of the nearest background pixel. Views with under 8 points are skipped.
+    points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3], and where the
+    person stands, person[3] m. Inverse depth is linear between the SfM points of a view and that of the nearest one
+    beyond them. On person pixels the colour is that of the nearest background pixel, and the depth beyond the person. Views with under 8 points are skipped.
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))
-    for image, mask, viewmat, K in zip(images, masks, viewmats, Ks, strict=True):
+    for image, mask, viewmat, K, place in zip(images, masks, viewmats, Ks, person, strict=True):
         height, width = mask.shape
         local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
         local = local[local[:, 2] > 1e-6]
@@ -65,6 +67,8 @@ def fill_points(
         w = LinearNDInterpolator(pixels, inverse)(at)
         beyond = ~np.isfinite(w)
         w[beyond] = NearestNDInterpolator(pixels, inverse)(at[beyond])
+        beyond_person = 1 / max(viewmat[2, :3] @ place + viewmat[2, 3] + BEHIND, 1e-6)
+        w = np.where(mask[row, column] >= 128, np.minimum(w, beyond_person), w)
         rays = np.concatenate([(at - [K[0, 2], K[1, 2]]) / [K[0, 0], K[1, 1]], np.ones((len(at), 1))], 1)
         xyz.append((rays / w[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3])
         rgb.append(image[free_row[row, column], free_column[row, column]])

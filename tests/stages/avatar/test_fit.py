@@ -6,7 +6,8 @@ import torch
 import trimesh
 
 from stages.avatar.compose import compose
-from stages.avatar.fit import Fit
+from stages.avatar.fit import Fit, veil
+from stages.avatar.gaussians import Splats
 from stages.avatar.human import HumanModel, bone_transforms, pose, rest
 from stages.avatar.refine import spread
 from stages.avatar.scene import SceneModel
@@ -203,3 +204,13 @@ def test_person_box_is_always_a_window_of_the_picture():
     for x in (-1000.0, 0.0, 1000.0):
         left, top, right, bottom = person_box(empty, torch.tensor([[x, x, 2.0]]), view, K)
         assert 0 <= left < right <= WIDTH and 0 <= top < bottom <= HEIGHT
+
+
+def test_veil_is_what_stands_before_the_person():
+    depths = torch.tensor([1.0, 2.9, 3.5, 6.0])
+    scene = Splats(
+        torch.stack([0 * depths, 0 * depths, depths], 1), torch.eye(3).repeat(4, 1, 1), depths, depths[:, None]
+    )
+    person = torch.tensor([[0, 0, 2.8], [0, 0, 3.0], [0, 0, 3.2]]).repeat(10, 1)
+    assert veil(scene, person, torch.eye(4)).opacities.tolist() == pytest.approx([1.0, 2.9])
+    assert veil(scene, person + torch.tensor([0, 0, -5.0]), torch.eye(4)) is None

@@ -69,15 +69,18 @@ def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
     mask = np.zeros((48, 64), np.uint8)
     mask[10:30, 20:40] = 255
     image[mask > 0] = 255
-    xyz, rgb = fill_points(wall, [image], [mask], viewmat[None], K[None], 400, rng)
+    person = np.array([[0.0, 0.0, 3.0]])
+    xyz, rgb = fill_points(wall, [image], [mask], viewmat[None], K[None], person, 400, rng)
     assert len(xyz) == 400 and np.allclose(xyz[:, 2], 5, atol=1e-6)
     local = xyz + viewmat[:3, 3]
     column, row = ((local[:, :2] / local[:, 2:]) * 50 + [32, 24]).T.astype(int)
     free = mask[row, column] == 0
     assert (image[row, column] == rgb)[free].mean() > 0.95
     assert (~free).sum() > 10 and (rgb < 255).all()
-    none, _ = fill_points(wall[:5], [image], [mask], viewmat[None], K[None], 400, rng)
+    none, _ = fill_points(wall[:5], [image], [mask], viewmat[None], K[None], person, 400, rng)
     assert len(none) == 0
+    behind, _ = fill_points(wall, [image], [mask], viewmat[None], K[None], person + [0, 0, 2.5], 400, rng)
+    assert np.isclose(behind[:, 2].min(), 5) and np.isclose(behind[:, 2].max(), 6), "half a metre behind the person"
 
 
 def test_rows_that_are_not_finite_are_zeroed_in_all_tensors_and_counted():
