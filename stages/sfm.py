@@ -129,13 +129,14 @@ def solve(
 
     files, images, database = [f"{name}.png" for name in names], frames / "images", scratch / "database.db"
     job.progress(0, 100)
-    write_ignored(names, masks, scratch / "ignored", max(width, height))
+    side = max(width, height)
+    write_ignored(names, masks, scratch / "ignored", side)
     camera = [params.focal, width / 2, height / 2, 0.0] if params.focal else []
     colmap.extract(database, images, scratch / "ignored", files, params.features, camera)
     job.progress(30, 100)
-    colmap.match(database, len(names).bit_length(), growing=True)
+    colmap.match(database, len(names).bit_length(), growing=True, side=side)
     if params.overlap > 2:
-        colmap.match(database, params.overlap, growing=False)
+        colmap.match(database, params.overlap, growing=False, side=side)
     pairs, counts = colmap.read_pairs(database, files)
     facts: dict = {
         "features": {"min": int(counts.min()), "median": float(np.median(counts))},

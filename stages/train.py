@@ -26,7 +26,7 @@ COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "hum
 
 
 class Params(contract.Params):
-    steps: int = Field(5000, gt=0)
+    steps: int = Field(4000, gt=0)
     """Training frames looked at. Time grows linearly."""
     rounds: int = Field(1, ge=0, le=3)
     """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
@@ -69,7 +69,8 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     fit = build(clip, train, params, decisions, job)
     started = _resume(fit, job)
     curve, seconds = started["curve"], started["seconds"]
-    job.note(f"{len(train)} training frames, {_size(fit)} Gaussians at the start, scene {'on' if fit.scene else 'off'}")
+    sizes = " and ".join(f"{count:,} of the {name}" for name, count in _size(fit).items() if count)
+    job.note(f"{len(train)} training frames; starts with {sizes}")
     judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
     judged = judged[:: max(1, len(judged) // JUDGED)][:JUDGED]
     every = max(1, params.steps // params.curve_points)

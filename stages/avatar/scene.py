@@ -46,9 +46,10 @@ def fill_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [<=count,3] m and colours [.,3] uint8 of background at random pixels, as deep as the SfM points around.
 
-    points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3], and where the
-    person stands, person[3] m. Inverse depth is linear between the SfM points of a view and that of the nearest one
-    beyond them. On person pixels the colour is that of the nearest background pixel, and the depth beyond the person. Views with under 8 points are skipped.
+    points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3] and the place of the
+    person[3] m. Inverse depth is linear between the SfM points of a view and that of the nearest one beyond them. On
+    person pixels the colour is that of the nearest background pixel, and the depth lies beyond the person. Views with
+    under 8 points are skipped.
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))

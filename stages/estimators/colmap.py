@@ -18,6 +18,7 @@ from stages.avatar import lens
 from stages.avatar.camera_motion import Pair
 
 SEED = 1  # of every random draw in COLMAP
+MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
 
 
 @dataclass(frozen=True)
@@ -74,14 +75,18 @@ def extract(database: Path, images: Path, masks: Path, files: list[str], feature
     )
 
 
-def match(database: Path, overlap: int, growing: bool) -> None:
-    """Match and verify each frame with the next `overlap` frames, or, if `growing`, with those 1, 2, 4, 8 ... later."""
+def match(database: Path, overlap: int, growing: bool, side: int) -> None:
+    """Match and verify each frame with the next `overlap` frames, or, if `growing`, with those 1, 2, 4, 8 ... later.
+
+    `side` is the frames' longer side in px; it scales the error that a verified match may have.
+    """
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu, matching.num_threads = False, 1  # two threads find other matches from run to run, and no faster
     pairing = pycolmap.SequentialPairingOptions()
     pairing.overlap, pairing.quadratic_overlap = overlap, growing
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = SEED
+    verification.ransac.max_error = max(MATCH_ERROR * side, LEAST_ERROR)
     pycolmap.match_sequential(
         database,
         matching_options=matching,

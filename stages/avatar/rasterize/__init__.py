@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize import cache  # noqa: F401  (first: it names the folder of the compiled kernels)
-from stages.avatar.rasterize import cpu, reference  # isort: skip
+# `cache` first: it names the folder of the compiled kernels before any is defined
+from stages.avatar.rasterize import cache, cpu, reference  # noqa: F401
 from stages.avatar.rasterize.rendering import Rendering
 
 __all__ = ["Rendering", "gaussian_axes", "rasterize"]

@@ -70,7 +70,7 @@ def _blocks(r, left, top):
     """The blocks of the tile at (left, top) px that a Gaussian reaches, as bits."""
     half = np.float32(0.5)
     x, y = r[X] - np.float32(left) - half, r[Y] - np.float32(top) - half
-    low, high = int(math.ceil(y - r[REACH_Y])), int(math.floor(y + r[REACH_Y]))
+    low, high = math.ceil(y - r[REACH_Y]), math.floor(y + r[REACH_Y])
     low, high = max(low, 0) >> 2, min(high, TILE - 1) >> 2
     bits = np.uint64(0)
     small = r[REACH_X] < SMALL and r[REACH_Y] < SMALL
@@ -80,7 +80,7 @@ def _blocks(r, left, top):
             near, far = interval(r, np.float32(4 * band) - y, np.float32(4 * band + 3) - y)
             if near > far:
                 continue
-        first, last = max(int(math.ceil(x + near)), 0), min(int(math.floor(x + far)), TILE - 1)
+        first, last = max(math.ceil(x + near), 0), min(math.floor(x + far), TILE - 1)
         if first <= last:
             row = (np.uint64(2) << np.uint64(last >> 2)) - (np.uint64(1) << np.uint64(first >> 2))
             bits |= row << np.uint64(ACROSS * band)

@@ -53,7 +53,7 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx, v_image, v_alpha, v_depth):
         (means, axes, opacities, view, K, width, height, antialias, records, radii), scene = ctx.kept
         *scene, finals, lasts = scene
-        n, background, threads = len(means), scene[5], scene[6]
+        n, _background, threads = len(means), scene[5], scene[6]
         v_image, v_alpha, v_depth = (_array(v) for v in (v_image, v_alpha, v_depth))
         partial = _records(threads * n).reshape(threads, n, blend.ROW)
         blend.draw_backward(*scene, finals, lasts, v_image, v_alpha, v_depth, partial)

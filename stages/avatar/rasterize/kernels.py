@@ -74,7 +74,7 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             z = view[2, 0] * means[i, 0] + view[2, 1] * means[i, 1] + view[2, 2] * means[i, 2] + view[2, 3]
             if not z > near:
                 continue
-            x, y, z, u, v = _screen(means, axes, i, view, fx, fy, cx, cy, width, height, a, b, turned)
+            x, y, z, _u, _v = _screen(means, axes, i, view, fx, fy, cx, cy, width, height, a, b, turned)
             px, py = fx * x / z + cx, fy * y / z + cy
             means2d[i, 0], means2d[i, 1] = px, py
             sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + BLUR, _dot(b, b) + BLUR, _dot(a, b)
@@ -236,8 +236,8 @@ def _tiles(r, row, across, width):
     left, right = interval(r, top, top + np.float32(TILE - 1))
     if left > right:
         return 1, 0
-    first = max(0, int(math.ceil(left + r[X] - np.float32(0.5))))
-    last = min(width - 1, int(math.floor(right + r[X] - np.float32(0.5))))
+    first = max(0, math.ceil(left + r[X] - np.float32(0.5)))
+    last = min(width - 1, math.floor(right + r[X] - np.float32(0.5)))
     return (first // TILE, last // TILE) if first <= last else (1, 0)
 
 
@@ -250,8 +250,8 @@ def tile_lists(order, records, width, height, chunks):
     for chunk in prange(chunks):
         for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             r = records[order[k]]
-            top = max(0, int(math.floor((r[Y] - r[REACH_Y]) / TILE)))
-            bottom = min(down - 1, int(math.floor((r[Y] + r[REACH_Y]) / TILE)))
+            top = max(0, math.floor((r[Y] - r[REACH_Y]) / TILE))
+            bottom = min(down - 1, math.floor((r[Y] + r[REACH_Y]) / TILE))
             for row in range(top, bottom + 1):
                 first, last = _tiles(r, row, across, width)
                 for column in range(first, last + 1):
@@ -269,8 +269,8 @@ def tile_lists(order, records, width, height, chunks):
     for chunk in prange(chunks):
         for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             r = records[order[k]]
-            top = max(0, int(math.floor((r[Y] - r[REACH_Y]) / TILE)))
-            bottom = min(down - 1, int(math.floor((r[Y] + r[REACH_Y]) / TILE)))
+            top = max(0, math.floor((r[Y] - r[REACH_Y]) / TILE))
+            bottom = min(down - 1, math.floor((r[Y] + r[REACH_Y]) / TILE))
             for row in range(top, bottom + 1):
                 first, last = _tiles(r, row, across, width)
                 for column in range(first, last + 1):

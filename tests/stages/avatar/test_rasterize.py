@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from stages.avatar.rasterize import cpu, gaussian_axes, rasterize, reference
+from stages.avatar.rasterize import cpu, reference
 
 WIDTH, HEIGHT = 61, 45
 BACKGROUND = torch.tensor([0.2, 0.5, 0.7])

@@ -69,7 +69,7 @@ def test_fetching_brings_the_siblings_and_then_needs_no_package(tiny):
 def test_a_changed_package_is_refused(tiny):
     with zipfile.ZipFile(tiny, "a") as archive:
         archive.writestr("extra", b"x")
-    with pytest.raises(StageError, match="pip could not fetch tinymodel==1.0"):
+    with pytest.raises(StageError, match=r"pip could not fetch tinymodel==1\.0"):
         assets.fetch("a.bin", lambda line: None)
     assert not assets.present("a.bin") and list(assets.cache().iterdir()) == []
 
