@@ -61,7 +61,7 @@ def test_sfm_finds_the_cameras(flow, cameras):
     print(errors)
     assert errors.registered >= 0.95
     assert errors.worst < 0.01 * errors.extent
-    assert errors.turn_degrees < 0.2
+    assert errors.turn_degrees < 0.5, "centres on a short arc fix the world's own turn no better"
     assert errors.focal < 0.02
 
 
@@ -89,8 +89,8 @@ def test_unseen_frames_are_predicted(flow):
     metrics = json.loads((flow[0] / "evaluate" / "metrics.json").read_bytes())
     print(json.dumps(metrics["heldout"]))
     assert metrics["frames"] >= 6
-    assert metrics["heldout"]["full"]["psnr"] >= 21
-    assert metrics["heldout"]["person_crop"]["psnr"] >= 17
+    assert metrics["heldout"]["full"]["psnr"] >= 24
+    assert metrics["heldout"]["person_crop"]["psnr"] >= 20
 
 
 def test_a_pose_that_no_frame_shows_is_predicted(flow, cameras, work, tmp_path):
@@ -114,12 +114,12 @@ def test_a_pose_that_no_frame_shows_is_predicted(flow, cameras, work, tmp_path):
         full.append(psnr(found, wanted))
         crop.append(psnr(found[box], wanted[box]))
     print(f"novel pose: whole picture {np.mean(full):.2f} dB, person crop {np.mean(crop):.2f} dB")
-    assert np.mean(full) >= 18
-    assert np.mean(crop) >= 15
+    assert np.mean(full) >= 20
+    assert np.mean(crop) >= 17.5
 
 
 def test_the_report_is_there_and_nothing_needs_to_run_again(flow, work):
     assert (flow[0] / "report" / "report.html").stat().st_size > 10_000
     began = time.monotonic()
-    hugs("run", flow[1].parent / "clip.mp4", "--pipeline", PIPELINE, "--work", work)
-    assert time.monotonic() - began < 5, "a run with nothing to do loads nothing"
+    again = hugs("run", flow[1].parent / "clip.mp4", "--pipeline", PIPELINE, "--work", work)
+    assert time.monotonic() - began < 5, f"a run with nothing to do loads nothing, but:\n{again.stderr}"
