@@ -110,12 +110,12 @@ def camera_path(frames: int, fps: float, motion: Motion, rng: np.random.Generato
 
 
 def novel_cameras(count: int) -> np.ndarray:
-    """viewmats [count,4,4] along the moving camera's arc, a little higher, lower and farther than it ever is."""
+    """viewmats [count,4,4] along the moving camera's arc, a little higher, lower and farther than it is there."""
     views = []
     for i, angle in enumerate(np.linspace(-0.42, 0.42, count) * ARC):
-        distance, lift = DISTANCE * (1.0 + 0.06 * (i % 2)), 0.12 * (-1) ** i
+        distance, lift = DISTANCE * (1.0 + 0.03 * (i % 2)), 0.08 * (-1) ** i
         eye = np.array([distance * np.sin(angle), 1.35 + lift, distance * np.cos(angle)])
-        views.append(look_at(eye, np.array([0, 0.98, 0]), UP))
+        views.append(look_at(eye, np.array([0, 0.94, 0]), UP))
     return np.stack(views)
 
 
