@@ -94,8 +94,8 @@ def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.nda
     stand[list(A_POSE)] = list(A_POSE.values())
     human = learned.person((np.zeros(3), stand, np.zeros(3)))
     points = human.means.cpu().numpy()
-    low, high = np.percentile(points, 0.2, axis=0), np.percentile(points, 99.8, axis=0)
-    focal, away = 2.2 * side, 2.6 * max(high - low)
+    low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
+    focal, away = 2.2 * side, 2.7 * max(high - low)
     K = np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
     for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
         cos, sin = np.cos(angle), np.sin(angle)

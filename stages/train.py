@@ -271,6 +271,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     import torch
 
+    from stages.avatar.densify import strays
+    from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
     from stages.formats.poses import write_poses
     from stages.formats.splats import Avatar, Scene, write_splats
@@ -279,6 +281,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         return tensor.detach().cpu().numpy()
 
     (c, _), p = fit.baked(), fit.person
+    stray = strays(c.means, p.vertices)
+    c = Canonical(*(part[~stray] for part in c))
+    if stray.any():
+        job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body")
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
         lbs_weights=array(c.weights),
@@ -303,7 +309,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "steps": fit.step,
         "seconds": curve[-1]["seconds"],
         "extent_m": fit.options.extent,
-        "gaussians": _size(fit),
+        "gaussians": _size(fit) | {"human": len(avatar)},
+        "strays": int(stray.sum()),
         "not_finite": fit.bad,
         "train_frames": [clip.names[i] for i in fit.train],
         "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",

@@ -113,6 +113,12 @@ def plan(growth: Growth, sizes: Tensor, opacities: Tensor, rules: Rules, room: i
     return Plan(source, fresh, child, len(copies), len(parents), len(sizes) - kept)
 
 
+def strays(means: Tensor, body: Tensor) -> Tensor:
+    """Which of the canonical means[N,3] are farther than FAR from all of the body's vertices[V,3]: no part of a person."""
+    distance, _ = cKDTree(body.cpu().numpy()).query(means.detach().cpu().numpy())
+    return torch.as_tensor(distance > FAR, device=means.device)
+
+
 def grow_scene(
     scene: SceneModel, optimizer: Optimizer, growth: Growth, rules: Rules, rounds_left: int, generator: torch.Generator
 ) -> Plan:
@@ -142,12 +148,11 @@ def grow_human(
 ) -> Plan:
     """Densify the person in place, as `grow_scene`; sizes and opacities are those decoded now.
 
-    Gaussians farther than FAR from the canonical body's vertices `body`[V,3] are no part of the person and go.
+    Those that strayed from the canonical body's vertices `body`[V,3] go.
     """
     with torch.no_grad():
         person, *_ = human()
-    distance, _ = cKDTree(body.cpu().numpy()).query(person.means.cpu().numpy())
-    lost = torch.as_tensor(distance > FAR, device=body.device)
+    lost = strays(person.means, body)
     room = _room(human, rules, rounds_left)
     rows = plan(growth, person.scales.amax(1), person.opacities, rules, room, lost)
     moved = displacement(person.frames * person.scales[:, None, :], rows, generator)
