@@ -52,7 +52,9 @@ def test_a_turning_camera_is_named_and_calibrated(turn, k):
         assert motion.focal_px == pytest.approx(FOCAL, rel=0.03) and motion.k == pytest.approx(k, abs=0.03)
 
 
-@pytest.mark.parametrize(("turn", "travel", "flat"), [(8, 0.8, False), (0, 0.5, False), (3, 0.2, False), (5, 0.8, True)])
+@pytest.mark.parametrize(
+    ("turn", "travel", "flat"), [(8, 0.8, False), (0, 0.5, False), (3, 0.2, False), (5, 0.8, True)]
+)
 def test_a_travelling_camera_is_not_taken_for_a_turning_one(turn, travel, flat):
     motion = judge_motion(clip(turn, travel, flat)[0], WIDTH, HEIGHT)
     assert motion.verdict == "moving" and motion.rotation_residual_px > 1.5 * motion.rotation_limit_px
