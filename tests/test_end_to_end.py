@@ -7,6 +7,7 @@ stands in the README.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.images import read_image, read_mask
 from stages.formats.poses import read_poses, write_poses
+from tests.browser import probe
 from tests.truth import align, box_of, camera_errors, in_result_world, joint_errors, mask_ious, psnr
 
 pytestmark = pytest.mark.slow
@@ -123,3 +125,14 @@ def test_the_report_is_there_and_nothing_needs_to_run_again(flow, work):
     began = time.monotonic()
     again = hugs("run", flow[1].parent / "clip.mp4", "--pipeline", PIPELINE, "--work", work)
     assert time.monotonic() - began < 5, f"a run with nothing to do loads nothing, but:\n{again.stderr}"
+
+
+@pytest.mark.parametrize("width", [1280, 500])
+def test_the_report_opens_in_a_browser(flow, tmp_path, width):
+    report = flow[0] / "report" / "report.html"
+    assert not re.search(r'(src|href)="(?!data:)', report.read_text(encoding="utf-8")), "nothing is fetched"
+    found, logged = probe(report, tmp_path, width)
+    assert logged == []
+    assert found["images"] >= 8 and found["bad"] == []
+    assert found["films"] == 4 and found["still"] == []
+    assert not found["wide"], f"the page is wider than {width} px"
