@@ -47,7 +47,8 @@ def rasterize(
 ) -> Rendering:
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; differentiable in all tensors, also twice."""
     n = len(means)
-    finite = torch.stack([t.detach().reshape(n, -1).isfinite().all(1) for t in (means, axes, opacities, colors)]).all(0)
+    rows = (means, axes, opacities, colors)
+    finite = torch.stack([part.detach().isfinite()[:, None].flatten(1).all(1) for part in rows]).all(0)
     with torch.no_grad():
         z = means @ viewmat[2, :3] + viewmat[2, 3]
         rows = (finite & (z > near)).nonzero()[:, 0]

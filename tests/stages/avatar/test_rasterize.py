@@ -98,3 +98,11 @@ def test_agrees_with_the_reference(kind, antialias):
     assert apart(fast.screen_grad_abs, true.screen_grad_abs) < BOUNDS[kind]
     assert (fast.screen_grad_abs.norm() > 1.5 * fast.screen_grad.norm()) or kind == "huge"
     assert torch.equal(fast.radii > 0, true.radii > 0)
+
+
+@pytest.mark.parametrize("maker", [cpu, reference])
+def test_nothing_to_draw_is_the_background(maker):
+    parts = [part[:0] for part in gaussians(3)]
+    drawn, grads = draw(maker, parts, *camera())
+    assert torch.allclose(drawn.image, BACKGROUND.expand(HEIGHT, WIDTH, 3)) and drawn.alpha.max() == 0
+    assert grads[0].shape == (0, 3) and drawn.dropped == 0
