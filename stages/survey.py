@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Effect = Literal["auto", "always", "never"]
 
-# Where a finding changes a decision or is worth a warning (shared/reference/hard-cases.md section 16).
+# Where a finding changes a decision or is worth a warning.
 MIN_PARALLAX_DEG = 1.0  # below this SfM depth is mostly noise
 MIN_POINTS = 100  # fewer points start no scene
 EXPOSURE_STD = 0.02  # of the log gain over the clip

@@ -1,7 +1,7 @@
 """COLMAP's features, matches and mappers through pycolmap: the only module that imports it.
 
 pycolmap must come after something that loads the system zlib: imported first, its own static copy answers for the
-system's and the next PNG write aborts the process (shared/reference/rasterizer.md section 7).
+system's and the next PNG write aborts the process.
 """
 
 from __future__ import annotations
