@@ -33,8 +33,8 @@ class Params(contract.Params):
     """auto: find out how the camera moved. fixed: it stood still; nothing is reconstructed, every frame is kept."""
     focal: float | None = Field(None, gt=0)
     """Focal length in px of the frames as the frames stage wrote them, if it is known; else it is estimated."""
-    features: int = Field(4096, ge=256)
-    """SIFT features a frame at most. Time grows with its square."""
+    features: int = Field(2048, ge=256)
+    """SIFT features a frame, about. Matching time grows with its square; 1024 still place a textured room to 1 mm."""
     overlap: int = Field(2, ge=1)
     """Each frame is matched with this many that follow, besides those 1, 2, 4, 8 ... frames later. Time grows with it."""
     min_share: float = Field(0.5, gt=0, le=1)
