@@ -26,12 +26,13 @@ PROTOCOL = (
     "frames were. 'heldout_fitted': the pose alone is then fitted to the held-out picture, the Gaussians stay as they "
     "are. full: whole picture (undistorted); person_crop: tight box of the mask; person_white: the person over white, "
     "the picture cut out by its mask, in the same box. Means over frames; PSNR over all channels at once, SSIM 11x11 "
-    "with sigma 1.5, LPIPS AlexNet v0.1 on [-1,1]."
+    "with sigma 1.5, LPIPS AlexNet v0.1 on [-1,1]; equal pictures count 100 dB. Where the mask is empty nobody is drawn."
 )
 REGIONS = ("full", "person_crop", "person_white")
 LR_POSE = {"turn": 0.01, "place": 0.005}  # rad and m a step
 SHOWN = 6
 MARGIN = 16  # px around the person while its pose is fitted
+EQUAL = 100.0  # dB that stand for equal pictures: JSON knows no infinity
 
 
 class Params(contract.Params):
@@ -61,7 +62,7 @@ def run(
     facts = json.loads((train / "train.json").read_text())
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
-    held = [int(i) for i in np.flatnonzero(clip.heldout)]
+    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(i)]
     shown = set(held[:: max(1, len(held) // SHOWN)][:SHOWN])
     (job.out / "heldout").mkdir()
     rows: dict[str, list[dict[str, Any]]] = {"heldout": [], "heldout_fitted": []}
@@ -92,10 +93,10 @@ def run(
         "protocol": PROTOCOL,
         "per_frame": rows,
     }
-    (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1))
+    (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False))
     job.note(_sentence(metrics["heldout"]))
     if not held:
-        job.warn(f"no frame is held out: the clip has only {len(clip.names)} registered frames")
+        job.warn(f"nothing could be measured: no held-out frame to compare in {len(clip.names)} registered frames")
 
 
 class Shot:
@@ -105,16 +106,19 @@ class Shot:
         import numpy as np
         import torch
 
+        from stages.avatar.metrics import person_crop
+
         like = learned.avatar.joints
         self.learned = learned
-        self.image = torch.as_tensor(clip.images(i)).to(like) / 255
-        self.mask = torch.as_tensor(clip.mask(i)).to(like) / 255
+        self.image = torch.tensor(clip.images(i)).to(like) / 255
+        self.mask = torch.tensor(clip.mask(i)).to(like) / 255
         self.viewmat, self.K = (torch.as_tensor(np.asarray(m)).to(like) for m in (clip.viewmats[i], clip.Ks[i]))
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
+        self.box = person_crop(self.mask)
         self.pose: Pose = (clip.body.global_orient[i], clip.body.body_pose[i], clip.body.transl[i])
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
-        """The pixels of `box` (rows, columns) as drawn, [h,w,3], over white or black."""
+        """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black."""
         from stages.avatar.compose import compose
 
         rows, columns = box
@@ -123,17 +127,27 @@ class Shot:
         K[1, 2] -= rows.start
         size = columns.stop - columns.start, rows.stop - rows.start
         ground = self.gain.new_full((3,), float(white))
-        return compose(human, scene, self.viewmat, K, *size, ground).image * self.gain
+        drawn = compose(human, scene, self.viewmat, K, *size, ground)
+        bare = (1 - drawn.alpha)[..., None] * ground
+        return bare + self.gain * (drawn.image - bare)
 
     def draw(self, pose: Pose) -> tuple[torch.Tensor, torch.Tensor]:
-        """Person and scene together, and the person alone over white; both [H,W,3] within 0..1."""
+        """Person and scene together, and the person alone over white; both [H,W,3] within 0..1.
+
+        Without a scene the two are the same; where the mask shows nobody, nobody is drawn.
+        """
         import torch
 
-        human, everything = self.learned.person(pose), (slice(0, self.mask.shape[0]), slice(0, self.mask.shape[1]))
+        everything = (slice(0, self.mask.shape[0]), slice(0, self.mask.shape[1]))
         with torch.no_grad():
-            both = self.render(human, self.learned.scene, everything, white=False)
-            alone = self.render(human, None, everything, white=True)
-        return both.clamp(0, 1), alone.clamp(0, 1)
+            human = self.learned.person(pose) if self.box else None
+            alone = (
+                self.render(human, None, everything, white=True).clamp(0, 1) if human else torch.ones_like(self.image)
+            )
+            both = alone
+            if self.learned.scene is not None:
+                both = self.render(human, self.learned.scene, everything, white=False).clamp(0, 1)
+        return both, alone
 
 
 def fit_pose(shot: Shot, steps: int) -> Pose:
@@ -141,14 +155,13 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     import torch
 
     from stages.avatar.human import pose_avatar
-    from stages.avatar.metrics import over_white, person_crop
+    from stages.avatar.metrics import over_white
 
-    tight = person_crop(shot.mask)
-    if tight is None:
+    if shot.box is None:
         return shot.pose
     box = tuple(
         slice(max(0, side.start - MARGIN), min(limit, side.stop + MARGIN))
-        for side, limit in zip(tight, shot.mask.shape, strict=True)
+        for side, limit in zip(shot.box, shot.mask.shape, strict=True)
     )
     like = shot.learned.avatar.joints
     orient, body, transl = (torch.as_tensor(p).to(like).requires_grad_() for p in shot.pose)
@@ -169,17 +182,19 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
 
 
 def _scores(shot: Shot, drawn: tuple[torch.Tensor, torch.Tensor], lpips: Lpips) -> Iterator[tuple[str, Any]]:
-    from stages.avatar.metrics import over_white, person_crop, scores
+    from stages.avatar.metrics import over_white, scores
+
+    def finite(image: torch.Tensor, truth: torch.Tensor) -> dict[str, float | None]:
+        found = scores(image.contiguous(), truth.contiguous(), lpips)
+        return {name: EQUAL if value == float("inf") else value for name, value in found.items()}
 
     both, alone = drawn
-    box = person_crop(shot.mask)
-    cut = over_white(shot.image, shot.mask)
     if shot.learned.scene is not None:
-        yield "full", scores(both, shot.image, lpips)
-        if box is not None:
-            yield "person_crop", scores(both[box].contiguous(), shot.image[box].contiguous(), lpips)
-    if box is not None:
-        yield "person_white", scores(alone[box].contiguous(), cut[box].contiguous(), lpips)
+        yield "full", finite(both, shot.image)
+        if shot.box is not None:
+            yield "person_crop", finite(both[shot.box], shot.image[shot.box])
+    if shot.box is not None:
+        yield "person_white", finite(alone[shot.box], over_white(shot.image, shot.mask)[shot.box])
 
 
 def _means(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -32,7 +32,7 @@ class Params(contract.Params):
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None:
-    """Render heldout.mp4, turntable.mp4, motion.mp4 and, if there is a scene, scene.mp4."""
+    """Render turntable.mp4, motion.mp4, heldout.mp4 if a frame is held out, and scene.mp4 if there is a scene."""
     import numpy as np
 
     from stages.formats.clip import load_clip
@@ -41,11 +41,13 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     clip = load_clip(sfm, smpl)
     learned, poses = _read(train, job.device)
     fps = float(params.fps)
-    shots: dict[str, tuple[list[np.ndarray] | Iterator[np.ndarray], float]] = {
-        "heldout": (_beside_truth(clip, learned, poses, np.flatnonzero(clip.heldout)), 4.0),
+    shots: dict[str, tuple[Iterator[np.ndarray], float]] = {
         "turntable": (_turntable(learned, params.turntable_frames), fps),
         "motion": (_motion(clip, learned, poses, params), fps),
     }
+    held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or clip.shows_person(i)]
+    if held:
+        shots["heldout"] = (_beside_truth(clip, learned, poses, held), 4.0)
     if learned.scene is not None:
         shots["scene"] = (_empty(clip, learned), fps / 2)
     for done, (name, (pictures, rate)) in enumerate(shots.items()):
@@ -66,14 +68,16 @@ def _read(train: Path, device: str) -> tuple[Learned, dict[str, Pose]]:
     return load_learned(read_avatar(train / "avatar.npz"), scene, device), poses
 
 
-def _beside_truth(clip: Clip, learned: Learned, poses: dict[str, Pose], order: Iterable[int]) -> Iterator[np.ndarray]:
+def _beside_truth(clip: Clip, learned: Learned, poses: dict[str, Pose], order: list[int]) -> Iterator[np.ndarray]:
+    """The clip on the left, ours on the right; over white without a scene, without the person where there is none."""
     import numpy as np
 
     from stages.avatar.drawing import draw, to_uint8
 
     for i in order:
-        human = learned.person(poses[clip.names[i]])
-        drawn, _ = draw(human, learned.scene, clip.viewmats[i], clip.Ks[i], (clip.width, clip.height))
+        human = learned.person(poses[clip.names[i]]) if clip.shows_person(i) else None
+        view = (clip.viewmats[i], clip.Ks[i], (clip.width, clip.height))
+        drawn, _ = draw(human, learned.scene, *view, background=0.0 if learned.scene else 1.0)
         yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)
 
 

@@ -66,7 +66,7 @@ def run(
         page.section("What was learned", _films(render)),
         page.section(
             "Held-out frames",
-            page.row([page.picture(*shot) for shot in _comparisons(evaluate)], 420),
+            page.row([page.picture(*shot) for shot in _comparisons(evaluate)], 260),
             note="The clip on the left, ours in the middle, the person alone on the right. Nothing of these frames was "
             "trained on.",
         ),
@@ -75,7 +75,7 @@ def run(
         page.section("Where the time went", _times(stamps)),
         page.section(
             "The body fit",
-            page.row([page.picture(*shot) for shot in _overlays(clip)], 240),
+            page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
             note="The fitted body over the frames. Where the outline leaves the person, the avatar suffers.",
         ),
         page.section("What was measured and decided", _survey(survey)),
@@ -109,7 +109,7 @@ def _films(render: Path) -> str:
     from stages.formats import page
 
     known = [(render / f"{name}.mp4", caption) for name, caption in FILMS.items()]
-    return page.row([page.film(path, caption) for path, caption in known if path.exists()], 380)
+    return page.row([page.film(path, caption) for path, caption in known if path.exists()], 300)
 
 
 def _comparisons(evaluate: Path) -> list[tuple[np.ndarray, str]]:
@@ -126,9 +126,10 @@ def _accuracy(metrics: dict[str, Any]) -> str:
         for region, where in REGIONS.items():
             values = metrics[protocol][region]
             if values["psnr"] is not None:
-                rows.append(
-                    [title, where, *(f"{values[k]:.{d}f}" for k, d in (("psnr", 2), ("ssim", 3), ("lpips", 3)))]
-                )
+                numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
+                rows.append([title, where, *("too small" if n is None else f"{n:.{d}f}" for n, d in numbers)])
+    if not rows:
+        return "<p>No held-out frame could be compared.</p>"
     return page.table(["poses", "where", "PSNR dB", "SSIM", "LPIPS"], rows, numeric=(2, 3, 4))
 
 
@@ -143,7 +144,7 @@ def _curve(train: Path) -> str:
     for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
         known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
         lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
-    return page.chart(lines, "minutes of training", "PSNR dB")
+    return page.chart(lines, "minutes of training", "PSNR dB") or "<p>Too few measurements for a curve.</p>"
 
 
 def _times(stamps: dict[str, dict[str, Any]]) -> str:

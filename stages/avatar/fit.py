@@ -172,7 +172,8 @@ class Fit:
             shifted[1, 2] -= top
             background = torch.rand(3, generator=self.generator).to(K)
             only = compose(human, None, viewmat, shifted, right - left, bottom - top, background)
-            rendered = only.image if gains is None else background + gains * (only.image - background)
+            bare = (1 - only.alpha)[..., None] * background
+            rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
             apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
             loss = loss + apart

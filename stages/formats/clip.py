@@ -63,6 +63,10 @@ class Clip:
         """Its person mask, uint8 [H,W], 255 = person."""
         return self._sized(read_mask(self.folder / "masks" / f"{self.names[i]}.png"), "masks", i)
 
+    def shows_person(self, i: int) -> bool:
+        """Whether the mask of frame `i` has any person in it."""
+        return bool((self.mask(i) > 127).any())
+
     def _sized(self, pixels: np.ndarray, kind: str, i: int) -> np.ndarray:
         if pixels.shape[:2] != (self.height, self.width):
             raise StageError(

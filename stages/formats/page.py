@@ -10,6 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stages.formats.video import probe
+
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2024; --soft: #60646c; --line: #d9d9e0; --paper: #fcfcfd; --box: #f0f0f3;
         --mark: #b54708; --blue: #1f6feb; }
@@ -19,8 +21,8 @@ body { margin: 0 auto; max-width: 1080px; padding: 24px; background: var(--paper
        font: 16px/1.5 system-ui, sans-serif; }
 h1 { margin: 0; font-size: 30px; } h2 { margin: 40px 0 8px; font-size: 20px; }
 p { margin: 6px 0; } .soft, figcaption { color: var(--soft); font-size: 14px; }
-.row { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(var(--least, 300px), 1fr)); }
-figure { margin: 0; }
+.row { display: flex; flex-wrap: wrap; gap: 14px; }
+figure { margin: 0; flex: var(--shape) 1 calc(var(--shape) * var(--tall)); max-width: calc(var(--shape) * var(--tall) * 1.3); }
 img, video { display: block; width: 100%; height: auto; border-radius: 6px; background: var(--box); }
 .facts { display: grid; gap: 10px; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); margin: 18px 0; }
 .facts div { background: var(--box); border-radius: 8px; padding: 10px 14px; }
@@ -28,8 +30,9 @@ img, video { display: block; width: 100%; height: auto; border-radius: 6px; back
 .warn { border-left: 4px solid var(--mark); background: var(--box); padding: 8px 14px; margin: 8px 0; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 td, th { text-align: left; padding: 4px 12px 4px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-td.n, th.n { text-align: right; } .bar { background: var(--blue); height: 10px; border-radius: 3px; min-width: 1px; }
-svg { width: 100%; height: auto; } svg text { fill: var(--soft); font-size: 13px; }
+td.n, th.n { text-align: right; white-space: nowrap; } td:has(.bar) { width: 50%; vertical-align: middle; }
+.bar { background: var(--blue); height: 10px; border-radius: 3px; min-width: 1px; }
+svg { width: 100%; max-width: 860px; height: auto; } svg text { fill: var(--soft); font-size: 13px; }
 """
 
 
@@ -46,21 +49,23 @@ def picture(pixels: np.ndarray, caption: str, quality: int = 88) -> str:
     done, data = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise ValueError(f"no JPEG of a picture of shape {pixels.shape}")
-    return _figure(f'<img alt="{escape(caption)}" src="{_data("image/jpeg", data.tobytes())}">', caption)
+    shape = pixels.shape[1] / pixels.shape[0]
+    return _figure(f'<img alt="{escape(caption)}" src="{_data("image/jpeg", data.tobytes())}">', caption, shape)
 
 
 def film(path: Path, caption: str) -> str:
     """A figure that plays an .mp4 in a loop, embedded."""
-    source = _data("video/mp4", path.read_bytes())
+    source, info = _data("video/mp4", path.read_bytes()), probe(path)
     return _figure(
         f'<video controls loop muted autoplay playsinline aria-label="{escape(caption)}" src="{source}"></video>',
         caption,
+        info.width / info.height,
     )
 
 
-def row(figures: Sequence[str], least: int = 300) -> str:
-    """Figures beside each other, each at least `least` px wide, wrapped on narrow screens."""
-    return f'<div class="row" style="--least:{least}px">{"".join(figures)}</div>'
+def row(figures: Sequence[str], tall: int) -> str:
+    """Figures beside each other, equally high within a line: about `tall` px, less where the screen is narrow."""
+    return f'<div class="row" style="--tall:{tall}px">{"".join(figures)}</div>'
 
 
 def section(title: str, *parts: str, note: str = "") -> str:
@@ -97,40 +102,49 @@ def bar(share: float) -> str:
 
 
 def chart(lines: dict[str, tuple[Sequence[float], Sequence[float]]], x_name: str, y_name: str) -> str:
-    """A line chart as SVG: name -> (x, y); fewer than two points make no chart and give ''."""
+    """A line chart as SVG: name -> (x, y), x from 0; fewer than two points make no chart and give ''."""
     lines = {name: (x, y) for name, (x, y) in lines.items() if len(x) > 1}
     if not lines:
         return ""
-    width, height, left, low = 900, 300, 56, 40
-    xs = np.concatenate([np.asarray(x, float) for x, _ in lines.values()])
-    ys = np.concatenate([np.asarray(y, float) for _, y in lines.values()])
-    x0, x1 = 0.0, max(xs.max(), 1e-9)
-    y0, y1 = np.floor(ys.min()), np.ceil(max(ys.max(), ys.min() + 1e-6))
+    width, height, left, right, top, low = 720, 300, 52, 20, 34, 44
+    across = _ticks(0.0, max(max(x) for x, _ in lines.values()))
+    up = _ticks(min(min(y) for _, y in lines.values()), max(max(y) for _, y in lines.values()))
+    last = max(max(x) for x, _ in lines.values()) or 1.0
 
     def at(x: float, y: float) -> tuple[float, float]:
-        return left + (x - x0) / (x1 - x0) * (width - left - 10), height - low - (y - y0) / (y1 - y0) * (
-            height - low - 14
-        )
+        share = (y - up[0]) / (up[-1] - up[0])
+        return left + x / last * (width - left - right), height - low - share * (height - low - top)
 
     out = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(y_name)} over {escape(x_name)}">']
-    for y in np.linspace(y0, y1, 5):
+    for y in up:
         _, py = at(0, y)
-        out.append(f'<line x1="{left}" x2="{width - 10}" y1="{py:.1f}" y2="{py:.1f}" stroke="var(--line)"/>')
-        out.append(f'<text x="{left - 8}" y="{py + 4:.1f}" text-anchor="end">{y:.1f}</text>')
-    for x in np.linspace(x0, x1, 6):
-        px, _ = at(x, y0)
-        out.append(f'<text x="{px:.1f}" y="{height - 20}" text-anchor="middle">{x:.3g}</text>')
+        out.append(f'<line x1="{left}" x2="{width - right}" y1="{py:.1f}" y2="{py:.1f}" stroke="var(--line)"/>')
+        out.append(f'<text x="{left - 8}" y="{py + 4:.1f}" text-anchor="end">{y:g}</text>')
+    for x in across[across <= last]:
+        out.append(f'<text x="{at(x, 0)[0]:.1f}" y="{height - 24}" text-anchor="middle">{x:g}</text>')
+    out.append(f'<text x="{left}" y="16">{escape(y_name)}</text>')
+    out.append(f'<text x="{(left + width) / 2}" y="{height - 4}" text-anchor="middle">{escape(x_name)}</text>')
     for i, (name, (x, y)) in enumerate(lines.items()):
         color = ("var(--blue)", "var(--mark)")[i % 2]
-        points = " ".join(f"{px:.1f},{py:.1f}" for px, py in (at(*p) for p in zip(x, y, strict=True)))
+        places = [at(*place) for place in zip(x, y, strict=True)]
+        points = " ".join(f"{px:.1f},{py:.1f}" for px, py in places)
         out.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="2.5"/>')
-        out.append(f'<text x="{left + 14}" y="{height - low - 12 - 18 * i}" style="fill:{color}">{escape(name)}</text>')
-    out.append(f'<text x="{(left + width) / 2}" y="{height - 3}" text-anchor="middle">{escape(x_name)}</text></svg>')
-    return "".join(out)
+        out += [f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3" fill="{color}"/>' for px, py in places]
+        out.append(f'<text x="{left + 120 + 160 * i}" y="16" style="fill:{color}">● {escape(name)}</text>')
+    return "".join([*out, "</svg>"])
 
 
-def _figure(media: str, caption: str) -> str:
-    return f"<figure>{media}<figcaption>{escape(caption)}</figcaption></figure>"
+def _ticks(low: float, high: float, about: int = 5) -> np.ndarray:
+    """Round numbers from at or below `low` to at or above `high`, some `about` of them, at least two."""
+    rough = max(high - low, 1e-6 * max(abs(high), 1.0)) / about
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = power * next(s for s in (1, 2, 5, 10) if s * power >= rough)
+    first, last = np.floor(low / step), max(np.ceil(high / step), np.floor(low / step) + 1)
+    return np.round(np.arange(first, last + 1) * step, 9)
+
+
+def _figure(media: str, caption: str, shape: float) -> str:
+    return f'<figure style="--shape:{shape:.3f}">{media}<figcaption>{escape(caption)}</figcaption></figure>'
 
 
 def _data(kind: str, data: bytes) -> str:

@@ -7,6 +7,7 @@ import pytest
 from stages.contract import StageError
 from stages.estimators import assets
 from stages.formats.video import decode
+from tests.stages import tiny as tiny_clip
 
 
 @pytest.fixture(scope="session")
@@ -26,3 +27,15 @@ def blazepose():
 def kitchen(shared_data):
     """Every 10th frame of the kitchen clip: index -> uint8 [864,480,3]."""
     return {i: image for i, _, image in decode(shared_data / "kitchen" / "kitchen.mp4") if i % 10 == 0}
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory):
+    """Folders of all stages up to train, of a clip with a scene; not to be written to."""
+    return tiny_clip.make(tmp_path_factory.mktemp("tiny"))
+
+
+@pytest.fixture(scope="session")
+def tiny_human(tmp_path_factory):
+    """The same without a scene."""
+    return tiny_clip.make(tmp_path_factory.mktemp("tiny-human"), scene=False)

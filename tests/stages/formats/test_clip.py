@@ -1,0 +1,56 @@
+"""Joining the folders of sfm and smpl by frame name, in metres."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages.contract import StageError
+from stages.formats.clip import load_clip
+from stages.formats.images import write_image
+from stages.formats.poses import read_poses, write_poses
+from tests.stages import tiny as tiny_clip
+
+
+def test_cameras_points_and_body_share_a_world_of_metres(tiny):
+    clip = load_clip(tiny["sfm"], tiny["smpl"])
+    np.testing.assert_allclose(clip.viewmats, tiny_clip.make_viewmats(), atol=1e-12)
+    np.testing.assert_allclose(clip.points, tiny_clip.make_scene().means[::7], atol=1e-6)
+    assert clip.names == tiny_clip.NAMES and clip.colors.dtype == np.uint8
+    assert (clip.images(0).shape, clip.mask(0).shape) == ((128, 96, 3), (128, 96))
+    assert clip.shows_person(0) and not clip.shows_person(tiny_clip.EMPTY)
+
+
+def test_every_fifth_frame_is_held_out(tiny):
+    assert np.flatnonzero(load_clip(tiny["sfm"], tiny["smpl"]).heldout).tolist() == [2, 7]
+
+
+def test_bodies_are_put_in_the_order_of_the_cameras(tiny, tmp_path):
+    poses = read_poses(tiny["smpl"] / "body.npz")
+    rows = ("global_orient", "body_pose", "transl", "confidence")
+    turned = {name: getattr(poses, name)[::-1] for name in rows}
+    write_poses(tmp_path / "body.npz", replace(poses, names=poses.names[::-1], **turned))
+    clip = load_clip(tiny["sfm"], tiny["smpl"], tmp_path / "body.npz")
+    np.testing.assert_array_equal(clip.body.transl, poses.transl)
+    assert clip.body.names == clip.names
+
+
+def test_a_camera_without_a_body_is_named(tiny, tmp_path):
+    poses = read_poses(tiny["smpl"] / "body.npz")
+    rows = ("global_orient", "body_pose", "transl", "confidence")
+    write_poses(
+        tmp_path / "body.npz", replace(poses, names=poses.names[:6], **{r: getattr(poses, r)[:6] for r in rows})
+    )
+    with pytest.raises(StageError, match="2 of 8 frames") as refused:
+        load_clip(tiny["sfm"], tiny["smpl"], tmp_path / "body.npz")
+    assert "000018, 000021" in refused.value.facts[0]
+
+
+def test_a_picture_of_another_size_is_refused(tiny, tmp_path):
+    sfm = shutil.copytree(tiny["sfm"], tmp_path / "sfm")
+    write_image(sfm / "images" / "000003.png", np.zeros((64, 48, 3), np.uint8))
+    clip = load_clip(sfm, tiny["smpl"])
+    with pytest.raises(StageError, match=r"images/000003\.png") as refused:
+        clip.images(1)
+    assert refused.value.facts == ("picture 48x64, camera 96x128",)

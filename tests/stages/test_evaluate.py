@@ -1,0 +1,160 @@
+"""Measuring held-out frames: known answers on a clip that was drawn from the avatar itself."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from stages import evaluate
+from stages.avatar.drawing import load_learned
+from stages.contract import Job, StageError
+from stages.estimators import assets
+from stages.formats.clip import load_clip
+from stages.formats.images import read_image
+from stages.formats.poses import read_poses, write_poses
+from stages.formats.splats import read_avatar, read_scene
+from tests.stages import tiny as tiny_clip
+from tests.stages.tiny import HEIGHT, STAGES, WIDTH
+
+HELD = 2  # the held-out frame that shows the person
+
+
+@pytest.fixture(scope="module")
+def lpips():
+    try:
+        assets.fetch("lpips_alex.npz")
+    except StageError as error:
+        pytest.skip(f"{error}: {' '.join(error.facts)}")
+
+
+def run(clip, out, **params):
+    def no_constants(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    events = []
+    evaluate.run(Job(out, seed=5, emit=events.append), evaluate.Params(**params), **clip)
+    return json.loads((out / "metrics.json").read_text(), parse_constant=no_constants), events
+
+
+@pytest.fixture(scope="module")
+def measured(lpips, tiny, tmp_path_factory):
+    out = tmp_path_factory.mktemp("evaluate")
+    return *run(tiny, out, fit_steps=2), out
+
+
+def test_metrics_hold_what_is_promised(measured):
+    metrics, _, _ = measured
+    for protocol in ("heldout", "heldout_fitted"):
+        assert set(metrics[protocol]) == {"full", "person_crop", "person_white"}
+        assert all({"psnr", "ssim", "lpips"} <= set(region) for region in metrics[protocol].values())
+    assert metrics["frames"] == 2 and metrics["gaussians"] == {"human": 1723, "scene": 441}
+    seconds = metrics["seconds"]
+    assert set(seconds) == {*STAGES, "evaluate", "total"} and seconds["train"] == 6.5
+    assert seconds["total"] == pytest.approx(sum(v for k, v in seconds.items() if k != "total"), abs=1e-3)
+    assert metrics["peak_memory_bytes"] >= 200 << 20 and metrics["device"] == "cpu" and metrics["seed"] == 5
+    assert {"python", "torch", "numpy", "pycolmap"} <= set(metrics["versions"])
+
+
+def test_what_drew_the_clip_scores_as_well_as_bytes_allow(measured):
+    held = measured[0]["heldout"]
+    assert held["full"]["psnr"] > 55 and held["full"]["ssim"] > 0.999 and held["full"]["lpips"] < 1e-3
+    assert held["person_crop"]["psnr"] > 50
+    assert held["person_white"]["psnr"] > 25, "the clip's edge of the mask has the wall in it"
+    assert held["person_crop"]["lpips"] is None, "under 64 px"
+
+
+def test_a_frame_without_a_person_counts_only_whole(measured):
+    metrics, events, out = measured
+    person, empty = metrics["per_frame"]["heldout"]
+    assert set(person) == {"name", "full", "person_crop", "person_white"} and set(empty) == {"name", "full"}
+    assert empty["full"]["psnr"] > 55, "nobody is drawn into it"
+    assert not [e for e in events if e["event"] == "warning"]
+    shown = {path.stem: read_image(path) for path in (out / "heldout").glob("*.png")}
+    assert set(shown) == {tiny_clip.NAMES[2], tiny_clip.NAMES[7]}
+    assert {picture.shape for picture in shown.values()} == {(HEIGHT, 3 * WIDTH, 3)}
+    assert (shown[tiny_clip.NAMES[7]][:, 2 * WIDTH :] == 255).all()
+
+
+def test_without_a_scene_only_the_person_is_measured(lpips, tiny_human, tmp_path):
+    metrics, _ = run(tiny_human, tmp_path, fit_steps=0)
+    assert metrics["frames"] == 1 and metrics["gaussians"]["scene"] == 0
+    held = metrics["heldout"]
+    assert set(held["full"].values()) == set(held["person_crop"].values()) == {None}
+    assert held["person_white"]["psnr"] > 25 and metrics["heldout_fitted"] == held
+
+
+def test_nothing_held_out_is_said(lpips, tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr("stages.formats.clip.HELD_OUT_FIRST", 99)
+    metrics, events = run(tiny, tmp_path)
+    assert metrics["frames"] == 0 and metrics["heldout"]["full"]["psnr"] is None
+    assert any(e["event"] == "warning" and "nothing could be measured" in e["text"] for e in events)
+
+
+def shot(clip, gain=None, scene=True, **poses):
+    train = clip["train"]
+    loaded = load_clip(clip["sfm"], clip["smpl"])
+    loaded = replace(loaded, body=replace(loaded.body, **poses))
+    wall = read_scene(train / "scene.npz") if scene else None
+    return evaluate.Shot(loaded, load_learned(read_avatar(train / "avatar.npz"), wall), HELD, gain, "cpu")
+
+
+def test_a_wrong_pose_is_fitted_back(tiny):
+    truth = read_poses(tiny["smpl"] / "body.npz")
+    body_pose = truth.body_pose.copy()
+    body_pose[:, 47] += 0.25
+    wrong = {
+        "global_orient": truth.global_orient,
+        "body_pose": body_pose,
+        "transl": truth.transl + [0.04, -0.03, 0],
+    }
+    frame = shot(tiny, **wrong)
+    before = frame.pose
+    found = evaluate.fit_pose(frame, 40)
+
+    def error(pose):
+        return float((frame.draw(pose)[0] - frame.image).square()[frame.box].mean())
+
+    assert error(found) < error(before) / 4
+    assert np.linalg.norm(found[2] - truth.transl[HELD]) < 0.02
+    assert abs(found[1][47] - truth.body_pose[HELD, 47]) < 0.18
+    np.testing.assert_array_equal(before[1], wrong["body_pose"][HELD])
+
+
+def test_fitting_never_makes_it_worse_and_no_steps_change_nothing(tiny):
+    frame = shot(tiny)
+    assert evaluate.fit_pose(frame, 0) is frame.pose
+    found = evaluate.fit_pose(frame, 3)
+    np.testing.assert_allclose(found[2], frame.pose[2], atol=1e-6)
+
+
+def test_exposure_darkens_the_person_not_the_white_around(tiny):
+    plain, dark = (shot(tiny, gain).draw(shot(tiny).pose) for gain in (None, [0.5, 0.5, 0.5]))
+    torch.testing.assert_close(dark[0], plain[0] * 0.5, atol=1e-5, rtol=0)
+    assert (dark[1][0, 0] == 1).all()
+    inside = shot(tiny).mask > 0.99
+    torch.testing.assert_close(dark[1][inside], plain[1][inside] * 0.5, atol=0.02, rtol=0)
+
+
+def test_equal_pictures_count_a_hundred_decibels(tiny):
+    frame = shot(tiny)
+    frame.image = frame.draw(frame.pose)[0]
+    found = dict(evaluate._scores(frame, frame.draw(frame.pose), None))
+    assert found["full"]["psnr"] == found["full"]["psnr_per_channel"] == evaluate.EQUAL
+
+
+def test_poses_come_from_training(lpips, tiny, tmp_path):
+    """A train/body.npz that is 10 cm off shows in the scores, and fitting brings them back."""
+    clip = dict(tiny)
+    clip["train"] = tmp_path / "train"
+    clip["train"].mkdir()
+    for path in tiny["train"].iterdir():
+        (clip["train"] / path.name).write_bytes(path.read_bytes())
+    poses = read_poses(tiny["train"] / "body.npz")
+    write_poses(clip["train"] / "body.npz", replace(poses, transl=poses.transl + [0.05, 0, 0]))
+    out = tmp_path / "out"
+    out.mkdir()
+    metrics, _ = run(clip, out, fit_steps=25)
+    held, fitted = (metrics[k]["person_crop"]["psnr"] for k in ("heldout", "heldout_fitted"))
+    assert held < 25 and fitted > held + 5

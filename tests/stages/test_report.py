@@ -1,0 +1,73 @@
+"""The page of a result, looked at by a real browser."""
+
+import re
+
+import pytest
+
+from stages import evaluate, export, render, report
+from stages.contract import Job, StageError
+from stages.estimators import assets
+from tests.browser import probe
+from tests.stages import tiny as tiny_clip
+
+
+def make(clip, folder):
+    """Run the stages after train, briefly, then the report; returns the page."""
+    try:
+        assets.fetch("lpips_alex.npz")
+    except StageError as error:
+        pytest.skip(f"{error}: {' '.join(error.facts)}")
+    done = {name: folder / name for name in ("export", "render", "evaluate", "report")}
+    for place in done.values():
+        place.mkdir()
+    shots = {name: clip[name] for name in ("sfm", "smpl", "train")}
+    quick = render.Params(fps=8, turntable_frames=8, motion_seconds=1.0)
+    export.run(Job(done["export"]), export.Params(), train=clip["train"])
+    render.run(Job(done["render"]), quick, **shots)
+    evaluate.run(Job(done["evaluate"]), evaluate.Params(fit_steps=1), **clip)
+    for name in ("export", "render", "evaluate"):
+        tiny_clip.stamp(done[name])
+    report.run(Job(done["report"]), report.Params(), **clip, **{n: p for n, p in done.items() if n != "report"})
+    return done["report"] / "report.html"
+
+
+@pytest.fixture(scope="module")
+def page(tiny, tmp_path_factory):
+    return make(tiny, tmp_path_factory.mktemp("report"))
+
+
+def test_everything_is_told(page):
+    text = page.read_text(encoding="utf-8")
+    assert "<h1>dance &lt;1&gt;.mp4</h1>" in text and "sfm: the camera &lt;b&gt;barely&lt;/b&gt; moved" in text
+    assert "1,723 Gaussians in the person, 441 in the scene" in text and "scene on, exposure off" in text
+    assert "too small" in text, "LPIPS of a crop under 64 px"
+    assert [name for name in tiny_clip.STAGES if f"<td>{name}</td>" not in text] == []
+    assert text.count("<polyline") == 2
+    assert not re.search(r'(src|href|action)="(?!data:)|url\(|@import|https?://', text), "nothing is fetched"
+
+
+@pytest.mark.parametrize("width", [1280, 500])
+def test_the_browser_shows_everything_and_complains_of_nothing(page, tmp_path, width):
+    found, logged = probe(page, tmp_path, width)
+    assert logged == []
+    assert found["images"] == 8 and found["bad"] == [] and found["films"] == 4 and found["still"] == []
+    assert not found["wide"], f"the page is wider than {width} px"
+
+
+def test_a_person_without_a_scene(tiny_human, tmp_path):
+    (tmp_path / "made").mkdir()
+    page = make(tiny_human, tmp_path / "made")
+    text = page.read_text(encoding="utf-8")
+    assert "PSNR, person over white" in text and "PSNR, whole picture" not in text
+    found, logged = probe(page, tmp_path, 900)
+    assert logged == [] and found["films"] == 3 and found["bad"] == found["still"] == []
+
+
+def test_a_clip_with_nothing_held_out(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr("stages.formats.clip.HELD_OUT_FIRST", 99)
+    text = make(tiny, tmp_path).read_text(encoding="utf-8")
+    assert "No held-out frame could be compared." in text
+
+
+def test_durations_are_read_easily():
+    assert [report._duration(s) for s in (0.04, 59.94, 60, 3599)] == ["0.0 s", "59.9 s", "1 min 0 s", "59 min 59 s"]
