@@ -69,6 +69,9 @@ def read_cameras(path: Path) -> Cameras:
     names = arrays.get("names", np.array([f"{i:06d}" for i in range(count)]))
     if len(names) != count or len(set(names.tolist())) != count:
         raise StageError(f"the {len(names)} names in {path} do not name its {count} cameras one by one", hint)
+    unfit = [str(name) for name in names if str(name) in ("", ".", "..") or set(str(name)) & set("/\\\0")]
+    if unfit:
+        raise StageError(f"a camera name in {path} cannot be a file name", hint, [f"found {unfit[0]!r}"])
     _check_values(path, viewmats, Ks, hint)
     return Cameras(
         names=tuple(str(name) for name in names),

@@ -23,8 +23,15 @@ def write_ply(path: Path, splats: Scene) -> int:
     """Write Gaussians as binary PLY in the layout of 3DGS; returns how many opacities were bounded.
 
     Opacity is stored as its logit (bounded at +-15), scales as logarithms, rotation as w x y z, higher harmonics
-    channel by channel. Raises StageError when a scale is not positive.
+    channel by channel. Raises StageError when a scale is not positive or an opacity not in 0..1.
     """
+    if not ((splats.opacities >= 0) & (splats.opacities <= 1)).all():
+        row = int(np.flatnonzero(~((splats.opacities >= 0) & (splats.opacities <= 1)))[0])
+        raise StageError(
+            "a Gaussian has an opacity that is not between 0 and 1",
+            "train again: `hugs run VIDEO train --force`",
+            [f"row {row}: {splats.opacities[row]}"],
+        )
     if not (splats.scales > 0).all():
         row = int(np.argwhere(~(splats.scales > 0))[0, 0])
         raise StageError(

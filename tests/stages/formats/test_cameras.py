@@ -38,6 +38,7 @@ def test_centers_are_where_the_camera_sees_zero():
         ({"viewmats": np.tile(np.eye(4), (2, 1, 1))}, "shapes"),
         ({"Ks": np.tile(np.diag([-500.0, 500, 1]), (3, 1, 1))}, "focal"),
         ({"names": np.array(["a", "a", "b"])}, "names"),
+        ({"names": np.array(["a", "../../b", "c"])}, "cannot be a file name"),
         ({"width": None}, "width"),
     ],
 )

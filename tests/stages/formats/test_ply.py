@@ -52,3 +52,9 @@ def test_a_scale_that_is_not_positive_is_refused_by_row(tmp_path):
     with pytest.raises(StageError) as refused:
         write_ply(tmp_path / "a.ply", scene(scales=scales))
     assert "row 3" in refused.value.facts[0] and not (tmp_path / "a.ply").exists()
+
+
+def test_an_opacity_out_of_range_is_refused_by_row(tmp_path):
+    with pytest.raises(StageError) as refused:
+        write_ply(tmp_path / "a.ply", scene(opacities=np.array([0.5, 0.5, 1.5, 0.5, np.nan])))
+    assert "row 2" in refused.value.facts[0]
