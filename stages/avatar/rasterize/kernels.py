@@ -230,7 +230,15 @@ def interval(r, top, bottom):
 
 
 @njit(cache=True, inline="always")
-def _tiles(r, row, across, width):
+def _tile_rows(r, down):
+    """First and last of the `down` tile rows that a Gaussian's box touches."""
+    top = max(0, math.floor((r[Y] - r[REACH_Y]) / TILE))
+    bottom = min(down - 1, math.floor((r[Y] + r[REACH_Y]) / TILE))
+    return top, bottom
+
+
+@njit(cache=True, inline="always")
+def _tiles(r, row, width):
     """First and last tile of a tile row (32 px high) that a Gaussian touches."""
     top = np.float32(row * TILE + 0.5) - r[Y]
     left, right = interval(r, top, top + np.float32(TILE - 1))
@@ -250,10 +258,9 @@ def tile_lists(order, records, width, height, chunks):
     for chunk in prange(chunks):
         for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             r = records[order[k]]
-            top = max(0, math.floor((r[Y] - r[REACH_Y]) / TILE))
-            bottom = min(down - 1, math.floor((r[Y] + r[REACH_Y]) / TILE))
+            top, bottom = _tile_rows(r, down)
             for row in range(top, bottom + 1):
-                first, last = _tiles(r, row, across, width)
+                first, last = _tiles(r, row, width)
                 for column in range(first, last + 1):
                     counts[chunk, row * across + column] += 1
     starts = np.zeros(across * down + 1, np.int64)
@@ -269,10 +276,9 @@ def tile_lists(order, records, width, height, chunks):
     for chunk in prange(chunks):
         for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             r = records[order[k]]
-            top = max(0, math.floor((r[Y] - r[REACH_Y]) / TILE))
-            bottom = min(down - 1, math.floor((r[Y] + r[REACH_Y]) / TILE))
+            top, bottom = _tile_rows(r, down)
             for row in range(top, bottom + 1):
-                first, last = _tiles(r, row, across, width)
+                first, last = _tiles(r, row, width)
                 for column in range(first, last + 1):
                     tile = row * across + column
                     rows[counts[chunk, tile]] = order[k]

@@ -74,8 +74,8 @@ def apart(a, b):
 
 
 NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmat", "background")
-# measured, worst gradient: mixed 2e-6, needles 2e-5, huge 3e-7, tiny 5e-6, deep 1e-6, opaque 1e-6
-BOUNDS = {"mixed": 2e-5, "needles": 1e-4, "huge": 2e-5, "tiny": 5e-5, "deep": 2e-5, "opaque": 2e-5}
+# 6 to 11 times the worst gradient measured: mixed 7e-7, needles 7.1e-6, huge 1.7e-6, tiny 3.9e-6, deep 3.3e-7, opaque 4.7e-7
+BOUNDS = {"mixed": 5e-6, "needles": 5e-5, "huge": 1e-5, "tiny": 3e-5, "deep": 3e-6, "opaque": 4e-6}
 
 
 @pytest.mark.parametrize("antialias", [False, True])
@@ -90,10 +90,10 @@ def test_agrees_with_the_reference(kind, antialias):
     # a pixel whose alpha lies within rounding of the cut or the stop may fall on either side
     assert (difference > 3e-5).float().mean() < 1e-3
     assert difference.max() < 1 / 255
-    assert (fast.alpha.double() - true.alpha).abs().median() < 3e-6
-    assert apart(fast.depth, true.depth) < 1e-4
+    assert (fast.alpha.double() - true.alpha).abs().median() < 2e-6
+    assert apart(fast.depth, true.depth) < 1e-5
     for name, a, b in zip(NAMES, fast_grads, true_grads, strict=True):
-        assert apart(a, b) < BOUNDS[kind] * (5 if name == "viewmat" else 1), f"{kind}: {name} off by {apart(a, b):.1e}"
+        assert apart(a, b) < BOUNDS[kind], f"{kind}: {name} off by {apart(a, b):.1e}"
     assert apart(fast.screen_grad, true.screen_grad) < BOUNDS[kind]
     assert apart(fast.screen_grad_abs, true.screen_grad_abs) < BOUNDS[kind]
     assert (fast.screen_grad_abs.norm() > 1.5 * fast.screen_grad.norm()) or kind == "huge"
