@@ -16,7 +16,7 @@ from stages.avatar.rasterize.rendering import ALPHA_MIN, BLUR, COMPENSATION_MIN,
 LOG2E = 1.4426950408889634
 TILE = 32  # px; one tile is 8x8 blocks of 4x4 px, so a 64-bit word says which blocks a Gaussian touches
 # columns of a record
-X, Y, QA, QB, QC, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, REACH_X, REACH_Y, SLANT_X, CUT, SHARE, SPARE = range(16)
+X, Y, QA, QB, QC, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, REACH_X, REACH_Y, SLANT_X, CUT, INVERSE_DET = range(15)
 # columns of a Gaussian's gradient
 G, GX, GY, GXX, GXY, GYY, G_RED, G_GREEN, G_BLUE, G_DEPTH, ABS_X, ABS_Y = range(12)
 
@@ -99,8 +99,7 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             r[REACH_X], r[REACH_Y] = 1.0002 * reach_x + 1e-3, 1.0002 * reach_y + 1e-3
             r[SLANT_X] = ab / aa * reach_x
             r[CUT] = 1.0004 * cut + 1e-4
-            r[SHARE] = opacity
-            r[SPARE] = 1 / det
+            r[INVERSE_DET] = 1 / det
     return bad.sum()
 
 
@@ -219,8 +218,8 @@ def interval(r, top, bottom):
         return np.float32(1), np.float32(-1)
     a, b = 2 / LOG2E * r[QA], r[QB] / LOG2E
     right, left = r[REACH_X], -r[REACH_X]
-    one = math.sqrt(max(np.float32(0), r[CUT] * a - r[SPARE] * top * top))
-    two = math.sqrt(max(np.float32(0), r[CUT] * a - r[SPARE] * bottom * bottom))
+    one = math.sqrt(max(np.float32(0), r[CUT] * a - r[INVERSE_DET] * top * top))
+    two = math.sqrt(max(np.float32(0), r[CUT] * a - r[INVERSE_DET] * bottom * bottom))
     if not top <= r[SLANT_X] <= bottom:
         right = max(one - b * top, two - b * bottom) / a * np.float32(1.0002) + np.float32(1e-3)
     if not top <= -r[SLANT_X] <= bottom:
