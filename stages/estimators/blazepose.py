@@ -21,9 +21,9 @@ ROI_MARGIN = 1.25  # the person's circle is enlarged by this to make a crop
 SURE = 0.5  # probability from which a detection, a tracked person or a heat map counts
 NEIGHBOURHOOD = 3  # heat map cells on each side of the peak that take part in its mean
 SEEDS = 9  # frames looked at to choose whom to follow
-# Looks at the person that are averaged: (side as a share of the fitting crop, turn in degrees). Measured on the kitchen
-# clip, five looks halve the jitter of one (second difference 2.4 -> 1.2 px, 19 -> 10 mm).
-LOOKS = ((1.0, 0), (0.9, 8), (0.9, -8), (1.1, 4), (1.1, -4))
+# Looks at the person that are averaged: (side as a share of the fitting crop, turn in degrees, mirrored). Measured on the
+# kitchen clip, five looks halve the jitter of one (second difference 2.4 -> 1.2 px, 19 -> 10 mm).
+LOOKS = ((1.0, 0, False), (0.9, 8, False), (0.9, -8, True), (1.1, 4, True), (1.1, -4, False))
 STRAY = 0.03  # share of the crop's side by which one look's landmark may differ from the middle one to be averaged
 
 # fmt: off
@@ -35,6 +35,10 @@ NAMES = (
     "left_heel", "right_heel", "left_foot_index", "right_foot_index",
 )
 # fmt: on
+MIRRORED = [
+    NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")) for name in NAMES
+] + list(range(LANDMARKS, LANDMARKS + 6))
+"""The network's rows with left and right exchanged; its last six are about the whole person."""
 
 
 @dataclass(frozen=True)
@@ -161,15 +165,23 @@ class BlazePose:
                 found = self.detect(image, whole)
         return sorted(found, key=lambda hit: -hit[0])
 
-    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, np.ndarray]:
-        """Read the person in a crop: the pose, and the outline's logits [256,256] in the crop."""
+    def look(self, image: np.ndarray, roi: Roi, mirrored: bool = False) -> tuple[Pose, np.ndarray]:
+        """Read the person in a crop: the pose, and the outline's logits [256,256] in the crop.
+
+        `mirrored`: show the network the crop's mirror image; the answer is told for the crop as it is.
+        """
         pixels = crop(image, roi, CROP_SIDE, cv2.BORDER_REPLICATE).astype(np.float32)
-        points, presence, mask, heat, world = run(self.landmarker, pixels / 255)
+        points, presence, mask, heat, world = run(self.landmarker, (pixels[:, ::-1] if mirrored else pixels) / 255)
         points = points.reshape(-1, 5)
         spots = refine(points[:, :2] / CROP_SIDE, sigmoid(heat.reshape(HEATMAP_SIDE, HEATMAP_SIDE, -1)))
+        world, mask = world.reshape(-1, 3), mask.reshape(CROP_SIDE, CROP_SIDE)
+        if mirrored:
+            spots, points, world = spots[MIRRORED], points[MIRRORED], world[MIRRORED] * np.array([-1, 1, 1])
+            spots[:, 0] = 1 - spots[:, 0]
+            mask = mask[:, ::-1]
         xy = to_picture(spots, roi)
         c, s = np.cos(roi.angle), np.sin(roi.angle)
-        turned = world.reshape(-1, 3)[:LANDMARKS] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        turned = world[:LANDMARKS] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         pose = Pose(
             xy[:LANDMARKS],
             points[:LANDMARKS, 2] * roi.side / CROP_SIDE,
@@ -179,11 +191,11 @@ class BlazePose:
             roi,
             Roi.around(xy[LANDMARKS], xy[LANDMARKS + 1]),
         )
-        return pose, mask.reshape(CROP_SIDE, CROP_SIDE)
+        return pose, mask
 
     def steady(self, image: np.ndarray, roi: Roi) -> Pose | None:
         """The mean of several looks, leaving out what strays (sides swapped, say); None if most see nobody."""
-        poses = [self.look(image, roi.moved(*change))[0] for change in LOOKS]
+        poses = [self.look(image, roi.moved(side, turn), mirrored)[0] for side, turn, mirrored in LOOKS]
         poses = [pose for pose in poses if pose.presence >= SURE]
         if 2 * len(poses) <= len(LOOKS):
             return None

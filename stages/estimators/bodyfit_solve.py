@@ -24,7 +24,7 @@ ACCELERATION_REST = 14.0  # m/s^2, limbs
 TURNING = 60.0  # rad/s^2, of each joint's rotation vector
 BETAS = 0.12  # weight of one squared beta against one frame's evidence
 # Shares of the whole: 160 contour points are not 160 independent observations.
-OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 30.0, 15.0, 0.5, 0.5
+OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 90.0, 30.0, 0.5, 0.5
 COARSE, DENSE = 300, 2500  # vertices held inside the masks, and vertices the outlines may choose from
 SEGMENTS = (
     *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("shoulder", "elbow"),
@@ -74,7 +74,8 @@ class Solver:
         self.xy = torch.tensor(evidence.xy, dtype=f32)
         self.height = torch.tensor(evidence.height, dtype=f32)
         trust = [LOOSE.get(name.partition("_")[2], 1.0) for name in evidence.names]
-        self.weight = torch.tensor(evidence.weight, dtype=f32) * torch.tensor(trust)
+        # what BlazePose calls 30 % visible is a guess: an arm behind the body is 10 to 30 % of the height off
+        self.weight = torch.tensor(evidence.weight, dtype=f32).square() * torch.tensor(trust)
         names = evidence.names
         pairs = [(names.index(a), names.index(b)) for a, b in SEGMENTS if a in names and b in names]
         self.tail, self.head = (list(ends) for ends in zip(*pairs, strict=True))

@@ -89,8 +89,8 @@ def test_a_look_that_swaps_sides_is_left_out(blazepose, kitchen, monkeypatch):
     want = blazepose.track([image])[0]
     calls = []
 
-    def swapping(self, image, roi):
-        pose, mask = plain(self, image, roi)
+    def swapping(self, image, roi, mirrored=False):
+        pose, mask = plain(self, image, roi, mirrored)
         calls.append(roi)
         if len(calls) == 2:
             pose = replace(pose, xy=pose.xy[::-1].copy())
@@ -99,6 +99,16 @@ def test_a_look_that_swaps_sides_is_left_out(blazepose, kitchen, monkeypatch):
     monkeypatch.setattr(BlazePose, "look", swapping)
     got = blazepose.steady(image, want.roi)
     assert len(calls) == len(LOOKS) and np.abs(got.xy - want.xy).max() < 4
+
+
+def test_a_mirrored_look_says_the_same_about_the_picture_as_it_is(blazepose, kitchen):
+    roi = blazepose.track([kitchen[0]])[0].roi
+    (plain, outline), (mirrored, mirrored_outline) = (blazepose.look(kitchen[0], roi, m) for m in (False, True))
+    assert np.linalg.norm(mirrored.xy - plain.xy, axis=1).max() < 0.03 * roi.side
+    assert np.linalg.norm(mirrored.world - plain.world, axis=1).mean() < 0.1
+    assert ((outline > 0) == (mirrored_outline > 0)).mean() > 0.98
+    side = at["left_shoulder"], at["right_shoulder"]
+    assert plain.xy[side[0], 0] > plain.xy[side[1], 0] and mirrored.xy[side[0], 0] > mirrored.xy[side[1], 0]
 
 
 def test_a_turned_small_or_late_person_is_found(blazepose, kitchen):
