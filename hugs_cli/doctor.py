@@ -47,7 +47,18 @@ def machine() -> list[Finding]:
         Finding("memory", memory >= MEMORY_NEEDED, size(memory), "6 GiB are needed; try `--pipeline draft`", True),
         Finding("disk", disk >= DISK_NEEDED, f"{size(disk)} free", "`hugs gc` frees some", True),
         Finding("GPU", gpu, "CUDA" if gpu else "", "not needed; with an NVIDIA GPU install torch for CUDA", True),
+        *([gsplat()] if gpu else []),
     ]
+
+
+def gsplat() -> Finding:
+    """The library that draws on a GPU, and the compiler it needs once."""
+    if importlib.util.find_spec("gsplat") is None:
+        return Finding("gsplat", False, hint="pip install 'hugs-avatar[gpu]'", optional=True)
+    if shutil.which("nvcc") is None:
+        text = "gsplat builds its kernels at the first use and needs nvcc (the CUDA toolkit)"
+        return Finding("gsplat", False, hint=text, optional=True)
+    return Finding("gsplat", True, importlib.metadata.version("gsplat"))
 
 
 def memory_bytes() -> int:

@@ -238,10 +238,14 @@ def uninterrupted() -> Iterator[None]:
 
 
 def device_of(name: str) -> str:
-    """'auto' made plain; UsageError for a GPU that is not there."""
+    """'auto' made plain; UsageError for a GPU that is not there, or not without gsplat, which draws on it."""
     found = find_device() if name != "cpu" else "cpu"
     if name == "cuda" and found != "cuda":
         raise UsageError("no GPU that torch can use", "leave out `--device cuda`; `hugs doctor` shows what is here")
+    if found == "cuda" and importlib.util.find_spec("gsplat") is None:
+        if name == "cuda":
+            raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
+        return "cpu"
     return found
 
 

@@ -9,6 +9,9 @@ import time
 
 import pytest
 
+from hugs_cli import engine
+from hugs_cli.engine import UsageError
+
 ALL = ["one", "two", "three", "four"]
 WHOLE = "four:a(two:a(one:a(pixels)),three:a(one:a(pixels)))"
 
@@ -292,3 +295,14 @@ def test_runs_are_logged_with_cost_and_machine(flow):
     stamp = json.loads((flow.work / "clip/default/one/stamp.json").read_text())
     assert stamp["machine"]["device"] == "cpu" and "python" in stamp["machine"]["versions"]
     assert (flow.work / "clip/default/one/log.txt").exists()
+
+
+def test_a_gpu_counts_only_with_gsplat(monkeypatch):
+    monkeypatch.setattr(engine, "find_device", lambda: "cuda")
+    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
+    assert engine.device_of("auto") == engine.device_of("cpu") == "cpu"
+    with pytest.raises(UsageError) as error:
+        engine.device_of("cuda")
+    assert "gsplat" in error.value.problem and "hugs-avatar[gpu]" in error.value.hint
+    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: object())
+    assert engine.device_of("auto") == engine.device_of("cuda") == "cuda"

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 # `cache` first: it names the folder of the compiled kernels before any is defined
-from stages.avatar.rasterize import cache, cpu, reference  # noqa: F401
+from stages.avatar.rasterize import cache, cpu, cuda, reference  # noqa: F401
 from stages.avatar.rasterize.rendering import Rendering
 
 __all__ = ["Rendering", "gaussian_axes", "rasterize"]
@@ -41,7 +41,7 @@ def rasterize(
     with OpenCV axes; K[3,3] px, the first pixel centre at (0.5, 0.5); background[3], black if None. With `antialias`
     opacity is lowered as the screen blur widens a Gaussian. Gaussians nearer than `near` m are not drawn.
     Differentiable in means, axes, opacities, colors, viewmat and background. A row that is not finite is left out and
-    counted. Float32 on a CPU goes to the fast kernel, everything else to the reference.
+    counted. Float32 goes to the fast kernel of its device (Numba on a CPU, gsplat on a GPU), float64 to the reference.
     """
-    maker = cpu if _fast(means) else reference
+    maker = {"cpu": cpu, "cuda": cuda}.get(means.device.type, reference) if means.dtype == torch.float32 else reference
     return maker.rasterize(means, axes, opacities, colors, viewmat, K, width, height, background, antialias, near)
