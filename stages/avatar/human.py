@@ -19,6 +19,9 @@ MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
 OFFSET = 0.05  # metres; a usual thickness of clothes
+UNSEEN = (
+    10.0  # times as much a correction must earn where no frame shows the body: no speckle, 0.2 dB (kitchen, 800 steps)
+)
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
 
@@ -134,6 +137,7 @@ class HumanModel(nn.Module):
         "logits",
         "sh_starts",
         "skin_logits",
+        "unseen",
     )  # buffers with one row a Gaussian, besides `xyz`
 
     def __init__(
@@ -161,6 +165,7 @@ class HumanModel(nn.Module):
         self.register_buffer("logits", torch.full_like(half, math.log(START_OPACITY / (1 - START_OPACITY))))
         self.register_buffer("sh_starts", torch.zeros_like(points))
         self.register_buffer("skin_logits", TEMPERATURE * (weights + WEIGHT_FLOOR).log())
+        self.register_buffer("unseen", torch.zeros_like(half))  # 1 where no frame shows the body, see `forward`
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -169,7 +174,8 @@ class HumanModel(nn.Module):
         """Decode all Gaussians: the canonical person, and two penalties.
 
         The first is the mean squared distance by which points left the triplane's box, the second the mean squared
-        correction of scale (log), opacity (logit) and place (in units of OFFSET).
+        correction of scale (log), opacity (logit) and place (in units of OFFSET). What no frame shows counts UNSEEN
+        times as much, and so does its colour: there the networks answer to random features, and nobody corrects them.
         """
         out = self.decoders(self.triplane(self.xyz))
         identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
@@ -184,4 +190,5 @@ class HumanModel(nn.Module):
         )
         place = (out["offset"] / OFFSET).square().sum(1)
         shy = scale.square().sum(1) + out["opacity"].square() + place
+        shy = shy + UNSEEN * self.unseen * (shy + out["sh"].square().sum((1, 2)) + out["turn"].square().sum(1))
         return person, self.triplane.outside(self.xyz), shy.mean()

@@ -14,8 +14,8 @@ LEAST = 2.0  # summed cosines of a Gaussian that has been seen enough
 
 
 @torch.no_grad()
-def seen_colors(human: HumanModel, person: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
-    """Mean colours [N,3] in 0..1 of an untrained person over `frames`, and the share of Gaussians that were seen.
+def seen_colors(human: HumanModel, person: Person, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:
+    """Mean colours [N,3] in 0..1 of an untrained person over `frames`, and how well each Gaussian was seen [N], 0..1.
 
     A Gaussian is seen where its normal faces the camera and its centre falls on the person's mask, weighted by the
     cosine. The others take the colour of the nearest seen one in the canonical pose; 0.5 if none is seen at all.
@@ -43,9 +43,9 @@ def seen_colors(human: HumanModel, person: Person, views: Views, frames: list[in
         weight += share
     known = weight >= min(LEAST, weight.max().item())
     if weight.max() == 0:
-        return torch.full_like(total, 0.5), 0.0
+        return torch.full_like(total, 0.5), weight
     colors = total / weight.clamp_min(1e-6)[:, None]
     tree = cKDTree(canonical.means[known].cpu().numpy())
     _, nearest = tree.query(canonical.means[~known].cpu().numpy())
     colors[~known] = colors[known][torch.as_tensor(nearest, device=colors.device)]
-    return colors, known.float().mean().item()
+    return colors, (weight / LEAST).clamp(max=1)

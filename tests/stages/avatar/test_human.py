@@ -101,6 +101,22 @@ def test_gradients_of_the_first_step_reach_every_network(person):
             assert p.grad.abs().sum() > 0, name
 
 
+def test_what_no_frame_shows_is_held_in_colour_too(person):
+    _, _, _, model = person
+    disturb(model)
+    _, _, plain = model()
+    model.unseen[::2] = 1
+    _, _, held = model()
+    held.backward()
+    assert held > 10 * plain
+    last = model.decoders.appearance[-1].bias.grad
+    assert last[1:].abs().min() > 0, "colour is held where unseen"
+    model.zero_grad()
+    model.unseen.zero_()
+    model()[2].backward()
+    assert model.decoders.appearance[-1].bias.grad[1:].abs().max() == 0, "and free where seen"
+
+
 @pytest.mark.parametrize("height", [1.2, 1.8, 2.4])
 def test_the_box_fits_bodies_of_every_size(person, height):
     body, _, vertices, _ = person
