@@ -314,6 +314,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "gaussians": _size(fit) | {"human": len(avatar)},
         "strays": int(stray.sum()),
         "not_finite": fit.bad,
+        "not_drawn": fit.undrawn,
         "train_frames": [clip.names[i] for i in fit.train],
         "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",
         "exposure": dict(zip(clip.names, array(fit.gains()).round(5).tolist(), strict=True))
@@ -323,3 +324,5 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     (job.out / "train.json").write_text(json.dumps(facts, indent=1))
     if fit.bad:
         job.warn(f"{fit.bad} gradients or steps were not finite and were left out")
+    if fit.undrawn:
+        job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")

@@ -67,7 +67,7 @@ class Fit:
         self.train, self.person, self.human, self.scene = train, person, human, scene
         self.options, self.generator, self.perceptual = options, generator, perceptual
         self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
-        self.step = self.bad = self.bad_in_a_row = 0
+        self.step = self.bad = self.bad_in_a_row = self.undrawn = 0
         self.order = torch.empty(0, dtype=torch.long)
         self.usual_norm = 0.0
         self.leaves: Resting | None = None
@@ -189,6 +189,7 @@ class Fit:
                     loss = loss + losses.PERCEPTUAL * self.perceptual(rendered[window], target)
         if not isinstance(loss, Tensor):
             return numbers
+        self.undrawn += (drawn or only).dropped
         if not math.isfinite(loss.item()):
             return self._bad_step(frame, numbers)
         self.bad_in_a_row = 0
@@ -310,7 +311,7 @@ class Fit:
             "generator": self.generator.get_state(),
             "order": self.order.clone(),
             "reference": [self.reference.clone(), self.reference_at.clone()],
-            "numbers": [self.step, self.bad, self.bad_in_a_row, self.usual_norm],
+            "numbers": [self.step, self.bad, self.bad_in_a_row, self.undrawn, self.usual_norm],
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -330,7 +331,7 @@ class Fit:
         self.generator.set_state(state["generator"])
         self.order = state["order"].clone()
         self.reference, self.reference_at = (t.clone() for t in state["reference"])
-        self.step, self.bad, self.bad_in_a_row, self.usual_norm = state["numbers"]
+        self.step, self.bad, self.bad_in_a_row, self.undrawn, self.usual_norm = state["numbers"]
         self.leaves = None
 
     def _modules(self) -> dict[str, torch.nn.Module]:

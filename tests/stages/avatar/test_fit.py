@@ -146,6 +146,16 @@ def test_a_gradient_that_is_not_finite_stays_in_its_row(clip):
     assert torch.equal(fit.scene.means[others], clean.scene.means[others]) and fit.scene.means.isfinite().all()
 
 
+def test_a_gaussian_that_is_not_finite_is_not_drawn_and_counted(clip):
+    fit = fit_of(clip)
+    run(fit, 2)
+    assert fit.undrawn == 0
+    with torch.no_grad():
+        fit.scene.means[7] = torch.nan
+    run(fit, 4)
+    assert fit.undrawn == 2 and fit.state()["numbers"][3] == 2
+
+
 def test_a_loss_that_is_never_finite_stops_training(clip):
     fit = fit_of(clip)
     with torch.no_grad():
