@@ -149,7 +149,6 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     seen = [i for i in train if present[i]]
     colors, known = seen_colors(human, person, views, seen[:: max(1, len(seen) // PAINTED)])
     human.sh_starts.copy_(sh_from_rgb(colors))
-    human.unseen.copy_(known == 0)
     share = (known == 1).float().mean().item()
     job.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
     extent = scene_extent(tensor(clip.viewmats).cpu(), tensor(clip.points).cpu())

@@ -161,6 +161,7 @@ def grow_human(
         setattr(human, name, getattr(human, name)[rows.source])
     with torch.no_grad():
         human.xyz += moved
+        human.homes[rows.fresh] = human.xyz[rows.fresh]
         human.log_sizes[rows.child] -= math.log(SHRINK)
     growth.start(len(human), human.xyz.device)
     return rows

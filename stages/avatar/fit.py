@@ -32,6 +32,7 @@ from stages.avatar.views import Person, Views, person_box
 
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
 BAD_STEPS = 20  # in a row, after which training stops
+TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
@@ -75,6 +76,7 @@ class Fit:
             still = torch.zeros(3).to(person.joints)
             self.canonical_bones = bone_transforms(person.joints, person.parents, still, person.canonical_pose)
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
+        self.taught = torch.zeros(0 if human is None else len(human)).to(views.viewmats)
         self._optimizers()
         self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
 
@@ -228,6 +230,7 @@ class Fit:
             if leaf.grad is not None
         ]
         self.bad += contain([g for _, g in used])
+        self.taught += self.leaves.sh.grad.abs().sum((1, 2))
         prior = losses.skinning(self.canonical.weights, self._reference()) + self.prior
         torch.autograd.backward([d for d, _ in used] + [prior], [g for _, g in used] + [torch.ones_like(prior)])
         shared = [p for n, p in self.human.named_parameters() if n != "xyz"]
@@ -267,7 +270,8 @@ class Fit:
         if self.human is not None and HUMAN_GROWTH[0] <= self.done <= HUMAN_GROWTH[1] and self.step % every == 0:
             rules = Rules(2e-4, 0.01, 0.1, 0.3, 0.005, o.human_cap)
             state = self.adam["human"], self.growth["human"]
-            grow_human(self.human, *state, rules, self._left(every), self.person.vertices, self.generator)
+            rows = grow_human(self.human, *state, rules, self._left(every), self.person.vertices, self.generator)
+            self.taught = self.taught[rows.source]
             self.leaves = None
 
     def _left(self, every: int) -> int:
@@ -278,8 +282,14 @@ class Fit:
 
     @torch.no_grad()
     def baked(self) -> tuple[Canonical, Resting]:
-        """The decoded person as of now, without gradients, in the canonical and in the rest pose."""
-        return self._decode()[:2]
+        """The person to keep as of now, in the canonical and in the rest pose, without gradients.
+
+        As decoded, but as the body says where no training frame has shown it yet.
+        """
+        taught = self.taught > TAUGHT * self.taught.mean()
+        pairs = zip(self._decode()[0], self.human.untaught(), strict=True)
+        canonical = Canonical(*(torch.where(taught.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
+        return canonical, rest(canonical, self.canonical_bones)
 
     @torch.no_grad()
     def bodies(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -311,6 +321,7 @@ class Fit:
             "generator": self.generator.get_state(),
             "order": self.order.clone(),
             "reference": [self.reference.clone(), self.reference_at.clone()],
+            "taught": self.taught.clone(),
             "numbers": [self.step, self.bad, self.bad_in_a_row, self.undrawn, self.usual_norm],
         }
 
@@ -331,6 +342,7 @@ class Fit:
         self.generator.set_state(state["generator"])
         self.order = state["order"].clone()
         self.reference, self.reference_at = (t.clone() for t in state["reference"])
+        self.taught = state["taught"].clone()
         self.step, self.bad, self.bad_in_a_row, self.undrawn, self.usual_norm = state["numbers"]
         self.leaves = None
 

@@ -137,7 +137,7 @@ class HumanModel(nn.Module):
         "logits",
         "sh_starts",
         "skin_logits",
-        "unseen",
+        "homes",
     )  # buffers with one row a Gaussian, besides `xyz`
 
     def __init__(
@@ -165,7 +165,7 @@ class HumanModel(nn.Module):
         self.register_buffer("logits", torch.full_like(half, math.log(START_OPACITY / (1 - START_OPACITY))))
         self.register_buffer("sh_starts", torch.zeros_like(points))
         self.register_buffer("skin_logits", TEMPERATURE * (weights + WEIGHT_FLOOR).log())
-        self.register_buffer("unseen", torch.zeros_like(half))  # 1 where no frame shows the body, see `forward`
+        self.register_buffer("homes", points.clone())  # where each Gaussian began, see `untaught`
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -174,8 +174,7 @@ class HumanModel(nn.Module):
         """Decode all Gaussians: the canonical person, and two penalties.
 
         The first is the mean squared distance by which points left the triplane's box, the second the mean squared
-        correction of scale (log), opacity (logit) and place (in units of OFFSET). What no frame shows counts UNSEEN
-        times as much, and so does its colour: there the networks answer to random features, and nobody corrects them.
+        correction of scale (log), opacity (logit) and place (in units of OFFSET).
         """
         out = self.decoders(self.triplane(self.xyz))
         identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
@@ -190,5 +189,15 @@ class HumanModel(nn.Module):
         )
         place = (out["offset"] / OFFSET).square().sum(1)
         shy = scale.square().sum(1) + out["opacity"].square() + place
-        shy = shy + UNSEEN * self.unseen * (shy + out["sh"].square().sum((1, 2)) + out["turn"].square().sum(1))
         return person, self.triplane.outside(self.xyz), shy.mean()
+
+    def untaught(self) -> Canonical:
+        """The canonical person as it began, without what networks and steps added: an answer where no frame has taught.
+
+        There the networks speak to features that are still random, and Adam turns gradients of nothing into steps.
+        """
+        sh = torch.zeros(len(self), self.decoders.coefficients, 3).to(self.homes)
+        sh[:, 0] = self.sh_starts
+        weights = torch.softmax(self.skin_logits / TEMPERATURE, 1)
+        opacities = torch.sigmoid(self.logits)
+        return Canonical(self.homes, self.frames, self.log_sizes.exp(), opacities, sh, weights)

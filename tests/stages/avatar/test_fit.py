@@ -100,6 +100,23 @@ def test_resumed_equals_uninterrupted_bit_for_bit(clip):
             assert torch.equal(value, second._modules()[name].state_dict()[key]), (name, key)
 
 
+def test_what_no_frame_shows_is_kept_as_it_began(clip):
+    fit = fit_of(clip, steps=80)
+    run(fit, 10)
+    hidden = torch.arange(len(fit.human)) < 5
+    fit.taught[hidden] = 0  # as if behind all others
+    kept, decoded, began = fit.baked()[0], fit.human()[0], fit.human.untaught()
+    assert (fit.taught[~hidden] > 0).float().mean() > 0.5, "most are seen"
+    for part, b in zip(kept, began, strict=True):
+        assert torch.equal(part[hidden], b[hidden])
+    seen = fit.taught > 0.1 * fit.taught.mean()
+    assert torch.equal(kept.means[seen], decoded.means[seen])
+    assert not torch.equal(decoded.means[hidden], began.means[hidden])
+    run(fit, 80)
+    assert len(fit.taught) == len(fit.human) == len(fit.human.homes) > 162, "rows follow growth"
+    assert (fit.human.homes - fit.human.xyz).norm(dim=1).max() < 0.1
+
+
 def test_a_checkpoint_between_decodes_is_refused(clip):
     fit = fit_of(clip)
     fit.advance()
