@@ -230,7 +230,8 @@ class Fit:
             if leaf.grad is not None
         ]
         self.bad += contain([g for _, g in used])
-        self.taught += self.leaves.sh.grad.abs().sum((1, 2))
+        shown = self.leaves.sh.grad.abs().sum((1, 2))
+        self.taught += torch.where(shown.isfinite(), shown, 0)
         prior = losses.skinning(self.canonical.weights, self._reference()) + self.prior
         torch.autograd.backward([d for d, _ in used] + [prior], [g for _, g in used] + [torch.ones_like(prior)])
         shared = [p for n, p in self.human.named_parameters() if n != "xyz"]

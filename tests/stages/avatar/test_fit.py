@@ -163,6 +163,13 @@ def test_a_gradient_that_is_not_finite_stays_in_its_row(clip):
     assert torch.equal(fit.scene.means[others], clean.scene.means[others]) and fit.scene.means.isfinite().all()
 
 
+def test_a_colour_gradient_that_is_not_finite_teaches_nothing(clip):
+    fit = fit_of(clip)
+    fit.resting().sh.register_hook(lambda g: g.index_fill(0, torch.tensor([7]), float("nan")))
+    run(fit, 2)
+    assert fit.bad == 1 and fit.taught.isfinite().all() and fit.taught[7] == 0 and fit.taught.max() > 0
+
+
 def test_a_gaussian_that_is_not_finite_is_not_drawn_and_counted(clip):
     fit = fit_of(clip)
     run(fit, 2)
