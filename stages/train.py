@@ -282,10 +282,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         return tensor.detach().cpu().numpy()
 
     (c, _), p = fit.baked(), fit.person
-    stray = strays(c.means, p.vertices)
+    stray = strays(c.means, p.vertices) | fit.human.defectors(c.weights)
     c = Canonical(*(part[~stray] for part in c))
     if stray.any():
-        job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body")
+        job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
         lbs_weights=array(c.weights),

@@ -113,6 +113,15 @@ def test_untaught_is_the_person_as_it_began(person):
     assert not torch.allclose(model()[0].means, before.means)
 
 
+def test_gaussians_that_follow_other_bones_than_the_body_are_named(person):
+    _, _, _, model = person
+    learned = model()[0].weights.detach()
+    assert not model.defectors(learned).any()
+    assert not model.defectors(0.8 * learned + 0.2 / 24).any(), "learned weights may differ"
+    learned[3] = learned[3].roll(7)
+    assert model.defectors(learned).nonzero().flatten().tolist() == [3]
+
+
 @pytest.mark.parametrize("height", [1.2, 1.8, 2.4])
 def test_the_box_fits_bodies_of_every_size(person, height):
     body, _, vertices, _ = person
