@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from stages.avatar.gaussians import Splats
-from stages.avatar.rasterize import Rendering, rasterize
+from stages.avatar.rasterize import Layer, Rendering, rasterize
 
 
 def compose(
@@ -24,6 +26,21 @@ def compose(
     viewmat[4,4] camera_from_world in metres, K[3,3] pixels, background[3] (black if None). Colours are evaluated per
     set, so each has its own spherical-harmonics degree. Raises ValueError when both sets are None.
     """
+    (drawn,) = compose_layers(human, scene, viewmat, K, width, height, [Layer(background=background)], antialias)
+    return drawn
+
+
+def compose_layers(
+    human: Splats | None,
+    scene: Splats | None,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    layers: Sequence[Layer],
+    antialias: bool = False,
+) -> list[Rendering]:
+    """As `compose`, a picture for each layer: all of them share colours, projection and order."""
     sets = [s for s in (human, scene) if s is not None]
     if not sets:
         raise ValueError("compose needs a person or a scene")
@@ -37,4 +54,4 @@ def compose(
         axes = torch.cat([s.axes for s in sets])
         opacities = torch.cat([s.opacities for s in sets])
         color = torch.cat(colors)
-    return rasterize(means, axes, opacities, color, viewmat, K, width, height, background, antialias=antialias)
+    return rasterize(means, axes, opacities, color, viewmat, K, width, height, layers, antialias)

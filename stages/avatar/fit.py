@@ -9,11 +9,12 @@ import torch
 from torch import Tensor
 
 from stages.avatar import losses
-from stages.avatar.compose import compose
+from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.gaussians import Splats, contain
 from stages.avatar.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
 from stages.avatar.perceptual import Lpips
+from stages.avatar.rasterize import Layer
 from stages.avatar.refine import FrameCorrections, spread
 from stages.avatar.scene import SceneModel
 from stages.avatar.schedule import (
@@ -36,18 +37,15 @@ TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has s
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
-def veil(scene: Splats, person: Tensor, viewmat: Tensor) -> Splats | None:
-    """The Gaussians of the scene nearer to a camera than most of the person's means[N,3]; None without any.
+def veil(scene: Splats, person: Tensor, viewmat: Tensor) -> Tensor:
+    """Which Gaussians of the scene are nearer to a camera than most of the person's means[N,3].
 
     Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told.
     """
     with torch.no_grad():
         depth = person @ viewmat[2, :3] + viewmat[2, 3]
         far = depth.kthvalue(max(1, int(0.9 * len(depth)))).values
-        rows = (scene.means @ viewmat[2, :3] + viewmat[2, 3] < far).nonzero()[:, 0]
-    if len(rows) == 0:
-        return None
-    return Splats(scene.means[rows], scene.axes[rows], scene.opacities[rows], scene.sh[rows])
+        return scene.means @ viewmat[2, :3] + viewmat[2, 3] < far
 
 
 class Fit:
@@ -152,7 +150,7 @@ class Fit:
         viewmat, K = views.viewmats[frame], views.Ks[frame]
         height, width = mask.shape
         gains = self.frames.gains(frame) if self.options.exposure else None
-        human, drawn, only, numbers, loss = None, None, None, {}, 0.0
+        human, scene, numbers, loss = None, None, {}, 0.0
         p = self.person
         if self.human is not None and bool(p.present[frame]) and bool((mask > 0.5).any()):
             body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
@@ -160,51 +158,61 @@ class Fit:
                 body = self.frames.body(frame, *body)
             human = self.posed(self.resting(), *body)
         if self.scene is not None:
-            background = torch.rand(3, generator=self.generator).to(K)
             scene = self.scene.splats()
-            drawn = compose(human, scene, viewmat, K, width, height, background)
-            rendered = drawn.image if gains is None else drawn.image * gains
+        layers = self._layers(human, scene, mask, viewmat, K)
+        if not layers:
+            return numbers
+        drawn = dict(zip(layers, compose_layers(human, scene, viewmat, K, width, height, list(layers.values()))))
+        if scene is not None:
+            rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             joint = losses.photometric(losses.outside_person(rendered, image, mask), image)
             loss = loss + joint
             numbers["image"] = joint.item()
         if human is not None:
-            left, top, right, bottom = person_box(mask, human.means.detach(), viewmat, K)
-            shifted = K.clone()
-            shifted[0, 2] -= left
-            shifted[1, 2] -= top
-            background = torch.rand(3, generator=self.generator).to(K)
-            only = compose(human, None, viewmat, shifted, right - left, bottom - top, background)
+            only, (_, (left, top, right, bottom), background) = drawn["person"], layers["person"]
             bare = (1 - only.alpha)[..., None] * background
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
             apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
             loss = loss + apart
             numbers["person"] = apart.item()
-            before = None if self.scene is None else veil(scene, human.means, viewmat)
-            if before is not None:
-                veiled = compose(None, before, viewmat, shifted, right - left, bottom - top).alpha * mask[crop]
-                loss = loss + losses.VEIL * veiled.mean()
+            if scene is not None:
+                loss = loss + losses.VEIL * (drawn["veil"].alpha * mask[crop]).mean()
             if self.perceptual and self.step % self.options.perceptual_every == 0:
                 window = losses.patch(mask[crop], losses.PATCH, self.generator)
                 target = losses.over_background(image[crop], mask[crop], background)[window]
                 if min(target.shape[:2]) >= self.perceptual.smallest:
                     loss = loss + losses.PERCEPTUAL * self.perceptual(rendered[window], target)
-        if not isinstance(loss, Tensor):
-            return numbers
-        self.undrawn += (drawn or only).dropped
+        self.undrawn += next(iter(drawn.values())).dropped
         if not math.isfinite(loss.item()):
             return self._bad_step(frame, numbers)
         self.bad_in_a_row = 0
         loss.backward()
         rows = 0 if human is None else len(human.means)
-        if drawn is not None:
-            self.growth["scene"].add(drawn.screen_grad_abs[rows:], drawn.radii[rows:], width, height)
+        if scene is not None:
+            self.growth["scene"].add(drawn["all"].screen_grad_abs[rows:], drawn["all"].radii[rows:], width, height)
             self._apply("scene")
-        if only is not None:
-            self.growth["human"].add(only.screen_grad_abs, only.radii, right - left, bottom - top)
+        if human is not None:
+            self.growth["human"].add(only.screen_grad_abs[:rows], only.radii[:rows], right - left, bottom - top)
         self.adam["frames"].step()
         self.adam["frames"].zero_grad(set_to_none=True)
         return numbers
+
+    def _layers(
+        self, human: Splats | None, scene: Splats | None, mask: Tensor, viewmat: Tensor, K: Tensor
+    ) -> dict[str, Layer]:
+        """What one step draws: everything, the person alone, and what of the scene is before the person."""
+        layers = {}
+        if scene is not None:
+            layers["all"] = Layer(background=torch.rand(3, generator=self.generator).to(K))
+        if human is not None:
+            n, total = len(human.means), len(human.means) + (0 if scene is None else len(scene.means))
+            rows = torch.arange(total, device=K.device) < n
+            box = person_box(mask, human.means.detach(), viewmat, K)
+            layers["person"] = Layer(rows, box, torch.rand(3, generator=self.generator).to(K))
+            if scene is not None:
+                layers["veil"] = Layer(torch.cat([~rows[:n], veil(scene, human.means, viewmat)]), box)
+        return layers
 
     def _bad_step(self, frame: int, numbers: dict[str, float]) -> dict[str, float]:
         self.bad += 1

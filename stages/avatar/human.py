@@ -18,13 +18,8 @@ from stages.avatar.triplane import Triplane
 MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
-DEFECT = (
-    0.5  # sum of absolute differences; kitchen draft: 2 % go, all specks around him with them, and +0.2 dB over white
-)
+DEFECT = 0.5  # sum of absolute differences; kitchen draft: 2 % go, the specks around him with them, +0.2 dB over white
 OFFSET = 0.05  # metres; a usual thickness of clothes
-UNSEEN = (
-    10.0  # times as much a correction must earn where no frame shows the body: no speckle, 0.2 dB (kitchen, 800 steps)
-)
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 # `cache` first: it names the folder of the compiled kernels before any is defined
 from stages.avatar.rasterize import cache, cpu, cuda, reference  # noqa: F401
-from stages.avatar.rasterize.rendering import Rendering
+from stages.avatar.rasterize.rendering import Layer, Rendering
 
-__all__ = ["Rendering", "gaussian_axes", "rasterize"]
+__all__ = ["Layer", "Rendering", "gaussian_axes", "rasterize"]
 
 
 def _fast(like: Tensor) -> bool:
@@ -30,18 +32,19 @@ def rasterize(
     K: Tensor,
     width: int,
     height: int,
-    background: Tensor | None = None,
+    layers: Sequence[Layer] = (Layer(),),
     antialias: bool = False,
     near: float = 0.01,
-) -> Rendering:
-    """Draw N Gaussians, nearest first (3DGS, Kerbl et al. 2023; thresholds of gsplat 1.5).
+) -> list[Rendering]:
+    """Draw N Gaussians, nearest first, once for each layer (3DGS, Kerbl et al. 2023; thresholds of gsplat 1.5).
 
     means[N,3] m; axes[N,3,3], whose columns are the scaled axes: the covariance is axes axes^T, so a Gaussian moved by
     any linear blend needs no polar decomposition; opacities[N] in 0..1; colors[N,3]; viewmat[4,4] camera_from_world
-    with OpenCV axes; K[3,3] px, the first pixel centre at (0.5, 0.5); background[3], black if None. With `antialias`
-    opacity is lowered as the screen blur widens a Gaussian. Gaussians nearer than `near` m are not drawn.
-    Differentiable in means, axes, opacities, colors, viewmat and background. A row that is not finite is left out and
+    with OpenCV axes; K[3,3] px, the first pixel centre at (0.5, 0.5). With `antialias` opacity is lowered as the screen
+    blur widens a Gaussian. Gaussians nearer than `near` m are not drawn. At most LAYERS of them; projection and depth
+    order are theirs together, and gradients add up.
+    Differentiable in means, axes, opacities, colors, viewmat and backgrounds. A row that is not finite is left out and
     counted. Float32 goes to the fast kernel of its device (Numba on a CPU, gsplat on a GPU), float64 to the reference.
     """
     maker = {"cpu": cpu, "cuda": cuda}.get(means.device.type, reference) if means.dtype == torch.float32 else reference
-    return maker.rasterize(means, axes, opacities, colors, viewmat, K, width, height, background, antialias, near)
+    return maker.rasterize(means, axes, opacities, colors, viewmat, K, width, height, layers, antialias, near)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from stages.avatar.rasterize import blend, kernels
-from stages.avatar.rasterize.rendering import Rendering
+from stages.avatar.rasterize.rendering import LAYERS, Layer, Rendering
+from stages.avatar.rasterize.tiles import tile_lists
 
 CHUNKS = 16  # ranges of rows in passes over Gaussians: fixed, so that results do not depend on the thread count
 
@@ -16,74 +19,72 @@ def _array(tensor: Tensor, dtype: type = np.float32) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().numpy(), dtype)
 
 
-def _records(n: int) -> np.ndarray:
+def _rows(n: int) -> np.ndarray:
     """Uninitialised float32 [n,16], each row on one cache line."""
-    raw = np.empty(n * blend.ROW + 16, np.float32)
+    raw = np.empty(n * kernels.ROW + 16, np.float32)
     start = -raw.ctypes.data % 64 // 4
-    return raw[start : start + n * blend.ROW].reshape(n, blend.ROW)
+    return raw[start : start + n * kernels.ROW].reshape(n, kernels.ROW)
 
 
 class _Rasterize(torch.autograd.Function):
+    """Inputs end in the layers' backgrounds; outputs are image, alpha and depth of each layer in turn."""
+
     @staticmethod
-    def forward(ctx, means, axes, opacities, colors, viewmat, background, K, size, antialias, near, extras):
+    def forward(ctx, means, axes, opacities, colors, viewmat, K, size, layers, antialias, near, extras, *backgrounds):
         width, height = size
         arrays = [_array(t) for t in (means, axes, opacities, colors)]
         view, intrinsics = _array(viewmat, np.float64), _array(K, np.float64)
         n, threads = len(means), torch.get_num_threads()
-        records, means2d, radii = _records(n), np.empty((n, 2), np.float32), np.empty(n, np.float32)
+        records, means2d, radii = _rows(n), np.empty((n, 2), np.float32), np.empty(n, np.float32)
         dropped = kernels.project(
             *arrays, view, intrinsics, width, height, antialias, near, CHUNKS, records, means2d, radii
         )
         order = kernels.depth_order(records, radii)
-        starts, rows = kernels.tile_lists(order, records, width, height, CHUNKS)
-        image, alpha = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
-        depth = np.empty_like(alpha)
-        finals = np.empty((len(starts) - 1, blend.AREA), np.float32)
-        lasts = np.empty((len(starts) - 1, blend.AREA), np.int32)
-        scene = (starts, rows, records, width, height, _array(background), threads, blend.IN_X, blend.IN_Y)
-        blend.draw(*scene, image, alpha, depth, finals, lasts)
-        ctx.kept = (*arrays[:3], view, intrinsics, width, height, antialias, records, radii), (*scene, finals, lasts)
+        kept, pictures = [], []
+        for layer, background in zip(layers, backgrounds, strict=True):
+            window = tuple(map(int, layer.window or (0, 0, width, height)))
+            some = order if layer.rows is None else order[layer.rows.numpy()[order]]
+            starts, rows, masks = tile_lists(some, records.reshape(-1), window, CHUNKS)
+            ground = np.zeros(3, np.float32) if background is None else _array(background)
+            shape = (window[3] - window[1], window[2] - window[0])
+            image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
+            finals, stops = (np.empty((len(starts) - 1, blend.AREA), kind) for kind in (np.float32, np.int32))
+            place = (starts, rows, masks, records.reshape(-1), window, ground, threads, blend.IN_X, blend.IN_Y)
+            blend.draw(*place, image, alpha, depth, finals, stops)
+            kept.append((place, finals, stops, alpha))
+            pictures += [torch.from_numpy(t) for t in (image, alpha, depth)]
+        ctx.kept = (*arrays[:3], view, intrinsics, width, height, antialias), (records, radii), kept
         ctx.extras = extras
-        extras.update(means2d=means2d, radii=radii, dropped=int(dropped))
-        extras.update(screen_grad=torch.zeros(n, 2), screen_grad_abs=torch.zeros(n, 2))
-        return tuple(torch.from_numpy(t) for t in (image, alpha, depth))
+        ctx.set_materialize_grads(False)
+        extras.update(means2d=torch.from_numpy(means2d), radii=torch.from_numpy(radii), dropped=int(dropped))
+        extras.update(screen_grad=torch.zeros(n, 2), screen_grad_abs=torch.zeros(len(layers), n, 2))
+        return tuple(pictures)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, v_image, v_alpha, v_depth):
-        (means, axes, opacities, view, K, width, height, antialias, records, radii), scene = ctx.kept
-        *scene, finals, lasts = scene
-        n, _background, threads = len(means), scene[5], scene[6]
-        v_image, v_alpha, v_depth = (_array(v) for v in (v_image, v_alpha, v_depth))
-        partial = _records(threads * n).reshape(threads, n, blend.ROW)
-        blend.draw_backward(*scene, finals, lasts, v_image, v_alpha, v_depth, partial)
-        screen = tuple(ctx.extras[name].numpy() for name in ("screen_grad", "screen_grad_abs"))
-        grads = tuple(np.empty(s, np.float32) for s in ((n, 3), (n, 3, 3), (n,), (n, 3)))
-        d_view = kernels.project_backward(
-            means,
-            axes,
-            opacities,
-            view,
-            K,
-            width,
-            height,
-            antialias,
-            CHUNKS,
-            records,
-            radii,
-            partial,
-            (*grads, *screen),
-        )
-        d_background = None
-        if ctx.needs_input_grad[5]:
-            light = 1 - ctx.extras["alpha"].numpy()
-            d_background = torch.from_numpy(np.einsum("hw,hwc->c", light, v_image, dtype=np.float64).astype(np.float32))
-        return (
-            *(torch.from_numpy(g) for g in grads),
-            torch.from_numpy(d_view.astype(np.float32)),
-            d_background,
-            *[None] * 5,
-        )
+    def backward(ctx, *upstream):
+        parts, (records, radii), kept = ctx.kept
+        n, threads = len(records), kept[0][0][6]
+        sums = _rows(threads * n).reshape(threads, n * kernels.ROW)
+        kernels.clear(sums)
+        d_backgrounds = []
+        for number, (place, finals, stops, alpha) in enumerate(kept):
+            arrived = upstream[3 * number : 3 * number + 3]
+            d_background = None
+            if any(v is not None for v in arrived):
+                shapes = ((*alpha.shape, 3), alpha.shape, alpha.shape)
+                arrays = [np.zeros(s, np.float32) if v is None else _array(v) for s, v in zip(shapes, arrived)]
+                blend.draw_backward(*place, finals, stops, *arrays, number, sums)
+                if ctx.needs_input_grad[11 + number]:
+                    light = np.einsum("hw,hwc->c", 1 - alpha, arrays[0], dtype=np.float64)
+                    d_background = torch.from_numpy(light.astype(np.float32))
+            d_backgrounds.append(d_background)
+        grads = [np.empty(s, np.float32) for s in ((n, 3), (n, 3, 3), (n,), (n, 3))]
+        screen = [ctx.extras[name].numpy() for name in ("screen_grad", "screen_grad_abs")]
+        sums = sums.reshape(threads, n, kernels.ROW)
+        d_view = kernels.project_backward(*parts, CHUNKS, records, radii, sums, (*grads, *screen))
+        grads = [torch.from_numpy(g) for g in (*grads, d_view.astype(np.float32))]
+        return (*grads, *[None] * 6, *d_backgrounds)
 
 
 def rasterize(
@@ -95,24 +96,28 @@ def rasterize(
     K: Tensor,
     width: int,
     height: int,
-    background: Tensor | None = None,
+    layers: Sequence[Layer] = (Layer(),),
     antialias: bool = False,
     near: float = 0.01,
-) -> Rendering:
+) -> list[Rendering]:
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; float32 tensors on the CPU.
 
-    The picture is the same to the bit for any number of threads; gradients are for a fixed number.
+    Pictures are the same to the bit for any number of threads; gradients are for a fixed number.
     """
-    background = torch.zeros(3) if background is None else background
+    if len(layers) > LAYERS:
+        raise ValueError(f"{len(layers)} layers, a row of gradients has room for {LAYERS}")
     extras: dict = {}
-    image, alpha, depth = _Rasterize.apply(
-        means, axes, opacities, colors, viewmat, background, K, (width, height), antialias, near, extras
+    grounds = [layer.background for layer in layers]
+    pictures = _Rasterize.apply(
+        means, axes, opacities, colors, viewmat, K, (width, height), layers, antialias, near, extras, *grounds
     )
-    extras["alpha"] = alpha.detach()
-    means2d, radii = torch.from_numpy(extras["means2d"]), torch.from_numpy(extras["radii"])
-    return Rendering(
-        image, alpha, depth, means2d, radii, extras["screen_grad"], extras["screen_grad_abs"], extras["dropped"]
-    )
+    drawn = []
+    for number, layer in enumerate(layers):
+        radii = extras["radii"] if layer.rows is None else torch.where(layer.rows, extras["radii"], 0)
+        screen = extras["screen_grad"], extras["screen_grad_abs"][number]
+        picture = pictures[3 * number : 3 * number + 3]
+        drawn.append(Rendering(*picture, extras["means2d"], radii, *screen, extras["dropped"]))
+    return drawn
 
 
 class _Axes(torch.autograd.Function):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize.rendering import BLUR, Rendering
+from stages.avatar.rasterize.rendering import BLUR, Layer, Rendering
 
 
 def rasterize(
@@ -17,22 +19,42 @@ def rasterize(
     K: Tensor,
     width: int,
     height: int,
-    background: Tensor | None = None,
+    layers: Sequence[Layer] = (Layer(),),
     antialias: bool = False,
     near: float = 0.01,
-) -> Rendering:
+) -> list[Rendering]:
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; float32 tensors on one GPU.
 
+    Each layer is a call of its own, whose Jacobian is clamped at the margin of its window, not of the whole picture.
     ImportError if gsplat is not installed. gsplat compiles its kernels at the first call of an installation.
     """
+    grad = torch.zeros(len(means), 2, device=means.device)
+    parts = (means, axes, opacities, colors, viewmat, K)
+    return [_draw(*parts, layer, layer.window or (0, 0, width, height), antialias, near, grad) for layer in layers]
+
+
+def _draw(
+    means: Tensor,
+    axes: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    layer: Layer,
+    window: tuple[int, int, int, int],
+    antialias: bool,
+    near: float,
+    grad: Tensor,
+) -> Rendering:
     from gsplat import rasterization
 
     parts = (means, axes, opacities, colors)
     finite = torch.stack([part.detach().isfinite()[:, None].flatten(1).all(1) for part in parts]).all(0)
-    rows = finite.nonzero()[:, 0]
-    dropped = len(means) - len(rows)
-    if dropped:  # one NaN would spread over whole tiles
+    rows = (finite if layer.rows is None else finite & layer.rows).nonzero()[:, 0]
+    if len(rows) < len(means):  # one NaN would spread over whole tiles
         means, axes, opacities, colors = (part[rows] for part in parts)
+    left, top, right, bottom = window
+    K = K - torch.tensor([[0, 0, left], [0, 0, top], [0, 0, 0]]).to(K)
     picture, alpha, extras = rasterization(
         means=means,
         quats=None,
@@ -41,12 +63,12 @@ def rasterize(
         colors=colors,
         viewmats=viewmat[None],
         Ks=K[None],
-        width=width,
-        height=height,
+        width=right - left,
+        height=bottom - top,
         near_plane=near,
         eps2d=BLUR,
         packed=False,
-        backgrounds=None if background is None else background[None],
+        backgrounds=None if layer.background is None else layer.background[None],
         render_mode="RGB+D",
         absgrad=True,
         rasterize_mode="antialiased" if antialias else "classic",
@@ -55,12 +77,15 @@ def rasterize(
     at = extras["means2d"]
     where = torch.full((len(finite), 2), torch.nan, device=means.device)
     radii = torch.zeros(len(finite), device=means.device)
-    where[rows], radii[rows] = at.detach()[0], extras["radii"][0].amax(-1).to(radii)
-    grad, grad_abs = torch.zeros_like(where), torch.zeros_like(where)
+    where[rows] = at.detach()[0] + torch.tensor([left, top]).to(where)
+    radii[rows] = extras["radii"][0].amax(-1).to(radii)
+    grad_abs = torch.zeros_like(where)
     if at.requires_grad:
 
         def record(g: Tensor) -> None:
-            grad[rows], grad_abs[rows] = g[0], at.absgrad[0]
+            grad[rows] += g[0]
+            grad_abs[rows] = at.absgrad[0]
 
         at.register_hook(record)
+    dropped = int((~finite).sum())
     return Rendering(picture[0, ..., :3], alpha[0, ..., 0], picture[0, ..., 3], where, radii, grad, grad_abs, dropped)

@@ -1,4 +1,4 @@
-"""The passes of the CPU rasterizer over Gaussians: projection and its backward, depth order, tile lists.
+"""The passes of the CPU rasterizer over Gaussians: projection and its backward, and depth order.
 
 Gaussians are independent rows here, so each pass is plain scalar code, spread over threads. Projection runs in float64
 (a needle's determinant cancels in float32); what the blend reads is one 64-byte record a Gaussian.
@@ -14,11 +14,11 @@ from numba import njit, prange
 from stages.avatar.rasterize.rendering import ALPHA_MIN, BLUR, COMPENSATION_MIN, FRUSTUM_MARGIN
 
 LOG2E = 1.4426950408889634
-TILE = 32  # px; one tile is 8x8 blocks of 4x4 px, so a 64-bit word says which blocks a Gaussian touches
+ROW = 16  # floats in a record and in a gradient row: one cache line
 # columns of a record
 X, Y, QA, QB, QC, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, REACH_X, REACH_Y, SLANT_X, CUT, INVERSE_DET = range(15)
-# columns of a Gaussian's gradient
-G, GX, GY, GXX, GXY, GYY, G_RED, G_GREEN, G_BLUE, G_DEPTH, ABS_X, ABS_Y = range(12)
+# columns of a Gaussian's gradient; the rest of the row are two absolute sums for each layer
+G, GX, GY, GXX, GXY, GYY, G_RED, G_GREEN, G_BLUE, G_DEPTH, ABS = range(11)
 
 
 @njit(cache=True, inline="always")
@@ -84,16 +84,17 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
                 opacity *= math.sqrt(max(sharp / det, COMPENSATION_MIN**2))
             if not opacity >= ALPHA_MIN:
                 continue
-            cut = 2 * math.log(opacity / ALPHA_MIN)
+            log_opacity = math.log2(opacity)
+            cut = max(0.0, 2 / LOG2E * (log_opacity - math.log2(ALPHA_MIN)))
             reach_x, reach_y = math.sqrt(cut * aa), math.sqrt(cut * bb)
             if px + reach_x <= 0 or px - reach_x >= width or py + reach_y <= 0 or py - reach_y >= height:
                 continue
             half = 0.5 * (aa + bb)
-            radii[i] = math.ceil(math.sqrt(cut * (half + math.hypot(0.5 * (aa - bb), ab))))
+            radii[i] = math.ceil(math.sqrt(cut * (half + math.sqrt(0.25 * (aa - bb) ** 2 + ab * ab))))
             r = records[i]
             r[X], r[Y] = px, py
             r[QA], r[QB], r[QC] = 0.5 * LOG2E * bb / det, -LOG2E * ab / det, 0.5 * LOG2E * aa / det
-            r[LOG_OPACITY] = math.log2(opacity)
+            r[LOG_OPACITY] = log_opacity
             r[RED], r[GREEN], r[BLUE], r[DEPTH] = colors[i, 0], colors[i, 1], colors[i, 2], z
             # a shade too wide, so that rounding can never drop a pixel that the lane test would draw
             r[REACH_X], r[REACH_Y] = 1.0002 * reach_x + 1e-3, 1.0002 * reach_y + 1e-3
@@ -109,8 +110,8 @@ def project_backward(
 ):  # fmt: skip
     """Turn the blend's sums partial [threads,N,16] into gradients.
 
-    Fills upstream = (means [N,3], axes [N,3,3], opacities [N], colors [N,3], screen [N,2], screen_abs [N,2]) and returns
-    the gradient of view [4,4]; rows that were not drawn get 0.
+    Fills upstream = (means [N,3], axes [N,3,3], opacities [N], colors [N,3], screen [N,2], screen_abs [layers,N,2]) and
+    returns the gradient of view [4,4]; rows that were not drawn get 0.
     """
     d_means, d_axes, d_opacities, d_colors, d_screen, d_screen_abs = upstream
     n = len(means)
@@ -118,13 +119,13 @@ def project_backward(
     d_views = np.zeros((chunks, 4, 4))
     for chunk in prange(chunks):
         a, b, turned = np.empty(3), np.empty(3), np.empty((3, 3))
-        s, ga, gb, gt = np.empty(12), np.empty(3), np.empty(3), np.empty((3, 3))
+        s, ga, gb, gt = np.empty(ROW), np.empty(3), np.empty(3), np.empty((3, 3))
         d_view = d_views[chunk]
         for i in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             if radii[i] == 0:
-                d_means[i], d_axes[i], d_opacities[i], d_colors[i], d_screen[i], d_screen_abs[i] = 0, 0, 0, 0, 0, 0
+                d_means[i], d_axes[i], d_opacities[i], d_colors[i], d_screen[i], d_screen_abs[:, i] = 0, 0, 0, 0, 0, 0
                 continue
-            for c in range(12):
+            for c in range(ROW):
                 s[c] = 0
                 for thread in range(len(partial)):
                     s[c] += partial[thread, i, c]
@@ -177,8 +178,16 @@ def project_backward(
             d_opacities[i] = d_opacity
             d_colors[i, 0], d_colors[i, 1], d_colors[i, 2] = s[G_RED], s[G_GREEN], s[G_BLUE]
             d_screen[i, 0], d_screen[i, 1] = d_px, d_py
-            d_screen_abs[i, 0], d_screen_abs[i, 1] = s[ABS_X], s[ABS_Y]
+            for layer in range(len(d_screen_abs)):
+                d_screen_abs[layer, i, 0], d_screen_abs[layer, i, 1] = s[ABS + 2 * layer], s[ABS + 2 * layer + 1]
     return d_views.sum(0)
+
+
+@njit(cache=True, parallel=True)
+def clear(sums):
+    """Zeros, row by row on the threads that will add to them."""
+    for row in prange(len(sums)):
+        sums[row] = 0
 
 
 @njit(cache=True)
@@ -208,81 +217,6 @@ def depth_order(records, radii):
             start[d] += 1
         order, order2, keys, keys2 = order2, order, keys2, keys
     return order
-
-
-@njit(cache=True, inline="always")
-def interval(r, top, bottom):
-    """Range of x (relative to the mean) that the Gaussian covers between the rows top..bottom (relative too)."""
-    top, bottom = max(top, -r[REACH_Y]), min(bottom, r[REACH_Y])
-    if top > bottom:
-        return np.float32(1), np.float32(-1)
-    a, b = 2 / LOG2E * r[QA], r[QB] / LOG2E
-    right, left = r[REACH_X], -r[REACH_X]
-    one = math.sqrt(max(np.float32(0), r[CUT] * a - r[INVERSE_DET] * top * top))
-    two = math.sqrt(max(np.float32(0), r[CUT] * a - r[INVERSE_DET] * bottom * bottom))
-    if not top <= r[SLANT_X] <= bottom:
-        right = max(one - b * top, two - b * bottom) / a * np.float32(1.0002) + np.float32(1e-3)
-    if not top <= -r[SLANT_X] <= bottom:
-        left = min(-one - b * top, -two - b * bottom) / a
-        left = left - np.float32(2e-4) * abs(left) - np.float32(1e-3)
-    return left, right
-
-
-@njit(cache=True, inline="always")
-def _tile_rows(r, down):
-    """First and last of the `down` tile rows that a Gaussian's box touches."""
-    top = max(0, math.floor((r[Y] - r[REACH_Y]) / TILE))
-    bottom = min(down - 1, math.floor((r[Y] + r[REACH_Y]) / TILE))
-    return top, bottom
-
-
-@njit(cache=True, inline="always")
-def _tiles(r, row, width):
-    """First and last tile of a tile row (32 px high) that a Gaussian touches."""
-    top = np.float32(row * TILE + 0.5) - r[Y]
-    left, right = interval(r, top, top + np.float32(TILE - 1))
-    if left > right:
-        return 1, 0
-    first = max(0, math.ceil(left + r[X] - np.float32(0.5)))
-    last = min(width - 1, math.floor(right + r[X] - np.float32(0.5)))
-    return (first // TILE, last // TILE) if first <= last else (1, 0)
-
-
-@njit(cache=True, parallel=True)
-def tile_lists(order, records, width, height, chunks):
-    """Rows per tile, nearest first: (starts [tiles+1], rows). A tile lists exactly the Gaussians that reach it."""
-    across, down = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    n = len(order)
-    counts = np.zeros((chunks, across * down), np.int64)
-    for chunk in prange(chunks):
-        for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            r = records[order[k]]
-            top, bottom = _tile_rows(r, down)
-            for row in range(top, bottom + 1):
-                first, last = _tiles(r, row, width)
-                for column in range(first, last + 1):
-                    counts[chunk, row * across + column] += 1
-    starts = np.zeros(across * down + 1, np.int64)
-    total = 0
-    for tile in range(across * down):
-        starts[tile] = total
-        for chunk in range(chunks):
-            here = counts[chunk, tile]
-            counts[chunk, tile] = total
-            total += here
-    starts[across * down] = total
-    rows = np.empty(total, np.int32)
-    for chunk in prange(chunks):
-        for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            r = records[order[k]]
-            top, bottom = _tile_rows(r, down)
-            for row in range(top, bottom + 1):
-                first, last = _tiles(r, row, width)
-                for column in range(first, last + 1):
-                    tile = row * across + column
-                    rows[counts[chunk, tile]] = order[k]
-                    counts[chunk, tile] += 1
-    return starts, rows
 
 
 @njit(cache=True, parallel=True)

@@ -14,7 +14,7 @@ from numba.core import types
 from numba.core.extending import intrinsic, models, overload, register_model
 
 LANES = 16
-_F32, _I32, _I1 = ir.FloatType(), ir.IntType(32), ir.IntType(1)
+_F32, _I32, _I1, _I8, _I64 = ir.FloatType(), ir.IntType(32), ir.IntType(1), ir.IntType(8), ir.IntType(64)
 _VF, _VI, _VM = (ir.VectorType(t, LANES) for t in (_F32, _I32, _I1))
 
 
@@ -74,6 +74,17 @@ _arithmetic(operator.mul, "fmul")
 _arithmetic(operator.truediv, "fdiv")
 
 
+@intrinsic
+def _negative(typingctx, a):
+    return f32x16(a), lambda context, builder, signature, args: builder.fneg(args[0])
+
+
+@overload(operator.neg, inline="always")
+def _neg(a):
+    if a is f32x16:
+        return lambda a: _negative(a)
+
+
 def _comparison(python_operator, symbol: str):
     @intrinsic
     def apply(typingctx, a, b):
@@ -91,7 +102,7 @@ def _comparison(python_operator, symbol: str):
 
 _comparison(operator.ge, ">=")
 _comparison(operator.gt, ">")
-_comparison(operator.lt, "<")
+_comparison(operator.le, "<=")
 
 
 @intrinsic
@@ -120,24 +131,21 @@ def fma(typingctx, a, b, c):
     return f32x16(a, b, c), code
 
 
-def _pairwise(name: str):
+def _pairwise(symbol: str):
+    """Of two, the one for which `a symbol b` holds; b if a number is missing. One instruction, unlike LLVM's minnum."""
+
     @intrinsic
     def apply(typingctx, a, b):
         def code(context, builder, signature, args):
-            return _call(builder, name, _VF, [_as_f32x16(context, builder, v, k) for v, k in zip(args, signature.args)])
+            a, b = (_as_f32x16(context, builder, v, k) for v, k in zip(args, signature.args))
+            return builder.select(builder.fcmp_ordered(symbol, a, b), a, b)
 
         return f32x16(a, b), code
 
     return apply
 
 
-lesser, greater = _pairwise("llvm.minnum.v16f32"), _pairwise("llvm.maxnum.v16f32")
-
-
-@intrinsic
-def magnitude(typingctx, a):
-    """|a|, lane by lane."""
-    return f32x16(a), lambda context, builder, signature, args: _call(builder, "llvm.fabs.v16f32", _VF, list(args))
+lesser, greater = _pairwise("<"), _pairwise(">")
 
 
 @intrinsic
@@ -183,22 +191,27 @@ def any_lane(typingctx, mask):
     return types.boolean(mask), code
 
 
+def _sum_in_pairs(builder: ir.IRBuilder, low: ir.Value, high: ir.Value, half: int) -> ir.Value:
+    """Lanes whose bit `half` is 0 hold sums of lanes of `low` that are `half` apart, the others those of `high`."""
+    kept = [lane + (LANES if lane & half else 0) for lane in range(LANES)]
+    added = [(lane ^ half) + (LANES if lane & half else 0) for lane in range(LANES)]
+    kept, added = (ir.Constant(ir.VectorType(_I32, LANES), order) for order in (kept, added))
+    return builder.fadd(builder.shuffle_vector(low, high, kept), builder.shuffle_vector(low, high, added))
+
+
 @intrinsic
-def total(typingctx, a):
-    """The sum of the 16 lanes, added pairwise."""
+def totals(typingctx, vectors):
+    """The sums of 16 vectors (a tuple), one a lane: a tree of 15 additions of which each halves two vectors at once."""
 
     def code(context, builder, signature, args):
-        value, width = args[0], LANES
-        while width > 1:
-            width //= 2
-            half = ir.VectorType(_I32, width)
-            none = ir.Constant(value.type, ir.Undefined)
-            low = builder.shuffle_vector(value, none, ir.Constant(half, list(range(width))))
-            high = builder.shuffle_vector(value, none, ir.Constant(half, list(range(width, 2 * width))))
-            value = builder.fadd(low, high)
-        return builder.extract_element(value, _I32(0))
+        values = [builder.extract_value(args[0], i) for i in range(LANES)]
+        half = 1
+        while len(values) > 1:
+            values = [_sum_in_pairs(builder, *values[i : i + 2], half) for i in range(0, len(values), 2)]
+            half *= 2
+        return values[0]
 
-    return types.float32(a), code
+    return f32x16(vectors), code
 
 
 @intrinsic
@@ -209,23 +222,56 @@ def spread(typingctx, value):
 
 @intrinsic
 def exp2(typingctx, x):
-    """2^x for x <= 0, relative error 3e-7; below -30 the value of 2^-30, which keeps denormal numbers away."""
-    taylor = (1.3333558e-3, 9.6181291e-3, 5.5504109e-2, 2.4022651e-1, 6.9314718e-1, 1.0)
+    """2^x for x <= 0, relative error 2e-7; below -30 the value of 2^-30, which keeps denormal numbers away."""
+    polynomial = (1.32647273e-03, 9.67151299e-03, 5.55073358e-02, 2.40222424e-01, 6.93147004e-01, 1.0)
+    magic = 1.5 * 2**23  # added, it leaves the nearest integer in the lowest bits
 
     def code(context, builder, signature, args):
         def number(value):
             return ir.Constant(_VF, [value] * LANES)
 
-        x = _call(builder, "llvm.maxnum.v16f32", _VF, [args[0], number(-30.0)])
-        whole = _call(builder, "llvm.rint.v16f32", _VF, [x])
-        part = builder.fsub(x, whole)
-        value = number(1.5403530e-4)
-        for coefficient in taylor:
+        x = builder.select(builder.fcmp_ordered(">", args[0], number(-30.0)), args[0], number(-30.0))
+        shifted = builder.fadd(x, number(magic))
+        part = builder.fsub(x, builder.fsub(shifted, number(magic)))
+        value = number(polynomial[0])
+        for coefficient in polynomial[1:]:
             value = _call(builder, "llvm.fmuladd.v16f32", _VF, [value, part, number(coefficient)])
-        shift = builder.shl(builder.fptosi(whole, _VI), ir.Constant(_VI, [23] * LANES))
+        shift = builder.shl(builder.bitcast(shifted, _VI), ir.Constant(_VI, [23] * LANES))
         return builder.bitcast(builder.add(builder.bitcast(value, _VI), shift), _VF)
 
     return f32x16(x), code
+
+
+def _each(name: str):
+    @intrinsic
+    def apply(typingctx, a):
+        return f32x16(a), lambda context, builder, signature, args: _call(builder, name, _VF, list(args))
+
+    return apply
+
+
+magnitude, root = _each("llvm.fabs.v16f32"), _each("llvm.sqrt.v16f32")
+down, up = _each("llvm.floor.v16f32"), _each("llvm.ceil.v16f32")
+
+
+@intrinsic
+def bits_between(typingctx, first, last):
+    """A byte for each of the first 8 lanes, as a uint64: bits first..last (0..7) of it are set, none where last < first."""
+
+    def code(context, builder, signature, args):
+        one = ir.Constant(_VI, [1] * LANES)
+        zero, seven = (ir.Constant(_VI, [n] * LANES) for n in (0, 7))
+        low, high = (builder.fptosi(v, _VI) for v in args)
+        low = _call(builder, "llvm.smax.v16i32", _VI, [low, zero])
+        high = _call(builder, "llvm.smin.v16i32", _VI, [high, seven])
+        some = builder.icmp_signed("<=", low, high)
+        # where there is none the numbers are meaningless, but must be good for a shift
+        low, high = (builder.and_(v, seven) for v in (low, high))
+        bits = builder.sub(builder.shl(ir.Constant(_VI, [2] * LANES), high), builder.shl(one, low))
+        bytes_ = builder.trunc(builder.select(some, bits, zero), ir.VectorType(_I8, LANES))
+        return builder.trunc(builder.bitcast(bytes_, ir.IntType(128)), _I64)
+
+    return types.uint64(first, last), code
 
 
 def _pointer(context, builder, kind, array, index, vector):
@@ -263,6 +309,45 @@ def _store(vector):
 
 load, load_index = _load(_VF, f32x16, types.float32), _load(_VI, i32x16, types.int32)
 store, store_index = _store(_VF), _store(_VI)
+
+
+def _element(context, builder, signature, args):
+    data = context.make_array(signature.args[0])(context, builder, args[0]).data
+    return builder.gep(data, [context.cast(builder, args[1], signature.args[1], types.intp)])
+
+
+@intrinsic
+def peek(typingctx, array, index):
+    """array[index] without bounds, wrap-around or view: `array` is one-dimensional and contiguous, `index` is inside."""
+    return array.dtype(array, index), lambda context, builder, signature, args: builder.load(
+        _element(context, builder, signature, args)
+    )
+
+
+@intrinsic
+def prefetch(typingctx, array, index):
+    """Ask for the cache line of array[index] ahead of its use."""
+
+    def code(context, builder, signature, args):
+        where = builder.bitcast(_element(context, builder, signature, args), _I8.as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [where.type, _I32, _I32, _I32])
+        builder.call(
+            builder.module.declare_intrinsic("llvm.prefetch", [where.type], kind), [where, _I32(0), _I32(3), _I32(1)]
+        )
+        return context.get_dummy_value()
+
+    return types.none(array, index), code
+
+
+@intrinsic
+def differ(typingctx, a, b):
+    """True if two masks are not the same."""
+
+    def code(context, builder, signature, args):
+        a, b = (builder.bitcast(mask, ir.IntType(16)) for mask in args)
+        return builder.icmp_unsigned("!=", a, b)
+
+    return types.boolean(a, b), code
 
 
 @intrinsic

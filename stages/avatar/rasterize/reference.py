@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -12,6 +14,7 @@ from stages.avatar.rasterize.rendering import (
     COMPENSATION_MIN,
     FRUSTUM_MARGIN,
     T_STOP,
+    Layer,
     Rendering,
 )
 
@@ -41,17 +44,37 @@ def rasterize(
     K: Tensor,
     width: int,
     height: int,
-    background: Tensor | None = None,
+    layers: Sequence[Layer] = (Layer(),),
     antialias: bool = False,
     near: float = 0.01,
-) -> Rendering:
+) -> list[Rendering]:
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; differentiable in all tensors, also twice."""
+    grad = torch.zeros(len(means), 2, dtype=means.dtype, device=means.device)
+    parts = (means, axes, opacities, colors, viewmat, K, width, height)
+    return [_draw(*parts, layer, antialias, near, grad) for layer in layers]
+
+
+def _draw(
+    means: Tensor,
+    axes: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    layer: Layer,
+    antialias: bool,
+    near: float,
+    grad: Tensor,
+) -> Rendering:
     n = len(means)
     rows = (means, axes, opacities, colors)
     finite = torch.stack([part.detach().isfinite()[:, None].flatten(1).all(1) for part in rows]).all(0)
     with torch.no_grad():
         z = means @ viewmat[2, :3] + viewmat[2, 3]
-        rows = (finite & (z > near)).nonzero()[:, 0]
+        rows = finite & (z > near) if layer.rows is None else finite & (z > near) & layer.rows
+        rows = rows.nonzero()[:, 0]
         rows = rows[z[rows].argsort(stable=True)]
     local = means[rows] @ viewmat[:3, :3].T + viewmat[:3, 3]
     means2d, a, b = _project(local, viewmat[:3, :3] @ axes[rows], K, width, height)
@@ -72,9 +95,11 @@ def rasterize(
         radii[rows] = torch.where(seen, (reach * longest).sqrt().ceil(), 0)
     where = torch.full((n, 2), torch.nan, dtype=means.dtype, device=means.device)
     where[rows] = means2d.detach()
-    grad, grad_abs = torch.zeros_like(where), torch.zeros_like(where)
+    grad_abs = torch.zeros_like(where)
 
-    ys, xs = torch.meshgrid(torch.arange(height).to(means) + 0.5, torch.arange(width).to(means) + 0.5, indexing="ij")
+    left, top, right, bottom = layer.window or (0, 0, width, height)
+    ys, xs = (torch.arange(*ends).to(means) + 0.5 for ends in ((top, bottom), (left, right)))
+    ys, xs = torch.meshgrid(ys, xs, indexing="ij")
     pixels = torch.stack([xs, ys], -1).reshape(-1, 1, 2)
     drawn = []
     for chunk in pixels.split(PIXELS):
@@ -95,10 +120,10 @@ def rasterize(
         weight = torch.where(passed > T_STOP, alpha * before, 0)
         final = torch.where(passed > T_STOP, 1 - alpha, 1).prod(1)
         drawn.append(torch.cat([weight @ colors[rows], weight @ local[:, 2:], final[:, None]], 1))
-    picture = torch.cat(drawn).reshape(height, width, 5)
+    picture = torch.cat(drawn).reshape(bottom - top, right - left, 5)
     image, depth, final = picture[..., :3], picture[..., 3], picture[..., 4]
-    if background is not None:
-        image = image + final[..., None] * background
+    if layer.background is not None:
+        image = image + final[..., None] * layer.background
     return Rendering(image, 1 - final, depth, where, radii, grad, grad_abs, int((~finite).sum()))
 
 

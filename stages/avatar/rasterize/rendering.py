@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from torch import Tensor
 
@@ -20,13 +21,28 @@ FRUSTUM_MARGIN = 0.15
 """Share of the picture's size beyond its border at which the Jacobian's view direction is clamped (hard case A08)."""
 
 
+LAYERS = 3
+"""Pictures that one call can draw."""
+
+
+class Layer(NamedTuple):
+    """One picture of a call: which Gaussians (rows[N] bool, None = all), which window of the camera's picture
+    (left, top, right, bottom) px (None = all of it), and over which background[3] (None = black).
+    """
+
+    rows: Tensor | None = None
+    window: tuple[int, int, int, int] | None = None
+    background: Tensor | None = None
+
+
 @dataclass
 class Rendering:
-    """A picture of N Gaussians and what their densification needs.
+    """One layer's picture of N Gaussians, and what their densification needs.
 
-    image [H,W,3]; alpha [H,W] coverage; depth [H,W] = sum of weight x z (m); means2d [N,2] px; radii [N] px, 0 where
-    nothing was drawn. `screen_grad` [N,2] and `screen_grad_abs` [N,2] are filled by the backward pass: dL/d means2d, and
-    the sum over pixels of its absolute values. `dropped` counts Gaussians left out because a number was not finite.
+    image [H,W,3]; alpha [H,W] coverage; depth [H,W] = sum of weight x z (m), all of the layer's window; means2d [N,2] px
+    and radii [N] px in the camera's whole picture, radii 0 for Gaussians outside of it or not in the layer. The backward
+    pass fills `screen_grad_abs` [N,2], the sum over the layer's pixels of |dL/d means2d|, and `screen_grad` [N,2],
+    dL/d means2d of all layers together. `dropped` counts Gaussians left out because a number was not finite.
     """
 
     image: Tensor

@@ -246,5 +246,5 @@ def test_veil_is_what_stands_before_the_person():
         torch.stack([0 * depths, 0 * depths, depths], 1), torch.eye(3).repeat(4, 1, 1), depths, depths[:, None]
     )
     person = torch.tensor([[0, 0, 2.8], [0, 0, 3.0], [0, 0, 3.2]]).repeat(10, 1)
-    assert veil(scene, person, torch.eye(4)).opacities.tolist() == pytest.approx([1.0, 2.9])
-    assert veil(scene, person + torch.tensor([0, 0, -5.0]), torch.eye(4)) is None
+    assert scene.opacities[veil(scene, person, torch.eye(4))].tolist() == pytest.approx([1.0, 2.9])
+    assert not veil(scene, person + torch.tensor([0, 0, -5.0]), torch.eye(4)).any()

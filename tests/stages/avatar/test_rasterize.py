@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from stages.avatar.rasterize import cpu, reference
+from stages.avatar.rasterize import Layer, cpu, reference
 
 WIDTH, HEIGHT = 61, 45
 BACKGROUND = torch.tensor([0.2, 0.5, 0.7])
@@ -48,7 +48,7 @@ def draw(maker, parts, view, K, width=WIDTH, height=HEIGHT, dtype=torch.float32,
     leaves = [p.detach().to(dtype).requires_grad_() for p in (*parts, view, background)]
     means, quats, scales, opacities, colors, view, background = leaves
     axes = maker.gaussian_axes(quats, scales)
-    drawn = maker.rasterize(
+    (drawn,) = maker.rasterize(
         means,
         axes,
         opacities,
@@ -57,7 +57,7 @@ def draw(maker, parts, view, K, width=WIDTH, height=HEIGHT, dtype=torch.float32,
         K.to(dtype),
         width,
         height,
-        background,
+        [Layer(background=background)],
         options.get("antialias", False),
         0.01,
     )
@@ -106,3 +106,49 @@ def test_nothing_to_draw_is_the_background(maker):
     drawn, grads = draw(maker, parts, *camera())
     assert torch.allclose(drawn.image, BACKGROUND.expand(HEIGHT, WIDTH, 3)) and drawn.alpha.max() == 0
     assert grads[0].shape == (0, 3) and drawn.dropped == 0
+
+
+LAYERS = (
+    Layer(background=torch.tensor([0.2, 0.5, 0.7])),
+    Layer(torch.arange(300) < 120, (7, 3, 44, 41), torch.tensor([0.9, 0.1, 0.4])),
+    Layer(torch.arange(300) % 3 == 0, (0, 20, 61, 45)),
+)
+
+
+def draw_layers(maker, layers, dtype):
+    parts, (view, K) = gaussians(), camera()
+    leaves = [p.to(dtype).requires_grad_() for p in (*parts, view)]
+    axes = maker.gaussian_axes(*leaves[1:3])
+    layers = [y._replace(background=None if y.background is None else y.background.to(dtype)) for y in layers]
+    drawn = maker.rasterize(leaves[0], axes, *leaves[3:], K.to(dtype), WIDTH, HEIGHT, layers)
+    loss = 0
+    for number, d in enumerate(drawn):
+        g = torch.Generator().manual_seed(number)
+        loss = loss + sum((torch.rand(t.shape, generator=g).to(dtype) * t).sum() for t in (d.image, d.alpha))
+    loss.backward()
+    return drawn, [leaf.grad for leaf in leaves]
+
+
+@pytest.mark.parametrize("layers", [LAYERS, LAYERS[::-1], LAYERS[1:2]])
+def test_layers_share_a_call_and_add_their_gradients(layers):
+    fast, fast_grads = draw_layers(cpu, layers, torch.float32)
+    true, true_grads = draw_layers(reference, layers, torch.float64)
+    for layer, a, b in zip(layers, fast, true, strict=True):
+        assert (a.image.double() - b.image).abs().max() < 1 / 255 and (b.alpha > 0.5).any()
+        assert torch.equal(a.radii > 0, b.radii > 0) and (layer.rows is None or not a.radii[~layer.rows].any())
+        assert apart(a.screen_grad_abs, b.screen_grad_abs) < 5e-6
+        assert apart(a.screen_grad, b.screen_grad) < 5e-6
+    for name, a, b in zip(NAMES, fast_grads, true_grads):
+        assert apart(a, b) < 5e-6, f"{name} off by {apart(a, b):.1e}"
+
+
+@pytest.mark.parametrize("maker, dtype, bound", [(cpu, torch.float32, 3e-6), (reference, torch.float64, 1e-14)])
+def test_a_window_is_that_part_of_the_whole_picture(maker, dtype, bound):
+    whole, part = draw_layers(maker, [Layer(), Layer(window=(7, 3, 44, 41))], dtype)[0]
+    for name in ("image", "alpha", "depth"):
+        assert (getattr(part, name) - getattr(whole, name)[3:41, 7:44]).abs().max() <= bound, name
+
+
+def test_more_layers_than_a_row_of_gradients_holds_are_refused():
+    with pytest.raises(ValueError, match="4 layers"):
+        draw_layers(cpu, [Layer()] * 4, torch.float32)

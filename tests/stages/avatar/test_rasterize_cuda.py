@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import torch
 
-from stages.avatar.rasterize import cuda, reference
+from stages.avatar.rasterize import Layer, cuda, reference
 from tests.stages.avatar.test_rasterize import NAMES, apart, camera, draw, gaussians
 
 READY = torch.cuda.is_available() and importlib.util.find_spec("gsplat") is not None
@@ -18,8 +18,10 @@ BOUNDS = {"mixed": 2e-5, "needles": 1e-4, "huge": 1e-4, "tiny": 1e-4, "deep": 2e
 
 def on_gpu(*args):
     """`cuda.rasterize` of tensors on the CPU, with the answer back on the CPU."""
-    drawn = cuda.rasterize(*(a.cuda() if isinstance(a, torch.Tensor) else a for a in args))
-    return replace(drawn, image=drawn.image.cpu(), alpha=drawn.alpha.cpu(), depth=drawn.depth.cpu())
+    *parts, layers, antialias, near = (a.cuda() if isinstance(a, torch.Tensor) else a for a in args)
+    layers = [layer._replace(background=layer.background.cuda()) for layer in layers]
+    drawn = cuda.rasterize(*parts, layers, antialias, near)
+    return [replace(d, image=d.image.cpu(), alpha=d.alpha.cpu(), depth=d.depth.cpu()) for d in drawn]
 
 
 @pytest.mark.gpu
@@ -57,7 +59,7 @@ def stand_in(monkeypatch):
         assert covars.shape == (n, 3, 3) and opacities.shape == (n,) and colors.shape == (n, 3)
         assert viewmats.shape == (1, 4, 4) and Ks.shape == (1, 3, 3) and options["backgrounds"].shape == (1, 3)
         values, vectors = torch.linalg.eigh(covars)
-        drawn = reference.rasterize(
+        (drawn,) = reference.rasterize(
             means,
             vectors * values.clamp_min(0).sqrt()[:, None],
             opacities,
@@ -66,7 +68,7 @@ def stand_in(monkeypatch):
             Ks[0],
             width,
             height,
-            options["backgrounds"][0],
+            [Layer(background=options["backgrounds"][0])],
             options["rasterize_mode"] == "antialiased",
             options["near_plane"],
         )
@@ -106,6 +108,7 @@ def test_rows_that_are_not_finite_never_reach_gsplat(stand_in):
     means[row], opacities[row] = torch.nan, 0
     holed = draw(reference, (parts[0], *parts[1:3], opacities, parts[4]), view, K)[0]
     axes = reference.gaussian_axes(*parts[1:3])
-    got = cuda.rasterize(means, axes, *parts[3:], view, K, 61, 45, torch.tensor([0.2, 0.5, 0.7]))
+    ground = Layer(background=torch.tensor([0.2, 0.5, 0.7]))
+    (got,) = cuda.rasterize(means, axes, *parts[3:], view, K, 61, 45, [ground])
     assert stand_in["count"] == 39 and got.dropped == 1 and len(got.radii) == 40 and got.radii[row] == 0
     assert torch.allclose(got.image, holed.image, atol=1e-4) and not torch.allclose(got.image, good.image, atol=1e-4)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from stages.avatar.rasterize import cpu, gaussian_axes, rasterize, reference
+from stages.avatar.rasterize import Layer, cpu, gaussian_axes, rasterize, reference
 from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN
 from tests.stages.avatar.test_rasterize import NAMES, apart, camera, draw, gaussians
 
@@ -28,7 +28,8 @@ def show(maker, parts, view, K, width, height, **options):
     """The picture of `parts` (means, quats, scales, opacities, colors) over black, without gradients."""
     means, quats, scales, opacities, colors = parts
     axes = maker.gaussian_axes(quats, scales)
-    return maker.rasterize(means, axes, opacities, colors, view.to(means), K.to(means), width, height, **options)
+    (drawn,) = maker.rasterize(means, axes, opacities, colors, view.to(means), K.to(means), width, height, **options)
+    return drawn
 
 
 def double(parts):
@@ -297,7 +298,9 @@ def test_b10_sizes(size):
 
 def test_b11_the_background_shows_through_what_is_left():
     parts = gaussians()
-    black, white = (show(cpu, parts, *camera(), 61, 45, background=torch.full((3,), b)) for b in (0.0, 1.0))
+    black, white = (
+        show(cpu, parts, *camera(), 61, 45, layers=[Layer(background=torch.full((3,), b))]) for b in (0.0, 1.0)
+    )
     assert ((white.image - black.image) - (1 - black.alpha)[..., None]).abs().max() < 1e-6
     assert torch.equal(white.alpha, black.alpha)
 
@@ -352,9 +355,9 @@ def test_the_number_of_threads_changes_no_pixel():
 def test_the_front_door_sends_each_dtype_to_its_maker():
     parts = gaussians(50)
     view, K = camera()
-    fast = rasterize(parts[0], gaussian_axes(*parts[1:3]), *parts[3:], view, K, 61, 45)
+    (fast,) = rasterize(parts[0], gaussian_axes(*parts[1:3]), *parts[3:], view, K, 61, 45)
     slow = double(parts)
-    true = rasterize(slow[0], gaussian_axes(*slow[1:3]), *slow[3:], view.double(), K.double(), 61, 45)
+    (true,) = rasterize(slow[0], gaussian_axes(*slow[1:3]), *slow[3:], view.double(), K.double(), 61, 45)
     assert (fast.image.dtype, true.image.dtype) == (torch.float32, torch.float64)
     assert (fast.image - true.image).abs().max() < 1 / 255
     assert apart(fast.means2d, true.means2d) < 1e-6
