@@ -1,10 +1,14 @@
-"""How fast the rasterizer is: the CPU kernel against a naive kernel and the torch reference, forward and backward.
+"""How fast the CPU rasterizer is, forward and backward, against what else draws Gaussians on a CPU.
 
-    python -m tests.benchmarks.rasterizer [--repeats 9] [--json out.json]
+    python -m tests.benchmarks.rasterizer [--quick] [--garden POINTS.npz] [--work work/kitchen/default] [--json out.json]
 
-Times are wall-clock medians of one process, with the makers taking turns. The naive kernel is what one would write first:
-a thread a tile, a loop over pixels, `math.exp`, a gradient buffer a thread. It is given projection, depth order and
-tile lists for nothing, so the ratio is on the low side. Milliseconds belong to a machine and its load; ratios travel.
+Times are wall-clock medians of one process, with the makers taking turns, on all threads and on one. Ours is timed end
+to end: projection, depth order, tile lists and blend, back to the gradients of means, quaternions, scales, opacities and
+colours. The naive kernels (`naive`: Numba, `warp`: NVIDIA Warp, which has one thread on a CPU) get projection, order and
+lists for nothing and stop at the screen, so their ratios are on the low side. `torch` is our reference, which looks at
+every Gaussian from every pixel, and `compiled` its blend through torch.compile, again with all before the blend for
+nothing: only a tiny scene is within their reach.
+A pair is a Gaussian and a pixel it counts in. Milliseconds belong to a machine and its load; ratios travel.
 """
 
 from __future__ import annotations
@@ -15,251 +19,198 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the engine does
 
 import argparse
 import json
-import math
-import platform
-import statistics
-import time
 from pathlib import Path
 
 import numpy as np
 import torch
-from numba import njit, prange
 
-from stages.avatar.rasterize import cpu, kernels, reference
-from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN, T_STOP
+from stages.avatar import rasterize as ours
+from stages.avatar.rasterize import reference
+from tests.benchmarks.host import all_threads, clock, fma_peak, machine, summary, use_threads
+from tests.benchmarks.naive import Naive, Workload, project
+from tests.benchmarks.naive_compiled import NaiveCompiled
+from tests.benchmarks.workloads import garden_works, learned_work, random_work
 
-NAMES = ("means", "quats", "scales", "opacities", "colors")
-SCENES = {  # Gaussians, width, height, mean layers, share of the picture they lie in, with the torch reference
-    "tiny": (600, 96, 96, 20, 1.0, True),
-    "20k 256x256": (20_000, 256, 256, 40, 1.0, False),
-    "27k person 480x864": (27_000, 480, 864, 40, 0.25, False),
-    "100k 480x864": (100_000, 480, 864, 40, 1.0, False),
-    "200k 1280x720": (200_000, 1280, 720, 40, 1.0, False),
+PARTS = ("means", "quats", "scales", "opacities", "colors")
+WAYS = ("forward", "backward", "both")
+MAKERS = ("ours", "naive", "warp", "torch", "compiled")
+TINY = (600, 96, 96, 20)
+QUICK = "20k 256x256"
+SCENES = {  # Gaussians, width, height, layers
+    QUICK: (20_000, 256, 256, 40),
+    "20k 640x360": (20_000, 640, 360, 30),
+    "20k 1280x720": (20_000, 1280, 720, 20),
+    "200k 256x256": (200_000, 256, 256, 60),
+    "200k 640x360": (200_000, 640, 360, 40),
+    "200k 1280x720": (200_000, 1280, 720, 40),
 }
+FLOPS = {"forward": 33, "backward": 58}  # of one pair: exponent, blend, and the moments of its gradient
+REFUSE = "not measured, as they refuse a CPU: gsplat, gswarp, splax, taichi-splatting"
 
 
-def scene(n, width, height, layers, share, seed=0):
-    """Random Gaussians, most of them small and some large, whose areas (3 sigma) cover each pixel about `layers` times."""
-    g = torch.Generator().manual_seed(seed)
-    focal, depth = 0.9 * max(width, height), 2 + 8 * torch.rand(n, generator=g)
-    size = torch.tensor([width, height])
-    pixels = size / 2 + (torch.rand(n, 2, generator=g) - 0.5) * size * math.sqrt(share)
-    means = torch.cat([(pixels - size / 2) / focal * depth[:, None], depth[:, None]], 1)
-    sigma = math.sqrt(width * height * share * layers / (9 * math.pi * n))
-    scales = 0.5 * (sigma * depth / focal)[:, None] * torch.exp(0.9 * torch.randn(n, 3, generator=g))
-    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    opacities = 0.05 + 0.94 * torch.rand(n, generator=g)
-    parts = (means, torch.randn(n, 4, generator=g), scales, opacities, torch.rand(n, 3, generator=g))
-    return parts, K, torch.rand(height, width, 3, generator=g)
+class Torch:
+    """A maker with the signature of `rasterize` on one workload."""
 
+    def __init__(self, work: Workload, draw, axes, dtype: torch.dtype = torch.float32):
+        self.leaves = [part.to(dtype, copy=True).requires_grad_() for part in work.parts]
+        self.camera = (work.viewmat.to(dtype), work.K.to(dtype), work.width, work.height)
+        self.v_image, self.draw, self.axes = work.v_image.to(dtype), draw, axes
 
-@njit(cache=True, inline="always")
-def _alpha(r, x, y):
-    dx, dy = x + 0.5 - r[kernels.X], y + 0.5 - r[kernels.Y]
-    power = (r[kernels.QA] * dx * dx + r[kernels.QB] * dx * dy + r[kernels.QC] * dy * dy) / kernels.LOG2E
-    return dx, dy, r[kernels.SHARE] * math.exp(-max(power, 0.0))
+    def forward(self) -> np.ndarray:
+        """The image [H,W,3]."""
+        means, quats, scales, opacities, colors = self.leaves
+        self.drawn = self.draw(means, self.axes(quats, scales), opacities, colors, *self.camera)
+        return self.drawn.image.detach().numpy()
 
-
-@njit(cache=True, parallel=True)
-def naive_forward(starts, rows, records, width, height, image, finals, lasts):
-    """Blend pixel by pixel over black."""
-    across, tile_size = (width + kernels.TILE - 1) // kernels.TILE, kernels.TILE
-    for tile in prange(len(starts) - 1):
-        left, top = tile % across * tile_size, tile // across * tile_size
-        for y in range(top, min(top + tile_size, height)):
-            for x in range(left, min(left + tile_size, width)):
-                light, last = 1.0, -1
-                red, green, blue = 0.0, 0.0, 0.0
-                for k in range(starts[tile], starts[tile + 1]):
-                    r = records[rows[k]]
-                    _, _, alpha = _alpha(r, x, y)
-                    if alpha < ALPHA_MIN:
-                        continue
-                    alpha = min(alpha, ALPHA_MAX)
-                    if light * (1 - alpha) <= T_STOP:
-                        break
-                    red += alpha * light * r[kernels.RED]
-                    green += alpha * light * r[kernels.GREEN]
-                    blue += alpha * light * r[kernels.BLUE]
-                    light *= 1 - alpha
-                    last = k
-                image[y, x, 0], image[y, x, 1], image[y, x, 2] = red, green, blue
-                finals[y, x], lasts[y, x] = light, last
-
-
-@njit(cache=True, parallel=True)
-def naive_backward(starts, rows, records, width, height, finals, lasts, v_image, threads, sums):
-    """dL/d(x, y, three moments, log opacity, red, green, blue) of each Gaussian into sums [threads,N,9]."""
-    across, tile_size = (width + kernels.TILE - 1) // kernels.TILE, kernels.TILE
-    for thread in prange(threads):
-        sums[thread] = 0
-        for tile in range(thread, len(starts) - 1, threads):
-            left, top = tile % across * tile_size, tile // across * tile_size
-            for y in range(top, min(top + tile_size, height)):
-                for x in range(left, min(left + tile_size, width)):
-                    light, behind, v = finals[y, x], 0.0, v_image[y, x]
-                    for k in range(lasts[y, x], starts[tile] - 1, -1):
-                        i = rows[k]
-                        r, s = records[i], sums[thread, i]
-                        dx, dy, full = _alpha(r, x, y)
-                        if full < ALPHA_MIN:
-                            continue
-                        alpha = min(full, ALPHA_MAX)
-                        light /= 1 - alpha
-                        value = v[0] * r[kernels.RED] + v[1] * r[kernels.GREEN] + v[2] * r[kernels.BLUE]
-                        g = alpha * (value * light - behind / (1 - alpha)) if full < ALPHA_MAX else 0.0
-                        behind += value * alpha * light
-                        s[0] += g * dx
-                        s[1] += g * dy
-                        s[2] += g * dx * dx
-                        s[3] += g * dx * dy
-                        s[4] += g * dy * dy
-                        s[5] += g
-                        s[6] += alpha * light * v[0]
-                        s[7] += alpha * light * v[1]
-                        s[8] += alpha * light * v[2]
-
-
-def naive_maker(parts, K, width, height, v_image):
-    """(forward, backward) of the naive kernel, everything before the blend done beforehand."""
-    means, quats, scales, opacities, colors = parts
-    axes = cpu.gaussian_axes(quats, scales)
-    n, threads = len(means), torch.get_num_threads()
-    records = np.empty((n, 16), np.float32)
-    radii = np.empty(n, np.float32)
-    arrays = [t.numpy() for t in (means, axes, opacities, colors)]
-    kernels.project(
-        *arrays, np.eye(4), K.numpy().astype(float), width, height, False, 0.01, cpu.CHUNKS, records,
-        np.empty((n, 2), np.float32), radii
-    )  # fmt: skip
-    lists = kernels.tile_lists(kernels.depth_order(records, radii), records, width, height, cpu.CHUNKS)
-    image, finals = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
-    lasts, sums, v = np.empty((height, width), np.int64), np.empty((threads, n, 9), np.float32), v_image.numpy()
-
-    def forward():
-        naive_forward(*lists, records, width, height, image, finals, lasts)
-        return image
-
-    def backward():
-        naive_backward(*lists, records, width, height, finals, lasts, v, threads, sums)
-        total = sums.sum(0)
-        return torch.from_numpy(total[:, 6:])
-
-    return forward, backward
-
-
-def torch_maker(maker, dtype, parts, K, width, height, v_image):
-    """(forward, backward) of a maker with the rasterizer's signature."""
-    leaves = [p.to(dtype, copy=True).requires_grad_() for p in parts]
-    view, K, v_image = torch.eye(4, dtype=dtype), K.to(dtype), v_image.to(dtype)
-    drawn = []
-
-    def forward():
-        means, quats, scales, opacities, colors = leaves
-        axes = maker.gaussian_axes(quats, scales)
-        drawn[:] = [maker.rasterize(means, axes, opacities, colors, view, K, width, height)]
-        return drawn[0].image.detach().numpy()
-
-    def backward():
-        for leaf in leaves:
+    def backward(self) -> None:
+        """Gradients of `forward`'s image in all leaves."""
+        for leaf in self.leaves:
             leaf.grad = None
-        drawn[0].image.backward(v_image)
-        return leaves[4].grad
+        self.drawn.image.backward(self.v_image)
 
-    return forward, backward, leaves
-
-
-def clock(work) -> float:
-    start = time.perf_counter()
-    work()
-    return 1e3 * (time.perf_counter() - start)
+    def gradients(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of means2d [N,2] and colors [N,3]."""
+        return self.drawn.screen_grad.numpy(), self.leaves[4].grad.numpy()
 
 
-def distance(a, b) -> float:
+def distance(a: np.ndarray, b: np.ndarray) -> float:
     """Relative L2."""
-    return ((a.double() - b.double()).norm() / b.double().norm()).item()
+    return float(np.linalg.norm(a.astype(np.float64) - b) / np.linalg.norm(b.astype(np.float64)))
 
 
-def measure(name: str, repeats: int) -> dict:
-    """Milliseconds of every maker on one scene, medians and minima, after a first call that compiles."""
-    n, width, height, layers, share, dense = SCENES[name]
-    parts, K, v_image = scene(n, width, height, layers, share)
-    size = (parts, K, width, height, v_image)
-    *ours, leaves = torch_maker(cpu, torch.float32, *size)
-    makers = {"kernel": ours, "naive": naive_maker(*size)}
+def agree(name: str, image: np.ndarray, colors: np.ndarray, like: np.ndarray, like_colors: np.ndarray) -> None:
+    """AssertionError unless a maker draws what ours draws, but for the odd pixel at a threshold."""
+    off, off_colors = np.quantile(np.abs(image - like), 0.999), distance(colors, like_colors)
+    assert off < 1e-3 and off_colors < 1e-3, f"{name} draws something else: {off:.1e}, {off_colors:.1e}"
+
+
+def makers(work: Workload, dense: bool) -> tuple[dict[str, object], dict[str, str], int]:
+    """The makers that agree with ours after a first call each, why the others do not run, and how many pairs there are."""
+    screen = project(work)
+    found, absent = {"ours": Torch(work, ours.rasterize, ours.gaussian_axes), "naive": Naive(work, screen)}, {}
+    try:
+        from tests.benchmarks.naive_warp import NaiveWarp
+    except ImportError:
+        absent["warp"] = "not installed"
+    else:
+        found["warp"] = NaiveWarp(work, screen)
     if dense:
-        makers["torch"] = torch_maker(reference, torch.float32, *size)[:2]
-    images = {maker: (forward(), backward()) for maker, (forward, backward) in makers.items()}
-    for maker, (image, grad) in images.items():
-        off, grad_off = np.abs(image - images["kernel"][0]), distance(grad, images["kernel"][1])
-        assert np.quantile(off, 0.999) < 1e-3 and grad_off < 1e-3, f"{maker} draws something else on {name}"
-    times = {maker: ([], []) for maker in makers}
+        found["torch"] = Torch(work, reference.rasterize, reference.gaussian_axes)
+        found["compiled"] = NaiveCompiled(work, screen)
+    images = {}
+    for name, maker in list(found.items()):
+        try:
+            images[name] = maker.forward().copy()
+            maker.backward()
+        except Exception as error:
+            if name != "compiled":
+                raise
+            absent[name] = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            del found[name]
+    like = images["ours"], found["ours"].gradients()[1]
+    for name, maker in found.items():
+        agree(name, images[name], maker.gradients()[1], *like)
+    return found, absent, int(found["naive"].pairs.sum())
+
+
+def measure(work: Workload, repeats: int, threads: int, dense: bool = False) -> dict:
+    """Milliseconds of every maker on one workload and so many threads."""
+    use_threads(threads)
+    found, absent, pairs = makers(work, dense)
+    times = {name: {way: [] for way in WAYS} for name in found}
     for turn in range(repeats):
-        for maker, pair in makers.items():
-            if maker == "kernel" or turn < max(3, repeats // 3):  # the slow ones vary less
-                for kept, work in zip(times[maker], pair):
-                    kept.append(clock(work))
-    row = {"scene": name, "gaussians": n, "width": width, "height": height}
-    for maker, pair in times.items():
-        row[maker] = {
-            way: {"median_ms": statistics.median(kept), "min_ms": min(kept), "repeats": len(kept)}
-            for way, kept in zip(("forward", "backward"), pair)
-        }
-    if dense:
-        true_forward, true_backward, true_leaves = torch_maker(reference, torch.float64, *size)
-        ours[0]()
-        ours[1]()
-        off = np.abs(ours[0]() - true_forward())
-        true_backward()
-        row["error_against_float64"] = {"image_max": float(off.max()), "image_median": float(np.median(off))} | {
-            part: distance(a.grad, b.grad) for part, a, b in zip(NAMES, leaves, true_leaves)
-        }
-    return row
+        for name, maker in found.items():
+            if name == "ours" or turn < max(3, repeats // 3):  # the slow ones vary less
+                forward, backward = clock(maker.forward), clock(maker.backward)
+                for way, taken in zip(WAYS, (forward, backward, forward + backward)):
+                    times[name][way].append(taken)
+    kept = {name: {way: summary(taken) for way, taken in ways.items()} for name, ways in times.items()}
+    return {"threads": threads, "pairs": pairs, "ms": kept, "absent": absent}
 
 
-def machine() -> dict:
-    """What the milliseconds belong to."""
-    cpuinfo = Path("/proc/cpuinfo")
-    models = [line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-    return {
-        "processor": models[0] if models else platform.processor(),
-        "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
-        "load": os.getloadavg(),
-        "python": platform.python_version(),
-        "torch": torch.__version__,
-    }
+def errors(work: Workload) -> dict[str, float]:
+    """How far ours is from the reference in float64: image, and the gradient of each part (relative L2)."""
+    one = Torch(work, ours.rasterize, ours.gaussian_axes)
+    true = Torch(work, reference.rasterize, reference.gaussian_axes, torch.float64)
+    off = np.abs(one.forward() - true.forward())
+    one.backward()
+    true.backward()
+    grads = {p: distance(a.grad.numpy(), b.grad.numpy()) for p, a, b in zip(PARTS, one.leaves, true.leaves)}
+    return {"image max": float(off.max()), "image median": float(np.median(off))} | grads
+
+
+def line(name: str, row: dict) -> str:
+    """One workload's medians, with the quartiles of ours and how many times as long the others take."""
+    ms, own = row["ms"], row["ms"]["ours"]["both"]
+    cells = f"{name:<16}"
+    for maker in MAKERS:
+        if maker in ms:
+            way = [ms[maker][w]["median"] for w in WAYS]
+            more = f"[{own['q1']:.1f}-{own['q3']:.1f}]" if maker == "ours" else f"{way[2] / own['median']:.1f}x"
+            cells += f"{way[0]:>9.1f}{way[1]:>9.1f} {more:<15}"
+        else:
+            cells += f"{row['absent'].get(maker, '-'):>18.32}{'':<16}"[:34]
+    return cells
+
+
+def rates(name: str, work: Workload, one: dict, many: dict, peaks: dict[int, float]) -> str:
+    """One workload's throughput: pairs, speed-up by threads, pairs a second and the share of the measured peak."""
+    cells = f"{name:<16}{one['pairs'] / 1e6:>8.2f}{one['pairs'] / (work.width * work.height):>8.1f}"
+    for way in ("forward", "backward"):
+        cells += f"{one['ms']['ours'][way]['median'] / many['ms']['ours'][way]['median']:>10.2f}"
+    for row in (many, one):
+        for way, flops in FLOPS.items():
+            rate = row["pairs"] / row["ms"]["ours"][way]["median"] * 1e3
+            cells += f"{rate / 1e9:>10.3f} {100 * rate * flops / peaks[row['threads']]:>4.1f}%"
+    return cells
 
 
 def main() -> None:
-    """Print the table; write it as JSON too."""
+    """Print the tables; write everything as JSON too."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--quick", action="store_true", help="one random scene, three repeats")
+    parser.add_argument("--garden", type=Path, help="npz of coloured points with cameras")
+    parser.add_argument("--work", type=Path, help="folder of a finished pipeline")
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--scenes", nargs="*", choices=SCENES, default=list(SCENES))
-    options = parser.parse_args()
-    host = machine()
-    print(f"{host['processor']}, {host['threads']} threads of {host['cores']} cores, load {host['load'][0]:.1f}")
-    print(f"{'median ms':<20}{'kernel':>16}{'naive':>18}{'torch':>16}   naive / kernel")
-    rows = []
-    for name in options.scenes:
-        row = measure(name, options.repeats)
-        rows.append(row)
-        both = {
-            maker: [row[maker][way]["median_ms"] for way in ("forward", "backward")]
-            for maker in ("kernel", "naive", "torch")
-            if maker in row
-        }
-        cells = "".join(
-            f"{both[m][0]:>10.1f} {both[m][1]:>7.1f}" if m in both else f"{'-':>18}"
-            for m in ("kernel", "naive", "torch")
-        )
-        print(f"{name:<20}{cells}   {sum(both['naive']) / sum(both['kernel']):>5.1f}x", flush=True)
-        if "error_against_float64" in row:
-            errors = row["error_against_float64"]
-            print("  against float64: " + ", ".join(f"{part} {error:.1e}" for part, error in errors.items()))
-    if options.json:
-        options.json.write_text(json.dumps({"machine": host, "rows": rows}, indent=1) + "\n")
+    asked = parser.parse_args()
+    works = {name: random_work(*SCENES[name]) for name in ([QUICK] if asked.quick else SCENES)}
+    if not asked.quick:
+        works = {"tiny": random_work(*TINY)} | works
+    if asked.garden:
+        works |= garden_works(asked.garden)
+    if asked.work:
+        works["finished"] = learned_work(asked.work)
+    repeats, counts = 3 if asked.quick else asked.repeats, sorted({all_threads(), 1}, reverse=True)
+    host, peaks = machine(), {threads: fma_peak(threads) for threads in counts}
+    print(f"{host['processor']}, {host['cores']} cores, load {host['load'][0]:.1f}; {REFUSE}")
+    rows: dict[str, dict[int, dict]] = {name: {} for name in works}
+    for threads in counts:
+        print(f"\nmedian ms, forward and backward, {threads} thread{'s'[: threads > 1]} (warp: always 1)")
+        print(f"{'':<16}" + "".join(f"{maker:>18} {'':<15}" for maker in MAKERS))
+        for name, work in works.items():
+            rows[name][threads] = measure(work, repeats, threads, dense=name == "tiny")
+            print(line(name, rows[name][threads]), flush=True)
+    gigaflops = ", ".join(f"{peak / 1e9:.0f} on {threads}" for threads, peak in peaks.items())
+    print(f"\nours: Gpair/s end to end, and its share of the FMA peak measured here (GFLOP/s by threads: {gigaflops})")
+    print(
+        f"{FLOPS['forward']} operations a pair forward, {FLOPS['backward']} backward; the rest of the work counts as 0"
+    )
+    heads = [f"{way} {threads}" for threads in (counts[0], 1) for way in ("fwd", "bwd")]
+    print(f"{'':<16}{'Mpairs':>8}{'/pixel':>8}{'fwd x':>10}{'bwd x':>10}" + "".join(f"{head:>16}" for head in heads))
+    for name, work in works.items():
+        print(rates(name, work, rows[name][1], rows[name][counts[0]], peaks))
+    off = {}
+    if not asked.quick:
+        print("\nours against the reference in float64")
+        off = {"tiny": errors(works["tiny"]), "needles 100:1": errors(random_work(*TINY, needles=True))}
+        for name, kinds in off.items():
+            print(f"{name:<16}" + ", ".join(f"{kind} {error:.1e}" for kind, error in kinds.items()))
+    if asked.json:
+        facts = {name: {"gaussians": len(w.parts[0]), "size": [w.width, w.height]} for name, w in works.items()}
+        scenes = {name: facts[name] | {"runs": list(runs.values())} for name, runs in rows.items()}
+        result = {"machine": host, "fma_peak_flops": peaks, "scenes": scenes, "error_against_float64": off}
+        asked.json.write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

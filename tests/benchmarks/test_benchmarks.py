@@ -1,0 +1,55 @@
+import time
+from types import SimpleNamespace
+
+import numpy as np
+
+from stages.avatar import rasterize
+from stages.formats.splats import Scene
+from tests.benchmarks.naive import Naive, project
+from tests.benchmarks.rasterizer import Torch, distance
+from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
+from tests.benchmarks.workloads import random_work
+
+
+def test_the_naive_kernel_draws_what_ours_draws():
+    work = random_work(400, 70, 50, 15)
+    ours, naive = Torch(work, rasterize.rasterize, rasterize.gaussian_axes), Naive(work, project(work))
+    np.testing.assert_allclose(naive.forward(), ours.forward(), atol=1e-4)
+    ours.backward()
+    naive.backward()
+    for a, b in zip(naive.gradients(), ours.gradients(), strict=True):
+        assert distance(a, b) < 1e-4
+    assert 5 < naive.pairs.mean() < 15
+
+
+def test_exclusive_times_add_up_to_the_total():
+    def outer():
+        time.sleep(0.02)
+        job.inner()
+        job.inner()
+
+    watch, job = Stopwatch(), SimpleNamespace(outer=outer, inner=lambda: time.sleep(0.03))
+    watch.watch([("outside", job, "outer"), ("inside", job, "inner")])
+    start = time.perf_counter()
+    job.outer()
+    total = time.perf_counter() - start
+    assert 0.9 * total < sum(watch.seconds.values()) <= total
+    assert watch.seconds["inside"] >= 0.06
+    assert 0.02 <= watch.seconds["outside"] <= total - 0.06
+
+
+def test_every_timed_part_of_a_training_step_exists():
+    for part, owner, name in timed_parts(SimpleNamespace(adam={"human": SimpleNamespace(step=None)})):
+        assert hasattr(owner, name), part
+
+
+def test_a_scene_takes_the_size_asked_for():
+    rng = np.random.default_rng(0)
+    rows = {name: rng.random((50, 3), np.float32) for name in ("means", "scales", "sh0")}
+    scene = Scene(quats=rng.random((50, 4), np.float32), opacities=rng.random(50), shN=np.zeros((50, 3, 3)), **rows)
+    for count in (20, 50, 130):
+        other = resized(scene, count, rng)
+        assert {len(getattr(other, name)) for name in ("means", "quats", "scales", "opacities", "sh0", "shN")} == {
+            count
+        }
+        np.testing.assert_allclose(other.scales.prod(1).mean() * count, scene.scales.prod(1).mean() * 50, rtol=0.5)
