@@ -1,5 +1,6 @@
 # make run [VIDEO=dance.mp4]   the environment, the models, and the flow on a video (or on a synthetic clip)
 # make test                    the environment and the tests
+# make bench WORK=work/kitchen/default   how fast it is here, with what that pipeline left; JSON in build/
 PYTHON ?= python3
 VENV   ?= .venv
 HUGS    = $(VENV)/bin/hugs
@@ -15,6 +16,12 @@ test: $(VENV)/ready
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/python -m pytest
 
+bench: $(VENV)/ready
+	@mkdir -p build
+	$(VENV)/bin/python -m tests.benchmarks.rasterizer --work $(WORK) --json build/rasterizer.json
+	$(VENV)/bin/python -m tests.benchmarks.train_step $(WORK) --json build/train_step.json
+	$(VENV)/bin/python -m tests.benchmarks.render $(WORK) --json build/render.json
+
 $(VENV)/ready: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; (3, 11) <= sys.version_info < (3, 14) or sys.exit("hugs needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + "; name another: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
@@ -22,4 +29,4 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
 	touch $@
 
-.PHONY: run test
+.PHONY: run test bench

@@ -59,7 +59,7 @@ class Torch:
     def forward(self) -> np.ndarray:
         """The image [H,W,3]."""
         means, quats, scales, opacities, colors = self.leaves
-        self.drawn = self.draw(means, self.axes(quats, scales), opacities, colors, *self.camera)
+        (self.drawn,) = self.draw(means, self.axes(quats, scales), opacities, colors, *self.camera)
         return self.drawn.image.detach().numpy()
 
     def backward(self) -> None:

@@ -32,7 +32,7 @@ import torch
 from stages import train
 from stages.avatar import compose, fit, losses, ssim
 from stages.avatar.gaussians import Splats
-from stages.avatar.rasterize import blend, gaussian_axes, kernels
+from stages.avatar.rasterize import blend, cpu, gaussian_axes, kernels
 from stages.avatar.scene import SceneModel
 from stages.avatar.schedule import HALF_UNTIL
 from stages.formats.clip import load_clip
@@ -53,7 +53,7 @@ def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
         ("SH colours", Splats, "colors"),
         ("projection", kernels, "project"),
         ("depth order, tile lists", kernels, "depth_order"),
-        ("depth order, tile lists", kernels, "tile_lists"),
+        ("depth order, tile lists", cpu, "tile_lists"),
         ("blend", blend, "draw"),
         ("blend, backward", blend, "draw_backward"),
         ("projection, backward", kernels, "project_backward"),
