@@ -6,6 +6,7 @@ is exactly the initial body. The paper's pretraining, which teaches random netwo
 
 from __future__ import annotations
 
+import llvmlite.binding
 import torch
 from torch import Tensor, nn
 
@@ -13,6 +14,9 @@ from stages.avatar.sh import bases
 
 TEMPERATURE = 0.1  # of the skinning softmax (paper, appendix)
 WIDTHS = {"appearance": (64, 64), "geometry": (128, 128), "deformation": (128, 128, 128)}  # released configuration
+
+FAST = bool({"avx512bf16", "amx-bf16"} & {n for n, has in llvmlite.binding.get_host_cpu_features().items() if has})
+"""Whether this processor multiplies bfloat16 matrices natively: hidden layers then take 0.4 times the time."""
 
 
 def _network(width: int, hidden: tuple[int, ...], out: int, generator: torch.Generator) -> nn.Sequential:
@@ -30,6 +34,14 @@ def _network(width: int, hidden: tuple[int, ...], out: int, generator: torch.Gen
     return nn.Sequential(*layers)
 
 
+def _run(network: nn.Sequential, features: Tensor) -> Tensor:
+    """Hidden layers in bfloat16 where that pays; the last one in full, so that corrections are not quantised."""
+    fast = FAST and features.dtype == torch.float32 and features.device.type == "cpu"
+    with torch.autocast("cpu", torch.bfloat16, enabled=fast):
+        hidden = network[:-1](features)
+    return network[-1](hidden.to(features.dtype))
+
+
 class Decoders(nn.Module):
     """Features [N,F] -> corrections of opacity, colour, position, rotation, scale and skinning weights."""
 
@@ -42,13 +54,13 @@ class Decoders(nn.Module):
 
     def forward(self, features: Tensor) -> dict[str, Tensor]:
         """Corrections: opacity [N] logit, sh [N,K,3], offset [N,3] m, turn [N,6], scale [N,3] log, skin [N,J]."""
-        look = self.appearance(features)
-        shape = self.geometry(features)
+        look = _run(self.appearance, features)
+        shape = _run(self.geometry, features)
         return {
             "opacity": look[:, 0],
             "sh": look[:, 1:].reshape(-1, self.coefficients, 3),
             "offset": shape[:, 0:3],
             "turn": shape[:, 3:9],
             "scale": shape[:, 9:12],
-            "skin": self.deformation(features),
+            "skin": _run(self.deformation, features),
         }

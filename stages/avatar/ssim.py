@@ -12,6 +12,7 @@ from numba import njit, prange
 from torch import Tensor
 
 from stages.avatar import rasterize  # noqa: F401  (first: it names the folder of the compiled kernels)
+from stages.avatar.rasterize.lanes import LANES, fma, load, spread, store
 
 RADIUS = 5
 SIGMA = 1.5
@@ -19,6 +20,8 @@ C1, C2 = 0.01**2, 0.03**2
 _OFFSETS = np.arange(-RADIUS, RADIUS + 1)
 WINDOW = np.exp(-(_OFFSETS**2) / (2 * SIGMA**2))
 WINDOW = (WINDOW / WINDOW.sum()).astype(np.float32)
+STRIP = 16  # rows worked on at a time
+ZERO, ONE, TWO, LEAST_1, LEAST_2 = (np.float32(n) for n in (0, 1, 2, C1, C2))
 
 
 def ssim(image: Tensor, target: Tensor) -> Tensor:
@@ -55,84 +58,113 @@ def ssim_reference(image: Tensor, target: Tensor) -> Tensor:
 
 
 @njit(cache=True, inline="always")
-def _blur_rows(source, window, planes, y, height, width, column):
-    """column[plane, x] = the window down the rows around y of source[plane]."""
-    for p in range(planes):
-        for x in range(width):
-            column[p, x + RADIUS] = 0
-        for k in range(max(0, y - RADIUS), min(height, y + RADIUS + 1)):
-            w = window[k - y + RADIUS]
-            for x in range(width):
-                column[p, x + RADIUS] += w * source[p, k, x]
+def _down(source, at, pitch, low, high, window):
+    """16 px blurred along their columns; `low` to `high` - 1 are the rows around the one at `at` that exist."""
+    total = spread(ZERO)
+    for k in range(low, high):
+        total = fma(load(source, at + k * pitch), window[k + RADIUS], total)
+    return total
 
 
 @njit(cache=True, inline="always")
-def _blur_columns(column, window, planes, width, row):
-    """row[plane, x] = the window along x of column[plane], which has a margin of zeros on both sides."""
-    for p in range(planes):
-        for x in range(width):
-            row[p, x] = 0
-        for k in range(2 * RADIUS + 1):
-            w = window[k]
+def _along(row, at, window):
+    """16 px blurred along `row`, which has RADIUS zeros before its first pixel and after its last."""
+    total = spread(ZERO)
+    for k in range(2 * RADIUS + 1):
+        total = fma(load(row, at + k), window[k], total)
+    return total
+
+
+@njit(cache=True, inline="always")
+def _centred(image, mean, y, c, row):
+    """Channel c of the picture's row y, less `mean`, into row [P], whose end is left as it is."""
+    for x in range(image.shape[1]):
+        row[x] = image[y, x, c] - mean
+
+
+@njit(cache=True, parallel=True)
+def _forward(image, target, mean, inside_x, inside_y, drawn, window, parts, values):
+    """Row sums of SSIM into values [3,H].
+
+    Fills parts [3,3,H,P] = dS/d(bx), dS/d(blur x^2), dS/d(blur xy); P is the width made a multiple of 16, beyond the
+    picture all is 0. `inside_x` [P], `inside_y` [H] are the window's weight inside the picture, `drawn` [P] is 1 inside
+    and 0 beyond. The work goes by strips of rows, whose five planes (x, y, x^2, y^2, xy) stay in the processor's cache.
+    """
+    height, width, _ = image.shape
+    pitch, strips = len(drawn), (height + STRIP - 1) // STRIP
+    plane, span = (STRIP + 2 * RADIUS) * pitch, pitch + 2 * RADIUS
+    for job in prange(3 * strips):
+        c, begin, end = job % 3, job // 3 * STRIP, min(job // 3 * STRIP + STRIP, height)
+        first, last = max(begin - RADIUS, 0), min(end + RADIUS, height)
+        planes, rows, lanes = np.empty(5 * plane, np.float32), np.zeros(5 * span, np.float32), np.empty(LANES, np.float32)
+        one, other = np.zeros(pitch, np.float32), np.zeros(pitch, np.float32)
+        for y in range(first, last):
+            _centred(image, mean[c], y, c, one)
+            _centred(target, mean[c], y, c, other)
+            for x in range(0, pitch, LANES):
+                at = (y - first) * pitch + x
+                a, b = load(one, x), load(other, x)
+                store(planes, at, a)
+                store(planes, at + plane, b)
+                store(planes, at + 2 * plane, a * a)
+                store(planes, at + 3 * plane, b * b)
+                store(planes, at + 4 * plane, a * b)
+        for y in range(begin, end):
+            low, high = max(-RADIUS, -y), min(RADIUS + 1, height - y)
+            for p in range(5):
+                for x in range(0, pitch, LANES):
+                    at = p * plane + (y - first) * pitch + x
+                    store(rows, p * span + RADIUS + x, _down(planes, at, pitch, low, high, window))
+            total = spread(ZERO)
+            for x in range(0, pitch, LANES):
+                bx, by = _along(rows, x, window), _along(rows, span + x, window)
+                xx, yy = _along(rows, 2 * span + x, window), _along(rows, 3 * span + x, window)
+                xy = _along(rows, 4 * span + x, window)
+                inside, shown = load(inside_x, x) * inside_y[y], load(drawn, x)
+                shift, spill = inside * mean[c], (ONE - inside) * mean[c]
+                mx, my = bx + shift, by + shift
+                rest = shift * spill
+                vx = xx - bx * bx + TWO * bx * spill + rest
+                vy = yy - by * by + TWO * by * spill + rest
+                vxy = xy - bx * by + (bx + by) * spill + rest
+                up_m, up_v = TWO * mx * my + LEAST_1, TWO * vxy + LEAST_2
+                low_m, low_v = mx * mx + my * my + LEAST_1, vx + vy + LEAST_2
+                inverse = shown / (low_m * low_v)
+                value = up_m * up_v * inverse
+                total = total + value
+                d_v, d_vxy = -value / low_v, TWO * up_m * inverse
+                d_mean = TWO * my * up_v * inverse - TWO * mx * value / low_m
+                at = (3 * c * height + y) * pitch + x
+                store(parts, at, d_mean + d_v * TWO * (spill - bx) + d_vxy * (spill - by))
+                store(parts, at + height * pitch, d_v)
+                store(parts, at + 2 * height * pitch, d_vxy)
+            store(lanes, 0, total)
+            values[c, y] = lanes.astype(np.float64).sum()
+
+
+@njit(cache=True, parallel=True)
+def _backward(image, target, mean, parts, window, scale, grad):
+    """dL/d(image) [H,W,3] from the parts that `_forward` filled, times `scale`."""
+    height, width, _ = grad.shape
+    pitch, strips = len(parts) // (9 * height), (height + STRIP - 1) // STRIP
+    plane, span = height * pitch, pitch + 2 * RADIUS
+    for job in prange(3 * strips):
+        c = job % 3
+        rows, slopes = np.zeros(3 * span, np.float32), np.empty(pitch, np.float32)
+        one, other = np.zeros(pitch, np.float32), np.zeros(pitch, np.float32)
+        for y in range(job // 3 * STRIP, min(job // 3 * STRIP + STRIP, height)):
+            low, high = max(-RADIUS, -y), min(RADIUS + 1, height - y)
+            _centred(image, mean[c], y, c, one)
+            _centred(target, mean[c], y, c, other)
+            for p in range(3):
+                for x in range(0, pitch, LANES):
+                    at = (3 * c + p) * plane + y * pitch + x
+                    store(rows, p * span + RADIUS + x, _down(parts, at, pitch, low, high, window))
+            for x in range(0, pitch, LANES):
+                slope = _along(rows, x, window) + TWO * load(one, x) * _along(rows, span + x, window)
+                store(slopes, x, scale * (slope + load(other, x) * _along(rows, 2 * span + x, window)))
             for x in range(width):
-                row[p, x] += w * column[p, x + k]
-
-
-@njit(cache=True, parallel=True, fastmath={"reassoc", "contract"})
-def _forward(image, target, mean, inside_x, inside_y, window, values, parts):
-    """Row sums of SSIM into values [3,H]; parts [3,3,H,W] = dS/d(bx), dS/d(blur x^2), dS/d(blur xy) at each pixel."""
-    height, width, _ = image.shape
-    planes = np.empty((3, 5, height, width), np.float32)
-    for job in prange(3 * height):
-        c, y = job // height, job % height
-        for x in range(width):
-            a, b = image[y, x, c] - mean[c], target[y, x, c] - mean[c]
-            planes[c, 0, y, x], planes[c, 1, y, x] = a, b
-            planes[c, 2, y, x], planes[c, 3, y, x], planes[c, 4, y, x] = a * a, b * b, a * b
-    for job in prange(3 * height):
-        c, y = job // height, job % height
-        column = np.zeros((5, width + 2 * RADIUS), np.float32)
-        row = np.empty((5, width), np.float32)
-        _blur_rows(planes[c], window, 5, y, height, width, column)
-        _blur_columns(column, window, 5, width, row)
-        total = 0.0
-        for x in range(width):
-            inside = inside_x[x] * inside_y[y]
-            bx, by = row[0, x], row[1, x]
-            shift, spill = mean[c] * inside, mean[c] * (np.float32(1) - inside)
-            mx, my = bx + shift, by + shift
-            vx = row[2, x] - bx * bx + np.float32(2) * bx * spill + shift * spill
-            vy = row[3, x] - by * by + np.float32(2) * by * spill + shift * spill
-            vxy = row[4, x] - bx * by + (bx + by) * spill + shift * spill
-            up_m, up_v = np.float32(2) * mx * my + np.float32(C1), np.float32(2) * vxy + np.float32(C2)
-            low_m, low_v = mx * mx + my * my + np.float32(C1), vx + vy + np.float32(C2)
-            value = up_m * up_v / (low_m * low_v)
-            total += value
-            d_v = -value / low_v
-            d_vxy = np.float32(2) * up_m / (low_m * low_v)
-            parts[c, 0, y, x] = (
-                np.float32(2) * my * up_v / (low_m * low_v)
-                - np.float32(2) * mx * value / low_m
-                + d_v * np.float32(2) * (spill - bx)
-                + d_vxy * (spill - by)
-            )
-            parts[c, 1, y, x] = d_v
-            parts[c, 2, y, x] = d_vxy
-        values[c, y] = total
-
-
-@njit(cache=True, parallel=True, fastmath={"reassoc", "contract"})
-def _backward(image, target, mean, window, parts, scale, grad):
-    height, width, _ = image.shape
-    for job in prange(3 * height):
-        c, y = job // height, job % height
-        column = np.zeros((3, width + 2 * RADIUS), np.float32)
-        row = np.empty((3, width), np.float32)
-        _blur_rows(parts[c], window, 3, y, height, width, column)
-        _blur_columns(column, window, 3, width, row)
-        for x in range(width):
-            a, b = image[y, x, c] - mean[c], target[y, x, c] - mean[c]
-            grad[y, x, c] = scale * (row[0, x] + np.float32(2) * a * row[1, x] + b * row[2, x])
+                grad[y, x, c] = slopes[x]
 
 
 class _Ssim(torch.autograd.Function):
@@ -140,17 +172,20 @@ class _Ssim(torch.autograd.Function):
     def forward(ctx, image, target):
         a, b = (np.ascontiguousarray(t.detach().numpy()) for t in (image, target))
         height, width, _ = a.shape
-        mean = b.mean((0, 1), dtype=np.float64).astype(np.float32)
+        pitch = -(-width // LANES) * LANES
+        mean = target.mean((0, 1)).numpy()
         inside = [np.convolve(np.ones(n, np.float32), WINDOW)[RADIUS:-RADIUS] for n in (width, height)]
-        values, parts = np.empty((3, height)), np.empty((3, 3, height, width), np.float32)
-        _forward(a, b, mean, *inside, WINDOW, values, parts)
+        drawn = np.zeros(pitch, np.float32)
+        drawn[:width] = 1
+        inside[0] = np.pad(inside[0], (0, pitch - width))
+        parts, values = np.empty(9 * height * pitch, np.float32), np.empty((3, height))
+        _forward(a, b, mean, *inside, drawn, WINDOW, parts, values)
         ctx.kept = a, b, mean, parts
         return torch.tensor(values.sum() / a.size, dtype=torch.float32)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, upstream):
-        a, b, mean, parts = ctx.kept
-        grad = np.empty_like(a)
-        _backward(a, b, mean, WINDOW, parts, np.float32(upstream.item() / a.size), grad)
+        grad = np.empty_like(ctx.kept[0])
+        _backward(*ctx.kept, WINDOW, np.float32(upstream.item() / grad.size), grad)
         return torch.from_numpy(grad), None

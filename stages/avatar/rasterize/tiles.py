@@ -43,6 +43,7 @@ from stages.avatar.rasterize.lanes import (
 TILE = 32  # px
 BLOCK = 4  # px
 ACROSS = TILE // BLOCK
+SPREAD = 7  # has no factor in common with the number of chunks
 AHEAD = 8  # Gaussians between the request for a record and its use
 FAR = np.float32(1e6)  # blocks; farther than any picture reaches
 BANDS = np.full(LANES, FAR, np.float32)  # px from the first row of a tile to that of each band; 8 lanes have none
@@ -91,7 +92,8 @@ def _walk(order, records, left, top, width, height, bands, counts, writing, rows
     """Count the Gaussians of each tile into counts [chunks,tiles], or write them where `counts` says."""
     across, deep = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     chunks, n = len(counts), len(order)
-    for chunk in prange(chunks):
+    for job in prange(chunks):
+        chunk = SPREAD * job % chunks  # near Gaussians are large: no thread should have all of them
         for k in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             at = np.int64(peek(order, k)) * ROW
             prefetch(records, np.int64(peek(order, min(k + AHEAD, n - 1))) * ROW)
