@@ -90,7 +90,7 @@ def _forward(image, target, mean, inside_x, inside_y, drawn, window, parts, valu
     picture all is 0. `inside_x` [P], `inside_y` [H] are the window's weight inside the picture, `drawn` [P] is 1 inside
     and 0 beyond. The work goes by strips of rows, whose five planes (x, y, x^2, y^2, xy) stay in the processor's cache.
     """
-    height, width, _ = image.shape
+    height = len(image)
     pitch, strips = len(drawn), (height + STRIP - 1) // STRIP
     plane, span = (STRIP + 2 * RADIUS) * pitch, pitch + 2 * RADIUS
     for job in prange(3 * strips):
