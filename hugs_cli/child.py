@@ -45,8 +45,9 @@ MAXRSS = 1 if sys.platform == "darwin" else 1024  # bytes in one unit of ru_maxr
 def prepare() -> None:
     """Set what must stand before any numerical library loads.
 
-    Spinning OpenMP threads made a 4.7 ms call take 37 ms on a shared machine, while threads that sleep at once cost a
-    training step 7 %: they spin a thousand times, some microseconds. Libraries count the machine's processors, not the container's; pycolmap corrupts the heap unless the system's zlib was loaded before it.
+    Spinning OpenMP threads made a 4.7 ms call take 37 ms on a shared machine, and threads that sleep at once cost a
+    training step 7 %: they spin a thousand times, a few microseconds. Libraries count the machine's processors, not
+    the container's; pycolmap corrupts the heap unless the system's zlib was loaded before it.
     """
     import zlib  # noqa: F401
 

@@ -96,7 +96,11 @@ def _forward(image, target, mean, inside_x, inside_y, drawn, window, parts, valu
     for job in prange(3 * strips):
         c, begin, end = job % 3, job // 3 * STRIP, min(job // 3 * STRIP + STRIP, height)
         first, last = max(begin - RADIUS, 0), min(end + RADIUS, height)
-        planes, rows, lanes = np.empty(5 * plane, np.float32), np.zeros(5 * span, np.float32), np.empty(LANES, np.float32)
+        planes, rows, lanes = (
+            np.empty(5 * plane, np.float32),
+            np.zeros(5 * span, np.float32),
+            np.empty(LANES, np.float32),
+        )
         one, other = np.zeros(pitch, np.float32), np.zeros(pitch, np.float32)
         for y in range(first, last):
             _centred(image, mean[c], y, c, one)

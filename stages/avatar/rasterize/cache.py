@@ -13,7 +13,17 @@ from pathlib import Path
 
 import numba
 
-SOURCES = ("cache.py", "rendering.py", "lanes.py", "kernels.py", "tiles.py", "blend.py", "cpu.py", "../ssim.py")
+SOURCES = (
+    "cache.py",
+    "rendering.py",
+    "lanes.py",
+    "kernels.py",
+    "tiles.py",
+    "blend.py",
+    "cpu.py",
+    "../ssim.py",
+    "../triplane.py",
+)
 
 
 def folder() -> Path:

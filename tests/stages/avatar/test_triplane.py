@@ -2,7 +2,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from stages.avatar.triplane import Triplane
+from stages.avatar.triplane import Triplane, _Features, features_reference
 
 
 def field(resolution: int = 9, channels: int = 4) -> Triplane:
@@ -30,6 +30,22 @@ def test_equals_grid_sample_in_value_and_gradient():
     (theirs * weight).sum().backward()
     assert torch.allclose(x.grad, y.grad, atol=1e-9)
     assert torch.allclose(t.table.grad.reshape(3, 9, 9, 4), planes.grad.permute(0, 2, 3, 1), atol=1e-9)
+
+
+@pytest.mark.parametrize("channels", [1, 4, 32, 40])
+def test_the_fused_kernel_agrees_with_its_specification(channels):
+    u = 8 * torch.rand(300, 3, generator=torch.Generator().manual_seed(1))
+    u[:3] = torch.tensor([[0.0], [8.0], [4.0]])  # both ends and a node, where the slope has two values
+    table = torch.randn(3 * 81, channels, generator=torch.Generator().manual_seed(2))
+    weight = torch.randn(len(u), 3 * channels, generator=torch.Generator().manual_seed(4))
+    results = []
+    for read, dtype in ((_Features.apply, torch.float32), (features_reference, torch.float64)):
+        leaves = [t.to(dtype, copy=True).requires_grad_() for t in (u, table)]
+        out = read(*leaves, 9)
+        (out * weight).sum().backward()
+        results.append((out, *(leaf.grad for leaf in leaves)))
+    for name, a, b in zip(("features", "points", "table"), *results):
+        assert (a - b).norm() < 1e-6 * b.norm(), f"{name} off by {(a - b).norm() / b.norm():.1e}"
 
 
 def test_reproduces_a_linear_field_and_notices_swapped_axes():
