@@ -12,7 +12,6 @@ from torch import Tensor, nn
 
 from stages.avatar import rasterize  # noqa: F401  (first: it names the folder of the compiled kernels)
 
-
 AXES = ((0, 1), (0, 2), (1, 2))  # along and across each plane
 CHUNKS = 16  # ranges of points
 PART = 16  # channels that one thread adds up: nobody else writes there, so the order never changes
@@ -40,7 +39,7 @@ def features_reference(u: Tensor, table: Tensor, resolution: int) -> Tensor:
 def _cell(u, i, plane, r):
     """First of the four rows of a plane around point i, and how far beyond it the point is, along and across."""
     a, b = u[i, 0 if plane < 2 else 1], u[i, 1 if plane < 1 else 2]
-    along, across = min(max(int(math.floor(a)), 0), r - 2), min(max(int(math.floor(b)), 0), r - 2)
+    along, across = min(max(math.floor(a), 0), r - 2), min(max(math.floor(b), 0), r - 2)
     return (plane * r + across) * r + along, a - np.float32(along), b - np.float32(across)
 
 

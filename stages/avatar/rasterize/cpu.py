@@ -53,7 +53,7 @@ class _Rasterize(torch.autograd.Function):
             blend.draw(*place, image, alpha, depth, finals, stops)
             kept.append((place, finals, stops, alpha))
             pictures += [torch.from_numpy(t) for t in (image, alpha, depth)]
-        ctx.kept = (*arrays[:3], view, intrinsics, width, height, antialias), (records, radii), kept
+        ctx.kept = (*arrays[:3], view, intrinsics, width, height, antialias), radii, kept
         ctx.extras = extras
         ctx.set_materialize_grads(False)
         extras.update(means2d=torch.from_numpy(means2d), radii=torch.from_numpy(radii), dropped=int(dropped))
@@ -63,8 +63,8 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, *upstream):
-        parts, (records, radii), kept = ctx.kept
-        n, threads = len(records), kept[0][0][6]
+        parts, radii, kept = ctx.kept
+        n, threads = len(radii), kept[0][0][6]
         sums = _rows(threads * n).reshape(threads, n * kernels.ROW)
         kernels.clear(sums)
         d_backgrounds = []
@@ -82,7 +82,8 @@ class _Rasterize(torch.autograd.Function):
         grads = [np.empty(s, np.float32) for s in ((n, 3), (n, 3, 3), (n,), (n, 3))]
         screen = [ctx.extras[name].numpy() for name in ("screen_grad", "screen_grad_abs")]
         sums = sums.reshape(threads, n, kernels.ROW)
-        d_view = kernels.project_backward(*parts, CHUNKS, records, radii, sums, (*grads, *screen))
+        camera = ctx.needs_input_grad[4]
+        d_view = kernels.project_backward(*parts, CHUNKS, radii, sums, camera, (*grads, *screen))
         grads = [torch.from_numpy(g) for g in (*grads, d_view.astype(np.float32))]
         return (*grads, *[None] * 6, *d_backgrounds)
 

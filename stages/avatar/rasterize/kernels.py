@@ -22,20 +22,32 @@ G, GX, GY, GXX, GXY, GYY, G_RED, G_GREEN, G_BLUE, G_DEPTH, ABS = range(11)
 
 
 @njit(cache=True, inline="always")
-def _screen(m, axes, i, view, fx, fy, cx, cy, width, height, a, b, turned):
-    """Project row i: fills a, b [3] and the turned axes [3,3]; returns x, y, z and the clamped directions."""
-    x = view[0, 0] * m[i, 0] + view[0, 1] * m[i, 1] + view[0, 2] * m[i, 2] + view[0, 3]
-    y = view[1, 0] * m[i, 0] + view[1, 1] * m[i, 1] + view[1, 2] * m[i, 2] + view[1, 3]
-    z = view[2, 0] * m[i, 0] + view[2, 1] * m[i, 1] + view[2, 2] * m[i, 2] + view[2, 3]
-    for r in range(3):
-        for c in range(3):
-            turned[r, c] = view[r, 0] * axes[i, 0, c] + view[r, 1] * axes[i, 1, c] + view[r, 2] * axes[i, 2, c]
-    u = min(max(x / z, (-cx - FRUSTUM_MARGIN * width) / fx), (width - cx + FRUSTUM_MARGIN * width) / fx)
-    v = min(max(y / z, (-cy - FRUSTUM_MARGIN * height) / fy), (height - cy + FRUSTUM_MARGIN * height) / fy)
-    for c in range(3):
-        a[c] = fx / z * (turned[0, c] - u * turned[2, c])
-        b[c] = fy / z * (turned[1, c] - v * turned[2, c])
-    return x, y, z, u, v
+def _turned(view, axes, i, r):
+    """Row r of the camera's rotation times the axes of Gaussian i."""
+    v0, v1, v2 = view[r, 0], view[r, 1], view[r, 2]
+    return (
+        v0 * axes[i, 0, 0] + v1 * axes[i, 1, 0] + v2 * axes[i, 2, 0],
+        v0 * axes[i, 0, 1] + v1 * axes[i, 1, 1] + v2 * axes[i, 2, 1],
+        v0 * axes[i, 0, 2] + v1 * axes[i, 1, 2] + v2 * axes[i, 2, 2],
+    )
+
+
+@njit(cache=True, inline="always")
+def _local(view, m, i, r):
+    """Coordinate r of mean i in the camera's frame."""
+    return view[r, 0] * m[i, 0] + view[r, 1] * m[i, 1] + view[r, 2] * m[i, 2] + view[r, 3]
+
+
+@njit(cache=True, inline="always")
+def _clamped(slope, f, c, size):
+    """The view direction of the Jacobian along one side of the picture (hard cases A08, A11)."""
+    return min(max(slope, (-c - FRUSTUM_MARGIN * size) / f), (size - c + FRUSTUM_MARGIN * size) / f)
+
+
+@njit(cache=True, inline="always")
+def _plus(p, a, q, b):
+    """p a + q b of vectors a, b [3]."""
+    return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
 
 
 @njit(cache=True, inline="always")
@@ -60,7 +72,6 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     bad = np.zeros(chunks, np.int64)
     for chunk in prange(chunks):
-        a, b, turned = np.empty(3), np.empty(3), np.empty((3, 3))
         for i in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             radii[i] = 0
             means2d[i, 0] = means2d[i, 1] = np.nan
@@ -71,10 +82,14 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             if not math.isfinite(probe):
                 bad[chunk] += 1
                 continue
-            z = view[2, 0] * means[i, 0] + view[2, 1] * means[i, 1] + view[2, 2] * means[i, 2] + view[2, 3]
+            z = _local(view, means, i, 2)
             if not z > near:
                 continue
-            x, y, z, _u, _v = _screen(means, axes, i, view, fx, fy, cx, cy, width, height, a, b, turned)
+            x, y = _local(view, means, i, 0), _local(view, means, i, 1)
+            u, v = _clamped(x / z, fx, cx, width), _clamped(y / z, fy, cy, height)
+            forward = _turned(view, axes, i, 2)
+            a = _plus(fx / z, _turned(view, axes, i, 0), -fx / z * u, forward)
+            b = _plus(fy / z, _turned(view, axes, i, 1), -fy / z * v, forward)
             px, py = fx * x / z + cx, fy * y / z + cy
             means2d[i, 0], means2d[i, 1] = px, py
             sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + BLUR, _dot(b, b) + BLUR, _dot(a, b)
@@ -106,21 +121,19 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
 
 @njit(cache=True, parallel=True)
 def project_backward(
-    means, axes, opacities, view, K, width, height, antialias, chunks, records, radii, partial, upstream
+    means, axes, opacities, view, K, width, height, antialias, chunks, radii, partial, camera, upstream
 ):  # fmt: skip
     """Turn the blend's sums partial [threads,N,16] into gradients.
 
     Fills upstream = (means [N,3], axes [N,3,3], opacities [N], colors [N,3], screen [N,2], screen_abs [layers,N,2]) and
-    returns the gradient of view [4,4]; rows that were not drawn get 0.
+    returns the gradient of view [4,4] if `camera`, else zeros; rows that were not drawn get 0.
     """
     d_means, d_axes, d_opacities, d_colors, d_screen, d_screen_abs = upstream
     n = len(means)
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     d_views = np.zeros((chunks, 4, 4))
     for chunk in prange(chunks):
-        a, b, turned = np.empty(3), np.empty(3), np.empty((3, 3))
-        s, ga, gb, gt = np.empty(ROW), np.empty(3), np.empty(3), np.empty((3, 3))
-        d_view = d_views[chunk]
+        s, d_view = np.empty(ROW), d_views[chunk]
         for i in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             if radii[i] == 0:
                 d_means[i], d_axes[i], d_opacities[i], d_colors[i], d_screen[i], d_screen_abs[:, i] = 0, 0, 0, 0, 0, 0
@@ -129,7 +142,11 @@ def project_backward(
                 s[c] = 0
                 for thread in range(len(partial)):
                     s[c] += partial[thread, i, c]
-            x, y, z, u, v = _screen(means, axes, i, view, fx, fy, cx, cy, width, height, a, b, turned)
+            x, y, z = _local(view, means, i, 0), _local(view, means, i, 1), _local(view, means, i, 2)
+            u, v = _clamped(x / z, fx, cx, width), _clamped(y / z, fy, cy, height)
+            forward = _turned(view, axes, i, 2)
+            a = _plus(fx / z, _turned(view, axes, i, 0), -fx / z * u, forward)
+            b = _plus(fy / z, _turned(view, axes, i, 1), -fy / z * v, forward)
             sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + BLUR, _dot(b, b) + BLUR, _dot(a, b)
             det = sharp + BLUR * (aa + bb - BLUR)
             A, B, C = bb / det, -ab / det, aa / det
@@ -145,15 +162,11 @@ def project_backward(
                 d_aa += d_log * ((bb - BLUR) / sharp - bb / det)
                 d_bb += d_log * ((aa - BLUR) / sharp - aa / det)
                 d_ab += d_log * (-2 * ab / sharp + 2 * ab / det)
-            for c in range(3):
-                ga[c] = 2 * d_aa * a[c] + d_ab * b[c]
-                gb[c] = 2 * d_bb * b[c] + d_ab * a[c]
-            du, dv = 0.0, 0.0
-            for c in range(3):
-                gt[0, c], gt[1, c] = fx / z * ga[c], fy / z * gb[c]
-                gt[2, c] = -u * gt[0, c] - v * gt[1, c]
-                du -= turned[2, c] * gt[0, c]
-                dv -= turned[2, c] * gt[1, c]
+            ga, gb = _plus(2 * d_aa, a, d_ab, b), _plus(2 * d_bb, b, d_ab, a)
+            p, q = fx / z, fy / z
+            t0, t1 = (p * ga[0], p * ga[1], p * ga[2]), (q * gb[0], q * gb[1], q * gb[2])
+            t2 = _plus(-u, t0, -v, t1)
+            du, dv = -_dot(forward, t0), -_dot(forward, t1)
             dx, dy = d_px * fx / z, d_py * fy / z
             dz = s[G_DEPTH] - (_dot(ga, a) + _dot(gb, b)) / z - (dx * x + dy * y) / z
             if u == x / z:
@@ -164,17 +177,19 @@ def project_backward(
                 dz -= dv * y / (z * z)
             for c in range(3):
                 d_means[i, c] = view[0, c] * dx + view[1, c] * dy + view[2, c] * dz
-                for r in range(3):
-                    d_axes[i, r, c] = view[0, r] * gt[0, c] + view[1, r] * gt[1, c] + view[2, r] * gt[2, c]
-                d_view[0, c] += dx * means[i, c]
-                d_view[1, c] += dy * means[i, c]
-                d_view[2, c] += dz * means[i, c]
-                for r in range(3):
-                    for k in range(3):
-                        d_view[r, c] += gt[r, k] * axes[i, c, k]
-            d_view[0, 3] += dx
-            d_view[1, 3] += dy
-            d_view[2, 3] += dz
+                row = _plus(view[0, c], t0, view[1, c], t1)
+                d_axes[i, c, 0] = row[0] + view[2, c] * t2[0]
+                d_axes[i, c, 1] = row[1] + view[2, c] * t2[1]
+                d_axes[i, c, 2] = row[2] + view[2, c] * t2[2]
+            if camera:
+                for c in range(3):
+                    m0, m1, m2 = np.float64(axes[i, c, 0]), np.float64(axes[i, c, 1]), np.float64(axes[i, c, 2])
+                    d_view[0, c] += dx * means[i, c] + t0[0] * m0 + t0[1] * m1 + t0[2] * m2
+                    d_view[1, c] += dy * means[i, c] + t1[0] * m0 + t1[1] * m1 + t1[2] * m2
+                    d_view[2, c] += dz * means[i, c] + t2[0] * m0 + t2[1] * m1 + t2[2] * m2
+                d_view[0, 3] += dx
+                d_view[1, 3] += dy
+                d_view[2, 3] += dz
             d_opacities[i] = d_opacity
             d_colors[i, 0], d_colors[i, 1], d_colors[i, 2] = s[G_RED], s[G_GREEN], s[G_BLUE]
             d_screen[i, 0], d_screen[i, 1] = d_px, d_py
