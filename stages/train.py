@@ -55,6 +55,7 @@ class Params(contract.Params):
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
     """Fit person and scene Gaussians to the frames, jointly."""
 
+    from stages.avatar.rasterize.cache import compiled
     from stages.formats.clip import load_clip
 
     decisions = json.loads((survey / "survey.json").read_text())["decisions"]
@@ -71,6 +72,8 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     curve, seconds = started["curve"], started["seconds"]
     sizes = " and ".join(f"{count:,} of the {name}" for name, count in _size(fit).items() if count)
     job.note(f"{len(train)} training frames; starts with {sizes}")
+    if job.device == "cpu" and not compiled():
+        job.note("the drawing kernels are compiled for this processor first, once: half a minute")
     judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
     judged = judged[:: max(1, len(judged) // JUDGED)][:JUDGED]
     every = max(1, params.steps // params.curve_points)

@@ -42,4 +42,9 @@ def folder() -> Path:
     raise OSError(f"no folder for compiled kernels can be written, neither in {home} nor in {tempfile.gettempdir()}")
 
 
+def compiled() -> bool:
+    """Whether an earlier process has left the kernels of these sources, for this processor or another."""
+    return any(Path(numba.config.CACHE_DIR).glob("*/blend.draw_backward*.nbi"))
+
+
 numba.config.CACHE_DIR = str(folder())

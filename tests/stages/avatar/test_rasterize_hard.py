@@ -4,12 +4,13 @@ import math
 import os
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import pytest
 import torch
 
-from stages.avatar.rasterize import Layer, cpu, gaussian_axes, rasterize, reference
+from stages.avatar.rasterize import Layer, cache, cpu, gaussian_axes, rasterize, reference
 from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN
 from tests.stages.avatar.test_rasterize import NAMES, apart, camera, draw, gaussians
 
@@ -385,3 +386,21 @@ def test_an_older_processor_without_a_cache_folder_draws_the_same(tmp_path):
     image, alpha, *others = torch.load(tmp_path / "out.pt")
     assert torch.equal(here.image, image) and torch.equal(here.alpha, alpha)
     assert all(apart(a, b) < 3e-6 for a, b in zip(others, grads))
+
+
+def test_kernels_of_an_earlier_process_are_noticed(tmp_path, monkeypatch):
+    draw(cpu, gaussians(20), *camera())
+    assert cache.compiled()
+    monkeypatch.setattr(cache.numba.config, "CACHE_DIR", str(tmp_path))
+    assert not cache.compiled()
+
+
+def test_thousands_of_gaussians_as_large_as_the_picture_fit_into_memory():
+    parts = gaussians(2000, kind="huge")
+    tracemalloc.start()
+    drawn, grads = draw(cpu, parts, *camera(640, 360, 600.0), 640, 360)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (drawn.radii > 300).float().mean() > 0.9, "the test must draw large ones"
+    assert all(g.isfinite().all() for g in grads) and drawn.image.isfinite().all()
+    assert peak < 100 * 2**20, f"{peak / 2**20:.0f} MiB"
