@@ -13,10 +13,6 @@ A pair is a Gaussian and a pixel it counts in. Milliseconds belong to a machine 
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the engine does
-
 import argparse
 import json
 from pathlib import Path

@@ -8,10 +8,6 @@ that every pixel has something to show. A frame is skeleton, skinning and drawin
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the engine does
-
 import argparse
 import json
 from pathlib import Path

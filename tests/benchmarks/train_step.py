@@ -10,10 +10,6 @@ own, whose peak memory is reported.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the engine does
-
 import argparse
 import inspect
 import json
