@@ -144,6 +144,33 @@ def accept(judge: Judge, stages: Stages = None) -> None:
 
 
 @app.command()
+@on_clip
+def ablate(
+    judge: Judge,
+    seeds: Annotated[int, Option(min=1, help="Trainings of each, from --seed on; what lies before is shared.")] = 3,
+    device: DeviceName = options.Device.cpu,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """What each part of the method is worth on this clip: the pipeline, and five times the same without one part."""
+    from hugs_cli import ablate as ablations
+
+    console, cases = Console(), ablations.cases(judge, seeds)
+    judge.check_sources()
+    if not dry_run:
+        judge.workspace.create()
+    plan = ablations.plan(cases)
+    if dry_run:
+        rows = [{"pipeline": one.judge.pipeline.name, "seed": one.seed, "train": state} for one, state, _ in plan]
+        lines = [f"  {row['pipeline']:<24}seed {row['seed']:<4}{row['train']}" for row in rows]
+        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.announced(plan), *lines]))
+        return
+    console.say(ablations.announced(plan))
+    result = {"clip": judge.sources["video"].name, **ablations.run(cases, device.value, console)}
+    console.result(json.dumps(result, indent=1) if as_json else "\n".join(ablations.table(result)))
+
+
+@app.command()
 def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work")) -> None:
     """Remove a clip's results that no pipeline links to, and what stopped runs left."""
     workspace, console, freed = Workspace(video, work, "default"), Console(), 0

@@ -158,6 +158,8 @@ class Judge:
     sources: dict[str, Path | None]
     seed: int = 0
     code: Code = field(default_factory=Code)
+    seeds: dict[str, int] = field(default_factory=dict)
+    """Of stages that do not take `seed`."""
 
     def all(self, wanted: list[str], forced: frozenset[str] = frozenset()) -> dict[str, Verdict]:
         """A verdict for each wanted stage, in order, nothing run."""
@@ -172,14 +174,15 @@ class Judge:
         """The verdict on one stage, given those on the stages it needs."""
         linked = self.workspace.linked(stage.name)
         last = Stamp.read(linked) if linked else None
+        seed = self.seeds.get(stage.name, self.seed)
         code, params = self.code.digests(stage.module), stage.settings()
         stale = tuple(need for need in stage.needs if need in before and not before[need].fresh)
         if stale:
-            own = changes(last, Recipe(stage.name, self.seed, code, params, last.inputs)) if last else (FirstRun(),)
+            own = changes(last, Recipe(stage.name, seed, code, params, last.inputs)) if last else (FirstRun(),)
             own = (Forced(),) if forced else own
             return Verdict(stage.name, (*own, Upstream(stale)), last=last)
         inputs = {need: self.input(need, before) for need in sorted(stage.needs)}
-        recipe = Recipe(stage.name, self.seed, code, params, inputs)
+        recipe = Recipe(stage.name, seed, code, params, inputs)
         folder, part = self.workspace.folder(stage.name, recipe.key), self.workspace.part(stage.name, recipe.key)
         stamp = Stamp.read(folder)
         whole = stamp is not None and stamp.key == recipe.key

@@ -7,7 +7,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,14 @@ PIPELINE_KEYS = ("doc", "extends", "stages")
 STAGE_KEYS = ("needs", "module", "params")
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 RESERVED = ("store",)  # a folder beside the pipelines' folders
+
+ABLATIONS = {  # behind a pipeline's name and a dot: the same pipeline, with this setting of `train` false
+    "no_lbs": "lbs_learning",
+    "no_densify": "human_densify",
+    "no_human_loss": "human_loss",
+    "no_triplane": "triplane",
+    "no_joint": "joint",
+}
 
 
 class UsageError(StageError):
@@ -70,7 +78,11 @@ class Pipeline:
 
 
 def load(name: str, overrides: Iterable[str] = (), file: Path = FILE) -> Pipeline:
-    """Read one pipeline, apply `stage.param=value` overrides, and check it all; UsageError says what is wrong."""
+    """Read one pipeline, apply `stage.param=value` overrides, and check it all; UsageError says what is wrong.
+
+    `NAME.VARIANT` is pipeline NAME as one of ABLATIONS.
+    """
+    name, _, ablation = name.partition(".")
     entry = merged(name, read_yaml(file), file)
     stages = entry["stages"]
     for override in overrides:
@@ -79,7 +91,20 @@ def load(name: str, overrides: Iterable[str] = (), file: Path = FILE) -> Pipelin
             raise unknown("stage", stage, stages, f"--set {override}")
         stages[stage]["params"][param] = value
     checked = {stage: check_stage(stage, stages[stage], stages, name) for stage in running_order(stages, name)}
-    return Pipeline(name, entry["doc"], checked)
+    pipeline = Pipeline(name, entry["doc"], checked)
+    return variant(pipeline, ablation) if ablation else pipeline
+
+
+def variant(pipeline: Pipeline, name: str) -> Pipeline:
+    """The pipeline without one part of the method, a name of ABLATIONS; UsageError if it has no such part."""
+    if name not in ABLATIONS:
+        raise unknown("variant", name, ABLATIONS, f"pipeline {pipeline.name}")
+    pipeline.upstream(["train"])  # refuses a pipeline that does not train
+    train, setting = pipeline.stages["train"], ABLATIONS[name]
+    if setting not in type(train.params).model_fields:
+        raise unknown("setting", setting, type(train.params).model_fields, f"pipeline {pipeline.name}, stage train")
+    changed = replace(train, params=train.params.model_copy(update={setting: False}))
+    return replace(pipeline, name=f"{pipeline.name}.{name}", stages={**pipeline.stages, "train": changed})
 
 
 def names(file: Path = FILE) -> dict[str, str]:

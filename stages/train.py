@@ -50,6 +50,16 @@ class Params(contract.Params):
     """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""
     curve_points: int = Field(12, gt=0)
     """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
+    lbs_learning: bool = True
+    """Skinning weights are learned; else they stay those of the body where each Gaussian began (see `hugs ablate`)."""
+    human_densify: bool = True
+    """Gaussians of the person are added and removed."""
+    human_loss: bool = True
+    """The person is also drawn alone and compared; else the whole picture teaches person and scene."""
+    triplane: bool = True
+    """Corrections of the body come from a triplane and networks; else each Gaussian has its own, as in plain splatting."""
+    joint: bool = True
+    """Person and scene learn together; else the scene has the first half of the steps, then the person before it."""
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
@@ -148,6 +158,8 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         resolution=params.resolution,
         sh_degree=params.human_sh,
         generator=generator,
+        lbs_learning=params.lbs_learning,
+        triplane=params.triplane,
     )
     seen = [i for i in train if present[i]]
     colors, known = seen_colors(human, person, views, seen[:: max(1, len(seen) // PAINTED)])
@@ -171,6 +183,12 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         )
         points, colors = np.concatenate([clip.points, xyz]), np.concatenate([clip.colors, rgb])
         scene = SceneModel(tensor(points), tensor(colors) / 255, params.scene_sh, extent)
+    if scene is None and not (params.human_loss and params.joint):
+        raise StageError(
+            "there is no scene to train the person with",
+            facts=[f"human_loss: {params.human_loss}, joint: {params.joint}; without a scene both are needed"],
+            hint="leave out `--set train.human_loss` and `--set train.joint`",
+        )
     options = Options(
         steps=params.steps,
         views_per_decode=params.views_per_decode,
@@ -180,6 +198,9 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         refine_pose=decisions.get("pose_refinement", True),
         exposure=decisions.get("exposure", False),
         perceptual_every=params.perceptual_every,
+        human_densify=params.human_densify,
+        human_loss=params.human_loss,
+        joint=params.joint,
     )
     return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device))
 

@@ -43,24 +43,38 @@ def _run(network: nn.Sequential, features: Tensor) -> Tensor:
 
 
 class Decoders(nn.Module):
-    """Features [N,F] -> corrections of opacity, colour, position, rotation, scale and skinning weights."""
+    """Features [N,F] -> corrections of opacity, colour, position, rotation, scale and, with `joints`, skinning weights."""
 
     def __init__(self, features: int, sh_degree: int, joints: int, generator: torch.Generator):
         super().__init__()
         self.coefficients = bases(sh_degree)
         self.appearance = _network(features, WIDTHS["appearance"], 1 + 3 * self.coefficients, generator)
         self.geometry = _network(features, WIDTHS["geometry"], 12, generator)
-        self.deformation = _network(features, WIDTHS["deformation"], joints, generator)
+        self.deformation = _network(features, WIDTHS["deformation"], joints, generator) if joints else None
 
     def forward(self, features: Tensor) -> dict[str, Tensor]:
         """Corrections: opacity [N] logit, sh [N,K,3], offset [N,3] m, turn [N,6], scale [N,3] log, skin [N,J]."""
         look = _run(self.appearance, features)
         shape = _run(self.geometry, features)
+        skin = {"skin": _run(self.deformation, features)} if self.deformation else {}
         return {
             "opacity": look[:, 0],
             "sh": look[:, 1:].reshape(-1, self.coefficients, 3),
             "offset": shape[:, 0:3],
             "turn": shape[:, 3:9],
             "scale": shape[:, 9:12],
-            "skin": _run(self.deformation, features),
-        }
+        } | skin
+
+
+class FreeCorrections(nn.Module):
+    """The same corrections without triplane and networks: parameters, 0 at first, with one row a Gaussian."""
+
+    def __init__(self, rows: int, sh_degree: int, joints: int):
+        super().__init__()
+        shapes = {"opacity": (), "sh": (bases(sh_degree), 3), "offset": (3,), "turn": (6,), "scale": (3,)}
+        for name, shape in (shapes | ({"skin": (joints,)} if joints else {})).items():
+            self.register_parameter(name, nn.Parameter(torch.zeros(rows, *shape)))
+
+    def forward(self) -> dict[str, Tensor]:
+        """As `Decoders.forward`."""
+        return dict(self.named_parameters())

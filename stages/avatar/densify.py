@@ -156,7 +156,8 @@ def grow_human(
     room = _room(human, rules, rounds_left)
     rows = plan(growth, person.scales.amax(1), person.opacities, rules, room, lost)
     moved = displacement(person.frames * person.scales[:, None, :], rows, generator)
-    human.xyz = _regrow(optimizer, human.xyz, rows)
+    for owner, name in human.rows():
+        setattr(owner, name, _regrow(optimizer, getattr(owner, name), rows))
     for name in human.ROWS:
         setattr(human, name, getattr(human, name)[rows.source])
     with torch.no_grad():

@@ -13,39 +13,19 @@ from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.gaussians import Splats, contain
 from stages.avatar.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
+from stages.avatar.layers import layers_of
+from stages.avatar.optimizers import optimizers
 from stages.avatar.perceptual import Lpips
-from stages.avatar.rasterize import Layer
 from stages.avatar.refine import FrameCorrections, spread
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import (
-    HALF_UNTIL,
-    HUMAN_GROWTH,
-    LR_FRAMES,
-    LR_HUMAN,
-    LR_SCENE,
-    SCENE_GROWTH,
-    SETTLE,
-    Options,
-    rate,
-)
+from stages.avatar.schedule import HALF_UNTIL, HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Phase, phases, rate
 from stages.avatar.skinning import knn_weights
-from stages.avatar.views import Person, Views, person_box
+from stages.avatar.views import Person, Views
 
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
 BAD_STEPS = 20  # in a row, after which training stops
 TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
-
-
-def veil(scene: Splats, person: Tensor, viewmat: Tensor) -> Tensor:
-    """Which Gaussians of the scene are nearer to a camera than most of the person's means[N,3].
-
-    Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told.
-    """
-    with torch.no_grad():
-        depth = person @ viewmat[2, :3] + viewmat[2, 3]
-        far = depth.kthvalue(max(1, int(0.9 * len(depth)))).values
-        return scene.means @ viewmat[2, :3] + viewmat[2, 3] < far
 
 
 class Fit:
@@ -65,6 +45,7 @@ class Fit:
         self.full, self.small = views, views.half()
         self.train, self.person, self.human, self.scene = train, person, human, scene
         self.options, self.generator, self.perceptual = options, generator, perceptual
+        self.phases = phases(options.steps, options.joint)
         self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
         self.step = self.bad = self.bad_in_a_row = self.undrawn = 0
         self.order = torch.empty(0, dtype=torch.long)
@@ -75,35 +56,23 @@ class Fit:
             self.canonical_bones = bone_transforms(person.joints, person.parents, still, person.canonical_pose)
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self.taught = torch.zeros(0 if human is None else len(human)).to(views.viewmats)
-        self._optimizers()
+        self.adam = optimizers(self.frames, human, scene, options.extent)
         self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
 
     def _sets(self) -> dict[str, Any]:
         return {n: m for n, m in (("human", self.human), ("scene", self.scene)) if m is not None}
 
-    def _optimizers(self) -> None:
-        self.adam = {
-            "frames": torch.optim.SparseAdam(
-                [{"params": [getattr(self.frames, n).weight], "name": n, "base": r} for n, r in LR_FRAMES.items()]
-            )
-        }
-        if self.human is not None:
-            h = self.human
-            parts = {"xyz": [h.xyz], "triplane": [h.triplane.table]}
-            parts |= {n: list(getattr(h.decoders, n).parameters()) for n in ("appearance", "geometry", "deformation")}
-            groups = [{"params": p, "name": n, "base": LR_HUMAN[n]} for n, p in parts.items()]
-            self.adam["human"] = torch.optim.Adam(groups, eps=1e-15, fused=True)
-        if self.scene is not None:
-            rates = LR_SCENE | {"means": LR_SCENE["means"] * self.options.extent}
-            groups = [{"params": [getattr(self.scene, n)], "name": n, "base": r} for n, r in rates.items()]
-            self.adam["scene"] = torch.optim.Adam(groups, eps=1e-15, fused=True)
-
     # ---- one step ----
 
     @property
+    def phase(self) -> Phase:
+        """The phase of the next step."""
+        return next(phase for phase in reversed(self.phases) if phase.first <= self.step)
+
+    @property
     def done(self) -> float:
-        """Share of the steps behind us."""
-        return self.step / self.options.steps
+        """Share of the phase's steps behind us."""
+        return (self.step - self.phase.first) / self.phase.steps
 
     def advance(self) -> dict[str, float]:
         """Learn from one training frame; returns the losses. FloatingPointError after too many bad steps in a row."""
@@ -137,7 +106,7 @@ class Fit:
         """The decoded person as leaves that collect gradients until the next `_learn_human`."""
         if self.leaves is None:
             self.canonical, self.decoded, self.prior = self._decode()
-            self.leaves = Resting(*(t.detach().requires_grad_() for t in self.decoded))
+            self.leaves = Resting(*(t.detach().requires_grad_(t.requires_grad) for t in self.decoded))
         return self.leaves
 
     def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
@@ -151,24 +120,28 @@ class Fit:
         height, width = mask.shape
         gains = self.frames.gains(frame) if self.options.exposure else None
         human, scene, numbers, loss = None, None, {}, 0.0
-        p = self.person
-        if self.human is not None and bool(p.present[frame]) and bool((mask > 0.5).any()):
+        p, phase = self.person, self.phase
+        if self.human is not None and phase.human and bool(p.present[frame]) and bool((mask > 0.5).any()):
             body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
             if self.options.refine_pose:
                 body = self.frames.body(frame, *body)
             human = self.posed(self.resting(), *body)
-        if self.scene is not None:
+        if self.scene is not None and (phase.scene or human is not None):
             scene = self.scene.splats()
-        layers = self._layers(human, scene, mask, viewmat, K)
+            if not phase.scene:
+                scene = Splats(*(t if t is None else t.detach() for t in scene))
+        layers = layers_of(human, scene, mask, viewmat, K, self.options, self.generator)
         if not layers:
             return numbers
         drawn = dict(zip(layers, compose_layers(human, scene, viewmat, K, width, height, list(layers.values()))))
         if scene is not None:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
-            joint = losses.photometric(losses.outside_person(rendered, image, mask), image)
+            if self.options.human_loss or human is None:
+                rendered = losses.outside_person(rendered, image, mask)
+            joint = losses.photometric(rendered, image)
             loss = loss + joint
             numbers["image"] = joint.item()
-        if human is not None:
+        if "person" in layers:
             only, (_, (left, top, right, bottom), background) = drawn["person"], layers["person"]
             bare = (1 - only.alpha)[..., None] * background
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
@@ -176,43 +149,30 @@ class Fit:
             apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
             loss = loss + apart
             numbers["person"] = apart.item()
-            if scene is not None:
-                loss = loss + losses.VEIL * (drawn["veil"].alpha * mask[crop]).mean()
-            if self.perceptual and self.step % self.options.perceptual_every == 0:
-                window = losses.patch(mask[crop], losses.PATCH, self.generator)
-                target = losses.over_background(image[crop], mask[crop], background)[window]
-                if min(target.shape[:2]) >= self.perceptual.smallest:
-                    loss = loss + losses.PERCEPTUAL * self.perceptual(rendered[window], target)
+        if "veil" in layers:
+            left, top, right, bottom = layers["veil"].window
+            loss = loss + losses.VEIL * (drawn["veil"].alpha * mask[top:bottom, left:right]).mean()
+        if "person" in layers and self.perceptual and self.step % self.options.perceptual_every == 0:
+            window = losses.patch(mask[crop], losses.PATCH, self.generator)
+            target = losses.over_background(image[crop], mask[crop], background)[window]
+            if min(target.shape[:2]) >= self.perceptual.smallest:
+                loss = loss + losses.PERCEPTUAL * self.perceptual(rendered[window], target)
         self.undrawn += next(iter(drawn.values())).dropped
         if not math.isfinite(loss.item()):
             return self._bad_step(frame, numbers)
         self.bad_in_a_row = 0
         loss.backward()
         rows = 0 if human is None else len(human.means)
-        if scene is not None:
+        if scene is not None and phase.scene:
             self.growth["scene"].add(drawn["all"].screen_grad_abs[rows:], drawn["all"].radii[rows:], width, height)
             self._apply("scene")
-        if human is not None:
+        if "person" in layers:
             self.growth["human"].add(only.screen_grad_abs[:rows], only.radii[:rows], right - left, bottom - top)
+        elif human is not None:
+            self.growth["human"].add(drawn["all"].screen_grad_abs[:rows], drawn["all"].radii[:rows], width, height)
         self.adam["frames"].step()
         self.adam["frames"].zero_grad(set_to_none=True)
         return numbers
-
-    def _layers(
-        self, human: Splats | None, scene: Splats | None, mask: Tensor, viewmat: Tensor, K: Tensor
-    ) -> dict[str, Layer]:
-        """What one step draws: everything, the person alone, and what of the scene is before the person."""
-        layers = {}
-        if scene is not None:
-            layers["all"] = Layer(background=torch.rand(3, generator=self.generator).to(K))
-        if human is not None:
-            n, total = len(human.means), len(human.means) + (0 if scene is None else len(scene.means))
-            rows = torch.arange(total, device=K.device) < n
-            box = person_box(mask, human.means.detach(), viewmat, K)
-            layers["person"] = Layer(rows, box, torch.rand(3, generator=self.generator).to(K))
-            if scene is not None:
-                layers["veil"] = Layer(torch.cat([~rows[:n], veil(scene, human.means, viewmat)]), box)
-        return layers
 
     def _bad_step(self, frame: int, numbers: dict[str, float]) -> dict[str, float]:
         self.bad += 1
@@ -240,9 +200,12 @@ class Fit:
         self.bad += contain([g for _, g in used])
         shown = self.leaves.sh.grad.abs().sum((1, 2))
         self.taught += torch.where(shown.isfinite(), shown, 0)
-        prior = losses.skinning(self.canonical.weights, self._reference()) + self.prior
+        prior = self.prior
+        if self.canonical.weights.requires_grad:
+            prior = losses.skinning(self.canonical.weights, self._reference()) + prior
         torch.autograd.backward([d for d, _ in used] + [prior], [g for _, g in used] + [torch.ones_like(prior)])
-        shared = [p for n, p in self.human.named_parameters() if n != "xyz"]
+        rows = {id(getattr(owner, name)) for owner, name in self.human.rows()}
+        shared = [p for p in self.human.parameters() if id(p) not in rows]
         norm = torch.nn.utils.get_total_norm([p.grad for p in shared]).item()
         if not math.isfinite(norm):
             self.bad += 1
@@ -270,13 +233,19 @@ class Fit:
     # ---- growth ----
 
     def _grow(self) -> None:
-        o, extent = self.options, self.options.extent
-        every = max(1, round(o.steps * (SETTLE - SCENE_GROWTH[0]) / o.growth_rounds))
-        if self.scene is not None and SCENE_GROWTH[0] <= self.done <= SCENE_GROWTH[1] and self.step % every == 0:
+        o, extent, phase = self.options, self.options.extent, self.phase
+        every = max(1, round(phase.steps * (SETTLE - SCENE_GROWTH[0]) / o.growth_rounds))
+        if (
+            self.scene is not None
+            and phase.scene
+            and SCENE_GROWTH[0] <= self.done <= SCENE_GROWTH[1]
+            and self.step % every == 0
+        ):
             rules = Rules(2e-4, 0.01 * extent, 0.5 * extent, 0.3, 0.005, o.scene_cap)
             grow_scene(self.scene, self.adam["scene"], self.growth["scene"], rules, self._left(every), self.generator)
         every = 3 * every // o.views_per_decode * o.views_per_decode or o.views_per_decode
-        if self.human is not None and HUMAN_GROWTH[0] <= self.done <= HUMAN_GROWTH[1] and self.step % every == 0:
+        grows = self.human is not None and phase.human and o.human_densify
+        if grows and HUMAN_GROWTH[0] <= self.done <= HUMAN_GROWTH[1] and self.step % every == 0:
             rules = Rules(2e-4, 0.01, 0.1, 0.3, 0.005, o.human_cap)
             state = self.adam["human"], self.growth["human"]
             rows = grow_human(self.human, *state, rules, self._left(every), self.person.vertices, self.generator)
@@ -285,7 +254,7 @@ class Fit:
 
     def _left(self, every: int) -> int:
         """Densifications still to come, this one included: the room up to the cap is shared out among them."""
-        return int((SETTLE * self.options.steps - self.step) // every) + 1
+        return int((self.phase.first + SETTLE * self.phase.steps - self.step) // every) + 1
 
     # ---- what comes out ----
 
@@ -338,12 +307,12 @@ class Fit:
         """Continue from `state()`; raises RuntimeError, naming tensor and shapes, when it belongs to another model."""
         for name, module in self._modules().items():
             saved = state["models"][name]
-            for row in getattr(module, "ROWS", ()) + (("xyz",) if name == "human" else ()):
-                old = getattr(module, row)
-                like = torch.empty_like(saved[row])
-                setattr(module, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
+            owned = [(module, row) for row in getattr(module, "ROWS", ())] + (module.rows() if name == "human" else [])
+            for owner, row in owned:
+                old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"free.{row}"])
+                setattr(owner, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
             module.load_state_dict(saved)
-        self._optimizers()
+        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent)
         for name, optimizer in self.adam.items():
             optimizer.load_state_dict(state["adam"][name])
         for name, growth in self.growth.items():

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.body import rest_relative_transforms, subdivide, vertex_normals
-from stages.avatar.decoders import TEMPERATURE, Decoders
+from stages.avatar.decoders import TEMPERATURE, Decoders, FreeCorrections
 from stages.avatar.gaussians import Splats
 from stages.avatar.rotations import matrix_from_6d, matrix_from_quat, matrix_from_rotvec, rotation_z_to
+from stages.avatar.sh import bases
 from stages.avatar.skinning import skin
 from stages.avatar.triplane import Triplane
 
@@ -126,7 +127,8 @@ def _edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
 class HumanModel(nn.Module):
     """The trainable person: positions per Gaussian, everything else = initial value + what triplane and decoders say.
 
-    Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J].
+    Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J]. Two of the paper's ablations:
+    without `lbs_learning` the skinning weights stay as they began; without `triplane` the corrections are free ones.
     """
 
     ROWS = (
@@ -149,24 +151,35 @@ class HumanModel(nn.Module):
         resolution: int,
         sh_degree: int,
         generator: torch.Generator,
+        lbs_learning: bool = True,
+        triplane: bool = True,
     ):
         super().__init__()
-        size = vertices.amax(0) - vertices.amin(0)
-        pad = MARGIN * torch.maximum(size, size.max() * 0.25)
-        self.triplane = Triplane(vertices.amin(0) - pad, vertices.amax(0) + pad, channels, resolution, generator)
-        self.decoders = Decoders(self.triplane.width, sh_degree, weights.shape[1], generator).to(vertices)
-        triangles, (points, weights) = subdivide(faces, rounds, vertices, weights)
+        triangles, (points, skinning) = subdivide(faces, rounds, vertices, weights)
+        self.coefficients, joints = bases(sh_degree), weights.shape[1] if lbs_learning else 0
+        self.triplane = self.decoders = self.free = None
+        if triplane:
+            size = vertices.amax(0) - vertices.amin(0)
+            pad = MARGIN * torch.maximum(size, size.max() * 0.25)
+            self.triplane = Triplane(vertices.amin(0) - pad, vertices.amax(0) + pad, channels, resolution, generator)
+            self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(vertices)
+        else:
+            self.free = FreeCorrections(len(points), sh_degree, joints).to(vertices)
         half = (0.5 * _edge_lengths(points, triangles)).clamp_min(1e-4)
         self.xyz = nn.Parameter(points.clone())
         self.register_buffer("frames", rotation_z_to(vertex_normals(points, triangles)))
         self.register_buffer("log_sizes", torch.stack([half, half, 0.5 * half], 1).log())
         self.register_buffer("logits", torch.full_like(half, math.log(START_OPACITY / (1 - START_OPACITY))))
         self.register_buffer("sh_starts", torch.zeros_like(points))
-        self.register_buffer("skin_logits", TEMPERATURE * (weights + WEIGHT_FLOOR).log())
+        self.register_buffer("skin_logits", TEMPERATURE * (skinning + WEIGHT_FLOOR).log())
         self.register_buffer("homes", points.clone())  # where each Gaussian began, see `untaught`
 
     def __len__(self) -> int:
         return len(self.xyz)
+
+    def rows(self) -> list[tuple[nn.Module, str]]:
+        """The parameters with one row a Gaussian: the module that owns each, and its name there."""
+        return [(self, "xyz")] + ([(self.free, name) for name in self.free()] if self.free else [])
 
     def forward(self) -> tuple[Canonical, Tensor, Tensor]:
         """Decode all Gaussians: the canonical person, and two penalties.
@@ -174,7 +187,9 @@ class HumanModel(nn.Module):
         The first is the mean squared distance by which points left the triplane's box, the second the mean squared
         correction of scale (log), opacity (logit) and place (in units of OFFSET).
         """
-        out = self.decoders(self.triplane(self.xyz))
+        out = self.free() if self.free else self.decoders(self.triplane(self.xyz))
+        stray = self.triplane.outside(self.xyz) if self.triplane else self.xyz.new_zeros(())
+        skin_logits = self.skin_logits + out["skin"] if "skin" in out else self.skin_logits
         identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
         scale = SCALE_RANGE * torch.tanh(out["scale"] / SCALE_RANGE)
         person = Canonical(
@@ -183,18 +198,18 @@ class HumanModel(nn.Module):
             scales=(self.log_sizes + scale).exp(),
             opacities=torch.sigmoid(self.logits + out["opacity"]),
             sh=torch.cat([self.sh_starts[:, None] + out["sh"][:, :1], out["sh"][:, 1:]], 1),
-            weights=torch.softmax((self.skin_logits + out["skin"]) / TEMPERATURE, 1),
+            weights=torch.softmax(skin_logits / TEMPERATURE, 1),
         )
         place = (out["offset"] / OFFSET).square().sum(1)
         shy = scale.square().sum(1) + out["opacity"].square() + place
-        return person, self.triplane.outside(self.xyz), shy.mean()
+        return person, stray, shy.mean()
 
     def untaught(self) -> Canonical:
         """The canonical person as it began, without what networks and steps added: an answer where no frame has taught.
 
         There the networks speak to features that are still random, and Adam turns gradients of nothing into steps.
         """
-        sh = torch.zeros(len(self), self.decoders.coefficients, 3).to(self.homes)
+        sh = torch.zeros(len(self), self.coefficients, 3).to(self.homes)
         sh[:, 0] = self.sh_starts
         weights = torch.softmax(self.skin_logits / TEMPERATURE, 1)
         opacities = torch.sigmoid(self.logits)

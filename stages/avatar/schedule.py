@@ -5,6 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 LR_HUMAN = {"xyz": 2e-4, "triplane": 2e-3, "appearance": 2e-3, "geometry": 1e-3, "deformation": 2e-4}
+LR_FREE = {  # corrections without networks: the paper's rates for explicit Gaussians, of its own where it has none
+    "offset": 2e-4,
+    "turn": 1e-3,
+    "scale": 5e-3,
+    "opacity": 5e-2,
+    "sh": 2.5e-3,
+    "skin": 1e-3,
+}
 LR_SCENE = {  # `means` in units of the scene's extent
     "means": 3e-4,
     "quats": 2e-3,
@@ -20,6 +28,7 @@ SETTLE = 0.65
 HALF_UNTIL = 0.4  # share of the steps at half resolution
 SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
 HUMAN_GROWTH = (0.15, SETTLE)
+SCENE_FIRST = 0.5  # share of the steps that the scene has to itself where the two are not learned jointly
 
 
 class Options(NamedTuple):
@@ -34,10 +43,30 @@ class Options(NamedTuple):
     exposure: bool = False
     growth_rounds: int = 20
     perceptual_every: int = 0
+    human_densify: bool = True
+    human_loss: bool = True
+    joint: bool = True
+
+
+class Phase(NamedTuple):
+    """Steps from `first` on, `steps` in number, with a whole schedule of their own, and which sets learn in them."""
+
+    first: int
+    steps: int
+    human: bool
+    scene: bool
+
+
+def phases(steps: int, joint: bool) -> tuple[Phase, ...]:
+    """One phase in which both learn; or first the scene alone, then the person before a scene that is finished."""
+    if joint:
+        return (Phase(0, steps, True, True),)
+    first = int(SCENE_FIRST * steps)
+    return Phase(0, first, False, True), Phase(first, steps - first, True, False)
 
 
 def rate(name: str, done: float) -> float:
-    """Factor on the learning rate of `name` after the share `done` of the steps: from 1 to the LAST ones."""
-    if name in ("means", "xyz"):
+    """Factor on the learning rate of `name` after the share `done` of a phase: from 1 to the LAST ones."""
+    if name in ("means", "xyz", "offset"):
         return LAST_MEANS**done
     return LAST_OTHERS ** max(0.0, (done - SETTLE) / (1 - SETTLE))

@@ -26,7 +26,7 @@ import numpy as np
 import torch
 
 from stages import train
-from stages.avatar import compose, fit, losses, ssim
+from stages.avatar import compose, fit, layers, losses, ssim
 from stages.avatar.gaussians import Splats
 from stages.avatar.rasterize import blend, cpu, gaussian_axes, kernels
 from stages.avatar.scene import SceneModel
@@ -61,7 +61,7 @@ def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
         ("other losses", losses, "person_only"),
         ("other losses", losses, "outside_person"),
         ("other losses", losses, "skinning"),
-        ("veil", fit, "veil"),
+        ("veil", layers, "veil"),
         ("backward, other", torch.Tensor, "backward"),
         ("growth statistics", fit.Growth, "add"),
         ("optimiser, scene", fit.Fit, "_apply"),

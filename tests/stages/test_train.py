@@ -192,3 +192,25 @@ def test_importing_the_stage_loads_nothing_heavy():
     assert (
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
     )
+
+
+ABLATIONS = {"lbs_learning": False, "human_densify": False, "human_loss": False, "triplane": False, "joint": False}
+
+
+def test_every_ablation_reaches_what_is_trained(tmp_path, inputs, monkeypatch):
+    kept = []
+    monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
+    train.run(fresh(tmp_path, "full"), PARAMS, **inputs)
+    train.run(fresh(tmp_path, "without"), PARAMS.model_copy(update=ABLATIONS), **inputs)
+    for fit, there in zip(kept, (True, False), strict=True):
+        options = fit.options
+        assert (options.human_densify, options.human_loss, options.joint) == (there, there, there)
+        assert (fit.human.triplane is not None) is there and fit.canonical.weights.requires_grad is there
+    assert (tmp_path / "without" / "avatar.npz").exists() and (tmp_path / "without" / "scene.npz").exists()
+
+
+@pytest.mark.parametrize("setting", ["human_loss", "joint"])
+def test_a_person_that_needs_a_scene_to_learn_says_so(tmp_path, inputs, setting):
+    decide(inputs["survey"], scene=False)
+    with pytest.raises(StageError, match="no scene to train the person with"):
+        train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={setting: False}), **inputs)

@@ -6,9 +6,10 @@ import torch
 import trimesh
 
 from stages.avatar.compose import compose
-from stages.avatar.fit import Fit, veil
+from stages.avatar.fit import Fit
 from stages.avatar.gaussians import Splats
 from stages.avatar.human import HumanModel, bone_transforms, pose, rest
+from stages.avatar.layers import veil
 from stages.avatar.refine import spread
 from stages.avatar.scene import SceneModel
 from stages.avatar.schedule import Options
@@ -27,15 +28,15 @@ def ellipsoid():
     return vertices, torch.tensor(np.array(mesh.faces)).long(), weights
 
 
-def models(seed: int = 1):
+def models(seed: int = 1, **more):
     generator = torch.Generator().manual_seed(seed)
-    human = HumanModel(*ellipsoid(), rounds=0, channels=8, resolution=24, sh_degree=0, generator=generator)
+    sizes = {"rounds": 0, "channels": 8, "resolution": 24, "sh_degree": 0} | more
+    human = HumanModel(*ellipsoid(), **sizes, generator=generator)
     wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
     return human, SceneModel(wall, torch.full((150, 3), 0.5), 1, 1.0), generator
 
 
-@pytest.fixture(scope="module")
-def clip():
+def make_clip():
     """A bending, striped ellipsoid before a speckled wall, and its true poses."""
     vertices, _, weights = ellipsoid()
     viewmats = torch.eye(4).repeat(FRAMES, 1, 1)
@@ -61,6 +62,9 @@ def clip():
             images.append((drawn.image.clamp(0, 1) * 255).round().byte())
             masks.append((compose(splats, None, viewmats[f], Ks[f], WIDTH, HEIGHT).alpha * 255).round().byte())
     return Views(torch.stack(images), torch.stack(masks), viewmats, Ks), person
+
+
+clip = pytest.fixture(scope="module")(make_clip)
 
 
 def fit_of(clip, steps: int = 40, scene: bool = True, **more) -> Fit:

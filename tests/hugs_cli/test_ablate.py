@@ -1,0 +1,129 @@
+"""`hugs ablate` on a pipeline that trains nothing: what is run, what is shared, what is printed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hugs_cli import ablate
+from hugs_cli.pipelines import ABLATIONS
+
+TRAIN = """
+'''Writes what it was told.'''
+import json
+from stages.contract import Params as Base
+
+class Params(Base):
+    lbs_learning: bool = True
+    human_densify: bool = True
+    human_loss: bool = True
+    triplane: bool = True
+    joint: bool = True
+
+def run(job, params, *, one):
+    '''Write one file.'''
+    off = [name for name, value in params.model_dump().items() if not value]
+    (job.out / "out.txt").write_text(json.dumps([job.seed, off]))
+"""
+EVALUATE = """
+'''Makes up numbers: 30 dB, 1 more a seed, 5 fewer a missing part.'''
+import json
+from stages.contract import Params as Base
+
+class Params(Base):
+    scene: bool = True
+
+def run(job, params, *, train):
+    '''Write metrics.json.'''
+    seed, off = json.loads((train / "out.txt").read_text())
+    psnr = 30.0 + seed - 5 * len(off)
+    some, none = {"psnr": psnr, "ssim": 0.9, "lpips": 0.1}, dict.fromkeys(("psnr", "ssim", "lpips"))
+    apart = {"full": some, "person_crop": some} if params.scene else {"full": none, "person_crop": none}
+    (job.out / "metrics.json").write_text(json.dumps({"heldout": {**apart, "person_white": some}}))
+"""
+PARTS = ["", *(f".{part}" for part in ABLATIONS)]
+
+
+@pytest.fixture
+def clip(flow):
+    """The flow, and a pipeline `tiny` of it that has a train and an evaluate stage."""
+    flow.write("train", TRAIN)
+    flow.write("evaluate", EVALUATE)
+    stages = {"one": "video", "train": "one", "evaluate": "train"}
+    lines = "".join(f"    {n}: {{needs: [{need}], module: flow.{n}}}\n" for n, need in stages.items())
+    file = flow.folder / "pipelines.yaml"
+    file.write_text(f"{file.read_text()}tiny:\n  doc: Tiny.\n  stages:\n{lines}")
+    return flow
+
+
+def ablate_(clip, *args: str, code: int = 0) -> tuple[str, str]:
+    return clip.hugs("--pipeline", "tiny", *args, command="ablate", code=code)
+
+
+def test_a_dry_run_lists_every_training_and_runs_none(clip):
+    out, err = ablate_(clip, "--dry-run", "--seeds", "2")
+    first, *rows = out.splitlines()
+    assert first == "12 trainings: 0 cached, 12 to do" and not err and not clip.work.exists()
+    assert [row.split() for row in rows] == [["tiny" + p, "seed", s, "missing"] for s in "01" for p in PARTS]
+    assert len(json.loads(ablate_(clip, "--dry-run", "--json")[0])) == 18
+
+
+def test_all_share_what_lies_before_training_and_are_cached(clip):
+    clip.hugs("--pipeline", "tiny")
+    out, err = ablate_(clip, "--seeds", "2")
+    assert err.startswith("12 trainings: 1 cached, 11 to do, about ")
+    counts = {name: len(list(clip.store.glob(f"{name}-*"))) for name in ("one", "train", "evaluate")}
+    assert counts == {"one": 1, "train": 12, "evaluate": 12}
+    assert ablate_(clip, "--seeds", "2")[0] == out
+    assert "12 trainings: 12 cached, 0 to do\n" in ablate_(clip, "--dry-run", "--seeds", "2")[0]
+    assert "18 trainings: 12 cached, 6 to do" in ablate_(clip, "--dry-run")[0]
+    assert clip.hugs(command="gc")[0] == "0 B freed\n"
+
+
+def test_a_variant_is_the_pipeline_with_one_setting_and_has_a_status(clip):
+    ablate_(clip, "--seeds", "1")
+    for part, setting in ABLATIONS.items():
+        assert json.loads(clip.text("train", f"tiny.{part}")) == [0, [setting]]
+        states = json.loads(clip.hugs("--pipeline", f"tiny.{part}", "--json", command="status")[0])
+        assert [row["state"] for row in states] == ["fresh"] * 3
+        assert clip.ran("--pipeline", "tiny", "--set", f"train.{setting}=false") == {}
+    assert json.loads(clip.text("train", "tiny.no_joint")) == [0, ["joint"]]
+
+
+def test_the_table_has_mean_spread_and_difference(clip):
+    out, _ = ablate_(clip, "--seed", "4", "--set", "one.word=b")
+    lines = [line.split() for line in out.splitlines()]
+    assert lines[0][:4] == ["frames", "never", "trained", "on,"]
+    assert lines[2] == ["whole", "picture", "PSNR", "SSIM", "LPIPS"] and lines[10][0] == "person"
+    assert lines[3] == ["tiny", "35.00", "±1.00", "0.9000", "±0.0000", "0.1000", "±0.0000"]
+    assert lines[4][:4] == ["tiny.no_lbs", "30.00", "±1.00", "-5.00"] and len(lines) == 17
+    result = json.loads(ablate_(clip, "--seed", "4", "--set", "one.word=b", "--json")[0])
+    assert (result["clip"], result["pipeline"], result["seeds"]) == ("clip.mp4", "tiny", [4, 5, 6])
+    got = result["heldout"]["tiny.no_joint"]["person_crop"]["psnr"]
+    assert got == {"mean": 30.0, "spread": 1.0, "difference": -5.0, "values": [29.0, 30.0, 31.0]}
+
+
+def test_without_a_scene_the_person_over_white_is_compared(clip):
+    out, err = ablate_(clip, "--seeds", "1", "--set", "evaluate.scene=false")
+    for part in ablate.NEEDS_SCENE:
+        assert f"tiny.{part} is left out: it needs a scene" in err and part not in out
+    assert "person over white" in out and "whole picture" not in out and "tiny.no_triplane" in out
+
+
+def test_one_seed_has_no_spread_and_what_was_not_measured_no_number():
+    assert ablate.cell({"mean": 28.914, "spread": None, "difference": -0.3}, 2) == "28.91  -0.30"
+    assert ablate.cell({"mean": None, "spread": None, "difference": None}, 2) == "-"
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "problem", "hint"),
+    [
+        ("default", "pipeline default: no stage 'train'", "one of: one, two, three, four"),
+        ("tiny.no_lbs", "tiny.no_lbs lacks a part already", "`--pipeline tiny`"),
+        ("tiny.no_lsb", "pipeline tiny: no variant 'no_lsb'", "did you mean `no_lbs`?"),
+    ],
+)
+def test_pipelines_that_cannot_be_compared_are_refused(clip, pipeline, problem, hint):
+    _, err = clip.hugs("--pipeline", pipeline, command="ablate", code=2)
+    assert err.startswith(f"error: {problem}\n") and hint in err
