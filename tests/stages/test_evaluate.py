@@ -86,7 +86,7 @@ def test_without_a_scene_only_the_person_is_measured(lpips, tiny_human, tmp_path
 
 
 def test_nothing_held_out_is_said(lpips, tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr("stages.formats.clip.HELD_OUT_FIRST", 99)
+    monkeypatch.setattr("stages.formats.splits.HELD_OUT_FIRST", 99)
     metrics, events = run(tiny, tmp_path)
     assert metrics["frames"] == 0 and metrics["heldout"]["full"]["psnr"] is None
     assert any(e["event"] == "warning" and "nothing could be measured" in e["text"] for e in events)

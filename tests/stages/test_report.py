@@ -64,7 +64,7 @@ def test_a_person_without_a_scene(tiny_human, tmp_path):
 
 
 def test_a_clip_with_nothing_held_out(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr("stages.formats.clip.HELD_OUT_FIRST", 99)
+    monkeypatch.setattr("stages.formats.splits.HELD_OUT_FIRST", 99)
     text = make(tiny, tmp_path).read_text(encoding="utf-8")
     assert "No held-out frame could be compared." in text
 
