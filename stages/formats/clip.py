@@ -22,7 +22,8 @@ class Clip:
     """C frames with their cameras and bodies, joined by name.
 
     `names` [C]; `viewmats` [C,4,4] float64 camera_from_world in metres, `Ks` [C,3,3] px, one `width` and `height`;
-    `split` says which of them are trained on and which are held out; `points` [P,3] metres and `colors` [P,3] uint8 from SfM (P may be 0); `body` in the order of `names`.
+    `split` says what is trained on and what is held out;
+    `points` [P,3] metres and `colors` [P,3] uint8 from SfM (P may be 0); `body` in the order of `names`.
     """
 
     folder: Path

@@ -12,7 +12,6 @@ import numpy as np
 
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 
-
 Grid = tuple[np.ndarray, np.ndarray]
 
 
