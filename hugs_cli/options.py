@@ -35,7 +35,7 @@ class Only(StrEnum):
     both = "both"
 
 
-Video = Annotated[Path, Argument(help="A video file or a folder of pictures.", show_default=False)]
+Video = Annotated[Path, Argument(help="A video, a folder of pictures, or of a data set.", show_default=False)]
 Stages = Annotated[list[str] | None, Argument(help="Stages of the pipeline; all if none.", show_default=False)]
 PipelineName = Annotated[str, Option("--pipeline", "-p", help="One of pipelines.yaml.")]
 PipelinesFile = Annotated[Path, Option(help="Read pipelines from this file.", show_default="pipelines.yaml")]

@@ -8,6 +8,7 @@
                                                                   +-> render
                                                                   +-> evaluate -> report
 
-`pipelines.yaml` says which stages run and with what; `contract.py` says what a stage is.
+For a data set's folder `neuman` or `zju` stands in for frames and `calibrated` for sfm; masks and smpl then take what it
+brought along. `pipelines.yaml` says which stages run and with what; `contract.py` says what a stage is.
 `avatar/` is the mathematics, `formats/` the files, `estimators/` what stands in for data nobody gave us.
 """

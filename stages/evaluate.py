@@ -22,13 +22,17 @@ if TYPE_CHECKING:
     from stages.formats.clip import Clip
 
 PROTOCOL = (
-    "Every 5th registered frame is held out. 'heldout': poses of the body fit, corrected as the neighbouring training "
-    "frames were. 'heldout_fitted': the pose alone is then fitted to the held-out picture, the Gaussians stay as they "
+    "'heldout': poses of the body fit, corrected as the neighbouring training frames were. "
+    "'heldout_fitted': the pose alone is then fitted to the held-out picture, the Gaussians stay as they "
     "are. full: whole picture (undistorted); person_crop: tight box of the mask; person_white: the person over white, "
     "the picture cut out by its mask, in the same box. Means over frames; PSNR over all channels at once, SSIM 11x11 "
-    "with sigma 1.5, LPIPS AlexNet v0.1 on [-1,1]; equal pictures count 100 dB. Where the mask is empty nobody is drawn."
+    "with sigma 1.5, LPIPS AlexNet v0.1 on [-1,1] (lpips_legacy: on [0,1], as HUGS's code feeds it); psnr_per_channel: "
+    "the mean of each channel's own. Equal pictures count 100 dB. Where the mask is empty nobody is drawn."
 )
+MASKED = "masked_full: picture and person alone, both times the mask, over black; masked_crop: the same in its box."
 REGIONS = ("full", "person_crop", "person_white")
+MASKED_REGIONS = ("masked_full", "masked_crop")
+NUMBERS = ("psnr", "psnr_per_channel", "ssim", "lpips", "lpips_legacy")
 LR_POSE = {"turn": 0.01, "place": 0.005}  # rad and m a step
 SHOWN = 6
 MARGIN = 16  # px around the person while its pose is fitted
@@ -38,6 +42,8 @@ EQUAL = 100.0  # dB that stand for equal pictures: JSON knows no infinity
 class Params(contract.Params):
     fit_steps: int = Field(30, ge=0)
     """Steps by which a held-out pose is fitted to its picture for the second protocol."""
+    masked: bool = False
+    """Rate the person cut out by the mask, over black, too: what is usual on ZJU-MoCap."""
 
 
 def run(
@@ -72,7 +78,8 @@ def run(
         poses = {"heldout": shot.pose, "heldout_fitted": fit_pose(shot, params.fit_steps)}
         for protocol, pose in poses.items():
             drawn = shot.draw(pose)
-            rows[protocol].append({"name": clip.names[i]} | dict(_scores(shot, drawn, lpips)))
+            found = dict(_scores(shot, drawn, lpips)) | dict(_masked(shot, pose, lpips) if params.masked else ())
+            rows[protocol].append({"name": clip.names[i]} | found)
             if protocol == "heldout" and i in shown:
                 strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
                 write_image(job.out / "heldout" / f"{clip.names[i]}.png", strip)
@@ -82,7 +89,8 @@ def run(
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [stamp["peak_memory_bytes"] for stamp in stamps.values()]
     memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
-    metrics = {protocol: _means(found) for protocol, found in rows.items()} | {
+    regions = REGIONS + MASKED_REGIONS * params.masked
+    metrics = {protocol: _means(found, regions) for protocol, found in rows.items()} | {
         "frames": len(held),
         "gaussians": {"human": len(learned.avatar.resting.means), "scene": len(scene) if scene else 0},
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
@@ -90,7 +98,7 @@ def run(
         "device": job.device,
         "seed": job.seed,
         "versions": _versions(),
-        "protocol": PROTOCOL,
+        "protocol": " ".join([clip.split.rule, PROTOCOL, MASKED * params.masked]).strip(),
         "per_frame": rows,
     }
     (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False))
@@ -181,30 +189,49 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     return best
 
 
-def _scores(shot: Shot, drawn: tuple[torch.Tensor, torch.Tensor], lpips: Lpips) -> Iterator[tuple[str, Any]]:
-    from stages.avatar.metrics import over_white, scores
+def _finite(image: torch.Tensor, truth: torch.Tensor, lpips: Lpips | None) -> dict[str, float | None]:
+    from stages.avatar.metrics import scores
 
-    def finite(image: torch.Tensor, truth: torch.Tensor) -> dict[str, float | None]:
-        found = scores(image.contiguous(), truth.contiguous(), lpips)
-        return {name: EQUAL if value == float("inf") else value for name, value in found.items()}
+    found = scores(image.contiguous(), truth.contiguous(), lpips)
+    return {name: EQUAL if value == float("inf") else value for name, value in found.items()}
+
+
+def _scores(
+    shot: Shot, drawn: tuple[torch.Tensor, torch.Tensor], lpips: Lpips | None
+) -> Iterator[tuple[str, dict[str, float | None]]]:
+    from stages.avatar.metrics import over_white
 
     both, alone = drawn
     if shot.learned.scene is not None:
-        yield "full", finite(both, shot.image)
+        yield "full", _finite(both, shot.image, lpips)
         if shot.box is not None:
-            yield "person_crop", finite(both[shot.box], shot.image[shot.box])
+            yield "person_crop", _finite(both[shot.box], shot.image[shot.box], lpips)
     if shot.box is not None:
-        yield "person_white", finite(alone[shot.box], over_white(shot.image, shot.mask)[shot.box])
+        yield "person_white", _finite(alone[shot.box], over_white(shot.image, shot.mask)[shot.box], lpips)
 
 
-def _means(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
+def _masked(shot: Shot, pose: Pose, lpips: Lpips | None) -> Iterator[tuple[str, dict[str, float | None]]]:
+    """The person alone over black and the picture, both times the mask: whole, and in the mask's box."""
+    import torch
+
+    if shot.box is None:
+        return
+    everything = (slice(0, shot.mask.shape[0]), slice(0, shot.mask.shape[1]))
+    with torch.no_grad():
+        alone = shot.render(shot.learned.person(pose), None, everything, white=False).clamp(0, 1)
+    found, truth = (picture * shot.mask[..., None] for picture in (alone, shot.image))
+    yield "masked_full", _finite(found, truth, lpips)
+    yield "masked_crop", _finite(found[shot.box], truth[shot.box], lpips)
+
+
+def _means(rows: list[dict[str, Any]], regions: tuple[str, ...]) -> dict[str, dict[str, float | None]]:
     """Means over the frames that have the number; None where no frame has it."""
     from statistics import fmean
 
     found: dict[str, dict[str, float | None]] = {}
-    for region in REGIONS:
+    for region in regions:
         found[region] = {}
-        for name in ("psnr", "psnr_per_channel", "ssim", "lpips"):
+        for name in NUMBERS:
             values = [row[region][name] for row in rows if region in row and row[region][name] is not None]
             found[region][name] = round(fmean(values), 5) if values else None
     return found

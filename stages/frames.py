@@ -42,7 +42,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     blurred ones are dropped. One pass, one frame in memory. Raises StageError for a path that is missing, not a video,
     cut short, or has too few frames.
     """
-    from stages.formats.images import write_image
+    from stages.formats.images import shrink, write_image
     from stages.formats.video import decode, pictures, probe
 
     info = probe(video)
@@ -168,21 +168,11 @@ def without_blurred(frames: list[dict]) -> tuple[list[dict], list[dict]]:
     return [frame for frame, keep in pairs if keep], [frame for frame, keep in pairs if not keep]
 
 
-def shrink(pixels, max_side: int):
-    """Resample uint8 [H,W,3] by area so that its longer side is at most `max_side` px; smaller pictures stay."""
-    import cv2
-
-    height, width = pixels.shape[:2]
-    scale = max_side / max(height, width)
-    if scale >= 1:
-        return pixels
-    size = (max(round(width * scale), 1), max(round(height * scale), 1))
-    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-
-
 def sharpness(pixels) -> float:
     """Variance of the Laplacian of the grey picture at a fixed scale (Pech-Pacheco et al. 2000)."""
     import cv2
+
+    from stages.formats.images import shrink
 
     grey = cv2.cvtColor(shrink(pixels, SCORE_SIDE), cv2.COLOR_RGB2GRAY)
     return float(cv2.Laplacian(grey, cv2.CV_32F).var())
@@ -191,6 +181,8 @@ def sharpness(pixels) -> float:
 def thumbnail(pixels):
     """A small blurred grey picture, float32, in which compression noise is gone and a moving hand is not."""
     import cv2
+
+    from stages.formats.images import shrink
 
     grey = cv2.cvtColor(shrink(pixels, 160), cv2.COLOR_RGB2GRAY)
     return cv2.GaussianBlur(grey, (5, 5), 0).astype("float32")

@@ -29,12 +29,15 @@ class Params(contract.Params):
 def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = None) -> None:
     """Write masks/%06d.png (0..255, 255 = person) for every frame and masks.json.
 
+    Masks that a data set brought along are taken like given ones, unless others are given.
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
+    from stages.formats.capture import given_by
     from stages.formats.images import write_mask
 
     facts = json.loads((frames / "frames.json").read_text())
     names = [frame["name"] for frame in facts["frames"]]
+    mask_files = mask_files or given_by(frames, "masks")
     if mask_files is not None:
         source, details, masks = imported(job, params, facts, Path(mask_files))
     else:
@@ -128,7 +131,8 @@ def join(job: Job, facts: dict, files: list[Path]) -> dict[str, Path]:
     by_stem = {stem(file): file for file in files}
     numbers = [number(stem(file)) for file in files]
     total = facts["video"]["frames"]
-    first = 1 if 0 not in numbers and total in numbers else 0
+    named = any("source" in frame for frame in facts["frames"])
+    first = 1 if not named and 0 not in numbers and total in numbers else 0
     unique = {n: file for n, file in zip(numbers, files, strict=True) if n is not None and numbers.count(n) == 1}
     if first:
         job.warn(f"given masks are numbered 1 to {total}: taken as counted from 1")

@@ -26,6 +26,7 @@ PROTOCOLS = {
     "heldout_fitted": "held out, poses fitted",
 }
 REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
+MASKED = {"masked_full": "person times mask, whole", "masked_crop": "person times mask, its box"}
 
 
 class Params(contract.Params):
@@ -71,6 +72,7 @@ def run(
             "trained on.",
         ),
         page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics["protocol"]),
+        *_beside_the_paper(_json(frames / "frames.json").get("dataset"), metrics),
         page.section("Accuracy over time", _curve(train), note="The clock stands still while accuracy is measured."),
         page.section("Where the time went", _times(stamps)),
         page.section(
@@ -123,14 +125,35 @@ def _accuracy(metrics: dict[str, Any]) -> str:
 
     rows = []
     for protocol, title in PROTOCOLS.items():
-        for region, where in REGIONS.items():
-            values = metrics[protocol][region]
-            if values["psnr"] is not None:
+        for region, where in (REGIONS | MASKED).items():
+            values = metrics[protocol].get(region, {})
+            if values.get("psnr") is not None:
                 numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
                 rows.append([title, where, *("too small" if n is None else f"{n:.{d}f}" for n, d in numbers)])
     if not rows:
         return "<p>No held-out frame could be compared.</p>"
     return page.table(["poses", "where", "PSNR dB", "SSIM", "LPIPS"], rows, numeric=(2, 3, 4))
+
+
+def _beside_the_paper(dataset: dict[str, str] | None, metrics: dict[str, Any]) -> list[str]:
+    """A section with the HUGS paper's numbers beside ours, for a sequence that it has."""
+    from stages.formats import page
+    from stages.formats.published import COMPARED, published
+
+    if not dataset:
+        return []
+    rows = []
+    for region, theirs in published(dataset["name"], dataset["sequence"]).items():
+        ours = metrics["heldout"].get(region, {})
+        columns = zip(("PSNR dB", "SSIM", "LPIPS"), ("psnr_per_channel", "ssim", "lpips_legacy"), theirs, strict=True)
+        for title, name, number in columns:
+            if number is not None:
+                value = "not measured" if ours.get(name) is None else f"{ours[name]:.{2 if title == 'PSNR dB' else 3}f}"
+                rows.append([(REGIONS | MASKED)[region], title, value, f"{number:.2f}"])
+    if not rows:
+        return []
+    table = page.table(["where", "measure", "ours", "HUGS, CVPR 2024"], rows, numeric=(2, 3))
+    return [page.section("Beside the paper", table, note=COMPARED[dataset["name"]])]
 
 
 def _curve(train: Path) -> str:

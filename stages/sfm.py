@@ -85,7 +85,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     K = np.array([[pinhole, 0, width / 2], [0, pinhole, height / 2], [0, 0, 1.0]])
     center = np.array(solution.center)
     grid = lens.remap_grid(solution.focal, center, solution.k, pinhole, width, height) if shift >= NO_SHIFT else None
-    for done in write_undistorted(frames, masks, job.out, solution.names, grid):
+    for done in write_undistorted(frames, masks, job.out, solution.names, lambda name: grid):
         job.progress(85 + 14 * done // len(solution.names), 100)
     Ks = np.tile(K, (len(solution.names), 1, 1))
     write_cameras(job.out / "cameras.npz", Cameras(tuple(solution.names), solution.viewmats, Ks, width, height))

@@ -35,14 +35,16 @@ def run(
 ) -> None:
     """Write body.npz, body_model.npz, smpl.json, and landmarks.npz if the poses were estimated here.
 
-    Poses come from `smpl_fit`, or from BlazePose landmarks and the masks. Frames without a person are filled in between
-    their neighbours with confidence 0. Raises StageError if nearly no frame shows a person.
+    Poses come from `smpl_fit`, from the fit that a data set brought along, or from BlazePose landmarks and the masks.
+    Frames without a person are filled in between their neighbours with confidence 0. Raises StageError if nearly no
+    frame shows a person.
     """
     import numpy as np
 
     from stages.estimators.bodyfit_judge import judge
     from stages.formats.body_model import read_body_model, write_body_model
     from stages.formats.cameras import read_cameras
+    from stages.formats.capture import given_by
     from stages.formats.images import read_mask
     from stages.formats.points import read_points
     from stages.formats.poses import write_poses
@@ -52,8 +54,12 @@ def run(
     masks = [read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names]
     points = read_points(sfm / "points.ply")[0].astype(np.float64)
     moving = json.loads((sfm / "sfm.json").read_text())["verdict"] == "moving"
-    listing = {frame["name"]: frame["time_s"] for frame in json.loads((frames / "frames.json").read_text())["frames"]}
-    times = np.array([listing[name] for name in cameras.names], np.float64)
+    listing = json.loads((frames / "frames.json").read_text())
+    taken = {frame["name"]: frame["time_s"] for frame in listing["frames"]}
+    times = np.array([taken[name] for name in cameras.names], np.float64)
+    smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
+    if "dataset" in listing and body_model is None:
+        job.warn("the data set's poses and shapes are those of SMPL, the free body is another: give --body-model FILE")
     if smpl_fit is not None:
         poses, facts = imported(job, smpl_fit, model, cameras, times, points, moving)
         verdict = judge(poses, model, cameras, times, masks)
@@ -85,7 +91,7 @@ def imported(
     for note in fit.notes:
         job.warn(note)
     poses, scale = import_fit(fit, model, cameras, times, points, moving)
-    return poses, {"source": str(smpl_fit), "scale": scale}
+    return poses, {"source": smpl_fit.name, "scale": scale}
 
 
 def estimated(

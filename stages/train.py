@@ -70,7 +70,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
     decisions = json.loads((survey / "survey.json").read_text())["decisions"]
     clip = load_clip(sfm, smpl)
-    train = [i for i in range(len(clip.names)) if not clip.heldout[i]]
+    train = [i for i in range(len(clip.names)) if clip.training[i]]
     if not train:
         raise StageError(
             "no frame is left to train on",
@@ -133,6 +133,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         torch.as_tensor(np.stack([clip.mask(i) for i in frames]), device=job.device),
         tensor(clip.viewmats),
         tensor(clip.Ks),
+        torch.as_tensor(clip.split.moments, device=job.device),
     )
     if not any((views.masks[i] > 127).any() for i in train):
         raise StageError(

@@ -274,7 +274,8 @@ class Fit:
         """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; untrained frames take their neighbours' correction."""
         trained = torch.zeros(len(self.full.images), dtype=torch.bool)
         trained[self.train] = True
-        turn, place = spread(self.frames.pose.weight, trained), spread(self.frames.place.weight, trained)
+        frames, moments = self.frames, self.full.moments
+        turn, place = (spread(t.weight, trained, moments) for t in (frames.pose, frames.place))
         p = self.person
         return p.global_orient + turn[:, :3], p.body_pose + turn[:, 3:], p.transl + place
 
@@ -284,7 +285,7 @@ class Fit:
         trained = torch.zeros(len(self.full.images), dtype=torch.bool)
         trained[self.train] = True
         table = self.frames.gain.weight
-        return spread(table - table[trained].mean(0), trained).exp()
+        return spread(table - table[trained].mean(0), trained, self.full.moments).exp()
 
     # ---- checkpoint ----
 

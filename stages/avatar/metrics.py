@@ -29,9 +29,9 @@ def psnr_per_channel(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def scores(image: Tensor, truth: Tensor, lpips: Lpips | None = None) -> dict[str, float | None]:
-    """psnr, psnr_per_channel, ssim and lpips of pictures [H,W,3] in [0, 1]; lpips is None where it cannot be had.
+    """psnr, psnr_per_channel, ssim, lpips and lpips_legacy of pictures [H,W,3] in [0, 1]; None where one cannot be had.
 
-    That is without weights, and for pictures under `lpips.smallest` px.
+    That is LPIPS without weights, and for pictures under `lpips.smallest` px.
     """
     perceptual = lpips is not None and min(image.shape[:2]) >= lpips.smallest
     with torch.no_grad():
@@ -40,6 +40,7 @@ def scores(image: Tensor, truth: Tensor, lpips: Lpips | None = None) -> dict[str
             "psnr_per_channel": float(psnr_per_channel(image, truth)),
             "ssim": float(ssim(image, truth)),
             "lpips": float(lpips(image, truth)) if perceptual else None,
+            "lpips_legacy": float(lpips(image, truth, legacy=True)) if perceptual else None,
         }
 
 

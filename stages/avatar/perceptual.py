@@ -36,9 +36,11 @@ class Lpips(nn.Module):
         colours = torch.tensor([SHIFT, SCALE], dtype=dtype)
         self.register_buffer("colours", colours, persistent=False)
 
-    def forward(self, a: Tensor, b: Tensor) -> Tensor:
+    def forward(self, a: Tensor, b: Tensor, legacy: bool = False) -> Tensor:
         """Distance [] or [P] of pictures [H,W,3] or [P,H,W,3] with values in [0, 1]; differentiable in both.
 
+        `legacy` leaves out the step from [0, 1] to the [-1, 1] that LPIPS was fitted on, as HUGS and others do: the
+        numbers come out smaller, and compare with theirs alone.
         Raises ValueError for pictures under `smallest` px (64 for AlexNet, whose last tap would see next to nothing).
         """
         if a.shape != b.shape or a.shape[-1] != 3:
@@ -49,7 +51,7 @@ class Lpips(nn.Module):
             raise ValueError(f"LPIPS on {self.net} needs {self.smallest} px each way, the picture has {width}x{height}")
         pair = torch.cat([a.reshape(-1, *a.shape[-3:]), b.reshape(-1, *b.shape[-3:])])
         shift, scale = self.colours
-        taps = self.taps(((2 * pair - 1 - shift) / scale).permute(0, 3, 1, 2))
+        taps = self.taps((((pair if legacy else 2 * pair - 1) - shift) / scale).permute(0, 3, 1, 2))
         distance = 0
         for i, tap in enumerate(taps):
             one, two = _unit(tap).chunk(2)

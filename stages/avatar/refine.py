@@ -31,10 +31,13 @@ class FrameCorrections(nn.Module):
         return self.gain(torch.tensor(frame, device=self.gain.weight.device)).exp()
 
 
-def spread(table: Tensor, trained: Tensor) -> Tensor:
-    """Rows [F,D], those of untrained frames (trained[F] bool) from their neighbours: linear, constant at the ends."""
-    at = torch.arange(len(table), device=table.device)
-    known = at[trained]
+def spread(table: Tensor, trained: Tensor, moments: Tensor | None = None) -> Tensor:
+    """Rows [F,D], those of untrained frames (trained[F] bool) from their neighbours: linear, constant at the ends.
+
+    Neighbours in time: `moments` [F] int64, not falling; None: the frames follow each other.
+    """
+    at = torch.arange(len(table), device=table.device) if moments is None else moments
+    rows, known = trained.nonzero()[:, 0].to(at.device), at[trained]
     if len(known) == 0:
         return torch.zeros_like(table)
     right = torch.searchsorted(known, at).clamp(max=len(known) - 1)
@@ -42,4 +45,4 @@ def spread(table: Tensor, trained: Tensor) -> Tensor:
     left = torch.where(known[right] <= at, right, left)
     gap = (known[right] - known[left]).clamp_min(1)
     part = ((at - known[left]) / gap).clamp(0, 1).to(table)[:, None]
-    return table[known[left]] * (1 - part) + table[known[right]] * part
+    return table[rows[left]] * (1 - part) + table[rows[right]] * part

@@ -13,12 +13,16 @@ NEAR = 0.05  # metres: points of the person nearer to the camera do not widen th
 
 
 class Views(NamedTuple):
-    """Pictures: images uint8[F,H,W,3], masks uint8[F,H,W] (255 = person), viewmats[F,4,4] (metres), Ks[F,3,3] px."""
+    """Pictures: images uint8[F,H,W,3], masks uint8[F,H,W] (255 = person), viewmats[F,4,4] (metres), Ks[F,3,3] px.
+
+    moments int64[F], not falling: when each was taken, in frames; None: one after the other.
+    """
 
     images: Tensor
     masks: Tensor
     viewmats: Tensor
     Ks: Tensor
+    moments: Tensor | None = None
 
     def half(self) -> Views:
         """The same at half the resolution, by area."""
@@ -29,7 +33,7 @@ class Views(NamedTuple):
         Ks[:, 0] *= width / self.masks.shape[2]
         Ks[:, 1] *= height / self.masks.shape[1]
         images = torch.stack([s.permute(1, 2, 0).round().to(torch.uint8) for s in small])
-        return Views(images, torch.stack([m.round().to(torch.uint8) for m in masks]), self.viewmats, Ks)
+        return Views(images, torch.stack([m.round().to(torch.uint8) for m in masks]), self.viewmats, Ks, self.moments)
 
 
 class Person(NamedTuple):

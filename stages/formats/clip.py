@@ -14,8 +14,7 @@ from stages.formats.cameras import Cameras, read_cameras
 from stages.formats.images import read_image, read_mask
 from stages.formats.points import read_points
 from stages.formats.poses import BodyPoses, read_poses
-
-HELD_OUT_EVERY, HELD_OUT_FIRST = 5, 2
+from stages.formats.splits import Split, read_split
 
 
 @dataclass(frozen=True)
@@ -23,6 +22,7 @@ class Clip:
     """C frames with their cameras and bodies, joined by name.
 
     `names` [C]; `viewmats` [C,4,4] float64 camera_from_world in metres, `Ks` [C,3,3] px, one `width` and `height`;
+    `split` says what is trained on and what is held out;
     `points` [P,3] metres and `colors` [P,3] uint8 from SfM (P may be 0); `body` in the order of `names`.
     """
 
@@ -51,9 +51,19 @@ class Clip:
         return self.cameras.height
 
     @cached_property
+    def split(self) -> Split:
+        """Of split.json where there is one, else every 5th frame is held out."""
+        return read_split(self.folder / "split.json", self.names)
+
+    @property
+    def training(self) -> np.ndarray:
+        """bool [C]: what is trained on."""
+        return self.split.training
+
+    @property
     def heldout(self) -> np.ndarray:
-        """bool [C]: every 5th frame, never trained on."""
-        return np.arange(len(self.names)) % HELD_OUT_EVERY == HELD_OUT_FIRST
+        """bool [C]: never trained on, and measured."""
+        return self.split.heldout
 
     def images(self, i: int) -> np.ndarray:
         """Undistorted frame `i`, uint8 [H,W,3]."""

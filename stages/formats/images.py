@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import OpenImageIO as oiio
 
@@ -54,6 +55,16 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
     if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0:
         raise ValueError(f"a picture is uint8 [H,W,3] or [H,W,4], not {pixels.dtype} {pixels.shape}")
     write_uint8(path, pixels)
+
+
+def shrink(pixels: np.ndarray, max_side: int) -> np.ndarray:
+    """Resample uint8 [H,W,3] by area so that its longer side is at most `max_side` px; smaller pictures stay."""
+    height, width = pixels.shape[:2]
+    scale = max_side / max(height, width)
+    if scale >= 1:
+        return pixels
+    size = (max(round(width * scale), 1), max(round(height * scale), 1))
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
 
 
 def read_mask(path: Path) -> np.ndarray:

@@ -45,6 +45,24 @@ def read_pickle(path: Path, hint: str = "") -> dict[str, Any]:
     return {str(key): plain(value, f"{key} in {path}") for key, value in content.items()}
 
 
+def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
+    """The dictionary that numpy.save put into `path`; StageError if there is none, or if it holds more than arrays."""
+    try:
+        with open(path, "rb") as file:
+            version = np.lib.format.read_magic(file)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            _, _, dtype = read(file)
+            content = _ArraysOnly(file, encoding="latin1").load() if dtype.hasobject else None
+    except OSError as error:
+        raise StageError(f"cannot open {path}", hint, [str(error)]) from error
+    except _BROKEN as error:
+        raise StageError(f"{path} is not a .npy file of plain arrays", hint, [f"{error}"]) from error
+    content = content.item() if isinstance(content, np.ndarray) and content.size == 1 else content
+    if not isinstance(content, dict):
+        raise StageError(f"{path} holds no named arrays", hint)
+    return {str(key): plain(value, f"{key} in {path}") for key, value in content.items()}
+
+
 def plain(value: Any, name: str) -> Any:
     """`value` with stand-ins turned into the arrays they hold; StageError naming `name` if that is not possible."""
     if not isinstance(value, _Inert):

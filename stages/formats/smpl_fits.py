@@ -6,6 +6,7 @@
 | AIST, AMASS-like (SMPL, 72) | betas, poses, trans                                 | camera, metres |
 | HUGS and NeuMan             | the first, and scale [N]: X = scale SMPL + transl   | SfM units      |
 | ours (body.npz)             | the first, names, world_from_sfm                    | world, metres  |
+| ZJU-MoCap (NeuralBody)      | Rh, Th, poses, betas: X = exp(Rh) SMPL + Th         | world, metres  |
 
 Rows belong to frames by `names` (or `frame_ids`). Without, row i is frame number i of the video, never the i-th of a
 list.
@@ -37,7 +38,8 @@ class SmplFit:
     """N poses as their file means them, rotation vectors in radians, one shape.
 
     `scale` None: in each frame's camera, X_cam = SMPL + transl in metres. `scale` [N]: X_sfm = scale SMPL + transl in
-    SfM units. `names` None: row i is frame number i. `notes` say what was simplified.
+    SfM units. `names` None: row i is frame number i. `turns` [N,3]: rotation vectors, part of `global_orient`, by which
+    the posed body was turned about the origin instead of its pelvis. `notes` say what was simplified.
     """
 
     path: str
@@ -47,6 +49,7 @@ class SmplFit:
     transl: np.ndarray
     scale: np.ndarray | None = None
     names: tuple[str, ...] | None = None
+    turns: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -57,20 +60,25 @@ class SmplFit:
         index = list(rows)
         parts = {key: getattr(self, key)[index] for key in ("global_orient", "body_pose", "transl")}
         names = None if self.names is None else tuple(self.names[i] for i in index)
-        return replace(self, **parts, scale=None if self.scale is None else self.scale[index], names=names)
+        parts |= {k: v[index] for k in ("scale", "turns") if (v := getattr(self, k)) is not None}
+        return replace(self, **parts, names=names)
 
 
 def read_smpl_fit(path: Path) -> SmplFit:
     """Read any of the families above; StageError with the key, what was found and what was wanted."""
     arrays = read_npz(path, HINT)
-    transl_key = "trans" if "trans" in arrays and "transl" not in arrays else "transl"
+    transl_key = next((key for key in ("transl", "trans", "Th") if key in arrays), "transl")
     transl = take(arrays, transl_key, path, HINT)
     count = len(np.atleast_2d(transl))
     transl = checked(transl, (count, 3), transl_key, path, HINT).astype(np.float64)
     pose = _pose(arrays, count, path)
     betas, notes = _betas(arrays, count, path)
-    scale = None
-    if "scale" in arrays:
+    scale = turns = None
+    if "Rh" in arrays:
+        turns, scale = _rotvecs(arrays["Rh"], count, 1, "Rh", path), np.ones(count)
+        both = [_rotvec(cv2.Rodrigues(a)[0] @ cv2.Rodrigues(b)[0]) for a, b in zip(turns, pose[:, :3], strict=True)]
+        pose[:, :3] = both
+    elif "scale" in arrays:
         scale = checked(arrays["scale"].reshape(-1), (count,), "scale", path, HINT).astype(np.float64)
     elif "world_from_sfm" in arrays:
         world_from_sfm = checked(arrays["world_from_sfm"], (), "world_from_sfm", path, HINT)
@@ -82,7 +90,7 @@ def read_smpl_fit(path: Path) -> SmplFit:
         notes += (
             f"scale varies from {scale.min():.4g} to {scale.max():.4g}; one scale is kept, and depth made to fit",
         )
-    return SmplFit(str(path), betas, pose[:, :3], pose[:, 3:], transl, scale, _names(arrays, count, path), notes)
+    return SmplFit(str(path), betas, pose[:, :3], pose[:, 3:], transl, scale, _names(arrays, count, path), turns, notes)
 
 
 def match_frames(fit: SmplFit, names: Sequence[str]) -> tuple[SmplFit, tuple[str, ...], tuple[str, ...]]:
@@ -117,20 +125,24 @@ def place_in_world(
 
     `viewmats` [N,4,4] camera_from_sfm in SfM units, row by row. A camera-frame fit needs `world_from_sfm`; an SfM-frame
     fit gives it: one over its median scale, each frame moved along its rays to that scale. Turning a body about the
-    camera also moves it, because SMPL turns about the pelvis J0: transl = R^T (J0 + t) - J0 - w R^T T.
+    camera also moves it, because SMPL turns about the pelvis J0: transl = R^T (J0 + t) - J0 - w R^T T; a body turned about the
+    origin by R has t = R J0 - J0 + Th.
     """
     if fit.names is None:
         raise ValueError("match the rows to frames first")
     back, shift = viewmats[:, :3, :3].transpose(0, 2, 1), viewmats[:, :3, 3]
     centres = -(back @ shift[..., None])[..., 0]
+    pelvis = model.J_regressor[0].astype(np.float64) @ (model.v_template + model.shapedirs @ fit.betas)
     if fit.scale is not None:
+        if fit.turns is not None:
+            turned = np.stack([cv2.Rodrigues(turn)[0] @ pelvis for turn in fit.turns])
+            fit = replace(fit, transl=fit.transl + fit.scale[:, None] * (turned - pelvis))
         world_from_sfm = 1 / float(np.median(fit.scale))
         orient = fit.global_orient
         transl = (fit.transl - centres) / fit.scale[:, None] + centres * world_from_sfm
     else:
         if world_from_sfm is None:
             raise ValueError("a fit in camera frames needs world_from_sfm")
-        pelvis = model.J_regressor[0].astype(np.float64) @ (model.v_template + model.shapedirs @ fit.betas)
         _check_in_front(fit, fit.transl + pelvis)
         orient = np.stack([_rotvec(r @ cv2.Rodrigues(v)[0]) for r, v in zip(back, fit.global_orient, strict=True)])
         transl = (back @ (fit.transl + pelvis)[..., None])[..., 0] - pelvis + world_from_sfm * centres

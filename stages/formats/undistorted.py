@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -12,19 +12,30 @@ import numpy as np
 
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 
+Grid = tuple[np.ndarray, np.ndarray]
+
+
+def opencv_grid(K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> Grid:
+    """Where to sample a picture of a lens with OpenCV's k1 k2 p1 p2 k3 so that a pinhole camera of the same K appears.
+
+    `K` [3,3] px, first pixel centre at (0.5, 0.5); the grid is as in `write_undistorted`.
+    """
+    whole = K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    return cv2.initUndistortRectifyMap(whole, distortion, None, whole, (width, height), cv2.CV_32FC1)
+
 
 def write_undistorted(
-    frames: Path, masks: Path, out: Path, names: list[str], grid: tuple[np.ndarray, np.ndarray] | None
+    frames: Path, masks: Path, out: Path, names: list[str], grid_of: Callable[[str], Grid | None]
 ) -> Iterator[int]:
     """Write `names` from frames/images and masks/masks to `out`, sampled at `grid`, yielding how many are done.
 
-    `grid` is (x, y) [H,W] float32 as cv2.remap wants it: centre of the first pixel at (0, 0). None links the files
-    unchanged. Colours are sampled bicubically, masks bilinearly; a sample outside the image takes its nearest pixel.
+    `grid_of` gives a frame's (x, y) [H,W] float32 as cv2.remap wants it: centre of the first pixel at (0, 0). None links
+    the files unchanged. Colours are sampled bicubically, masks bilinearly; a sample outside the image takes its nearest pixel.
     """
     for kind in ("images", "masks"):
         (out / kind).mkdir()
     for done, name in enumerate(names, 1):
-        image, mask = Path("images", f"{name}.png"), Path("masks", f"{name}.png")
+        grid, image, mask = grid_of(name), Path("images", f"{name}.png"), Path("masks", f"{name}.png")
         if grid is None:
             link(frames / image, out / image)
             link(masks / mask, out / mask)

@@ -38,7 +38,7 @@ def scene_only(folder: Path) -> dict:
     joint = json.loads((folder / "evaluate" / "metrics.json").read_text())
     known = json.loads((folder / "train" / "train.json").read_text())
     decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
-    chosen = [i for i in range(len(clip.names)) if not clip.heldout[i]]
+    chosen = [i for i in range(len(clip.names)) if clip.training[i]]
     both = build(clip, chosen, known, decisions)
     options = both.options._replace(scene_cap=sum(known["gaussians"].values()), exposure=False)
     everything = both.full._replace(masks=torch.zeros_like(both.full.masks))

@@ -133,7 +133,7 @@ def prepared(folder: Path, rounds: int, count: int) -> fit.Fit:
     """The joint model of one size, at the first step of full resolution."""
     clip = load_clip(folder / "sfm", folder / "smpl")
     decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
-    chosen = [i for i in range(len(clip.names)) if not clip.heldout[i]]
+    chosen = [i for i in range(len(clip.names)) if clip.training[i]]
     fresh = train.build(clip, chosen, train.Params(rounds=rounds), decisions | {"scene": True}, Job())
     scene = resized(read_scene(folder / "train" / "scene.npz"), count, np.random.default_rng(Job.seed))
     parts = (fresh.full, chosen, fresh.person, fresh.human, model(scene, fresh.options.extent))

@@ -86,7 +86,7 @@ def test_without_a_scene_only_the_person_is_measured(lpips, tiny_human, tmp_path
 
 
 def test_nothing_held_out_is_said(lpips, tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr("stages.formats.clip.HELD_OUT_FIRST", 99)
+    monkeypatch.setattr("stages.formats.splits.HELD_OUT_FIRST", 99)
     metrics, events = run(tiny, tmp_path)
     assert metrics["frames"] == 0 and metrics["heldout"]["full"]["psnr"] is None
     assert any(e["event"] == "warning" and "nothing could be measured" in e["text"] for e in events)
@@ -158,3 +158,12 @@ def test_poses_come_from_training(lpips, tiny, tmp_path):
     metrics, _ = run(clip, out, fit_steps=25)
     held, fitted = (metrics[k]["person_crop"]["psnr"] for k in ("heldout", "heldout_fitted"))
     assert held < 25 and fitted > held + 5
+
+
+def test_the_person_times_the_mask_is_rated_when_asked_for(lpips, tiny, tmp_path):
+    metrics, _ = run(tiny, tmp_path, fit_steps=0, masked=True)
+    held = metrics["heldout"]
+    assert set(held) == {*evaluate.REGIONS, "masked_full", "masked_crop"}
+    assert held["masked_full"]["psnr"] > held["masked_crop"]["psnr"] > 25
+    assert held["masked_full"]["lpips"] > held["masked_full"]["lpips_legacy"] > 0
+    assert "masked_full" in metrics["protocol"] and metrics["protocol"].startswith("Every 5th")

@@ -144,3 +144,11 @@ def test_the_kitchen_man_is_outlined(tmp_path, blazepose, kitchen):
         _, _, stats, _ = cv2.connectedComponentsWithStats((mask > 127).astype(np.uint8))
         assert stats[1:, cv2.CC_STAT_AREA].max() > 0.98 * stats[1:, cv2.CC_STAT_AREA].sum()
         assert read_image(frames / "images" / f"{name}.png").shape[:2] == mask.shape
+
+
+def test_pictures_and_masks_numbered_from_one_belong_together_by_name(tmp_path):
+    frames = make_frames(tmp_path, [0, 1, 2], [f"{i + 1:05d}" for i in range(3)], total=3)
+    named = {f"{i + 1:05d}.png": np.pad(np.full((4, 4), 255, np.uint8), ((i, SIZE[0] - 4 - i), (0, SIZE[1] - 4)))
+             for i in range(3)}  # fmt: skip
+    _, made, _ = run(tmp_path, frames, given(tmp_path, named))
+    assert [int(np.flatnonzero(mask.any(1))[0]) for mask in made.values()] == [0, 1, 2]

@@ -64,10 +64,23 @@ def test_a_person_without_a_scene(tiny_human, tmp_path):
 
 
 def test_a_clip_with_nothing_held_out(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr("stages.formats.clip.HELD_OUT_FIRST", 99)
+    monkeypatch.setattr("stages.formats.splits.HELD_OUT_FIRST", 99)
     text = make(tiny, tmp_path).read_text(encoding="utf-8")
     assert "No held-out frame could be compared." in text
 
 
 def test_durations_are_read_easily():
     assert [report._duration(s) for s in (0.04, 59.94, 60, 3599)] == ["0.0 s", "59.9 s", "1 min 0 s", "59 min 59 s"]
+
+
+def test_the_papers_numbers_stand_beside_ours_for_its_own_sequences():
+    ours = {"psnr": 25.0, "psnr_per_channel": 25.123, "ssim": 0.8412, "lpips": 0.3, "lpips_legacy": None}
+    metrics = {"heldout": {"full": ours, "person_crop": ours}}
+    (section,) = report._beside_the_paper({"name": "neuman", "sequence": "bike"}, metrics)
+    assert all(word in section for word in ("25.12", "25.46", "0.841", "19.48", "not measured", "lpips_legacy"))
+    (section,) = report._beside_the_paper(
+        {"name": "zju", "sequence": "CoreView_386"}, {"heldout": {"masked_full": ours}}
+    )
+    assert "34.11" in section and "25.12" in section and "SSIM" not in section
+    assert report._beside_the_paper({"name": "zju", "sequence": "CoreView_313"}, metrics) == []
+    assert report._beside_the_paper(None, metrics) == []

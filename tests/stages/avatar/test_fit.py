@@ -218,6 +218,8 @@ def test_spread_is_linear_between_and_constant_beyond():
     trained = torch.tensor([False, True, False, False, True, False])
     assert spread(table, trained)[:, 0].tolist() == [1, 1, 2, 3, 4, 4]
     assert spread(table, torch.zeros(6, dtype=torch.bool)).abs().sum() == 0
+    moments = torch.tensor([0, 1, 1, 2, 4, 4])
+    assert spread(table, trained, moments)[:, 0].tolist() == [1, 1, 1, 2, 4, 4], "pictures of one moment share"
 
 
 def test_a_crop_draws_the_same_pixels(clip):

@@ -206,3 +206,19 @@ def test_varying_and_extreme_shapes_are_said(tmp_path, arrays):
     betas[:, 0] = np.linspace(5, 8, N)
     fit = read_smpl_fit(save(tmp_path / "a.npz", **arrays | {"betas": betas}))
     assert len(fit.notes) == 2 and fit.betas[0] == 6.5
+
+
+def test_a_body_turned_about_the_origin_lands_where_it_was(tmp_path, arrays, model):
+    """ZJU-MoCap: X = exp(Rh) SMPL(poses) + Th, whether or not the pose turns the pelvis too."""
+    rng = np.random.default_rng(5)
+    Rh, Th, root = rng.normal(size=(N, 3)), rng.normal(size=(N, 3)), rng.normal(size=(N, 3))
+    betas = np.tile(arrays["betas"].reshape(-1)[:10], (N, 1))
+    poses = np.concatenate([root, np.zeros((N, 69))], 1)
+    path = save(tmp_path / "zju.npz", Rh=Rh, Th=Th, poses=poses, betas=betas, names=np.array(list("012345")[:N]))
+    fit = match_frames(read_smpl_fit(path), list("012345")[:N])[0]
+    found = place_in_world(fit, random_viewmats(rng), model)
+    still = smpl_vertices(model, betas[0], root, np.zeros((N, 3)))
+    truth = np.stack([v @ Rotation.from_rotvec(r).as_matrix().T + t for v, r, t in zip(still, Rh, Th, strict=True)])
+    placed = smpl_vertices(model, found.betas, found.global_orient, found.transl)
+    np.testing.assert_allclose(placed, truth, atol=1e-6)
+    assert found.world_from_sfm == 1

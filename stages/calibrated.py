@@ -1,0 +1,65 @@
+"""Cameras that came with the frames, in place of sfm: the same files, but for sparse/, which the data set has itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from stages import contract
+from stages.contract import Job, StageError
+
+NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
+
+
+class Params(contract.Params):
+    pass
+
+
+def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
+    """Write cameras.npz, points.ply, images/ and masks/ without distortion, split.json and sfm.json."""
+    import shutil
+
+    import numpy as np
+
+    from stages.formats.cameras import read_cameras, write_cameras
+    from stages.formats.capture import given_by, read_lenses
+    from stages.formats.points import read_points
+    from stages.formats.splits import write_split
+    from stages.formats.undistorted import opencv_grid, write_undistorted
+
+    given = given_by(frames, "cameras.npz")
+    if given is None:
+        raise StageError("no cameras came with these frames", "take `stages.sfm` for the frames of a video")
+    cameras, listing = read_cameras(given), json.loads((frames / "frames.json").read_text())
+    lenses = read_lenses(given_by(frames, "lenses.npz"), len(cameras))
+    width, height = cameras.width, cameras.height
+    grids, shift = {}, 0.0
+    keys = [(*K.ravel(), *lens) for K, lens in zip(cameras.Ks, lenses, strict=True)]
+    for key, K, lens in zip(keys, cameras.Ks, lenses, strict=True):
+        if key not in grids:
+            x, y = opencv_grid(K, lens, width, height)
+            moved = float(np.hypot(x - np.arange(width), y - np.arange(height)[:, None]).max())
+            grids[key], shift = (x, y) if moved >= NO_SHIFT else None, max(shift, moved)
+    grid_of = {name: grids[key] for name, key in zip(cameras.names, keys, strict=True)}
+    for done in write_undistorted(frames, masks, job.out, list(cameras.names), grid_of.get):
+        job.progress(done, len(cameras))
+    write_cameras(job.out / "cameras.npz", cameras)
+    shutil.copyfile(given_by(frames, "points.ply"), job.out / "points.ply")
+    rows = {row["name"]: (row["split"], row["moment"]) for row in listing["frames"]}
+    write_split(job.out / "split.json", listing["dataset"]["rule"], rows)
+    points = len(read_points(job.out / "points.ply")[0])
+    training = np.array([rows[name][0] == "train" for name in cameras.names])
+    moving = np.ptp(cameras.centers[training], axis=0).max() > 0
+    facts = {
+        "verdict": "moving" if moving else "static camera",
+        "registered": len(cameras),
+        "of": len(listing["frames"]),
+        "dropped": [],
+        "focal_px": float(np.median(cameras.Ks[:, 0, 0])),
+        "focal_source": "given",
+        "distortion": {"model": "OPENCV", "params": lenses[0].tolist(), "max_shift_px": shift},
+        "points": points,
+        **json.loads(given_by(frames, "sfm.json").read_text()),
+    }
+    (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
+    job.note(f"{len(cameras)} cameras and {points} points as given; the lens moves pixels by up to {shift:.1f} px")

@@ -1,0 +1,44 @@
+"""split.json of the sfm stage: which frames are trained on and which are measured, where a data set says so."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+EVERY_FIFTH = "Every 5th registered frame is held out."
+HELD_OUT_EVERY, HELD_OUT_FIRST = 5, 2
+
+
+@dataclass(frozen=True)
+class Split:
+    """Of C frames: `training` and `heldout` bool [C] (a frame may be neither), `moments` int [C], not falling.
+
+    Frames of one moment show one pose, so what training learns of a pose holds for all of them. `rule` is a sentence.
+    """
+
+    training: np.ndarray
+    heldout: np.ndarray
+    moments: np.ndarray
+    rule: str
+
+
+def write_split(path: Path, rule: str, frames: dict[str, tuple[str, int]]) -> None:
+    """Write `frames`: name -> (train, heldout or unused; moment)."""
+    rows = {name: {"split": split, "moment": moment} for name, (split, moment) in frames.items()}
+    path.write_text(json.dumps({"rule": rule, "frames": rows}, indent=1) + "\n")
+
+
+def read_split(path: Path, names: tuple[str, ...]) -> Split:
+    """The split of the frames `names`; without a file every 5th is held out and all others are trained on."""
+    if not path.exists():
+        at = np.arange(len(names))
+        heldout = at % HELD_OUT_EVERY == HELD_OUT_FIRST
+        return Split(~heldout, heldout, at, EVERY_FIFTH)
+    found = json.loads(path.read_text())
+    rows = [found["frames"][name] for name in names]
+    kind = np.array([row["split"] for row in rows], np.str_)
+    moments = np.array([row["moment"] for row in rows], np.int64)
+    return Split(kind == "train", kind == "heldout", moments, found["rule"])

@@ -1,0 +1,268 @@
+"""NeuMan and ZJU-MoCap in place of a video: cameras, masks and poses against the truth, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hugs_cli import pipelines
+from stages import calibrated, masks, neuman, smpl, zju
+from stages.contract import Job, StageError
+from stages.formats.body_model import read_body_model
+from stages.formats.cameras import Cameras, read_cameras
+from stages.formats.clip import load_clip
+from stages.formats.images import read_image, read_mask, write_mask
+from stages.formats.neuman import paper_split
+from stages.formats.poses import BodyPoses, read_poses
+from stages.formats.zju import number
+from tests import datasets
+from tests.truth import Similarity, align, camera_errors, joints_of, psnr
+
+
+def go(folder: Path, first, out: Path, **params) -> tuple[dict[str, Path], list[str]]:
+    """Run the stages up to smpl with their pipeline's settings; their folders, and what they said."""
+    done = {name: out / name for name in ("frames", "masks", "sfm", "smpl")}
+    for place in done.values():
+        place.mkdir(parents=True)
+    said: list[str] = []
+
+    def job(name: str) -> Job:
+        return Job(done[name], emit=lambda event: said.append(event.get("text", "")))
+
+    stages = pipelines.load(first.__name__.rpartition(".")[2]).stages
+    first.run(job("frames"), stages["frames"].params.model_copy(update=params), video=folder)
+    masks.run(job("masks"), stages["masks"].params, frames=done["frames"])
+    calibrated.run(job("sfm"), stages["sfm"].params, frames=done["frames"], masks=done["masks"])
+    smpl.run(job("smpl"), stages["smpl"].params, frames=done["frames"], sfm=done["sfm"])
+    return done, said
+
+
+def iou(found: np.ndarray, truth: np.ndarray) -> float:
+    return ((found > 127) & (truth > 127)).sum() / ((found > 127) | (truth > 127)).sum()
+
+
+def worst_joint(found: BodyPoses, truth: BodyPoses, order: list[int], similarity: Similarity) -> float:
+    """Largest distance in m of a joint from its true place."""
+    model = read_body_model()
+    gap = similarity.to_truth(joints_of(found, model)) - joints_of(truth, model)[order]
+    return float(np.linalg.norm(gap, axis=-1).max())
+
+
+def refused(folder: Path, first, out: Path, **params) -> StageError:
+    with pytest.raises(StageError) as caught:
+        go(folder, first, out, **params)
+    assert caught.value.hint and caught.value.facts and not caught.value.problem.endswith(".")
+    return caught.value
+
+
+@pytest.fixture(scope="module")
+def bike(tmp_path_factory):
+    """The data set's folder, the truth's, the stages' folders, and what they said."""
+    folder = tmp_path_factory.mktemp("neuman")
+    made = datasets.neuman(folder)
+    return made, *go(made.folder, neuman, folder / "out")
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("zju")
+    made = datasets.zju(folder, side=160)
+    return made, *go(made.folder, zju, folder / "out", test_every=2)
+
+
+def test_neuman_cameras_and_points_are_the_true_ones(bike):
+    made, done, _ = bike
+    found, truth = read_cameras(done["sfm"] / "cameras.npz"), read_cameras(made.truth / "cameras.npz")
+    errors = camera_errors(found, truth, 15)
+    assert errors.registered == 1 and errors.worst < 1e-6 and errors.turn_degrees < 1e-5 and errors.focal < 1e-9
+    np.testing.assert_allclose(found.Ks, truth.Ks, atol=1e-9)
+    facts = json.loads((done["sfm"] / "sfm.json").read_text())
+    assert facts["verdict"] == "moving" and facts["points"] == 400 and facts["reprojection_px"] == 0.5
+    assert 5 < facts["median_triangulation_deg"] < 60
+    clip = load_clip(done["sfm"], done["smpl"])
+    points = align(found, truth, clip.body.world_from_sfm).to_truth(clip.points)
+    assert points[:, 1].min() > -0.01, "the floor is the lowest thing in the room"
+
+
+def test_neuman_masks_and_poses_are_the_true_ones(bike):
+    made, done, said = bike
+    names = read_cameras(done["sfm"] / "cameras.npz").names
+    for name in names:
+        for kind, read in (("images", read_image), ("masks", read_mask)):
+            found, true = (read(place / kind / f"{name}.png") for place in (done["sfm"], made.truth))
+            np.testing.assert_array_equal(found, true)
+    found, truth = read_poses(done["smpl"] / "body.npz"), read_poses(made.truth / "body.npz")
+    cameras = read_cameras(done["sfm"] / "cameras.npz"), read_cameras(made.truth / "cameras.npz")
+    similarity = align(*cameras, found.world_from_sfm)
+    assert similarity.scale == pytest.approx(1, abs=1e-4), "metres are metres"
+    assert worst_joint(found, truth, list(range(15)), similarity) < 1e-3
+    assert any("scale varies" in text for text in said) and any("--body-model" in text for text in said)
+
+
+def test_the_split_is_the_papers():
+    assert {n: paper_split(n)[0] for n in (41, 37, 42)} == {41: [2, 7, 12, 17], 37: [2, 7, 12], 42: [2, 7, 12, 17]}
+    assert [(len(a), len(b)) for a, b in map(paper_split, (104, 102, 103))] == [(10, 11), (10, 10), (10, 11)]
+    assert all(paper_split(n)[0] == list(range(2, 48, 5)) for n in (104, 102, 103))
+
+
+def test_only_test_frames_are_measured_and_none_of_the_held_out_are_trained_on(bike):
+    _, done, _ = bike
+    clip = load_clip(done["sfm"], done["smpl"])
+    assert np.flatnonzero(clip.heldout).tolist() == [2]
+    assert np.flatnonzero(~clip.training & ~clip.heldout).tolist() == [7, 12]
+    assert "HUGS" in clip.split.rule
+
+
+def test_split_files_of_the_data_set_win(tmp_path):
+    made = datasets.neuman(tmp_path, frames=8, width=48, height=64)
+    (made.folder / "test_split.txt").write_text("00001.png\n00006.png\n")
+    (made.folder / "train_split.txt").write_text("\n".join(f"{i:05d}.png" for i in (0, 2, 3, 4)) + "\n")
+    done, _ = go(made.folder, neuman, tmp_path / "out")
+    clip = load_clip(done["sfm"], done["smpl"])
+    assert np.flatnonzero(clip.heldout).tolist() == [1, 6] and np.flatnonzero(clip.training).tolist() == [0, 2, 3, 4]
+    (made.folder / "test_split.txt").write_text("00002.png\n")
+    error = refused(made.folder, neuman, tmp_path / "again")
+    assert "name the same pictures" in error.problem and "00002.png" in error.facts[0]
+
+
+def test_smaller_pictures_a_lens_and_the_other_masks(tmp_path):
+    made = datasets.neuman(tmp_path, frames=8, k=0.05)
+    for path in (made.folder / "4d_humans" / "sam_segmentations").iterdir():
+        path.unlink()
+    (made.folder / "4d_humans" / "sam_segmentations").rmdir()
+    done, said = go(made.folder, neuman, tmp_path / "out", max_side=64)
+    assert any("distortion of up to 0.05, left out" in text for text in said)
+    found, truth = read_cameras(done["sfm"] / "cameras.npz"), read_cameras(made.truth / "cameras.npz")
+    assert (found.width, found.height) == (48, 64)
+    np.testing.assert_allclose(found.Ks[:, :2], truth.Ks[:, :2] / 2, atol=1e-9)
+    small = read_mask(done["sfm"] / "masks" / "000003.png")
+    true = read_mask(made.truth / "masks" / "000003.png").reshape(64, 2, 48, 2).mean((1, 3))
+    assert iou(small, true) > 0.97
+
+
+def test_zju_cameras_pictures_and_masks_are_the_true_ones(core):
+    made, done, _ = core
+    found, truth = read_cameras(done["sfm"] / "cameras.npz"), read_cameras(made.truth / "cameras.npz")
+    order = order_of(done)
+    errors = camera_errors(renamed(found, order), truth, len(order))
+    assert errors.worst < 1e-9 and errors.turn_degrees < 1e-5
+    np.testing.assert_allclose(found.Ks, truth.Ks[order], atol=1e-9)
+    inside = np.s_[6:-6, 6:-6]
+    for name, i in zip(found.names, order, strict=True):
+        images = (done["sfm"] / "images" / f"{name}.png", made.truth / "images" / f"{i:06d}.png")
+        bent = read_image(done["frames"] / "images" / f"{name}.png")
+        straight, true = (read_image(path) for path in images)
+        assert psnr(straight[inside], true[inside]) > max(25, 3 + psnr(bent[inside], true[inside]))
+        shift, _ = cv2.phaseCorrelate(*(p[inside].mean(2) for p in (straight, true)))
+        assert np.abs(shift).max() < 0.1, "no half pixel is lost"
+        assert (
+            iou(read_mask(done["sfm"] / "masks" / f"{name}.png"), read_mask(made.truth / "masks" / f"{i:06d}.png"))
+            > 0.91  # the truth counts half-covered pixels in, each resampling about half of them
+        )
+    facts = json.loads((done["sfm"] / "sfm.json").read_text())
+    assert facts["verdict"] == "static camera" and facts["points"] == 0 and facts["distortion"]["max_shift_px"] > 1
+
+
+def order_of(done: dict[str, Path]) -> list[int]:
+    """The truth's view of each frame: camera * 6 + moment."""
+    rows = json.loads((done["frames"] / "frames.json").read_text())["frames"]
+    return [int(row["source"].partition("_")[0]) * 6 + row["moment"] for row in rows]
+
+
+def renamed(cameras: Cameras, order: list[int]) -> Cameras:
+    names = tuple(f"{i:06d}" for i in order)
+    return Cameras(names, cameras.viewmats, cameras.Ks, cameras.width, cameras.height)
+
+
+@pytest.mark.parametrize("subject", [377, 313])
+def test_zju_poses_are_the_true_ones(core, subject, tmp_path):
+    made, done = core[:2]
+    if subject == 313:
+        made = datasets.zju(tmp_path, subject=313, side=48)
+        done, _ = go(made.folder, zju, tmp_path / "out", test_every=2)
+    order = order_of(done)
+    found, truth = read_poses(done["smpl"] / "body.npz"), read_poses(made.truth / "body.npz")
+    known = renamed(read_cameras(done["sfm"] / "cameras.npz"), order), read_cameras(made.truth / "cameras.npz")
+    similarity = align(*known, found.world_from_sfm)
+    assert similarity.scale == pytest.approx(1, abs=1e-9)
+    assert worst_joint(found, truth, order, similarity) < 1e-3
+    assert (found.confidence > 0.5).all(), "the body lies on the masks"
+
+
+def test_zju_learns_from_one_camera_and_is_measured_on_the_others(core):
+    _, done, _ = core
+    clip = load_clip(done["sfm"], done["smpl"])
+    rows = json.loads((done["frames"] / "frames.json").read_text())["frames"]
+    assert clip.training.sum() == 6 and clip.heldout.sum() == 6 and len(clip.names) == 12
+    assert {row["source"][:2] for row, there in zip(rows, clip.training, strict=True) if there} == {"00"}
+    assert {row["moment"] for row, there in zip(rows, clip.heldout, strict=True) if there} == {0, 2, 4}
+    assert (np.diff(clip.split.moments) >= 0).all()
+
+
+def test_a_corner_of_every_layout_is_read():
+    assert number("Camera_B1/000012.jpg") == 12
+    assert number("Camera (1)/CoreView_313_Camera_(1)_0013_2019-08-23_16-08-50.592.jpg") == 13
+
+
+@pytest.mark.parametrize(
+    ("kind", "gone", "problem"),
+    [
+        ("neuman", "sparse/images.txt", "cannot read"),
+        ("neuman", "4d_humans/smpl_optimized_aligned_scale.npz", "is not a NeuMan sequence"),
+        ("neuman", "images/00003.png", "1 of 8 pictures of sparse/ are not in images/"),
+        ("neuman", "4d_humans/sam_segmentations/mask_0003.png", "7 masks in"),
+        ("zju", "annots.npy", "is not a ZJU-MoCap sequence"),
+        ("zju", "new_params/2.npy", "cannot open"),
+        ("zju", "Camera_B1/000001.jpg", "1 files that annots.npy needs are not in"),
+    ],
+)
+def test_what_is_missing_is_named(tmp_path, kind, gone, problem):
+    if kind == "neuman":
+        made, stage = datasets.neuman(tmp_path, frames=8, width=48, height=64), neuman
+    else:
+        made, stage = datasets.zju(tmp_path, side=48), zju
+    (made.folder / gone).unlink()
+    assert problem in refused(made.folder, stage, tmp_path / "out").problem
+
+
+def test_what_does_not_fit_is_named(tmp_path):
+    made = datasets.neuman(tmp_path, frames=8, width=48, height=64)
+    cameras = made.folder / "sparse" / "cameras.txt"
+    text = cameras.read_text()
+    cameras.write_text(text.replace("PINHOLE 48", "FISHEYE 48"))
+    assert "known are SIMPLE_PINHOLE" in refused(made.folder, neuman, tmp_path / "a").facts[0]
+    cameras.write_text(text.replace("PINHOLE 48", "PINHOLE 50"))
+    assert refused(made.folder, neuman, tmp_path / "b").facts == ("picture 48x64, camera 50x64",)
+    cameras.write_text("1 PINHOLE 48 x\n")
+    assert "line 1 of" in refused(made.folder, neuman, tmp_path / "c").problem
+
+
+class Runs:
+    def __reduce__(self):
+        return print, ("code ran",)
+
+
+def test_no_code_of_a_pickle_is_run(tmp_path, capsys):
+    made = datasets.zju(tmp_path, side=48)
+    np.save(made.folder / "annots.npy", {"cams": Runs(), "ims": []})
+    error = refused(made.folder, zju, tmp_path / "out")
+    assert "refused" in error.facts[0] and "code ran" not in capsys.readouterr().out
+    (made.folder / "annots.npy").write_bytes(pickle.dumps({"cams": 1}))
+    assert "annots.npy" in refused(made.folder, zju, tmp_path / "again").problem
+
+
+def test_a_folder_of_labels_that_are_not_zero_is_the_person(tmp_path):
+    """One of the two mask folders is enough, whatever its labels are."""
+    made = datasets.zju(tmp_path, side=48)
+    for path in sorted((made.folder / "mask_cihp").rglob("*.png")):
+        path.unlink()
+    for path in (made.folder / "mask").rglob("*.png"):
+        write_mask(path, read_mask(path) * np.uint8(7))
+    done, _ = go(made.folder, zju, tmp_path / "out", test_every=9)
+    lower = read_mask(done["masks"] / "masks" / "000000.png")
+    assert (lower[:20] == 0).all() and (lower > 127).any()
