@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.ssim import ssim
 
 SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
+SEAM = 0.004  # of the longer side: the width around the person from which the scene learns nothing
 LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
@@ -26,8 +28,11 @@ def outside_person(image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     """The image [H,W,3] with its person pixels (mask[H,W] 0..1) taken for right: the scene learns nothing from them.
 
     Otherwise the scene explains what the body model does not, and keeps a ghost of the person (issue 21 of ml-hugs).
+    The same goes for a seam around the person: masks end early, and colours of the person bleed over their edge.
     """
-    return target + (1 - mask)[..., None] * (image - target)
+    seam = max(1, round(SEAM * max(mask.shape)))
+    wide = F.max_pool2d(mask[None, None], 2 * seam + 1, 1, seam)[0, 0]
+    return target + (1 - wide)[..., None] * (image - target)
 
 
 def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
