@@ -149,7 +149,8 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     poses = (tensor(clip.body.global_orient), tensor(clip.body.body_pose), tensor(clip.body.transl))
     weights = body.lbs_weights.to(job.device)
     present = torch.as_tensor(np.asarray(clip.body.confidence) > 0)
-    person = Person(*poses, present, tensor(joints), body.parents, DA_POSE.to(job.device), tensor(vertices[0]), weights)
+    joints, at = tensor(joints), tensor(vertices[0])
+    person = Person(*poses, present, joints, body.parents, DA_POSE.to(job.device), at, weights, faces)
     human = HumanModel(
         person.vertices,
         faces,
@@ -178,7 +179,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
             [clip.mask(i) for i in chosen],
             clip.viewmats[chosen],
             clip.Ks[chosen],
-            clip.body.transl[chosen] + joints[0].cpu().numpy(),
+            clip.body.transl[chosen] + person.joints[0].cpu().numpy(),
             params.scene_fill,
             rng,
         )
@@ -297,6 +298,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     import torch
 
+    from stages.avatar.bake import lined
     from stages.avatar.densify import strays
     from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
@@ -306,11 +308,14 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     def array(tensor: torch.Tensor):
         return tensor.detach().cpu().numpy()
 
-    (c, _), p = fit.baked(), fit.person
+    (c, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
+    p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
     stray = strays(c.means, p.vertices) | fit.human.defectors(c.weights)
     c = Canonical(*(part[~stray] for part in c))
     if stray.any():
         job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
+    c = lined(learned := c, p, fit.full, fit.train)
+    job.note(f"{len(c.means) - len(learned.means):,} Gaussians put under the skin, so that no pose tears holes")
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
         lbs_weights=array(c.weights),
@@ -325,8 +330,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         quats = s.quats / s.quats.norm(dim=1, keepdim=True)
         parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
         write_splats(job.out / "scene.npz", Scene(*(array(t) for t in parts)))
-    orient, body_pose, transl = (array(t) for t in fit.bodies())
-    write_poses(job.out / "body.npz", replace(clip.body, global_orient=orient, body_pose=body_pose, transl=transl))
+    poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
+    write_poses(job.out / "body.npz", replace(clip.body, **poses))
     with (job.out / "curve.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
@@ -337,6 +342,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "extent_m": fit.options.extent,
         "gaussians": _size(fit) | {"human": len(avatar)},
         "strays": int(stray.sum()),
+        "lining": len(c.means) - len(learned.means),
         "not_finite": fit.bad,
         "not_drawn": fit.undrawn,
         "train_frames": [clip.names[i] for i in fit.train],

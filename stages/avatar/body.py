@@ -173,6 +173,17 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     return normals / torch.where(length == 0, 1.0, length)
 
 
+def edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Mean length [V] in metres of the edges at each of vertices[V,3]; zero for a vertex in no face."""
+    corners = vertices[faces]
+    lengths = (corners - corners.roll(-1, 1)).norm(dim=2)
+    around = lengths + lengths.roll(1, 1)
+    total, count = (torch.zeros(len(vertices)).to(vertices) for _ in range(2))
+    total.index_add_(0, faces.flatten(), around.flatten())
+    count.index_add_(0, faces.flatten(), torch.full_like(around, 2).flatten())
+    return total / count.clamp_min(1)
+
+
 def _levels(parents: list[int]) -> list[list[int]]:
     """Joints by depth below the root, so that one matrix product does a whole level."""
     depth = [0] * len(parents)

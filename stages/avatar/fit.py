@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar import losses
+from stages.avatar.bake import as_body_where_unseen, lean
 from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.gaussians import Splats, contain
@@ -24,7 +25,6 @@ from stages.avatar.views import Person, Views
 
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
 BAD_STEPS = 20  # in a row, after which training stops
-TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
@@ -146,7 +146,8 @@ class Fit:
             bare = (1 - only.alpha)[..., None] * background
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
-            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
+            rim = losses.rim(mask)[crop]
+            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], rim, background)
             loss = loss + apart
             numbers["person"] = apart.item()
         if "veil" in layers:
@@ -260,13 +261,9 @@ class Fit:
 
     @torch.no_grad()
     def baked(self) -> tuple[Canonical, Resting]:
-        """The person to keep as of now, in the canonical and in the rest pose, without gradients.
-
-        As decoded, but as the body says where no training frame has shown it yet.
-        """
-        taught = self.taught > TAUGHT * self.taught.mean()
-        pairs = zip(self._decode()[0], self.human.untaught(), strict=True)
-        canonical = Canonical(*(torch.where(taught.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
+        """The person to keep as of now, in the canonical and in the rest pose, without gradients; see `bake`."""
+        canonical = as_body_where_unseen(self._decode()[0], self.human.untaught(), self.taught)
+        canonical = lean(canonical, self.taught)
         return canonical, rest(canonical, self.canonical_bones)
 
     @torch.no_grad()

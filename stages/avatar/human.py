@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.body import rest_relative_transforms, subdivide, vertex_normals
+from stages.avatar.body import edge_lengths, rest_relative_transforms, subdivide, vertex_normals
 from stages.avatar.decoders import TEMPERATURE, Decoders, FreeCorrections
 from stages.avatar.gaussians import Splats
 from stages.avatar.rotations import matrix_from_6d, matrix_from_quat, matrix_from_rotvec, rotation_z_to
@@ -113,17 +113,6 @@ def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl:
     return pose(avatar.resting, bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose), transl)
 
 
-def _edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Mean length [V] of the edges at each vertex."""
-    corners = vertices[faces]
-    lengths = (corners - corners.roll(-1, 1)).norm(dim=2)
-    around = lengths + lengths.roll(1, 1)
-    total, count = (torch.zeros(len(vertices)).to(vertices) for _ in range(2))
-    total.index_add_(0, faces.flatten(), around.flatten())
-    count.index_add_(0, faces.flatten(), torch.full_like(around, 2).flatten())
-    return total / count.clamp_min(1)
-
-
 class HumanModel(nn.Module):
     """The trainable person: positions per Gaussian, everything else = initial value + what triplane and decoders say.
 
@@ -165,7 +154,7 @@ class HumanModel(nn.Module):
             self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(vertices)
         else:
             self.free = FreeCorrections(len(points), sh_degree, joints).to(vertices)
-        half = (0.5 * _edge_lengths(points, triangles)).clamp_min(1e-4)
+        half = (0.5 * edge_lengths(points, triangles)).clamp_min(1e-4)
         self.xyz = nn.Parameter(points.clone())
         self.register_buffer("frames", rotation_z_to(vertex_normals(points, triangles)))
         self.register_buffer("log_sizes", torch.stack([half, half, 0.5 * half], 1).log())

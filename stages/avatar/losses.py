@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.ssim import ssim
@@ -11,6 +10,8 @@ from stages.avatar.ssim import ssim
 SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
 SEAM = 0.004  # of the longer side: the width around the person from which the scene learns nothing
+RIM = 0.003  # of the longer side: the width inside an outline where colours are not the person's alone
+RIM_ALPHA = 0.6  # more weight of |alpha - mask| there, as colours do not tell
 LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
@@ -30,9 +31,18 @@ def outside_person(image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     Otherwise the scene explains what the body model does not, and keeps a ghost of the person (issue 21 of ml-hugs).
     The same goes for a seam around the person: masks end early, and colours of the person bleed over their edge.
     """
-    seam = max(1, round(SEAM * max(mask.shape)))
-    wide = F.max_pool2d(mask[None, None], 2 * seam + 1, 1, seam)[0, 0]
-    return target + (1 - wide)[..., None] * (image - target)
+    return target + (1 - widened(mask, SEAM))[..., None] * (image - target)
+
+
+def widened(mask: Tensor, width: float) -> Tensor:
+    """The mask [H,W], grown by `width` of its longer side, by one pixel at least; -widened(-mask, width) shrinks it."""
+    for _ in range(2):  # a square is a row of rows
+        grown = mask.clone()
+        for by in range(1, max(1, round(width * max(mask.shape))) + 1):
+            torch.maximum(grown[by:], mask[:-by], out=grown[by:])
+            torch.maximum(grown[:-by], mask[by:], out=grown[:-by])
+        mask = grown.T
+    return mask
 
 
 def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
@@ -40,14 +50,23 @@ def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
     return background + mask[..., None] * (image - background)
 
 
-def person_only(rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
+def person_only(
+    rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, rim: Tensor, background: Tensor
+) -> Tensor:
     """Loss of a person-only render [H,W,3] over `background`[3], with its alpha[H,W], against the masked image.
 
-    rendered, alpha, image, mask are one crop. Finite for every mask from empty to full; render and target share the
-    same draw of the background (G06, G16).
+    All are one crop. Finite for every mask from empty to full; render and target share the same draw of the background
+    (G06, G16). In the `rim`[H,W] pixels are mixed with what is behind, and masks end a little late: these colours
+    would turn into light specks on the person's sides, so there alpha alone is taught.
     """
     target = over_background(image, mask, background)
-    return photometric(rendered, target) + ALPHA * (alpha - mask).abs().mean()
+    inside = target + (1 - rim)[..., None] * (rendered - target)
+    return photometric(inside, target) + ((ALPHA + RIM_ALPHA * rim) * (alpha - mask).abs()).mean()
+
+
+def rim(mask: Tensor) -> Tensor:
+    """What of a person's mask [H,W] is near its outline, 0..1."""
+    return mask + widened(-mask, RIM)
 
 
 def skinning(weights: Tensor, reference: Tensor) -> Tensor:

@@ -40,7 +40,7 @@ class Person(NamedTuple):
     """The fitted body of all frames, and what the canonical pose needs.
 
     global_orient[F,3], body_pose[F,69], transl[F,3], present[F] (False: no fit worth learning from), joints[24,3] at
-    rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24].
+    rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3].
     """
 
     global_orient: Tensor
@@ -52,6 +52,7 @@ class Person(NamedTuple):
     canonical_pose: Tensor
     vertices: Tensor
     weights: Tensor
+    faces: Tensor
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:

@@ -27,7 +27,7 @@ def standing():
     poses = (torch.zeros(2, 3), DA_POSE.expand(2, -1), torch.zeros(2, 3))
     present = torch.ones(2, dtype=torch.bool)
     joints = body.rest(betas)[1]
-    return human, Person(*poses, present, joints, body.parents, DA_POSE, vertices, body.lbs_weights)
+    return human, Person(*poses, present, joints, body.parents, DA_POSE, vertices, body.lbs_weights, faces)
 
 
 def views():

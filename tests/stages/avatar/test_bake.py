@@ -1,0 +1,134 @@
+"""What is kept of a person: unseen rows as the body says, colours that lean on sure ones, a lining under the skin."""
+
+import numpy as np
+import pytest
+import torch
+
+from stages.avatar import bake
+from stages.avatar.body import DA_POSE, Body
+from stages.avatar.compose import compose
+from stages.avatar.human import Canonical, HumanModel, bone_transforms, pose, rest
+from stages.avatar.synthetic import look_at
+from stages.avatar.views import Person, Views
+from stages.formats.body_model import read_body_model
+
+SIZE, STILL = 192, torch.zeros(3)
+EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))
+ARMS_UP = DA_POSE.clone().view(23, 3)
+ARMS_UP[15, 2], ARMS_UP[16, 2] = 1.0, -1.0  # shoulders, far above the da-pose
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """A red person as the free body has it, opaque, and where it stands: at the origin, in the da-pose."""
+    data = read_body_model(None)
+    body, betas, still = Body(data), torch.zeros(10), torch.zeros(1, 3)
+    vertices = body(betas, still, DA_POSE[None], still)[0][0]
+    faces = torch.as_tensor(data.faces.astype(np.int64))
+    sizes = {"rounds": 0, "channels": 2, "resolution": 8, "sh_degree": 0}
+    human = HumanModel(vertices, faces, body.lbs_weights, **sizes, generator=torch.Generator().manual_seed(0))
+    red = torch.tensor([1.0, -1, -1]).expand(len(vertices), 1, 3)
+    person = human.untaught()
+    person = person._replace(sh=red, opacities=torch.full_like(person.opacities, 0.99), scales=1.5 * person.scales)
+    frames = len(EYES)
+    poses = (torch.zeros(frames, 3), DA_POSE.expand(frames, -1), torch.zeros(frames, 3))
+    present = torch.ones(frames, dtype=torch.bool)
+    where = Person(*poses, present, body.rest(betas)[1], body.parents, DA_POSE, vertices, body.lbs_weights, faces)
+    return person, where
+
+
+def drawn(person: Canonical, where: Person, frame: int, body_pose=DA_POSE):
+    resting = rest(person, bone_transforms(where.joints, where.parents, STILL, DA_POSE))
+    splats = pose(resting, bone_transforms(where.joints, where.parents, STILL, body_pose), STILL)
+    cameras = views(torch.zeros(len(EYES), SIZE, SIZE))
+    return compose(splats, None, cameras.viewmats[frame], cameras.Ks[frame], SIZE, SIZE)
+
+
+def views(masks) -> Views:
+    up = np.array([0.0, 1, 0])
+    viewmats = torch.tensor(np.stack([look_at(np.array(eye, float), np.zeros(3), up) for eye in EYES])).float()
+    K = torch.tensor([[270.0, 0, SIZE / 2], [0, 270, SIZE / 2], [0, 0, 1]]).expand(len(EYES), 3, 3)
+    return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), (255 * masks).round().byte(), viewmats, K)
+
+
+def silhouettes(person, where, body_pose=DA_POSE):
+    return torch.stack([drawn(person, where, frame, body_pose).alpha for frame in range(len(EYES))])
+
+
+@pytest.fixture(scope="module")
+def torn(standing):
+    """The same with a hole on each side of the chest, and what is kept of it; and which rows the holes took."""
+    person, where = standing
+    hole = (person.means[:, 0].abs() > 0.02) & (person.means[:, 0].abs() < 0.11)
+    hole &= where.weights[:, [3, 6, 9]].sum(1) > 0.5
+    left = Canonical(*(part[~hole] for part in person))
+    kept = bake.lined(left, where, views(silhouettes(person, where)), [0, 1, 2])
+    return left, kept, hole
+
+
+def test_nobody_is_seen_through_in_any_pose(standing, torn):
+    (person, where), (left, kept, hole) = standing, torn
+    assert hole.sum() > 50 and len(left.means) < len(kept.means)
+    for body_pose in (DA_POSE, ARMS_UP.flatten()):
+        whole, open_, closed = (silhouettes(p, where, body_pose)[0] for p in (person, left, kept))
+        seen = (whole > 0.98) & (open_ < 0.6)
+        assert seen.sum() > 40, "the hole is there"
+        assert closed[seen].quantile(0.02) > 0.9
+
+
+def test_the_lining_has_the_colour_of_the_skin_above_it(standing, torn):
+    (person, where), (left, kept, _) = standing, torn
+    assert torch.equal(kept.means[: len(left.means)], left.means), "the person's own rows stay as they are"
+    assert torch.allclose(kept.sh[len(left.means) :], person.sh[:1], atol=1e-6)
+    image = drawn(kept, where, 0).image
+    opaque = drawn(kept, where, 0).alpha > 0.98
+    red = 0.5 + 0.28209479 * person.sh[0, 0]
+    assert (image[opaque] - red).abs().max() < 0.03
+
+
+def test_the_lining_never_shows_beside_the_masks(standing, torn):
+    (person, where), (left, kept, _) = standing, torn
+    masks = silhouettes(person, where)
+    out = masks < 0.05
+    assert (silhouettes(kept, where)[out] - silhouettes(left, where)[out]).max() < 0.02
+    armless = Canonical(*(part[person.means[:, 0] < 0.3] for part in person))
+    kept = bake.lined(armless, where, views(silhouettes(armless, where)), [0, 1, 2])
+    inner = kept.means[len(armless.means) :]
+    assert len(inner) > 3000 and inner[:, 0].min() < -0.5 and inner[:, 0].max() < 0.4, "an arm that is not there"
+
+
+def test_the_lining_stays_inside_thin_parts(standing):
+    person, where = standing
+    inner = bake._lining(person, where)
+    depth = (inner.means - where.vertices).norm(dim=1)
+    assert depth.max() <= bake.INSET * 1.001 and (depth < 0.5 * bake.INSET).any(), "fingers are thinner than the inset"
+    apart = torch.cdist(inner.means, where.vertices).amin(1)
+    assert (apart > 0.6 * depth).all()
+
+
+def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
+    person, where = standing
+    empty = views(torch.zeros(len(EYES), SIZE, SIZE))
+    assert len(bake.lined(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
+
+
+def test_colours_taught_little_lean_on_sure_ones_and_sure_ones_stay():
+    line = torch.linspace(0, 1, 101)
+    means = torch.stack([line, 0 * line, 0 * line], 1)
+    sh = torch.where(line < 0.5, 1.0, -1.0).view(-1, 1, 1).expand(-1, 1, 3).clone()
+    taught = torch.ones(101)
+    sh[10], taught[10] = 9.0, 0.0  # a speck that nothing has taught
+    sh[90], taught[90] = 9.0, 0.1 * 0.98  # one that little has
+    person = Canonical(means, torch.eye(3).expand(101, 3, 3), means, line, sh, line[:, None])
+    out = bake.lean(person, taught)
+    assert torch.allclose(out.sh[10], torch.ones(1, 3)) and (out.sh[90].mean() - 4).abs() < 0.2
+    assert (out.sh[5] - sh[5]).abs().max() < 1e-6 and out.means is means
+    assert torch.equal(bake.lean(person, torch.zeros(101)).sh, sh), "before anything is taught nobody is sure"
+
+
+def test_rows_never_shown_are_as_the_body_says():
+    parts = [torch.randn(3, *shape) for shape in ((3,), (3, 3), (3,), (), (1, 3), (24,))]
+    a, b = Canonical(*parts), Canonical(*(-part for part in parts))
+    out = bake.as_body_where_unseen(a, b, torch.tensor([1.0, 0.0, 1e-4]))
+    for x, y, z in zip(out, a, b, strict=True):
+        assert torch.equal(x, torch.cat([y[:1], z[1:]]))
