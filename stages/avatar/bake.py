@@ -15,7 +15,7 @@ from stages.avatar.views import Person, Views
 TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 DOUBT = 0.1  # of that mean: at so much, a colour counts for half, and those of neighbours for the other half
 SURE = 0.3  # of that mean: neighbours that are asked have been taught this much
-NEIGHBOURS = 32
+NEIGHBOURS = 32  # that are asked
 INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
 THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
 LEAK = 4e-7  # of the person's pixels a frame: more of a lining Gaussian beside the person is too much

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from stages.avatar import losses
@@ -25,6 +26,7 @@ from stages.avatar.views import Person, Views
 
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
 BAD_STEPS = 20  # in a row, after which training stops
+NEIGHBOURS = 8
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
@@ -51,6 +53,7 @@ class Fit:
         self.order = torch.empty(0, dtype=torch.long)
         self.usual_norm = 0.0
         self.leaves: Resting | None = None
+        self.near: Tensor | None = None
         if person is not None:
             still = torch.zeros(3).to(person.joints)
             self.canonical_bones = bone_transforms(person.joints, person.parents, still, person.canonical_pose)
@@ -99,7 +102,8 @@ class Fit:
 
     def _decode(self) -> tuple[Canonical, Resting, Tensor]:
         canonical, stray, shy = self.human()
-        prior = losses.STRAY * stray + losses.SHY * shy
+        rough = losses.roughness(canonical.means, self._neighbours(), self.human.frames[:, :, 2])
+        prior = losses.STRAY * stray + losses.SHY * shy + losses.SMOOTH * rough
         return canonical, rest(canonical, self.canonical_bones), prior
 
     def resting(self) -> Resting:
@@ -219,6 +223,16 @@ class Fit:
         self.adam["human"].zero_grad(set_to_none=True)
         self.leaves = None
 
+    def _neighbours(self) -> Tensor:
+        """Rows [N,NEIGHBOURS] of the Gaussians that began nearest to each."""
+        homes = self.human.homes
+        if self.near is None or len(self.near) != len(homes):
+            _, rows = cKDTree(homes.cpu().numpy()).query(
+                homes.cpu().numpy(), k=list(range(2, NEIGHBOURS + 2)), workers=-1
+            )
+            self.near = torch.as_tensor(rows, device=homes.device)
+        return self.near
+
     def _reference(self) -> Tensor:
         """Skinning weights [N,24] of the nearest body vertices, looked up again only for Gaussians that moved."""
         at = self.canonical.means.detach()
@@ -251,7 +265,7 @@ class Fit:
             state = self.adam["human"], self.growth["human"]
             rows = grow_human(self.human, *state, rules, self._left(every), self.person.vertices, self.generator)
             self.taught = self.taught[rows.source]
-            self.leaves = None
+            self.leaves = self.near = None
 
     def _left(self, every: int) -> int:
         """Densifications still to come, this one included: the room up to the cap is shared out among them."""
@@ -320,7 +334,7 @@ class Fit:
         self.reference, self.reference_at = (t.clone() for t in state["reference"])
         self.taught = state["taught"].clone()
         self.step, self.bad, self.bad_in_a_row, self.undrawn, self.usual_norm = state["numbers"]
-        self.leaves = None
+        self.leaves = self.near = None
 
     def _modules(self) -> dict[str, torch.nn.Module]:
         return self._sets() | {"frames": self.frames}

@@ -16,6 +16,8 @@ LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the pap
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
 SHY = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
+ROUGH = 0.01  # metres; a usual depth of folds
+SMOOTH = 0.03  # on the roughness of the person's surface
 PERCEPTUAL = 0.2  # of LPIPS on a patch
 PATCH = 128  # px
 
@@ -72,6 +74,16 @@ def rim(mask: Tensor) -> Tensor:
 def skinning(weights: Tensor, reference: Tensor) -> Tensor:
     """1000 x mean squared difference of skinning weights [N,J] from those of the nearest body vertices, a constant."""
     return LBS * (weights - reference.detach()).square().mean()
+
+
+def roughness(means: Tensor, near: Tensor, normals: Tensor) -> Tensor:
+    """Mean squared distance, in units of ROUGH, of means[N,3] from the mean of neighbours near[N,K], along normals[N,3].
+
+    The neighbours stand still: gradients that many rows add to one would come in another order each time.
+    A camera that looks at a surface cannot tell how deep a Gaussian is in it; from the side it is a dot off the outline.
+    """
+    out = ((means - means.detach()[near].mean(1)) * normals).sum(1)
+    return (out / ROUGH).square().mean()
 
 
 def patch(mask: Tensor, size: int, generator: torch.Generator) -> tuple[slice, slice]:

@@ -78,3 +78,18 @@ def test_colours_at_an_outline_teach_nothing_and_alpha_more():
     losses.person_only(rendered, alpha, image, mask, rim, torch.rand(3)).backward()
     assert (rendered.grad[rim > 0] == 0).all() and (rendered.grad[rim == 0].abs().sum(-1) > 0).float().mean() > 0.99
     assert torch.allclose(alpha.grad[12, 8] / alpha.grad[15, 12], torch.tensor(4.0))
+
+
+def test_a_gaussian_off_the_surface_is_rough_and_moves_along_the_normal_only():
+    flat = torch.stack(torch.meshgrid(*[torch.arange(5.0) / 100] * 2, torch.zeros(1), indexing="ij"), -1).reshape(-1, 3)
+    near = torch.cdist(flat, flat).argsort(1)[:, 1:5]
+    normals = torch.tensor([0.0, 0, 1]).expand(25, 3)
+    assert losses.roughness(flat, near, normals) == 0
+    assert losses.roughness(flat + torch.tensor([0, 0, 0.3]), near, normals) == 0, "cloth may lie off the body"
+    dot = flat.clone()
+    dot[12, 2] = losses.ROUGH
+    dot.requires_grad_()
+    rough = losses.roughness(dot, near, normals)
+    assert 1 / 25 < rough.item() < 2 / 25
+    rough.backward()
+    assert (dot.grad[:, :2] == 0).all() and dot.grad[12, 2] > 0 and (dot.grad[near[12], 2] < 0).all()
