@@ -7,7 +7,7 @@ import json
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -48,6 +48,8 @@ class Params(contract.Params):
     """Training frames drawn for each run of the person's networks, whose gradients they share."""
     perceptual_every: int = Field(0, ge=0)
     """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""
+    perceptual_net: Literal["alex", "vgg"] = "alex"
+    """The network of that term: AlexNet, or VGG16 as in the paper, which takes 10 times as long."""
     curve_points: int = Field(12, gt=0)
     """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
     lbs_learning: bool = True
@@ -215,7 +217,7 @@ def _perceptual(params: Params, device: str):
     from stages.avatar.perceptual import Lpips
     from stages.estimators.assets import fetch
 
-    with np.load(fetch("lpips_vgg.npz")) as arrays:
+    with np.load(fetch(f"lpips_{params.perceptual_net}.npz")) as arrays:
         return Lpips(arrays).to(device)
 
 
@@ -298,7 +300,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     import torch
 
-    from stages.avatar.bake import lined
+    from stages.avatar.bake import lean, lined
     from stages.avatar.densify import strays
     from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
@@ -314,7 +316,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     c = Canonical(*(part[~stray] for part in c))
     if stray.any():
         job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
-    c = lined(learned := c, p, fit.full, fit.train)
+    c = lined(learned := lean(c, p, fit.full, fit.train), p, fit.full, fit.train)
     job.note(f"{len(c.means) - len(learned.means):,} Gaussians put under the skin, so that no pose tears holes")
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),

@@ -35,13 +35,26 @@ class Made:
     truth: Path
 
 
-def neuman(folder: Path, frames: int = 15, width: int = 96, height: int = 128, k: float = 0.0) -> Made:
-    """A NeuMan sequence called bike; poses have scales that differ by up to 8 % and look right from their own camera."""
+def neuman(
+    folder: Path,
+    frames: int = 15,
+    width: int = 96,
+    height: int = 128,
+    k: float = 0.0,
+    points: int = 400,
+    noise: float = 0.0,
+) -> Made:
+    """A NeuMan sequence called bike; poses have scales that differ by up to 8 % and look right from their own camera.
+
+    `noise` is the standard deviation of what is added to the poses: in radians to joint angles, and of the mean
+    distance to the camera to places.
+    """
     model = read_body_model()
     clip = synthetic.make_clip(model, frames=frames, width=width, height=height)
     views = clip.frames
     made = Made(folder / "bike", folder / "truth")
     write_views(made.truth, views, clip.betas)
+    write_views(made.truth / "novel", clip.novel, clip.betas)
     four = made.folder / "4d_humans" / "sam_segmentations"
     for path in (made.folder / "images", made.folder / "sparse", four, made.folder / "segmentations"):
         path.mkdir(parents=True)
@@ -50,18 +63,22 @@ def neuman(folder: Path, frames: int = 15, width: int = 96, height: int = 128, k
         write_mask(four / f"mask_{i:04d}.png", views.masks[i])
         write_mask(made.folder / "segmentations" / f"{i:05d}.png.png", 255 - views.masks[i])
     viewmats = align_viewmats(views.viewmats, UNITS, TURN.as_matrix(), SHIFT)
-    write_sparse(made.folder / "sparse", viewmats, views, k)
+    write_sparse(made.folder / "sparse", viewmats, views, k, points)
     pelvis = model.J_regressor[0] @ (model.v_template + model.shapedirs @ clip.betas)
     centres = -(viewmats[:, :3, :3].mT @ viewmats[:, :3, 3:])[..., 0]
     orient = (TURN * Rotation.from_rotvec(views.global_orient)).as_rotvec()
     there = UNITS * TURN.apply(views.joints[:, 0]) + SHIFT  # the pelvis in SfM units
     stretch = 1 + 0.08 * np.linspace(-1, 1, frames)[np.random.default_rng(0).permutation(frames)]
     scale = UNITS * stretch / np.median(stretch)
+    rng = np.random.default_rng(2)
+    angles = noise * rng.normal(size=views.body_pose.shape)
+    away = np.linalg.norm(there - centres, axis=1).mean()
+    there = there + noise * away * rng.normal(size=there.shape)
     moved = centres + (scale / UNITS)[:, None] * (there - centres)
     np.savez(
         made.folder / "4d_humans" / "smpl_optimized_aligned_scale.npz",
         global_orient=orient.astype(np.float32),
-        body_pose=views.body_pose.astype(np.float32),
+        body_pose=(views.body_pose + angles).astype(np.float32),
         betas=np.tile(clip.betas, (frames, 1)).astype(np.float32),
         transl=(moved - scale[:, None] * pelvis).astype(np.float32),
         scale=scale.astype(np.float32),
@@ -70,7 +87,7 @@ def neuman(folder: Path, frames: int = 15, width: int = 96, height: int = 128, k
     return made
 
 
-def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: float) -> None:
+def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: float, points: int) -> None:
     """COLMAP's text files: SIMPLE_RADIAL, or PINHOLE with k = 0; points on the room's surfaces, seen by all cameras."""
     height, width = views.masks.shape[1:]
     K = views.Ks[0]
@@ -85,7 +102,7 @@ def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: 
         lines += [f"{i + 1} {pose} 1 {i:05d}.png", "10.5 20.5 1 11 21 -1" if i % 2 else ""]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
     rows = ["# 3D point list"]
-    for n, (i, x, y) in enumerate(points_of(views)):
+    for n, (i, x, y) in enumerate(points_of(views, points)):
         z = views.depths[i, y, x]
         seen = np.linalg.inv(K) @ [(x + 0.5) * z, (y + 0.5) * z, z]
         world = views.viewmats[i, :3, :3].T @ (seen - views.viewmats[i, :3, 3])
@@ -96,11 +113,11 @@ def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: 
     (folder / "points3D.txt").write_text("\n".join(rows) + "\n")
 
 
-def points_of(views: synthetic.Views) -> list[tuple[int, int, int]]:
-    """(view, x, y) of 400 background pixels."""
+def points_of(views: synthetic.Views, count: int) -> list[tuple[int, int, int]]:
+    """(view, x, y) of `count` background pixels."""
     rng = np.random.default_rng(1)
     view, row, column = np.nonzero(views.masks == 0)
-    return [(int(view[i]), int(column[i]), int(row[i])) for i in rng.choice(len(view), 400, replace=False)]
+    return [(int(view[i]), int(column[i]), int(row[i])) for i in rng.choice(len(view), count, replace=False)]
 
 
 def zju(folder: Path, subject: int = 377, moments: int = 6, cameras: int = 3, side: int = 96) -> Made:

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.body import Body
 from stages.avatar.cameras import align_viewmats
-from stages.formats.body_model import BodyModel
-from stages.formats.cameras import Cameras, read_cameras
-from stages.formats.images import read_mask
-from stages.formats.poses import BodyPoses, read_poses
+from stages.formats.body_model import BodyModel, read_body_model
+from stages.formats.cameras import Cameras, read_cameras, write_cameras
+from stages.formats.images import read_image, read_mask
+from stages.formats.poses import BodyPoses, read_poses, write_poses
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,28 @@ def in_result_world(folder: Path, similarity: Similarity, fitted: BodyPoses, mod
     )
     moved = replace(moved, transl=pelvis - joints_of(moved, model)[:, 0])
     return replace(cameras, viewmats=align_viewmats(cameras.viewmats, *inverse)), moved
+
+
+def tell_novel_poses(results: Path, truth: Path, out: Path) -> tuple[str, ...]:
+    """Write the truth's novel cameras and poses in a result's world: cameras.npz and poses.npz in `out`; their names."""
+    fitted, model = read_poses(results / "train" / "body.npz"), read_body_model(results / "smpl" / "body_model.npz")
+    cameras = read_cameras(results / "sfm" / "cameras.npz"), read_cameras(truth / "cameras.npz")
+    similarity = align(*cameras, fitted.world_from_sfm)
+    views, poses = in_result_world(truth / "novel", similarity, fitted, model, read_body_model())
+    write_cameras(out / "cameras.npz", views)
+    write_poses(out / "poses.npz", poses)
+    return views.names
+
+
+def novel_psnr(found: Path, truth: Path, names: tuple[str, ...]) -> tuple[float, float]:
+    """Mean PSNR in dB of the pictures of novel poses in `found`, whole and in the person's tight box."""
+    full, crop = [], []
+    for name in names:
+        pictures = [read_image(folder / f"{name}.png") for folder in (found, truth / "novel" / "images")]
+        box = box_of(read_mask(truth / "novel" / "masks" / f"{name}.png"))
+        full.append(psnr(*pictures))
+        crop.append(psnr(*(picture[box] for picture in pictures)))
+    return float(np.mean(full)), float(np.mean(crop))
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:

@@ -8,18 +8,20 @@ from torch import Tensor
 
 from stages.avatar.body import edge_lengths, vertex_normals
 from stages.avatar.human import Canonical, bone_transforms, pose, rest
+from stages.avatar.losses import widened
 from stages.avatar.rasterize import rasterize
 from stages.avatar.rotations import rotation_z_to
 from stages.avatar.views import Person, Views
 
 TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
-DOUBT = 0.1  # of that mean: at so much, a colour counts for half, and those of neighbours for the other half
-SURE = 0.3  # of that mean: neighbours that are asked have been taught this much
-NEIGHBOURS = 32  # that are asked
+LOOKS = 32  # training frames that are asked what they show
+EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
+DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
+SURE = 0.1  # of that mean: neighbours that are asked paint this many
+NEIGHBOURS = 24  # that are asked
 INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
 THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
-LEAK = 4e-7  # of the person's pixels a frame: more of a lining Gaussian beside the person is too much
-LOOKS = 32  # training frames that are asked for that
+LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
 PEELS = 8  # times at most: what goes may have hidden others
 
 
@@ -33,17 +35,19 @@ def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor
     return Canonical(*(torch.where(shown.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
 
 
-def lean(person: Canonical, taught: Tensor) -> Canonical:
-    """Colours taught little (taught[N]) lean on those of the nearest that were taught well: their median.
+def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
+    """Colours that frames have not shown well lean on the nearest that they have: on the median of these.
 
-    A posterior mean with a prior worth DOUBT; colours that frames have shown often stay as they are.
+    At an outline a pixel mixes the person with what is behind, and masks end late. A Gaussian that `frames` of `views`
+    show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay.
     """
-    mean = taught.mean()
-    sure = taught > SURE * mean
+    inside, edge, _ = _painted(person, body, views, frames)[0].unbind(1)
+    mean = inside.mean()
+    sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
         return person
     near = _nearest(person.means[sure], person.means, NEIGHBOURS)
-    own = (taught / (taught + DOUBT * mean))[:, None, None]
+    own = (inside / (inside + edge + DOUBT * mean))[:, None, None]
     return person._replace(sh=own * person.sh + (1 - own) * person.sh[sure][near].median(1).values)
 
 
@@ -55,10 +59,12 @@ def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> C
     """
     inner = _lining(person, body)
     for _ in range(PEELS):
-        leaks = _leaks(person, inner, body, views, frames)
-        inner = Canonical(*(part[~leaks] for part in inner))
+        both = Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
+        painted, pixels = _painted(both, body, views, frames)
+        leaks = painted[len(person.means) :, 2] > LEAK * pixels
         if not leaks.any():
             break
+        inner = Canonical(*(part[~leaks] for part in inner))
     return Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
 
 
@@ -83,24 +89,25 @@ def _lining(person: Canonical, body: Person) -> Canonical:
     )
 
 
-def _leaks(person: Canonical, inner: Canonical, body: Person, views: Views, frames: list[int]) -> Tensor:
-    """Which rows of `inner` show beside the person: what a picture's colours owe to each is a gradient."""
+def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
+    """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
+    masks' pixels: sums over at most LOOKS of `frames`. What a picture owes to a colour is its gradient."""
     bones = bone_transforms(body.joints, body.parents, torch.zeros_like(body.joints[0]), body.canonical_pose)
-    both = rest(Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True))), bones)
-    shown, pixels = torch.zeros_like(inner.opacities), 0.0
+    resting, painted, pixels = rest(person, bones), torch.zeros_like(person.means), 0.0
     for i in frames[:: max(1, len(frames) // LOOKS)]:
         mask = views.masks[i].float() / 255
         if not body.present[i] or mask.max() == 0:
             continue
         bones = bone_transforms(body.joints, body.parents, body.global_orient[i], body.body_pose[i])
-        means, axes, opacities, *_ = pose(both, bones, body.transl[i])
+        means, axes, opacities, *_ = pose(resting, bones, body.transl[i])
         colors = torch.zeros_like(means).requires_grad_()
         height, width = mask.shape
         (drawn,) = rasterize(means, axes, opacities, colors, views.viewmats[i], views.Ks[i], width, height)
-        (shares,) = torch.autograd.grad((drawn.image[..., 0] * (1 - mask)).sum(), colors)
-        shown += shares[-len(shown) :, 0]
+        inside = -widened(-mask, EDGE)
+        where = torch.stack([inside, 1 - inside, 1 - mask], -1)
+        painted += torch.autograd.grad((drawn.image * where).sum(), colors)[0]
         pixels += mask.sum().item()
-    return shown > LEAK * pixels
+    return painted, pixels
 
 
 def _nearest(those: Tensor, points: Tensor, k: int) -> Tensor:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from stages.avatar import losses
-from stages.avatar.bake import as_body_where_unseen, lean
+from stages.avatar.bake import as_body_where_unseen
 from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.gaussians import Splats, contain
@@ -150,8 +150,7 @@ class Fit:
             bare = (1 - only.alpha)[..., None] * background
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
-            rim = losses.rim(mask)[crop]
-            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], rim, background)
+            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
             loss = loss + apart
             numbers["person"] = apart.item()
         if "veil" in layers:
@@ -275,9 +274,8 @@ class Fit:
 
     @torch.no_grad()
     def baked(self) -> tuple[Canonical, Resting]:
-        """The person to keep as of now, in the canonical and in the rest pose, without gradients; see `bake`."""
+        """The person to keep as of now, in the canonical and in the rest pose, without gradients; `bake` finishes it."""
         canonical = as_body_where_unseen(self._decode()[0], self.human.untaught(), self.taught)
-        canonical = lean(canonical, self.taught)
         return canonical, rest(canonical, self.canonical_bones)
 
     @torch.no_grad()

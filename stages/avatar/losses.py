@@ -9,9 +9,7 @@ from stages.avatar.ssim import ssim
 
 SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
-SEAM = 0.004  # of the longer side: the width around the person from which the scene learns nothing
-RIM = 0.003  # of the longer side: the width inside an outline where colours are not the person's alone
-RIM_ALPHA = 0.6  # more weight of |alpha - mask| there, as colours do not tell
+SEAM = 0.002  # of the longer side: the width around the person from which the scene learns nothing
 LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
@@ -52,23 +50,14 @@ def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
     return background + mask[..., None] * (image - background)
 
 
-def person_only(
-    rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, rim: Tensor, background: Tensor
-) -> Tensor:
+def person_only(rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
     """Loss of a person-only render [H,W,3] over `background`[3], with its alpha[H,W], against the masked image.
 
-    All are one crop. Finite for every mask from empty to full; render and target share the same draw of the background
-    (G06, G16). In the `rim`[H,W] pixels are mixed with what is behind, and masks end a little late: these colours
-    would turn into light specks on the person's sides, so there alpha alone is taught.
+    rendered, alpha, image, mask are one crop. Finite for every mask from empty to full; render and target share the
+    same draw of the background (G06, G16).
     """
     target = over_background(image, mask, background)
-    inside = target + (1 - rim)[..., None] * (rendered - target)
-    return photometric(inside, target) + ((ALPHA + RIM_ALPHA * rim) * (alpha - mask).abs()).mean()
-
-
-def rim(mask: Tensor) -> Tensor:
-    """What of a person's mask [H,W] is near its outline, 0..1."""
-    return mask + widened(-mask, RIM)
+    return photometric(rendered, target) + ALPHA * (alpha - mask).abs().mean()
 
 
 def skinning(weights: Tensor, reference: Tensor) -> Tensor:

@@ -112,18 +112,21 @@ def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
     assert len(bake.lined(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
 
 
-def test_colours_taught_little_lean_on_sure_ones_and_sure_ones_stay():
-    line = torch.linspace(0, 1, 101)
-    means = torch.stack([line, 0 * line, 0 * line], 1)
-    sh = torch.where(line < 0.5, 1.0, -1.0).view(-1, 1, 1).expand(-1, 1, 3).clone()
-    taught = torch.ones(101)
-    sh[10], taught[10] = 9.0, 0.0  # a speck that nothing has taught
-    sh[90], taught[90] = 9.0, 0.1 * 0.98  # one that little has
-    person = Canonical(means, torch.eye(3).expand(101, 3, 3), means, line, sh, line[:, None])
-    out = bake.lean(person, taught)
-    assert torch.allclose(out.sh[10], torch.ones(1, 3)) and (out.sh[90].mean() - 4).abs() < 0.2
-    assert (out.sh[5] - sh[5]).abs().max() < 1e-6 and out.means is means
-    assert torch.equal(bake.lean(person, torch.zeros(101)).sh, sh), "before anything is taught nobody is sure"
+def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
+    person, where = standing
+    cameras = views(silhouettes(person, where))
+    painted, pixels = bake._painted(person, where, cameras, [0, 1, 2])
+    assert (painted >= 0).all() and painted[:, :2].sum().item() > 0.9 * pixels
+    flank = painted[:, 0] < 0.3 * painted[:, 1]
+    front = (painted[:, 0] > bake.SURE * painted[:, 0].mean()) & (painted[:, 0] > 20 * painted[:, 1])
+    assert flank.sum() > 300 and front.sum() > 300
+    speckled = person._replace(sh=torch.where(flank[:, None, None], 2.0, person.sh))
+    off = lambda p: (p.sh - person.sh).abs().amax((1, 2))  # noqa: E731
+    out = bake.lean(speckled, where, cameras, [0, 1, 2])
+    assert off(out)[flank].mean() < 0.3 * off(speckled)[flank].mean() and off(out)[front].max() < 0.1
+    assert all(a is b for name, a, b in zip(person._fields, out, speckled, strict=True) if name != "sh")
+    empty = views(torch.zeros(len(EYES), SIZE, SIZE))
+    assert bake.lean(speckled, where, empty, [0, 1, 2]) is speckled, "nobody is sure of anything"
 
 
 def test_rows_never_shown_are_as_the_body_says():
