@@ -15,7 +15,7 @@ VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down 
 STRAY = 10.0  # per metre^2 outside the triplane's box
 SHY = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
 ROUGH = 0.01  # metres; a usual depth of folds
-SMOOTH = 0.03  # on the roughness of the person's surface
+SMOOTH = 0.01  # on the roughness of the person's surface
 PERCEPTUAL = 0.2  # of LPIPS on a patch
 PATCH = 128  # px
 
