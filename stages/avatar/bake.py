@@ -78,7 +78,7 @@ def _lining(person: Canonical, body: Person) -> Canonical:
         depth[torch.as_tensor(distance).to(depth) < THIN * depth[:, 0]] *= 0.5
     means = body.vertices - depth * normals
     half = 0.5 * edge_lengths(body.vertices, body.faces)
-    opaque = person.opacities > 0.5
+    opaque = person.opacities >= person.opacities.max().clamp(max=0.5)
     near = _nearest(person.means[opaque], means, 8)
     return Canonical(
         means=means,

@@ -9,13 +9,13 @@ from stages.avatar.ssim import ssim
 
 SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
-SEAM = 0.002  # of the longer side: the width around the person from which the scene learns nothing
+SEAM = 0.001  # of the longer side: the width around the person from which the scene learns nothing
 LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
 SHY = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
 ROUGH = 0.01  # metres; a usual depth of folds
-SMOOTH = 0.01  # on the roughness of the person's surface
+SMOOTH = 0.03  # on the roughness of the person's surface
 PERCEPTUAL = 0.2  # of LPIPS on a patch
 PATCH = 128  # px
 

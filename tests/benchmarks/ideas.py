@@ -1,0 +1,149 @@
+"""What each idea in training is worth: the same training without it, or with the released code's way instead.
+
+    python -m tests.benchmarks.ideas work/kitchen/default [--steps 1000] [--seeds 1] [--only NAME ...] [--json out.json]
+
+The argument is the folder of a pipeline that has run; its frames, cameras, poses and decisions are used. Held-out frames
+are rated with the person as training has it, before `bake` finishes it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from statistics import fmean
+from types import SimpleNamespace
+from unittest import mock
+
+import numpy as np
+import torch
+
+from stages import train
+from stages.avatar import fit as fit_module
+from stages.avatar import losses, optimizers, schedule
+from stages.avatar.compose import compose, compose_layers
+from stages.avatar.fit import Fit
+from stages.avatar.metrics import person_crop, scores
+from stages.avatar.perceptual import Lpips
+from stages.estimators.assets import fetch
+from stages.formats.clip import load_clip
+
+
+def put(owner, **values) -> list:
+    """Patches of constants or functions."""
+    return [mock.patch.object(owner, name, value) for name, value in values.items()]
+
+
+def redrawn(change) -> list:
+    """Drawings as densification sees them: `change(drawing, rows of the person)` in place of absolute gradients."""
+
+    class Changed:
+        def __init__(self, drawing, rows):
+            self.drawing, self.rows = drawing, rows
+
+        def __getattr__(self, name):
+            return getattr(self.drawing, name)
+
+        @property
+        def screen_grad_abs(self):
+            return change(self.drawing, self.rows)
+
+    def draw(human, *rest):
+        rows = 0 if human is None else len(human.means)
+        return [Changed(drawing, rows) for drawing in compose_layers(human, *rest)]
+
+    return put(fit_module, compose_layers=draw)
+
+
+UNSETTLED = put(schedule, SETTLE=0.9999, LAST_OTHERS=1.0) + put(
+    fit_module,
+    SETTLE=0.9999,
+    SCENE_GROWTH=(schedule.SCENE_GROWTH[0], 1.0),
+    HUMAN_GROWTH=(schedule.HUMAN_GROWTH[0], 1.0),
+)
+STILL = {"place": 0.0, "pose": 0.0}
+PLAIN = {"outside_person": lambda image, target, mask: target + (1 - mask)[..., None] * (image - target)}
+WITHOUT = {  # name -> settings of train, and patches
+    "everything": ({}, []),
+    "own gradients for the scene (D1)": ({}, redrawn(lambda d, rows: d.screen_grad_abs.roll(rows, 0))),
+    "view dependence of the scene (D2)": ({"scene_sh": 0}, []),
+    "refined places (D3)": ({}, put(optimizers, LR_FRAMES=schedule.LR_FRAMES | {"place": 0.0})),
+    "refined poses and places": ({}, put(optimizers, LR_FRAMES=schedule.LR_FRAMES | STILL)),
+    "settling (D14)": ({}, UNSETTLED),
+    "absolute gradients": ({}, redrawn(lambda d, rows: d.screen_grad)),
+    "person pixels kept from the scene": ({}, put(losses, outside_person=lambda image, target, mask: image)),
+    "a seam around the person": ({}, put(losses, **PLAIN)),
+    "the veil": ({}, put(losses, VEIL=0.0)),
+    "alpha from masks": ({}, put(losses, ALPHA=0.0)),
+    "shy corrections": ({}, put(losses, SHY=0.0)),
+    "a smooth surface": ({}, put(losses, SMOOTH=0.0)),
+    "a prior on skinning weights": ({}, put(losses, LBS=0.0)),
+    "SSIM": ({}, put(losses, SSIM_SHARE=0.0)),
+    "but with LPIPS, AlexNet, every 4th step": ({"perceptual_every": 4}, []),
+    "but with 3rd degree colours of the scene": ({"scene_sh": 3}, []),
+}
+
+
+def rated(fit: Fit, frames: list[int], lpips: Lpips) -> dict[str, float]:
+    """Mean PSNR of the whole picture, and of the person's box with SSIM and LPIPS."""
+    rows = []
+    with torch.no_grad():
+        (orient, body_pose, transl), gains, (_, resting) = fit.bodies(), fit.gains(), fit.baked()
+        for i in frames:
+            image, mask = fit.full.images[i].float() / 255, fit.full.masks[i].float() / 255
+            human = fit.posed(resting, orient[i], body_pose[i], transl[i])
+            size = mask.shape[1], mask.shape[0]
+            drawn = compose(human, fit.scene.splats(), fit.full.viewmats[i], fit.full.Ks[i], *size).image
+            drawn, box = (drawn * gains[i]).clamp(0, 1), person_crop(mask)
+            person = scores(drawn[box].contiguous(), image[box].contiguous(), lpips)
+            rows.append({"full": scores(drawn, image)["psnr"]} | {k: person[k] for k in ("psnr", "ssim", "lpips")})
+    return {key: fmean(row[key] for row in rows) for key in rows[0]}
+
+
+def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[dict]:
+    """Train each variant with each seed, and rate it."""
+    clip = load_clip(folder / "sfm", folder / "smpl")
+    decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
+    chosen = np.flatnonzero(clip.training).tolist()
+    heldout = [i for i in np.flatnonzero(clip.heldout).tolist() if (clip.mask(i) > 127).any()]
+    with np.load(fetch("lpips_alex.npz")) as weights:
+        lpips = Lpips(weights)
+    for name in names:
+        settings, patches = WITHOUT[name]
+        for seed in range(seeds):
+            job = SimpleNamespace(seed=seed, device="cpu", note=lambda text: None)
+            with ExitStack() as stack:
+                for patch in patches:
+                    stack.enter_context(patch)
+                fit = train.build(clip, chosen, train.Params(steps=steps, **settings), decisions, job)
+                began = time.perf_counter()
+                while fit.step < steps:
+                    fit.advance()
+                seconds = time.perf_counter() - began
+            sizes = {"human": len(fit.human), "scene": len(fit.scene)}
+            yield {"without": name, "seed": seed, "seconds": seconds} | sizes | rated(fit, heldout, lpips)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--only", nargs="*", choices=WITHOUT, metavar="NAME", default=list(WITHOUT))
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    found = []
+    print(f"{'without':42s} seed  seconds   full  person   SSIM   LPIPS    scene")
+    for row in ideas(asked.folder, asked.only, asked.steps, asked.seeds):
+        found.append(row)
+        numbers = f"{row['full']:7.2f} {row['psnr']:7.2f} {row['ssim']:7.4f} {row['lpips']:7.4f} {row['scene']:8,d}"
+        print(f"{row['without']:42s} {row['seed']:4d} {row['seconds']:8.0f} {numbers}", flush=True)
+        if asked.json:
+            asked.json.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
