@@ -10,7 +10,7 @@ from stages.avatar.ssim import ssim
 SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
 SEAM = 0.001  # of the longer side: the width around the person from which the scene learns nothing
-LBS = 1000.0  # on the mean squared difference, not the Frobenius sum of the paper (2.6e6 times as much, G19)
+LBS = 10.0  # on the mean squared difference; 1000 drowns colours in the triplane that both share (-0.8 dB), see G19
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
 SHY = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
@@ -61,7 +61,7 @@ def person_only(rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, ba
 
 
 def skinning(weights: Tensor, reference: Tensor) -> Tensor:
-    """1000 x mean squared difference of skinning weights [N,J] from those of the nearest body vertices, a constant."""
+    """LBS x mean squared difference of skinning weights [N,J] from those of the nearest body vertices, a constant."""
     return LBS * (weights - reference.detach()).square().mean()
 
 

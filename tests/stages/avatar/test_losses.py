@@ -39,7 +39,7 @@ def test_skinning_is_a_mean_and_its_reference_a_constant():
     a = torch.tensor([[1.0, 0.0], [0.25, 0.75]], requires_grad=True)
     b = torch.tensor([[0.5, 0.5], [0.25, 0.75]], requires_grad=True)
     loss = losses.skinning(a, b)
-    assert loss.item() == pytest.approx(1000 * 0.5 / 4)
+    assert loss.item() == pytest.approx(losses.LBS * 0.5 / 4)
     loss.backward()
     assert b.grad is None
     assert losses.skinning(a.repeat(3, 1), b.repeat(3, 1)).item() == pytest.approx(loss.item())
