@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 RESUMES = True
 CHECKPOINT_SECONDS = 60
 PAINTED = 24  # frames from which the person's first colours are read
+FILLED = 16  # frames from which points of the scene are filled in
 JUDGED = 6  # held-out frames on the accuracy curve
 COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
 
@@ -49,7 +50,7 @@ class Params(contract.Params):
     perceptual_every: int = Field(0, ge=0)
     """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""
     perceptual_net: Literal["alex", "vgg"] = "alex"
-    """The network of that term: AlexNet, or VGG16 as in the paper, which takes 10 times as long."""
+    """The network of that term: AlexNet, or VGG16 as in the paper, which takes seven times as long."""
     curve_points: int = Field(12, gt=0)
     """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
     lbs_learning: bool = True
@@ -67,6 +68,7 @@ class Params(contract.Params):
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
     """Fit person and scene Gaussians to the frames, jointly."""
 
+    from stages.avatar.neighbours import evenly
     from stages.avatar.rasterize.cache import compiled
     from stages.formats.clip import load_clip
 
@@ -82,12 +84,12 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     fit = build(clip, train, params, decisions, job)
     started = _resume(fit, job)
     curve, seconds = started["curve"], started["seconds"]
-    sizes = " and ".join(f"{count:,} of the {name}" for name, count in _size(fit).items() if count)
+    sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
     job.note(f"{len(train)} training frames; starts with {sizes}")
     if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
     judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
-    judged = judged[:: max(1, len(judged) // JUDGED)][:JUDGED]
+    judged = evenly(judged, JUDGED)
     every = max(1, params.steps // params.curve_points)
     mark, saved = time.perf_counter(), time.perf_counter()
     while fit.step < params.steps:
@@ -95,11 +97,11 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
         whole = fit.leaves is None
         if fit.step % every == 0 or fit.step == params.steps:
             seconds += time.perf_counter() - mark
-            curve.append({"step": fit.step, "seconds": round(seconds, 3)} | judge(fit, judged))
-            job.progress(fit.step, params.steps, psnr=curve[-1]["psnr"], gaussians=sum(_size(fit).values()))
+            curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
+            job.progress(fit.step, params.steps, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
             mark = time.perf_counter()
         elif fit.step % 25 == 0:
-            job.progress(fit.step, params.steps, loss=sum(numbers.values()), gaussians=sum(_size(fit).values()))
+            job.progress(fit.step, params.steps, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
         if whole and (job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS):
             total = seconds + time.perf_counter() - mark
             _save(fit, job.out / "checkpoint.pt", {"curve": curve, "seconds": total})
@@ -118,6 +120,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     from stages.avatar.body import DA_POSE, Body
     from stages.avatar.fit import Fit
     from stages.avatar.human import HumanModel
+    from stages.avatar.neighbours import evenly
     from stages.avatar.paint import seen_colors
     from stages.avatar.scene import SceneModel, fill_points, scene_extent
     from stages.avatar.schedule import Options
@@ -166,7 +169,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         triplane=params.triplane,
     )
     seen = [i for i in train if present[i]]
-    colors, known = seen_colors(human, person, views, seen[:: max(1, len(seen) // PAINTED)])
+    colors, known = seen_colors(human, person, views, evenly(seen, PAINTED))
     human.sh_starts.copy_(sh_from_rgb(colors))
     share = (known == 1).float().mean().item()
     job.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
@@ -174,7 +177,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     scene = None
     if decisions.get("scene", True) and len(clip.points):
         rng = np.random.default_rng(job.seed)
-        chosen = train[:: max(1, len(train) // 16)]
+        chosen = evenly(train, FILLED)
         xyz, rgb = fill_points(
             clip.points,
             [clip.images(i) for i in chosen],
@@ -232,39 +235,15 @@ def _advance(fit: Fit) -> dict[str, float]:
         ) from error
 
 
-def judge(fit: Fit, frames: list[int]) -> dict[str, Any]:
-    """Mean accuracy on `frames` at full size, whole and in the box of the person, with the number of Gaussians."""
+def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
+    """What the curve tells of one step, but for the step and its time."""
     import resource
 
-    import torch
+    from stages.avatar.judge import judge
 
-    from stages.avatar.compose import compose
-    from stages.avatar.metrics import person_crop, scores
-
-    sums = dict.fromkeys(COLUMNS[2:6], 0.0)
-    views, (orient, body_pose, transl), gains = fit.full, fit.bodies(), fit.gains()
-    with torch.no_grad():
-        _, resting = fit.baked()
-        scene = fit.scene.splats() if fit.scene else None
-        for i in frames:
-            image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
-            human = fit.posed(resting, orient[i], body_pose[i], transl[i])
-            drawn = compose(human, scene, views.viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0]).image
-            drawn = (drawn * gains[i]).clamp(0, 1)
-            if scene is None:
-                image = image * mask[..., None]
-            crop = person_crop(mask)
-            for end, a, b in (("", drawn, image), ("_person", drawn[crop].contiguous(), image[crop].contiguous())):
-                score = scores(a, b)
-                sums["psnr" + end] += score["psnr"] / len(frames)
-                sums["ssim" + end] += score["ssim"] / len(frames)
+    numbers = {key: "" if value is None else round(value, 4) for key, value in judge(fit, frames).items()}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    numbers = {k: round(v, 4) for k, v in sums.items()} if frames else dict.fromkeys(sums, "")
-    return numbers | _size(fit) | {"memory_bytes": memory}
-
-
-def _size(fit: Fit) -> dict[str, int]:
-    return {"human": len(fit.human) if fit.human else 0, "scene": len(fit.scene) if fit.scene else 0}
+    return {key: numbers[key] for key in COLUMNS[2:6]} | fit.sizes() | {"memory_bytes": memory}
 
 
 def _save(fit: Fit, path: Path, more: dict[str, Any]) -> None:
@@ -342,7 +321,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "steps": fit.step,
         "seconds": curve[-1]["seconds"],
         "extent_m": fit.options.extent,
-        "gaussians": _size(fit) | {"human": len(avatar)},
+        "gaussians": fit.sizes() | {"human": len(avatar)},
         "strays": int(stray.sum()),
         "lining": len(c.means) - len(learned.means),
         "not_finite": fit.bad,

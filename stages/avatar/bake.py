@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from stages.avatar.body import edge_lengths, vertex_normals
-from stages.avatar.human import Canonical, bone_transforms, pose, rest
+from stages.avatar.human import Canonical, pose, rest
 from stages.avatar.losses import widened
+from stages.avatar.neighbours import evenly, nearest
 from stages.avatar.rasterize import rasterize
 from stages.avatar.rotations import rotation_z_to
 from stages.avatar.views import Person, Views
@@ -16,7 +16,7 @@ from stages.avatar.views import Person, Views
 TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 LOOKS = 32  # training frames that are asked what they show
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
-EDGE_DOUBT = 0.2  # neighbours' pixels for each at an outline; 1 costs twice the accuracy and looks the same
+EDGE_DOUBT = 0.2  # neighbours' pixels for each at an outline; with 1 twice the accuracy is lost, for the same look
 DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 NEIGHBOURS = 24  # that are asked
@@ -47,7 +47,7 @@ def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> Ca
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
         return person
-    near = _nearest(person.means[sure], person.means, NEIGHBOURS)
+    _, near = nearest(person.means[sure], person.means, NEIGHBOURS)
     own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
     return person._replace(sh=own * person.sh + (1 - own) * person.sh[sure][near].median(1).values)
 
@@ -72,14 +72,13 @@ def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> C
 def _lining(person: Canonical, body: Person) -> Canonical:
     normals = vertex_normals(body.vertices, body.faces)
     depth = torch.full_like(normals[:, :1], INSET)
-    skin = cKDTree(body.vertices.cpu().numpy())
     for _ in range(6):
-        distance, _ = skin.query((body.vertices - depth * normals).cpu().numpy())
-        depth[torch.as_tensor(distance).to(depth) < THIN * depth[:, 0]] *= 0.5
+        distance, _ = nearest(body.vertices, body.vertices - depth * normals, 1)
+        depth[distance < THIN * depth] *= 0.5
     means = body.vertices - depth * normals
     half = 0.5 * edge_lengths(body.vertices, body.faces)
     opaque = person.opacities >= person.opacities.max().clamp(max=0.5)
-    near = _nearest(person.means[opaque], means, 8)
+    _, near = nearest(person.means[opaque], means, 8)
     return Canonical(
         means=means,
         frames=rotation_z_to(normals),
@@ -93,14 +92,12 @@ def _lining(person: Canonical, body: Person) -> Canonical:
 def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
     """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
     masks' pixels: sums over at most LOOKS of `frames`. What a picture owes to a colour is its gradient."""
-    bones = bone_transforms(body.joints, body.parents, torch.zeros_like(body.joints[0]), body.canonical_pose)
-    resting, painted, pixels = rest(person, bones), torch.zeros_like(person.means), 0.0
-    for i in frames[:: max(1, len(frames) // LOOKS)]:
+    resting, painted, pixels = rest(person, body.canonical_bones()), torch.zeros_like(person.means), 0.0
+    for i in evenly(frames, LOOKS):
         mask = views.masks[i].float() / 255
         if not body.present[i] or mask.max() == 0:
             continue
-        bones = bone_transforms(body.joints, body.parents, body.global_orient[i], body.body_pose[i])
-        means, axes, opacities, *_ = pose(resting, bones, body.transl[i])
+        means, axes, opacities, *_ = pose(resting, body.bones(i), body.transl[i])
         colors = torch.zeros_like(means).requires_grad_()
         height, width = mask.shape
         (drawn,) = rasterize(means, axes, opacities, colors, views.viewmats[i], views.Ks[i], width, height)
@@ -109,10 +106,3 @@ def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -
         painted += torch.autograd.grad((drawn.image * where).sum(), colors)[0]
         pixels += mask.sum().item()
     return painted, pixels
-
-
-def _nearest(those: Tensor, points: Tensor, k: int) -> Tensor:
-    """Rows [N,k] of `those` nearest to each of points[N,3]."""
-    k = min(k, len(those))
-    _, rows = cKDTree(those.cpu().numpy()).query(points.detach().cpu().numpy(), k=list(range(1, k + 1)), workers=-1)
-    return torch.as_tensor(rows, device=points.device)

@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.optim import Optimizer
 
+from stages.avatar.neighbours import nearest
 from stages.avatar.rotations import matrix_from_quat
 
 if TYPE_CHECKING:
@@ -115,8 +115,8 @@ def plan(growth: Growth, sizes: Tensor, opacities: Tensor, rules: Rules, room: i
 
 def strays(means: Tensor, body: Tensor) -> Tensor:
     """Which of the canonical means[N,3] are farther than FAR from all of the body's vertices[V,3]: no part of a person."""
-    distance, _ = cKDTree(body.cpu().numpy()).query(means.detach().cpu().numpy())
-    return torch.as_tensor(distance > FAR, device=means.device)
+    distance, _ = nearest(body, means, 1)
+    return distance[:, 0] > FAR
 
 
 def grow_scene(

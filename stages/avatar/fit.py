@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from stages.avatar import losses
@@ -16,6 +15,7 @@ from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.gaussians import Splats, contain
 from stages.avatar.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
 from stages.avatar.layers import layers_of
+from stages.avatar.neighbours import nearest
 from stages.avatar.optimizers import optimizers
 from stages.avatar.perceptual import Lpips
 from stages.avatar.refine import FrameCorrections, spread
@@ -26,7 +26,7 @@ from stages.avatar.views import Person, Views
 
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
 BAD_STEPS = 20  # in a row, after which training stops
-NEIGHBOURS = 8
+NEIGHBOURS = 8  # of which a Gaussian of the surface is the middle
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
@@ -55,12 +55,15 @@ class Fit:
         self.leaves: Resting | None = None
         self.near: Tensor | None = None
         if person is not None:
-            still = torch.zeros(3).to(person.joints)
-            self.canonical_bones = bone_transforms(person.joints, person.parents, still, person.canonical_pose)
+            self.canonical_bones = person.canonical_bones()
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self.taught = torch.zeros(0 if human is None else len(human)).to(views.viewmats)
         self.adam = optimizers(self.frames, human, scene, options.extent)
         self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
+
+    def sizes(self) -> dict[str, int]:
+        """How many Gaussians there are now, of each set."""
+        return {"human": len(self.human) if self.human else 0, "scene": len(self.scene) if self.scene else 0}
 
     def _sets(self) -> dict[str, Any]:
         return {n: m for n, m in (("human", self.human), ("scene", self.scene)) if m is not None}
@@ -226,10 +229,7 @@ class Fit:
         """Rows [N,NEIGHBOURS] of the Gaussians that began nearest to each."""
         homes = self.human.homes
         if self.near is None or len(self.near) != len(homes):
-            _, rows = cKDTree(homes.cpu().numpy()).query(
-                homes.cpu().numpy(), k=list(range(2, NEIGHBOURS + 2)), workers=-1
-            )
-            self.near = torch.as_tensor(rows, device=homes.device)
+            self.near = nearest(homes, homes, NEIGHBOURS + 1)[1][:, 1:]  # without itself
         return self.near
 
     def _reference(self) -> Tensor:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
+from stages.avatar.neighbours import nearest
 from stages.avatar.sh import sh_colors
 
 SMALLEST = 1e-7  # of the extent; nearer neighbours are taken for duplicates
@@ -44,9 +44,8 @@ def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
     """
     if len(points) < 2:
         return torch.full((len(points),), 0.1 * extent).to(points)
-    k = min(neighbours, len(points) - 1)
-    distance, _ = cKDTree(points.detach().cpu().numpy()).query(points.detach().cpu().numpy(), k=list(range(2, k + 2)))
-    rms = torch.from_numpy(distance).square().mean(1).sqrt().to(points)
+    distance, _ = nearest(points, points, neighbours + 1)
+    rms = distance[:, 1:].square().mean(1).sqrt().to(points)
     return rms.clamp(SMALLEST * extent, 0.1 * extent)
 
 

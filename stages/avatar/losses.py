@@ -29,7 +29,7 @@ def outside_person(image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     """The image [H,W,3] with its person pixels (mask[H,W] 0..1) taken for right: the scene learns nothing from them.
 
     Otherwise the scene explains what the body model does not, and keeps a ghost of the person (issue 21 of ml-hugs).
-    The same goes for a seam around the person: masks end early, and colours of the person bleed over their edge.
+    The same goes for a seam around the person: no mask ends at the very edge, and colours bleed over it.
     """
     return target + (1 - widened(mask, SEAM))[..., None] * (image - target)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
-from stages.avatar.human import HumanModel, bone_transforms, pose, rest
+from stages.avatar.human import HumanModel, pose, rest
+from stages.avatar.neighbours import nearest
 from stages.avatar.views import NEAR, Person, Views
 
 FACING = 0.3  # cosine between normal and view from which a Gaussian counts as seen; no occlusion is tested
@@ -21,13 +21,11 @@ def seen_colors(human: HumanModel, person: Person, views: Views, frames: list[in
     cosine. The others take the colour of the nearest seen one in the canonical pose; 0.5 if none is seen at all.
     """
     canonical, *_ = human()
-    still = torch.zeros(3).to(person.joints)
-    resting = rest(canonical, bone_transforms(person.joints, person.parents, still, person.canonical_pose))
+    resting = rest(canonical, person.canonical_bones())
     total, weight = torch.zeros_like(canonical.means), torch.zeros_like(canonical.means[:, 0])
     height, width = views.masks.shape[1:]
     for f in frames:
-        bones = bone_transforms(person.joints, person.parents, person.global_orient[f], person.body_pose[f])
-        splats = pose(resting, bones, person.transl[f])
+        splats = pose(resting, person.bones(f), person.transl[f])
         viewmat, K = views.viewmats[f], views.Ks[f]
         local = splats.means @ viewmat[:3, :3].T + viewmat[:3, 3]
         normal = torch.nn.functional.normalize(splats.axes[:, :, 2] @ viewmat[:3, :3].T, dim=1)
@@ -45,7 +43,6 @@ def seen_colors(human: HumanModel, person: Person, views: Views, frames: list[in
     if weight.max() == 0:
         return torch.full_like(total, 0.5), weight
     colors = total / weight.clamp_min(1e-6)[:, None]
-    tree = cKDTree(canonical.means[known].cpu().numpy())
-    _, nearest = tree.query(canonical.means[~known].cpu().numpy())
-    colors[~known] = colors[known][torch.as_tensor(nearest, device=colors.device)]
+    _, near = nearest(canonical.means[known], canonical.means[~known], 1)
+    colors[~known] = colors[known][near[:, 0]]
     return colors, (weight / LEAST).clamp(max=1)

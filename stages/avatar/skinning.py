@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from stages.avatar.body import affine
+from stages.avatar.neighbours import nearest
 
 WEIGHT_GAP = 0.0021
 """A neighbour counts if its weights are this close (sum of absolute differences) to the nearest vertex's: HUGS keeps
@@ -47,10 +47,8 @@ def knn_weights(points: Tensor, vertices: Tensor, vertex_weights: Tensor, k: int
     if not points.isfinite().all():
         row = int((~points.isfinite().all(-1)).nonzero()[0])
         raise ValueError(f"point {row} is not finite: {points[row].tolist()}")
-    tree = cKDTree(vertices.cpu().double().numpy())
-    distances, nearest = tree.query(points.cpu().double().numpy(), k=list(range(1, k + 1)), workers=-1)
-    distances = torch.from_numpy(distances).to(points.device)
-    around = vertex_weights.to(points)[torch.from_numpy(nearest).to(points.device)]
+    distances, near = nearest(vertices, points, k)
+    around = vertex_weights.to(points)[near]
     gap = (around - around[:, :1]).abs().sum(-1)
     exponents = torch.where(gap < WEIGHT_GAP, -distances.square(), -torch.inf)
     share = exponents.softmax(-1).to(points)  # the nearest is always kept, so no row is empty

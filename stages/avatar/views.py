@@ -8,6 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from stages.avatar.human import bone_transforms
+
 CROP = 12  # pixels left around the person in the person-only render
 NEAR = 0.05  # metres: points of the person nearer to the camera do not widen the window
 
@@ -53,6 +55,14 @@ class Person(NamedTuple):
     vertices: Tensor
     weights: Tensor
     faces: Tensor
+
+    def canonical_bones(self) -> Tensor:
+        """Transforms [24,4,4] of the bones from rest to the canonical pose."""
+        return bone_transforms(self.joints, self.parents, torch.zeros_like(self.joints[0]), self.canonical_pose)
+
+    def bones(self, frame: int) -> Tensor:
+        """Transforms [24,4,4] of the bones from rest to the pose of a frame; `transl` is not in them."""
+        return bone_transforms(self.joints, self.parents, self.global_orient[frame], self.body_pose[frame])
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:

@@ -14,19 +14,16 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from statistics import fmean
 from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
-import torch
 
 from stages import train
 from stages.avatar import fit as fit_module
 from stages.avatar import losses, optimizers, schedule
-from stages.avatar.compose import compose, compose_layers
-from stages.avatar.fit import Fit
-from stages.avatar.metrics import person_crop, scores
+from stages.avatar.compose import compose_layers
+from stages.avatar.judge import judge
 from stages.avatar.perceptual import Lpips
 from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
@@ -87,22 +84,6 @@ WITHOUT = {  # name -> settings of train, and patches
 }
 
 
-def rated(fit: Fit, frames: list[int], lpips: Lpips) -> dict[str, float]:
-    """Mean PSNR of the whole picture, and of the person's box with SSIM and LPIPS."""
-    rows = []
-    with torch.no_grad():
-        (orient, body_pose, transl), gains, (_, resting) = fit.bodies(), fit.gains(), fit.baked()
-        for i in frames:
-            image, mask = fit.full.images[i].float() / 255, fit.full.masks[i].float() / 255
-            human = fit.posed(resting, orient[i], body_pose[i], transl[i])
-            size = mask.shape[1], mask.shape[0]
-            drawn = compose(human, fit.scene.splats(), fit.full.viewmats[i], fit.full.Ks[i], *size).image
-            drawn, box = (drawn * gains[i]).clamp(0, 1), person_crop(mask)
-            person = scores(drawn[box].contiguous(), image[box].contiguous(), lpips)
-            rows.append({"full": scores(drawn, image)["psnr"]} | {k: person[k] for k in ("psnr", "ssim", "lpips")})
-    return {key: fmean(row[key] for row in rows) for key in rows[0]}
-
-
 def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[dict]:
     """Train each variant with each seed, and rate it."""
     clip = load_clip(folder / "sfm", folder / "smpl")
@@ -123,8 +104,7 @@ def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[di
                 while fit.step < steps:
                     fit.advance()
                 seconds = time.perf_counter() - began
-            sizes = {"human": len(fit.human), "scene": len(fit.scene)}
-            yield {"without": name, "seed": seed, "seconds": seconds} | sizes | rated(fit, heldout, lpips)
+            yield {"without": name, "seed": seed, "seconds": seconds} | fit.sizes() | judge(fit, heldout, lpips)
 
 
 def main() -> None:
@@ -139,7 +119,8 @@ def main() -> None:
     print(f"{'without':42s} seed  seconds   full  person   SSIM   LPIPS    scene")
     for row in ideas(asked.folder, asked.only, asked.steps, asked.seeds):
         found.append(row)
-        numbers = f"{row['full']:7.2f} {row['psnr']:7.2f} {row['ssim']:7.4f} {row['lpips']:7.4f} {row['scene']:8,d}"
+        person = f"{row['psnr_person']:7.2f} {row['ssim_person']:7.4f} {row['lpips_person']:7.4f}"
+        numbers = f"{row['psnr']:7.2f} {person} {row['scene']:8,d}"
         print(f"{row['without']:42s} {row['seed']:4d} {row['seconds']:8.0f} {numbers}", flush=True)
         if asked.json:
             asked.json.write_text(json.dumps(found, indent=1) + "\n")

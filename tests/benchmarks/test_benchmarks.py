@@ -1,16 +1,23 @@
 """The benchmarks measure what they say: makers agree, times add up, sizes are right."""
 
 import time
+from contextlib import ExitStack
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from stages import train
 from stages.avatar import rasterize
 from stages.formats.splats import Scene
+from tests.benchmarks import ideas
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
+from tests.stages.avatar.test_fit import fit_of, make_clip, run
+
+clip = pytest.fixture(scope="module")(make_clip)
 
 
 def test_the_naive_kernel_draws_what_ours_draws():
@@ -55,3 +62,17 @@ def test_a_scene_takes_the_size_asked_for():
             count
         }
         np.testing.assert_allclose(other.scales.prod(1).mean() * count, scene.scales.prod(1).mean() * 50, rtol=0.5)
+
+
+@pytest.mark.parametrize("name", ideas.WITHOUT)
+def test_every_idea_can_be_left_out_and_is_back_afterwards(name, clip):
+    settings, patches = ideas.WITHOUT[name]
+    assert set(settings) <= set(train.Params.model_fields)
+    before = [getattr(patch.getter(), patch.attribute) for patch in patches]
+    with ExitStack() as stack:
+        for patch in patches:
+            stack.enter_context(patch)
+        fit = fit_of(clip, steps=8)
+        numbers = run(fit, 8)
+    assert np.isfinite(numbers).all() and fit.bad == 0
+    assert before == [getattr(patch.getter(), patch.attribute) for patch in patches]

@@ -1,16 +1,14 @@
 """What is kept of a person: unseen rows as the body says, colours that lean on sure ones, a lining under the skin."""
 
-import numpy as np
 import pytest
 import torch
 
 from stages.avatar import bake
-from stages.avatar.body import DA_POSE, Body
+from stages.avatar.body import DA_POSE
 from stages.avatar.compose import compose
-from stages.avatar.human import Canonical, HumanModel, bone_transforms, pose, rest
-from stages.avatar.synthetic import look_at
+from stages.avatar.human import Canonical, bone_transforms, pose, rest
 from stages.avatar.views import Person, Views
-from stages.formats.body_model import read_body_model
+from tests.stages.avatar.standing import around, stand
 
 SIZE, STILL = 192, torch.zeros(3)
 EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))
@@ -21,34 +19,22 @@ ARMS_UP[15, 2], ARMS_UP[16, 2] = 1.0, -1.0  # shoulders, far above the da-pose
 @pytest.fixture(scope="module")
 def standing():
     """A red person as the free body has it, opaque, and where it stands: at the origin, in the da-pose."""
-    data = read_body_model(None)
-    body, betas, still = Body(data), torch.zeros(10), torch.zeros(1, 3)
-    vertices = body(betas, still, DA_POSE[None], still)[0][0]
-    faces = torch.as_tensor(data.faces.astype(np.int64))
-    sizes = {"rounds": 0, "channels": 2, "resolution": 8, "sh_degree": 0}
-    human = HumanModel(vertices, faces, body.lbs_weights, **sizes, generator=torch.Generator().manual_seed(0))
-    red = torch.tensor([1.0, -1, -1]).expand(len(vertices), 1, 3)
+    human, where = stand(len(EYES))
+    red = torch.tensor([1.0, -1, -1]).expand(len(human), 1, 3)
     person = human.untaught()
     person = person._replace(sh=red, opacities=torch.full_like(person.opacities, 0.99), scales=1.5 * person.scales)
-    frames = len(EYES)
-    poses = (torch.zeros(frames, 3), DA_POSE.expand(frames, -1), torch.zeros(frames, 3))
-    present = torch.ones(frames, dtype=torch.bool)
-    where = Person(*poses, present, body.rest(betas)[1], body.parents, DA_POSE, vertices, body.lbs_weights, faces)
     return person, where
 
 
 def drawn(person: Canonical, where: Person, frame: int, body_pose=DA_POSE):
-    resting = rest(person, bone_transforms(where.joints, where.parents, STILL, DA_POSE))
+    resting = rest(person, where.canonical_bones())
     splats = pose(resting, bone_transforms(where.joints, where.parents, STILL, body_pose), STILL)
     cameras = views(torch.zeros(len(EYES), SIZE, SIZE))
     return compose(splats, None, cameras.viewmats[frame], cameras.Ks[frame], SIZE, SIZE)
 
 
 def views(masks) -> Views:
-    up = np.array([0.0, 1, 0])
-    viewmats = torch.tensor(np.stack([look_at(np.array(eye, float), np.zeros(3), up) for eye in EYES])).float()
-    K = torch.tensor([[270.0, 0, SIZE / 2], [0, 270, SIZE / 2], [0, 0, 1]]).expand(len(EYES), 3, 3)
-    return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), (255 * masks).round().byte(), viewmats, K)
+    return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), (255 * masks).round().byte(), *around(EYES, 270.0, SIZE))
 
 
 def silhouettes(person, where, body_pose=DA_POSE):

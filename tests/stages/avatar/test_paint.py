@@ -1,15 +1,11 @@
 """First colours: what faces a camera takes its colour, what faces none takes its neighbour's and is known as unseen."""
 
-import numpy as np
 import pytest
 import torch
 
-from stages.avatar.body import DA_POSE, Body
-from stages.avatar.cameras import look_at
-from stages.avatar.human import HumanModel
 from stages.avatar.paint import seen_colors
-from stages.avatar.views import Person, Views
-from stages.formats.body_model import read_body_model
+from stages.avatar.views import Views
+from tests.stages.avatar.standing import around, stand
 
 SIZE = 64
 RED, BLUE = torch.tensor([200, 20, 20], dtype=torch.uint8), torch.tensor([20, 20, 200], dtype=torch.uint8)
@@ -18,27 +14,14 @@ RED, BLUE = torch.tensor([200, 20, 20], dtype=torch.uint8), torch.tensor([20, 20
 @pytest.fixture(scope="module")
 def standing():
     """The free body and a person who stands at the origin in two frames, without Gaussians between the vertices."""
-    data = read_body_model(None)
-    body, betas, still = Body(data), torch.zeros(10), torch.zeros(1, 3)
-    vertices = body(betas, still, DA_POSE[None], still)[0][0]
-    faces = torch.as_tensor(data.faces.astype(np.int64))
-    sizes = {"rounds": 0, "channels": 2, "resolution": 8, "sh_degree": 0}
-    human = HumanModel(vertices, faces, body.lbs_weights, **sizes, generator=torch.Generator().manual_seed(0))
-    poses = (torch.zeros(2, 3), DA_POSE.expand(2, -1), torch.zeros(2, 3))
-    present = torch.ones(2, dtype=torch.bool)
-    joints = body.rest(betas)[1]
-    return human, Person(*poses, present, joints, body.parents, DA_POSE, vertices, body.lbs_weights, faces)
+    return stand(2)
 
 
 def views():
     """A red picture from the front (the body faces +z) and a blue one from behind, all of them person."""
-    eyes = ((0, 0, 3), (0, 0, -3))
-    viewmats = torch.tensor(
-        np.stack([look_at(np.array(eye, float), np.zeros(3), np.array([0.0, 1, 0])) for eye in eyes])
-    )
-    K = torch.tensor([[60.0, 0, SIZE / 2], [0, 60, SIZE / 2], [0, 0, 1]]).expand(2, 3, 3)
     images = torch.stack([colour.expand(SIZE, SIZE, 3) for colour in (RED, BLUE)])
-    return Views(images, torch.full((2, SIZE, SIZE), 255, dtype=torch.uint8), viewmats.float(), K)
+    masks = torch.full((2, SIZE, SIZE), 255, dtype=torch.uint8)
+    return Views(images, masks, *around(((0, 0, 3), (0, 0, -3)), 60.0, SIZE))
 
 
 def normals(human):

@@ -1,0 +1,25 @@
+"""The points nearest to others, and frames spread evenly over many."""
+
+from __future__ import annotations
+
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+
+@torch.no_grad()
+def nearest(those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
+    """Distances float64[N,k] and rows int64[N,k] of the k of `those`[M,3] nearest to each of points[N,3], nearest first.
+
+    With M < k there are M columns. No gradient; on a GPU the search is still done by the CPU.
+    """
+    columns = list(range(1, min(k, len(those)) + 1))
+    found = cKDTree(those.cpu().numpy()).query(points.cpu().numpy(), k=columns, workers=-1)
+    distances, rows = (torch.as_tensor(array, device=points.device) for array in found)
+    return distances, rows
+
+
+def evenly(rows: list[int], most: int) -> list[int]:
+    """At most `most` of `rows`, spread evenly, the first among them."""
+    count = min(most, len(rows))
+    return [rows[i * len(rows) // count] for i in range(count)]
