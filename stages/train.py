@@ -153,9 +153,9 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     faces = torch.as_tensor(np.asarray(clip.body_model.faces).astype(np.int64), device=job.device)
     poses = (tensor(clip.body.global_orient), tensor(clip.body.body_pose), tensor(clip.body.transl))
     weights = body.lbs_weights.to(job.device)
-    present = torch.as_tensor(np.asarray(clip.body.confidence) > 0)
+    confidence = tensor(clip.body.confidence)
     joints, at = tensor(joints), tensor(vertices[0])
-    person = Person(*poses, present, joints, body.parents, DA_POSE.to(job.device), at, weights, faces)
+    person = Person(*poses, confidence, joints, body.parents, DA_POSE.to(job.device), at, weights, faces)
     human = HumanModel(
         person.vertices,
         faces,
@@ -168,7 +168,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         lbs_learning=params.lbs_learning,
         triplane=params.triplane,
     )
-    seen = [i for i in train if present[i]]
+    seen = [i for i in train if confidence[i] > 0]
     colors, known = seen_colors(human, person, views, evenly(seen, PAINTED))
     human.sh_starts.copy_(sh_from_rgb(colors))
     share = (known == 1).float().mean().item()

@@ -95,7 +95,7 @@ def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -
     resting, painted, pixels = rest(person, body.canonical_bones()), torch.zeros_like(person.means), 0.0
     for i in evenly(frames, LOOKS):
         mask = views.masks[i].float() / 255
-        if not body.present[i] or mask.max() == 0:
+        if body.confidence[i] == 0 or mask.max() == 0:
             continue
         means, axes, opacities, *_ = pose(resting, body.bones(i), body.transl[i])
         colors = torch.zeros_like(means).requires_grad_()

@@ -128,7 +128,8 @@ class Fit:
         gains = self.frames.gains(frame) if self.options.exposure else None
         human, scene, numbers, loss = None, None, {}, 0.0
         p, phase = self.person, self.phase
-        if self.human is not None and phase.human and bool(p.present[frame]) and bool((mask > 0.5).any()):
+        trust = 0.0 if p is None else p.confidence[frame]  # a doubtful pose teaches little
+        if self.human is not None and phase.human and bool(p.confidence[frame] > 0) and bool((mask > 0.5).any()):
             body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
             if self.options.refine_pose:
                 body = self.frames.body(frame, *body)
@@ -154,7 +155,7 @@ class Fit:
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
             apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
-            loss = loss + apart
+            loss = loss + trust * apart
             numbers["person"] = apart.item()
         if "veil" in layers:
             left, top, right, bottom = layers["veil"].window
@@ -163,7 +164,7 @@ class Fit:
             window = losses.patch(mask[crop], losses.PATCH, self.generator)
             target = losses.over_background(image[crop], mask[crop], background)[window]
             if min(target.shape[:2]) >= self.perceptual.smallest:
-                loss = loss + losses.PERCEPTUAL * self.perceptual(rendered[window], target)
+                loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], target)
         self.undrawn += next(iter(drawn.values())).dropped
         if not math.isfinite(loss.item()):
             return self._bad_step(frame, numbers)

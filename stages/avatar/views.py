@@ -41,14 +41,14 @@ class Views(NamedTuple):
 class Person(NamedTuple):
     """The fitted body of all frames, and what the canonical pose needs.
 
-    global_orient[F,3], body_pose[F,69], transl[F,3], present[F] (False: no fit worth learning from), joints[24,3] at
-    rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3].
+    global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
+    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3].
     """
 
     global_orient: Tensor
     body_pose: Tensor
     transl: Tensor
-    present: Tensor
+    confidence: Tensor
     joints: Tensor
     parents: list[int]
     canonical_pose: Tensor

@@ -19,8 +19,8 @@ def stand(frames: int) -> tuple[HumanModel, Person]:
     sizes = {"rounds": 0, "channels": 2, "resolution": 8, "sh_degree": 0}
     human = HumanModel(vertices, faces, body.lbs_weights, **sizes, generator=torch.Generator().manual_seed(0))
     poses = (torch.zeros(frames, 3), DA_POSE.expand(frames, -1), torch.zeros(frames, 3))
-    present, joints = torch.ones(frames, dtype=torch.bool), body.rest(betas)[1]
-    return human, Person(*poses, present, joints, body.parents, DA_POSE, vertices, body.lbs_weights, faces)
+    confidence, joints = torch.ones(frames), body.rest(betas)[1]
+    return human, Person(*poses, confidence, joints, body.parents, DA_POSE, vertices, body.lbs_weights, faces)
 
 
 def around(eyes: tuple[tuple[float, float, float], ...], focal: float, side: int) -> tuple[torch.Tensor, torch.Tensor]:

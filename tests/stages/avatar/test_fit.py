@@ -46,9 +46,9 @@ def make_clip():
     body_pose = torch.zeros(FRAMES, 69)
     body_pose[:, 8] = torch.linspace(-0.5, 0.5, FRAMES)
     still, joints = torch.zeros(FRAMES, 3), torch.zeros(24, 3)
-    present = torch.ones(FRAMES, dtype=torch.bool)
+    confidence = torch.ones(FRAMES)
     person = Person(
-        still, body_pose, still, present, joints, PARENTS, torch.zeros(69), vertices, weights, ellipsoid()[1]
+        still, body_pose, still, confidence, joints, PARENTS, torch.zeros(69), vertices, weights, ellipsoid()[1]
     )
     human, scene, generator = models(0)
     scene.sh0.data = torch.randn(scene.sh0.shape, generator=generator)
@@ -149,7 +149,7 @@ def test_frames_without_a_person_to_learn_from_stay_finite(clip, case):
     if case == "person behind the camera":
         person = person._replace(transl=person.transl - torch.tensor([0, 0, 20.0]))
     if case == "no fit":
-        person = person._replace(present=torch.zeros(FRAMES, dtype=torch.bool))
+        person = person._replace(confidence=torch.zeros(FRAMES))
     fit = fit_of((views, person), scene=case != "no scene")
     before = fit.human.xyz.detach().clone()
     run(fit, 6)
@@ -157,6 +157,16 @@ def test_frames_without_a_person_to_learn_from_stay_finite(clip, case):
     assert all(p.isfinite().all() for module in fit._modules().values() for p in module.parameters())
     if case in ("empty masks", "no fit"):
         assert torch.equal(before, fit.human.xyz)
+
+
+def test_a_doubtful_pose_teaches_as_little_as_it_is_trusted(clip):
+    views, person = clip
+    sure, doubtful = fit_of(clip), fit_of((views, person._replace(confidence=torch.full((FRAMES,), 0.25))))
+    for fit in (sure, doubtful):
+        run(fit, 1)
+    assert sure.leaves.sh.grad.abs().max() > 0
+    torch.testing.assert_close(doubtful.leaves.sh.grad, 0.25 * sure.leaves.sh.grad)
+    assert torch.equal(sure.scene.sh0, doubtful.scene.sh0), "the scene learns as ever"
 
 
 def test_a_gradient_that_is_not_finite_stays_in_its_row(clip):
