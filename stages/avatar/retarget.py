@@ -2,8 +2,9 @@
 
 The rest poses of two skeletons differ (T or A, joints turned into their bones). So both are brought into one reference
 pose, and from there SMPL's joints turn with theirs: R = G G_ref^T R_ref, with G the source's turns in the world. Twist
-is thereby the source's own. The reference is the zero pose, where nothing is turned, if a person could stand like that,
-else the frame of the motion that looks most like standing.
+is thereby the source's own. The reference is the zero pose, where nothing is turned, if a person could stand like that.
+Else the skeleton's joints are turned into their bones: limbs take the frame that looks most like standing, and the
+joints of the trunk are taken as turned by right angles, those that meet the trunk's mean best.
 """
 
 from __future__ import annotations
@@ -65,21 +66,32 @@ def from_skeleton(
 
     `limbs` maps SMPL joints to the skeleton's; `pelvis`, `spine`, `neck` are its joints from the hips to the head, any
     number of them, whose bend is spread over SMPL's. Arms and legs must be mapped down to wrists and ankles; collars
-    and toes may be missing and then follow what carries them. The directions of LIMBS come out exact.
+    and toes may be missing and then follow what carries them. The directions of LIMBS come out exact. Raises ValueError
+    for bones without length.
     """
     turns, places = _in_the_world(skeleton)
     at = {joint: places[:, limbs[joint]] for joint in limbs}
-    reference = _reference(at)
-    start = _start(at, reference, joints, parents)
+    for a, b in (*LIMBS.items(), HIPS):
+        short = (np.linalg.norm(at[b] - at[a], axis=-1) < 1e-6 * np.ptp(places, axis=1).max())[1:]
+        if short.any():
+            ends = f"{skeleton.names[limbs[a]]} and {skeleton.names[limbs[b]]}"
+            raise ValueError(f"{ends} stand in one place in {short.sum()} of {len(short)} frames")
+    bodies, reference = _trunk(at), _reference(at)
+
+    def trunk(joint: int) -> np.ndarray:
+        own = bodies[0] if reference == 0 else _squared((turns[1:, joint].mT @ bodies[1:]).mean(0))
+        return turns[:, joint] @ own @ _trunk(dict(enumerate(joints))).T
+
+    world = np.zeros((len(turns), 24, 3, 3))
+    world[:, 0] = trunk(pelvis)
+    spines = [world[:, 0], *map(trunk, spine)]
+    world[:, SPINE] = _spread(spines, len(SPINE))
+    world[:, [NECK, HEAD]] = _spread([spines[-1], *map(trunk, neck)], 2)
+    start = _start({joint: place[reference] for joint, place in at.items()}, world[reference], joints, parents)
 
     def follow(joint: int, source: int) -> np.ndarray:
         return turns[:, source] @ turns[reference, source].T @ start[joint]
 
-    world = np.zeros((len(turns), 24, 3, 3))
-    world[:, 0] = follow(0, pelvis)
-    trunk = [world[:, 0], *(follow(0, joint) for joint in spine)]
-    world[:, SPINE] = _spread(trunk, len(SPINE))
-    world[:, [NECK, HEAD]] = _spread([trunk[-1], *(follow(0, joint) for joint in neck)], 2)
     for joint in (*COLLARS, *HIPS, *SHOULDERS, *KNEES, *ELBOWS, *ANKLES, *WRISTS, *FEET, *HANDS):
         mapped = joint in limbs and joint not in FEET
         world[:, joint] = follow(joint, limbs[joint]) if mapped else world[:, parents[joint]]
@@ -162,11 +174,10 @@ def _reference(at: Mapping[int, np.ndarray]) -> int:
 
 
 def _start(
-    at: Mapping[int, np.ndarray], reference: int, joints: np.ndarray, parents: Sequence[int]
+    at: Mapping[int, np.ndarray], world: np.ndarray, joints: np.ndarray, parents: Sequence[int]
 ) -> dict[int, np.ndarray]:
-    """How SMPL's joints [3,3] are turned in the world in the reference pose: trunk to trunk, limbs without any twist."""
-    at = {joint: place[reference] for joint, place in at.items()}
-    start = {0: _trunk(at) @ _trunk(dict(enumerate(joints))).T}
+    """How SMPL's joints [3,3] are turned in the reference pose: the trunk by `world` [24,3,3], limbs without any twist."""
+    start = {joint: world[joint] for joint in (0, *SPINE, NECK, HEAD)}
     for joint in range(1, 24):
         above = start[parents[joint]]
         if joint in LIMBS:
@@ -176,9 +187,15 @@ def _start(
             # skeletons draw the toes at any height: only their heading is taken, the sole stays across the shin
             seen, own = above.T @ (at[toe] - at[joint]), joints[toe] - joints[joint]
             start[joint] = above @ turn_between(own * [1, 0, 1], seen * [1, 0, 1])
-        else:
+        elif joint not in start:
             start[joint] = above
     return start
+
+
+def _squared(turn: np.ndarray) -> np.ndarray:
+    """The nearest rotation [3,3] by right angles."""
+    cube = Rotation.create_group("O").as_matrix()
+    return cube[(cube * turn).sum((1, 2)).argmax()]
 
 
 def _trunk(at: Mapping[int, np.ndarray]) -> np.ndarray:
