@@ -2,7 +2,7 @@
 
 import shutil
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation
 from hugs_cli.app import main
 from hugs_cli.workspace import Stamp
 from stages.avatar.motion import MOTIONS
-from stages.formats.body_model import read_body_model
+from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
 from stages.formats.clip import load_clip
+from stages.formats.poses import read_poses, write_poses
+from stages.formats.splats import read_avatar, write_splats
 from stages.formats.video import decode
 from tests.stages import bvh_made, tiny
 from tests.stages.tiny import HEIGHT, WIDTH, colour_of
@@ -27,6 +29,7 @@ def trained(tmp_path_factory):
     """A working folder with a clip that looks finished, and motions beside it."""
     folder = tmp_path_factory.mktemp("animate")
     made = tiny.make(folder / "made")
+    move_pelvis(made, np.array([0.01, -0.225, 0.03]))
     store, links = folder / "work/clip/store", folder / "work/clip/default"
     links.mkdir(parents=True)
     for name in ("sfm", "smpl", "train"):
@@ -44,6 +47,18 @@ def trained(tmp_path_factory):
     local = bvh_made.matrices(orient, pose)
     bvh_made.write_bvh(folder / "wave.bvh", joints * 1.4, local, transl, bvh_made.a_pose(), fps=25)
     return folder
+
+
+def move_pelvis(made, shift):
+    """The same clip by a body whose pelvis is not at the origin, as SMPL's."""
+    model = read_body_model(made["smpl"] / "body_model.npz")
+    write_body_model(made["smpl"] / "body_model.npz", replace(model, v_template=model.v_template + shift))
+    avatar = read_avatar(made["train"] / "avatar.npz")
+    moved = replace(avatar, means=avatar.means + shift, joints=avatar.joints + shift)
+    write_splats(made["train"] / "avatar.npz", moved)
+    for path in (made["smpl"] / "body.npz", made["train"] / "body.npz"):
+        poses = read_poses(path)
+        write_poses(path, replace(poses, transl=poses.transl - shift))
 
 
 @pytest.fixture

@@ -87,6 +87,7 @@ def test_a_skeleton_whose_zero_pose_nobody_can_stand_in(tmp_path, joints, truth)
     assert limb_errors(found, local, joints).max() < 0.01
     away = bvh_made.world_of(found).mT @ bvh_made.world_of(local)
     assert degrees(away, away[:1]).max() < 3, "the twist at the start is not known, but from there on it is kept"
+    assert degrees(away, np.broadcast_to(np.eye(3), away.shape)).max() < 50
     trunk = [0, *retarget.SPINE, retarget.NECK, retarget.HEAD]
     assert degrees(found[:, trunk], local[:, trunk]).max() < 3
 
