@@ -35,6 +35,15 @@ class Only(StrEnum):
     both = "both"
 
 
+class Up(StrEnum):
+    """An axis of a motion file."""
+
+    y = "y"
+    minus_y = "-y"
+    z = "z"
+    minus_z = "-z"
+
+
 Video = Annotated[Path, Argument(help="A video, a folder of pictures, or of a data set.", show_default=False)]
 Stages = Annotated[list[str] | None, Argument(help="Stages of the pipeline; all if none.", show_default=False)]
 PipelineName = Annotated[str, Option("--pipeline", "-p", help="One of pipelines.yaml.")]

@@ -39,7 +39,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.formats.video import write_video
 
     clip = load_clip(sfm, smpl)
-    learned, poses = _read(train, job.device)
+    learned, poses = read_trained(train, job.device)
     fps = float(params.fps)
     shots: dict[str, tuple[Iterator[np.ndarray], float]] = {
         "turntable": (_turntable(learned, params.turntable_frames), fps),
@@ -56,7 +56,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     job.note(", ".join(f"{name}.mp4" for name in shots))
 
 
-def _read(train: Path, device: str) -> tuple[Learned, dict[str, Pose]]:
+def read_trained(train: Path, device: str) -> tuple[Learned, dict[str, Pose]]:
     """What training left, and the person's poses by frame name."""
     from stages.avatar.drawing import load_learned
     from stages.formats.poses import read_poses
@@ -66,6 +66,16 @@ def _read(train: Path, device: str) -> tuple[Learned, dict[str, Pose]]:
     body = read_poses(train / "body.npz")
     poses = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
     return load_learned(read_avatar(train / "avatar.npz"), scene, device), poses
+
+
+def check_scene(learned: Learned, train: Path) -> None:
+    """StageError where only the person was trained."""
+    if learned.scene is None:
+        raise StageError(
+            "this clip has a person only, no scene",
+            "add `--only human`",
+            [f"no scene.npz in {train}: the camera did not move, or the scene was switched off"],
+        )
 
 
 def _beside_truth(clip: Clip, learned: Learned, poses: dict[str, Pose], order: list[int]) -> Iterator[np.ndarray]:
@@ -112,36 +122,16 @@ def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.nda
 def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params) -> Iterator[np.ndarray]:
     """The person doing something new where it stood in the clip, seen by the camera of the middle frame."""
     import numpy as np
-    from scipy.spatial.transform import Rotation
 
     from stages.avatar import motion
-    from stages.avatar.drawing import draw, to_uint8
+    from stages.avatar.drawing import perform
 
-    orients, body_poses, steps = (t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
+    moves = tuple(t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
     middle = len(clip.names) // 2
     orient, _, transl = poses[clip.names[middle]]
-    stand = upright(np.stack([poses[name][0] for name in clip.names]), orient)
-    for turn, pose, step in zip(orients, body_poses, steps, strict=True):
-        turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
-        human = learned.person((turned, pose, transl + stand @ step))
-        view = (clip.viewmats[middle], clip.Ks[middle], (clip.width, clip.height))
-        yield to_uint8(draw(human, learned.scene, *view, background=0.0 if learned.scene else 1.0)[0])
-
-
-def upright(orients: np.ndarray, facing: np.ndarray) -> np.ndarray:
-    """Rotation [3,3] from the frame of motions (y up, z ahead) to the world, for a person who stood in the clip.
-
-    y goes to the mean up of the bodies `orients` [F,3], z to the heading of the body `facing` [3] (rotation vectors).
-    """
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    up = Rotation.from_rotvec(orients).apply([0.0, 1.0, 0.0]).mean(0)
-    up /= np.linalg.norm(up)
-    ahead = Rotation.from_rotvec(facing).apply([0.0, 0.0, 1.0])
-    ahead -= up * (ahead @ up)
-    ahead /= np.linalg.norm(ahead)
-    return np.stack([np.cross(up, ahead), up, ahead], 1)
+    stand = motion.upright(np.stack([poses[name][0] for name in clip.names]), orient)
+    views = [(clip.viewmats[middle], clip.Ks[middle])] * len(moves[0])
+    yield from perform(learned, learned.scene, moves, stand, transl, views, (clip.width, clip.height))
 
 
 def render_views(
@@ -167,13 +157,9 @@ def render_views(
     from stages.formats.poses import read_poses
 
     path = read_cameras(cameras)
-    learned, known = _read(train, device)
-    if learned.scene is None and only != "human":
-        raise StageError(
-            "this clip has a person only, no scene",
-            "add `--only human`",
-            [f"no scene.npz in {train}: the camera did not move, or the scene was switched off"],
-        )
+    learned, known = read_trained(train, device)
+    if only != "human":
+        check_scene(learned, train)
     middle = list(known.values())[len(known) // 2]
     chosen = [known.get(name, middle) for name in path.names]
     if poses is not None:

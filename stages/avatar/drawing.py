@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from stages.avatar.compose import compose
 from stages.avatar.gaussians import Splats
@@ -49,6 +51,25 @@ def draw(
     with torch.no_grad():
         drawn = compose(human, scene, view, intrinsics, *size, torch.full((3,), background).to(like))
     return drawn.image.cpu().numpy(), drawn.alpha.cpu().numpy()
+
+
+def perform(
+    learned: Learned,
+    scene: Splats | None,
+    moves: tuple[np.ndarray, np.ndarray, np.ndarray],
+    stand: np.ndarray,
+    transl: np.ndarray,
+    views: Iterable[tuple[np.ndarray, np.ndarray]],
+    size: tuple[int, int],
+) -> Iterator[np.ndarray]:
+    """Pictures of the person going through `moves`: global_orient, body_pose and steps, y up and z ahead.
+
+    `stand` [3,3] takes their frame to the world, where steps [F,3] m are added to `transl` [3]; one view a move.
+    """
+    for turn, pose, step, view in zip(*moves, views, strict=True):
+        turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
+        human = learned.person((turned, pose, transl + stand @ step))
+        yield to_uint8(draw(human, scene, *view, size, background=0.0 if scene else 1.0)[0])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +11,15 @@ import numpy as np
 from stages.contract import StageError
 
 
-def read_npz(path: Path, hint: str = "") -> dict[str, np.ndarray]:
-    """All arrays of an .npz file; StageError for a missing, broken or pickled one, naming the key."""
+def read_npz(path: Path, hint: str = "", only: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """All arrays of an .npz file, or those named in `only`; StageError for a missing, broken or pickled one, with the key."""
     arrays = {}
     key = ""
     try:
         with np.load(path, allow_pickle=False) as data:
             for key in data.files:
-                arrays[key] = data[key]
+                if not only or key in only:
+                    arrays[key] = data[key]
     except FileNotFoundError as error:
         raise StageError(f"no file {path}", hint) from error
     except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:

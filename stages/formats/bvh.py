@@ -1,0 +1,207 @@
+"""BVH motion capture: any skeleton, any order of channels.
+
+Format as its inventors left it: https://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/BVH.html
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stages.contract import StageError
+
+HINT = "export the motion as BVH again; a text with HIERARCHY, then MOTION, one line of numbers a frame"
+CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
+
+
+@dataclass(frozen=True)
+class Bvh:
+    """A skeleton of J joints moving for F frames, in the file's own axes and unit of length.
+
+    `names` [J], "" for an End Site; `parents` [J], before their children, the root's is -1; `places` [F,J,3] in the
+    parent's axes, the OFFSET where no channel moves it; `rotations` [F,J,3,3] from a joint's axes to its parent's;
+    `fps` frames a second.
+    """
+
+    names: tuple[str, ...]
+    parents: np.ndarray
+    places: np.ndarray
+    rotations: np.ndarray
+    fps: float
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
+def read_bvh(path: Path) -> Bvh:
+    """Read a BVH file; StageError with the line and what was expected there.
+
+    A position channel takes the place of the offset in its axis. The unit of length is never said in a BVH.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise StageError(f"no file {path}", HINT) from error
+    except UnicodeDecodeError as error:
+        raise StageError(f"{path} is not a text", HINT, [str(error)]) from error
+    lines = _Lines(path, text)
+    skeleton = _skeleton(lines)
+    fps, rows = _motion(lines, sum(map(len, skeleton.channels)))
+    return _bvh(skeleton, fps, rows)
+
+
+class _Lines:
+    """The words of a file line by line, braces on lines of their own; remembers where it is."""
+
+    def __init__(self, path: Path, text: str):
+        self.path, self.number, self.words = path, 0, []
+        self._rest = self._split(text)
+
+    def _split(self, text: str) -> Iterator[tuple[int, list[str]]]:
+        for self.last, line in enumerate(text.splitlines(), start=1):
+            for part in re.split(r"([{}])", line):
+                if part.strip():
+                    yield self.last, part.split()
+
+    def more(self) -> bool:
+        """Go to the next line that is not empty; False at the end."""
+        self.number, self.words = next(self._rest, (self.number, []))
+        return bool(self.words)
+
+    def take(self, expected: str) -> list[str]:
+        """The words of the next line; `expected` says what must stand there."""
+        if not self.more():
+            raise StageError(f"{self.path} ends too soon", HINT, [f"after line {self.number}: expected {expected}"])
+        return self.words
+
+    def keyword(self, *words: str) -> list[str]:
+        """What follows `words` on the next line, which must begin with them."""
+        found = self.take(" ".join(words))
+        if [word.lower() for word in found[: len(words)]] != [word.lower() for word in words]:
+            raise self.refuse(" ".join(words))
+        return found[len(words) :]
+
+    def numbers(self, words: list[str], count: int, what: str) -> list[float]:
+        """`words` as that many finite numbers."""
+        if len(words) != count:
+            raise self.refuse(f"{count} numbers ({what})", f"{len(words)} numbers")
+        try:
+            values = list(map(float, words))
+        except ValueError as error:
+            raise self.refuse(f"{count} numbers ({what})", str(error)) from error
+        if not np.isfinite(values).all():
+            raise self.refuse(f"finite numbers ({what})")
+        return values
+
+    def refuse(self, expected: str, found: str = "") -> StageError:
+        """The error of this line."""
+        line = " ".join(self.words)
+        found = found or repr(line if len(line) < 60 else f"{line[:57]}...")
+        return StageError(
+            f"line {self.number} of {self.path} is not as in a BVH", HINT, [f"expected {expected}", f"found {found}"]
+        )
+
+
+class _Skeleton:
+    """What HIERARCHY says: names, parents, offsets and channels, one of each a joint."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.parents: list[int] = []
+        self.offsets: list[list[float]] = []
+        self.channels: list[list[str]] = []
+
+
+def _skeleton(lines: _Lines) -> _Skeleton:
+    skeleton, open_ = _Skeleton(), []
+    lines.keyword("HIERARCHY")
+    _joint(lines, skeleton, -1, lines.keyword("ROOT"))
+    open_.append(0)
+    while open_:
+        words = lines.take("JOINT, End Site or a closing brace")
+        kind = words[0].lower()
+        if kind == "}":
+            open_.pop()
+        elif kind == "joint":
+            _joint(lines, skeleton, open_[-1], words[1:])
+            open_.append(len(skeleton.names) - 1)
+        elif [word.lower() for word in words] == ["end", "site"]:
+            _end(lines, skeleton, open_[-1])
+        else:
+            raise lines.refuse(f"JOINT, End Site or a closing brace (of {skeleton.names[open_[-1]]})")
+    return skeleton
+
+
+def _joint(lines: _Lines, skeleton: _Skeleton, parent: int, words: list[str]) -> None:
+    name = " ".join(words)
+    if not name:
+        raise lines.refuse("the name of a joint")
+    if name in skeleton.names:
+        raise lines.refuse("a name of its own for each joint", f"{name!r} twice")
+    lines.keyword("{")
+    skeleton.names.append(name)
+    skeleton.parents.append(parent)
+    skeleton.offsets.append(lines.numbers(lines.keyword("OFFSET"), 3, "x y z"))
+    count, *channels = lines.keyword("CHANNELS") or ["none"]
+    known = {channel.lower(): channel for channel in CHANNELS}
+    channels = [known.get(channel.lower(), channel) for channel in channels]
+    unknown = [channel for channel in channels if channel not in CHANNELS]
+    if unknown:
+        raise lines.refuse(f"channels of {', '.join(CHANNELS)}", repr(unknown[0]))
+    if count != str(len(channels)):
+        raise lines.refuse("a count and as many channels", f"the count {count!r} and {len(channels)} channels")
+    if len(set(channels)) != len(channels):
+        raise lines.refuse("each channel once")
+    skeleton.channels.append(channels)
+
+
+def _end(lines: _Lines, skeleton: _Skeleton, parent: int) -> None:
+    lines.keyword("{")
+    skeleton.names.append("")
+    skeleton.parents.append(parent)
+    skeleton.offsets.append(lines.numbers(lines.keyword("OFFSET"), 3, "x y z"))
+    skeleton.channels.append([])
+    lines.keyword("}")
+
+
+def _motion(lines: _Lines, width: int) -> tuple[float, np.ndarray]:
+    """Frames a second, and the numbers [F,width] of all frames."""
+    lines.keyword("MOTION")
+    words = lines.keyword("Frames:")
+    if len(words) != 1 or not words[0].isdecimal() or int(words[0]) == 0:
+        raise lines.refuse("a whole number of frames, at least 1")
+    count = int(words[0])
+    (seconds,) = lines.numbers(lines.keyword("Frame", "Time:"), 1, "seconds from frame to frame")
+    if seconds <= 0:
+        raise lines.refuse("a time above 0 s from frame to frame")
+    rows = []
+    while lines.more():
+        if len(rows) == count:
+            raise lines.refuse(f"the end of the file after {count} frames")
+        rows.append(lines.numbers(lines.words, width, f"the channels of frame {len(rows)}"))
+    if len(rows) != count:
+        facts = [f"after line {lines.number}: {len(rows)} frames of {count}"]
+        raise StageError(f"{lines.path} ends too soon", HINT, facts)
+    return 1 / seconds, np.array(rows).reshape(count, width)
+
+
+def _bvh(skeleton: _Skeleton, fps: float, rows: np.ndarray) -> Bvh:
+    places = np.tile(np.array(skeleton.offsets), (len(rows), 1, 1))
+    rotations = np.tile(np.eye(3), (*places.shape[:2], 1, 1))
+    first = 0
+    for joint, channels in enumerate(skeleton.channels):
+        values = dict(zip(channels, rows[:, first : first + len(channels)].T, strict=True))
+        first += len(channels)
+        for axis in "XYZ":
+            if f"{axis}position" in values:
+                places[:, joint, "XYZ".index(axis)] = values[f"{axis}position"]
+        order = "".join(channel[0] for channel in channels if channel.endswith("rotation"))
+        if order:  # the first one named turns last: R = R1 R2 R3
+            angles = np.stack([values[f"{axis}rotation"] for axis in order], 1)
+            rotations[:, joint] = Rotation.from_euler(order, angles, degrees=True).as_matrix()
+    return Bvh(tuple(skeleton.names), np.array(skeleton.parents), places, rotations, fps)

@@ -1,0 +1,161 @@
+"""`hugs animate` on a trained body whose truth is known: where it stands, where it looks, what is said."""
+
+import shutil
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hugs_cli.app import main
+from hugs_cli.workspace import Stamp
+from stages.avatar.motion import MOTIONS
+from stages.formats.body_model import read_body_model, write_body_model
+from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.clip import load_clip
+from stages.formats.poses import read_poses, write_poses
+from stages.formats.splats import read_avatar, write_splats
+from stages.formats.video import decode
+from tests.stages import bvh_made, tiny
+from tests.stages.tiny import HEIGHT, WIDTH, colour_of
+
+RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A working folder with a clip that looks finished, and motions beside it."""
+    folder = tmp_path_factory.mktemp("animate")
+    made = tiny.make(folder / "made")
+    move_pelvis(made, np.array([0.01, -0.225, 0.03]))
+    store, links = folder / "work/clip/store", folder / "work/clip/default"
+    links.mkdir(parents=True)
+    for name in ("sfm", "smpl", "train"):
+        shutil.copytree(made[name], store / f"{name}-01234567")
+        (links / name).symlink_to(f"../store/{name}-01234567")
+        values = {field.name: "" for field in fields(Stamp)}
+        Stamp(**values | {"stage": name}).write(store / f"{name}-01234567")
+    (folder / "clip.mp4").write_text("pixels")
+    orient, pose, transl = (t.numpy().astype(float) for t in MOTIONS["wave"](2.0, 25))
+    turn = Rotation.from_euler("x", 90, degrees=True)  # AMASS: z up; and turned from where the person looks
+    turned = (turn * Rotation.from_euler("y", 70, degrees=True) * Rotation.from_rotvec(orient)).as_rotvec()
+    poses = np.concatenate([turned, pose, np.zeros((50, 84))], 1)
+    np.savez(folder / "amass.npz", poses=poses, trans=turn.apply(transl) + [4, 5, 6], mocap_framerate=25.0)
+    joints = (m := read_body_model()).J_regressor.astype(float) @ m.v_template
+    local = bvh_made.matrices(orient, pose)
+    bvh_made.write_bvh(folder / "wave.bvh", joints * 1.4, local, transl, bvh_made.a_pose(), fps=25)
+    return folder
+
+
+def move_pelvis(made, shift):
+    """The same clip by a body whose pelvis is not at the origin, as SMPL's."""
+    model = read_body_model(made["smpl"] / "body_model.npz")
+    write_body_model(made["smpl"] / "body_model.npz", replace(model, v_template=model.v_template + shift))
+    avatar = read_avatar(made["train"] / "avatar.npz")
+    moved = replace(avatar, means=avatar.means + shift, joints=avatar.joints + shift)
+    write_splats(made["train"] / "avatar.npz", moved)
+    for path in (made["smpl"] / "body.npz", made["train"] / "body.npz"):
+        poses = read_poses(path)
+        write_poses(path, replace(poses, transl=poses.transl - shift))
+
+
+@pytest.fixture
+def hugs(trained, monkeypatch, capsys):
+    """Runs `hugs animate clip.mp4 ...` in this process; its stdout and stderr."""
+
+    def run(motion, *args, code=0):
+        monkeypatch.chdir(trained)
+        monkeypatch.setattr("signal.signal", lambda number, handler: None)  # Ctrl-C stays pytest's
+        monkeypatch.setattr(sys, "argv", ["hugs", "animate", "clip.mp4", motion, *args])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capsys.readouterr()
+        assert end.value.code == code, out + err
+        return out, err
+
+    return run
+
+
+def film(path):
+    return np.stack([image for _, _, image in decode(path)])
+
+
+def middle(found):
+    return np.argwhere(found).mean(0)  # row, column
+
+
+@pytest.mark.parametrize("motion", ["amass.npz", "wave.bvh"])
+def test_the_person_waves_where_it_stood(trained, hugs, motion):
+    out, err = hugs(motion, "--fps", "4", "--only", "human", "--out", f"films/{motion}.mp4")
+    assert out == f"films/{motion}.mp4\n"
+    about, made = err.splitlines()
+    assert about.startswith(f"{motion}  50 frames, 2.0 s at 25 fps; ") and about.endswith(
+        "fingers left out; z is up" if motion == "amass.npz" else "22 of 24 joints used; y is up"
+    )
+    assert made == "8 frames, 2.0 s at 4 fps"
+    frames = film(trained / out.strip())
+    assert frames.shape == (8, HEIGHT, WIDTH, 3) and (frames[:, :8, :8] > 245).all()
+    clip = load_clip(*(trained / "work/clip/default" / name for name in ("sfm", "smpl")))
+    truth = colour_of(clip.images(4))
+    seen = [colour_of(frame) for frame in frames]
+    assert middle(seen[0] == HEAD) == pytest.approx(middle(truth == HEAD), abs=3)
+    assert np.argwhere(seen[0] >= 0)[:, 0].max() == pytest.approx(np.argwhere(truth >= 0)[:, 0].max(), abs=3), "feet"
+    assert (seen[0] == RED_SIDE).sum() > 2 * (seen[0] == BLUE_SIDE).sum(), "it looks where it looked"
+    hand = [
+        np.argwhere((s >= 0) & (s != HEAD) & (np.arange(WIDTH) < middle(s == HEAD)[1] - 6))[:, 0].min() for s in seen
+    ]
+    assert hand[3] < hand[0] - 10, "the right hand, on our left, goes up"
+    assert abs(middle(seen[3] == ARM)[0] - middle(seen[0] == ARM)[0]) < 3, "the left one stays down"
+
+
+def test_cameras_of_ones_own_and_the_scene(trained, hugs):
+    clip = load_clip(*(trained / "work/clip/default" / name for name in ("sfm", "smpl")))
+    K = clip.Ks[:1] * [[[0.5], [0.5], [1]]]
+    names = ("a", "b", "c")
+    write_cameras(trained / "one.npz", Cameras(names[:1], clip.viewmats[:1], K, WIDTH // 2, HEIGHT // 2))
+    write_cameras(trained / "three.npz", Cameras(names, clip.viewmats[:3], np.tile(K, (3, 1, 1)), 48, 64))
+    hugs("amass.npz", "--fps", "1", "--cameras", "one.npz", "--out", "one.mp4")
+    frames = film(trained / "one.mp4")
+    assert frames.shape == (2, HEIGHT // 2, WIDTH // 2, 3) and frames[:, :4, :4].max() < 140, "a wall, not white"
+    _, err = hugs("amass.npz", "--fps", "1", "--cameras", "three.npz", code=1)
+    assert "error: cameras and motion do not belong together\n  3 cameras in three.npz\n  2 pictures" in err
+
+
+@pytest.mark.parametrize(
+    "motion,args,code,problem,hint",
+    [
+        ("none.bvh", (), 2, "no file at none.bvh", "check the path"),
+        ("clip.mp4", (), 1, "clip.mp4 is no motion", "give a .bvh"),
+        ("amass.npz", ("--only", "scene"), 2, "a scene alone does not move", "--only human"),
+        ("amass.npz", ("--out", "m.avi"), 2, "cannot write m.avi: only .mp4 is written", "--out motion.mp4"),
+        (
+            "amass.npz",
+            ("--pipeline", "draft"),
+            2,
+            "no finished train of clip.mp4 in pipeline draft",
+            "hugs run clip.mp4",
+        ),
+        ("lying.npz", (), 1, "cannot tell which way is up in lying.npz", "`--up`"),
+        ("flat.bvh", (), 1, "flat.bvh has bones without length", "BVH"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_our_words(trained, hugs, motion, args, code, problem, hint):
+    np.savez(trained / "lying.npz", poses=np.tile([0, 0, np.pi / 2] + [0] * 69, (2, 1)), trans=np.zeros((2, 3)))
+    text = (trained / "wave.bvh").read_text().splitlines()
+    knee = next(i for i, line in enumerate(text) if "JOINT LeftLeg" in line)
+    (trained / "flat.bvh").write_text("\n".join([*text[: knee + 2], "OFFSET 0 0 0", *text[knee + 3 :]]))
+    _, err = hugs(motion, *args, code=code)
+    first, *rest = err.splitlines()
+    assert first == f"error: {problem}" and "Traceback" not in err
+    assert rest[-2] == "" and rest[-1].startswith("hint: ") and hint in rest[-1]
+
+
+def test_a_motion_that_does_not_say_how_fast_or_which_way(trained, hugs):
+    poses = np.tile([0, 0, np.pi / 2] + [0] * 69, (11, 1))
+    np.savez(trained / "plain.npz", poses=poses, trans=np.zeros((11, 3)))
+    args = ("--fps", "5", "--only", "human", "--out", "p.mp4", "--up", "y")
+    assert "11 frames, 0.3 s at 30 fps; how fast is not said" in hugs("plain.npz", *args)[1]
+    assert hugs("plain.npz", *args, "--motion-fps", "10")[1].endswith("\n6 frames, 1.2 s at 5 fps\n")
+    assert Path(trained / "p.mp4").stat().st_size > 500
