@@ -30,7 +30,7 @@ def catalogue() -> dict[str, tuple[str, str]]:
 def left() -> dict[str, str]:
     """The cases without a test: number -> why."""
     rows = (line.split(" ", 1) for line in (HERE / "hard_cases_left.txt").read_text().splitlines())
-    return {number: reason for number, reason in rows}
+    return dict(rows)
 
 
 def cases_of(name: str) -> list[str]:
