@@ -47,16 +47,3 @@ def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
     distance, _ = nearest(points, points, neighbours + 1)
     rms = distance[:, 1:].square().mean(1).sqrt().to(points)
     return rms.clamp(SMALLEST * extent, 0.1 * extent)
-
-
-def contain(tensors: list[Tensor]) -> int:
-    """Zero, in place, every row of the gradients `tensors`[N,...] that is not finite in any of them; returns how many.
-
-    One poisoned row must not reach the optimiser, whose moments would keep it for ever (hard case H01).
-    """
-    if all(bool(t.sum().isfinite()) for t in tensors):
-        return 0
-    bad = torch.stack([~t.flatten(1).isfinite().all(1) if t.dim() > 1 else ~t.isfinite() for t in tensors]).any(0)
-    for t in tensors:
-        t[bad] = 0
-    return int(bad.sum())

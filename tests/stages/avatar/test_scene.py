@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.gaussians import Splats, contain, spacing
+from stages.avatar.gaussians import Splats, spacing
 from stages.avatar.scene import SceneModel, fill_points, scene_extent
 
 
@@ -81,13 +81,3 @@ def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
     assert len(none) == 0
     behind, _ = fill_points(wall, [image], [mask], viewmat[None], K[None], person + [0, 0, 2.5], 400, rng)
     assert np.isclose(behind[:, 2].min(), 5) and np.isclose(behind[:, 2].max(), 6), "half a metre behind the person"
-
-
-def test_rows_that_are_not_finite_are_zeroed_in_all_tensors_and_counted():
-    a, b = torch.ones(4, 3), torch.ones(4)
-    a[1, 2], b[3] = float("nan"), float("inf")
-    assert contain([a, b]) == 2
-    assert a.tolist() == [[1] * 3, [0] * 3, [1] * 3, [0] * 3] and b.tolist() == [1, 0, 1, 0]
-    assert contain([a, b]) == 0
-    huge = torch.full((2, 3), 3e38)
-    assert contain([huge]) == 0 and (huge == 3e38).all()
