@@ -75,7 +75,7 @@ def test_umeyama_finds_the_similarity_and_moves_cameras_with_it(scale, rotvec, s
     assert np.allclose(before, after, atol=1e-2) and np.allclose(z * scale, z_after, rtol=1e-5)
 
 
-def test_umeyama_never_mirrors_and_refuses_a_line():
+def test_j11_umeyama_never_mirrors_and_refuses_a_line():
     flat = np.random.default_rng(3).normal(size=(10, 3)) * [1, 1, 0]
     _, R, _ = cameras.umeyama(flat, flat * [-1, 1, 1])
     assert np.linalg.det(R) == pytest.approx(1)

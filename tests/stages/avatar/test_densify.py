@@ -25,7 +25,7 @@ def test_small_is_cloned_large_is_split_faint_and_huge_are_pruned():
     assert p.child.tolist() == [False, False, False, True, True]
 
 
-def test_the_cap_holds_exactly_and_the_largest_gradients_win():
+def test_h06_the_cap_holds_exactly_and_the_largest_gradients_win():
     gradients = [float(i) for i in range(1, 41)]
     p = plan(growth(gradients), torch.full((40,), 0.05), torch.full((40,), 0.5), RULES._replace(cap=47), room=100)
     assert len(p.source) == 47
@@ -33,23 +33,23 @@ def test_the_cap_holds_exactly_and_the_largest_gradients_win():
     assert len(plan(growth(gradients), torch.ones(40) * 0.5, torch.ones(40), RULES, room=5).source) == 45
 
 
-def test_a_gaussian_that_covers_the_screen_is_split_whatever_its_gradient():
+def test_h16_a_gaussian_that_covers_the_screen_is_split_whatever_its_gradient():
     p = plan(growth([0, 0], [0.9, 0.01]), torch.full((2,), 0.05), torch.ones(2), RULES, room=9)
     assert p.split == 1 and p.source.tolist() == [1, 0, 0]
 
 
-def test_nothing_left_is_an_error_with_the_reasons():
+def test_h05_nothing_left_is_an_error_with_the_reasons():
     with pytest.raises(ValueError, match=r"all 3 Gaussians.*2 with opacity.*1 larger"):
         plan(growth([0, 0, 0]), torch.tensor([0.1, 0.1, 5]), torch.tensor([0, 0, 0.5]), RULES, room=9)
 
 
-def test_rows_that_are_not_finite_are_pruned_and_never_chosen():
+def test_h05_h14_rows_that_are_not_finite_are_pruned_and_never_chosen():
     sizes = torch.tensor([0.05, float("nan"), 0.05])
     p = plan(growth([2, 9, 0]), sizes, torch.tensor([0.5, 0.5, float("inf")]), RULES, room=9)
     assert p.pruned == 2 and p.source.tolist() == [0, 0]
 
 
-def test_statistics_do_not_depend_on_resolution_or_unseen_views():
+def test_h14_statistics_do_not_depend_on_resolution_or_unseen_views():
     full, half = Growth(2), Growth(2)
     full.add(torch.tensor([[2.0, 0], [0, 0]]), torch.tensor([20.0, 0]), 200, 100)
     half.add(torch.tensor([[4.0, 0], [0, 0]]), torch.tensor([10.0, 0]), 100, 50)
@@ -59,7 +59,7 @@ def test_statistics_do_not_depend_on_resolution_or_unseen_views():
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-def test_decisions_do_not_depend_on_the_unit_of_length(scale):
+def test_a13_i05_decisions_do_not_depend_on_the_unit_of_length(scale):
     g = torch.Generator().manual_seed(0)
     sizes, opacities = torch.rand(50, generator=g) * scale, torch.rand(50, generator=g)
     rules = RULES._replace(dense_size=0.4 * scale, max_size=0.9 * scale)
@@ -71,7 +71,7 @@ def test_decisions_do_not_depend_on_the_unit_of_length(scale):
     assert torch.equal(p.source, unit.source) and torch.equal(p.child, unit.child)
 
 
-def test_adam_moments_follow_their_rows():
+def test_h03_h10_adam_moments_follow_their_rows():
     parameter = torch.nn.Parameter(torch.arange(10.0)[:, None].repeat(1, 2))
     adam = torch.optim.Adam([parameter], fused=True)
     parameter.grad = torch.ones_like(parameter)
@@ -91,7 +91,7 @@ def test_adam_moments_follow_their_rows():
     assert grown.isfinite().all()
 
 
-def test_a_scene_grows_with_all_its_rows():
+def test_h10_a_scene_grows_with_all_its_rows():
     g = torch.Generator().manual_seed(0)
     scene = SceneModel(torch.rand(30, 3, generator=g), torch.rand(30, 3, generator=g), 1, 1.0)
     adam = torch.optim.Adam([{"params": [getattr(scene, n)]} for n in scene.ROWS], fused=True)

@@ -9,14 +9,14 @@ def picture(seed: int = 0) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("fill", [0.0, 1.0, 0.5])
-def test_person_only_is_finite_for_every_mask(fill):
+def test_g06_person_only_is_finite_for_every_mask(fill):
     image, mask = picture(), torch.full((40, 32), fill)
     rendered, alpha = picture(1).requires_grad_(), torch.rand(40, 32, requires_grad=True)
     losses.person_only(rendered, alpha, image, mask, torch.rand(3)).backward()
     assert rendered.grad.isfinite().all() and alpha.grad.isfinite().all()
 
 
-def test_a_perfect_render_costs_nothing_for_any_background():
+def test_g16_a_perfect_render_costs_nothing_for_any_background():
     image, mask = picture(), (picture(2)[..., 0] > 0.5).float()
     for _ in range(3):
         background = torch.rand(3)
@@ -35,7 +35,7 @@ def test_person_pixels_and_a_seam_around_them_teach_the_scene_nothing():
     assert (rendered.grad[wide == 0].abs().sum(-1) > 0).float().mean() > 0.99
 
 
-def test_skinning_is_a_mean_and_its_reference_a_constant():
+def test_g17_g19_skinning_is_a_mean_and_its_reference_a_constant():
     a = torch.tensor([[1.0, 0.0], [0.25, 0.75]], requires_grad=True)
     b = torch.tensor([[0.5, 0.5], [0.25, 0.75]], requires_grad=True)
     loss = losses.skinning(a, b)
@@ -47,7 +47,7 @@ def test_skinning_is_a_mean_and_its_reference_a_constant():
 
 @pytest.mark.parametrize("shape", [(100, 80), (300, 40), (400, 300), (1, 1)])
 @pytest.mark.parametrize("where", ["nowhere", "corner", "all"])
-def test_a_patch_is_always_a_window_of_the_picture(shape, where):
+def test_g08_a_patch_is_always_a_window_of_the_picture(shape, where):
     mask = torch.zeros(shape)
     if where == "corner":
         mask[-1, -1] = 1

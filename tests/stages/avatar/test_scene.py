@@ -13,7 +13,7 @@ def ring(n: int = 5, radius: float = 2.0) -> torch.Tensor:
     return viewmats
 
 
-def test_extent_follows_the_cameras_and_survives_a_tripod():
+def test_h05_extent_follows_the_cameras_and_survives_a_tripod():
     points = torch.rand(50, 3) - 0.5
     assert scene_extent(ring(), points) == pytest.approx(2.2, rel=0.1)
     still = scene_extent(ring(radius=0.0), points)
@@ -23,7 +23,7 @@ def test_extent_follows_the_cameras_and_survives_a_tripod():
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_extent_scales_with_the_world(scale):
+def test_i05_extent_scales_with_the_world(scale):
     points, viewmats = torch.rand(50, 3) - 0.5, ring()
     scaled = viewmats.clone()
     scaled[:, :3, 3] *= scale
@@ -31,18 +31,18 @@ def test_extent_scales_with_the_world(scale):
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
-def test_spacing_of_few_points_has_limits(n):
+def test_h18_spacing_of_few_points_has_limits(n):
     distance = spacing(torch.rand(n, 3), 2.0)
     assert distance.shape == (n,) and ((distance >= 2e-7) & (distance <= 0.2)).all()
 
 
-def test_spacing_of_duplicates_and_of_a_grid():
+def test_h18_spacing_of_duplicates_and_of_a_grid():
     assert torch.equal(spacing(torch.ones(100, 3), 1.0), torch.full((100,), 1e-7))
     grid = torch.stack(torch.meshgrid(*[torch.arange(4.0) * 0.01] * 3, indexing="ij"), -1).reshape(-1, 3)
     assert torch.allclose(spacing(grid, 1.0), torch.full((64,), 0.01), rtol=1e-4)
 
 
-def test_a_scene_starts_as_its_points_and_needs_one():
+def test_h18_a_scene_starts_as_its_points_and_needs_one():
     points, rgb = torch.rand(20, 3), torch.rand(20, 3)
     splats = SceneModel(points, rgb, 2, 1.0).splats()
     assert torch.equal(splats.means, points)
@@ -51,7 +51,7 @@ def test_a_scene_starts_as_its_points_and_needs_one():
         SceneModel(torch.zeros(0, 3), torch.zeros(0, 3), 0, 1.0)
 
 
-def test_a_gaussian_on_the_camera_has_a_colour_and_a_gradient():
+def test_h17_a_gaussian_on_the_camera_has_a_colour_and_a_gradient():
     means = torch.zeros(1, 3, requires_grad=True)
     splats = Splats(means, torch.eye(3)[None], torch.ones(1), torch.ones(1, 4, 3))
     color = splats.colors(torch.zeros(3))

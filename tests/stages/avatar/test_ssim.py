@@ -14,7 +14,7 @@ def pair(height, width, seed=0):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 5), (45, 61), (128, 96)])
-def test_kernel_agrees_with_the_reference(size):
+def test_g04_kernel_agrees_with_the_reference(size):
     image, target = pair(*size)
     image.requires_grad_()
     value = ssim(image, target)
@@ -32,7 +32,7 @@ def test_reference_gradient():
 
 
 @pytest.mark.parametrize("level", [0.0, 0.1, 0.6, 1.0])
-def test_flat_pictures(level):
+def test_g01_flat_pictures(level):
     flat = torch.full((40, 30, 3), level, requires_grad=True)
     value = ssim(flat, flat.detach().clone())
     value.backward()

@@ -15,7 +15,7 @@ def points(n: int = 200) -> torch.Tensor:
     return t.lower + (t.upper - t.lower) * torch.rand(n, 3, generator=torch.Generator().manual_seed(1))
 
 
-def test_equals_grid_sample_in_value_and_gradient():
+def test_f04_equals_grid_sample_in_value_and_gradient():
     t, p = field().double(), points().double()
     x = p.clone().requires_grad_()
     ours = t(x)
@@ -48,7 +48,7 @@ def test_the_fused_kernel_agrees_with_its_specification(channels):
         assert (a - b).norm() < 1e-6 * b.norm(), f"{name} off by {(a - b).norm() / b.norm():.1e}"
 
 
-def test_reproduces_a_linear_field_and_notices_swapped_axes():
+def test_f04_reproduces_a_linear_field_and_notices_swapped_axes():
     t = field(channels=1)
     i = torch.arange(9.0)
     with torch.no_grad():
@@ -60,7 +60,7 @@ def test_reproduces_a_linear_field_and_notices_swapped_axes():
     assert not torch.allclose(t(p[:, [1, 0, 2]]), want, atol=1e-1)
 
 
-def test_outside_reads_the_face_and_can_return():
+def test_f01_outside_reads_the_face_and_can_return():
     t = field()
     far = torch.tensor([[40.0, 1.0, 0.0]], requires_grad=True)
     face = torch.tensor([[1.0, 1.0, 0.0]])
@@ -73,14 +73,14 @@ def test_outside_reads_the_face_and_can_return():
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
-def test_a_point_that_is_not_finite_is_named(bad):
+def test_f02_a_point_that_is_not_finite_is_named(bad):
     p = points(8)
     p[5, 1] = bad
     with pytest.raises(ValueError, match="point 5"):
         field()(p)
 
 
-def test_crowding_in_one_cell_is_summed_right():
+def test_f05_crowding_in_one_cell_is_summed_right():
     t = field()
     p = t.lower + 1e-3 + torch.zeros(20_000, 3)
     t(p).sum().backward()

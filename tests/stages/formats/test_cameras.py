@@ -42,7 +42,7 @@ def test_centers_are_where_the_camera_sees_zero():
         ({"width": None}, "width"),
     ],
 )
-def test_wrong_cameras_are_refused_by_name(tmp_path, change, token):
+def test_k08_wrong_cameras_are_refused_by_name(tmp_path, change, token):
     write_cameras(tmp_path / "cameras.npz", some_cameras())
     arrays = dict(np.load(tmp_path / "cameras.npz")) | change
     np.savez(tmp_path / "cameras.npz", **{key: value for key, value in arrays.items() if value is not None})

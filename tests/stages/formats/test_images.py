@@ -50,7 +50,7 @@ def test_exif_orientation_is_applied(tmp_path, orientation, turns):
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_a_file_cut_short_is_refused(tmp_path, suffix):
+def test_i15_a_file_cut_short_is_refused(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     write_image(path, picture(200, 200))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -69,7 +69,7 @@ def test_missing_and_foreign_files_are_named(tmp_path):
         read_mask(tmp_path / "c.png")
 
 
-def test_writing_fails_loudly(tmp_path):
+def test_l12_writing_fails_loudly(tmp_path):
     with pytest.raises(StageError, match="cannot write"):
         write_image(tmp_path / "nowhere" / "a.png", picture())
     with pytest.raises(ValueError, match="uint8"):

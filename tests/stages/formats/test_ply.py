@@ -27,7 +27,7 @@ def read(path):
     return dict(zip(names, np.frombuffer(body, "<f4").reshape(-1, len(names)).T, strict=True))
 
 
-def test_every_column_stands_where_viewers_look_for_it(tmp_path):
+def test_l07_l09_every_column_stands_where_viewers_look_for_it(tmp_path):
     splats = scene()
     assert write_ply(tmp_path / "a.ply", splats) == 0
     found = read(tmp_path / "a.ply")
@@ -41,12 +41,12 @@ def test_every_column_stands_where_viewers_look_for_it(tmp_path):
     assert (rest[:, :, 3:] == 0).all()
 
 
-def test_opacities_without_a_logit_are_bounded_and_counted(tmp_path):
+def test_l02_opacities_without_a_logit_are_bounded_and_counted(tmp_path):
     assert write_ply(tmp_path / "a.ply", scene(opacities=np.array([0, 1, 0.5, 0.5, 0.5]))) == 2
     assert read(tmp_path / "a.ply")["opacity"].tolist() == [-15, 15, 0, 0, 0]
 
 
-def test_a_scale_that_is_not_positive_is_refused_by_row(tmp_path):
+def test_l10_a_scale_that_is_not_positive_is_refused_by_row(tmp_path):
     scales = np.full((5, 3), 0.1)
     scales[3, 1] = 0
     with pytest.raises(StageError) as refused:
@@ -54,7 +54,7 @@ def test_a_scale_that_is_not_positive_is_refused_by_row(tmp_path):
     assert "row 3" in refused.value.facts[0] and not (tmp_path / "a.ply").exists()
 
 
-def test_an_opacity_out_of_range_is_refused_by_row(tmp_path):
+def test_l01_an_opacity_out_of_range_is_refused_by_row(tmp_path):
     with pytest.raises(StageError) as refused:
         write_ply(tmp_path / "a.ply", scene(opacities=np.array([0.5, 0.5, 1.5, 0.5, np.nan])))
     assert "row 2" in refused.value.facts[0]
