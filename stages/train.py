@@ -324,6 +324,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     from stages.avatar.bake import lean, lined
     from stages.avatar.densify import strays
+    from stages.avatar.gaussians import finite_rows
     from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
     from stages.formats.poses import write_poses
@@ -333,8 +334,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         return tensor.detach().cpu().numpy()
 
     (c, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
+    broken, lost = ~finite_rows(c), fit.human.defectors(c.weights)
+    c, lost = Canonical(*(part[~broken] for part in c)), lost[~broken]
     p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
-    stray = strays(c.means, p.vertices) | fit.human.defectors(c.weights)
+    stray = strays(c.means, p.vertices) | lost
     c = Canonical(*(part[~stray] for part in c))
     if stray.any():
         job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
@@ -353,7 +356,11 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         s = fit.scene
         quats = s.quats / s.quats.norm(dim=1, keepdim=True)
         parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
-        write_splats(job.out / "scene.npz", Scene(*(array(t) for t in parts)))
+        finite = finite_rows(parts)
+        broken = torch.cat([broken, ~finite])
+        write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts)))
+    if broken.any():
+        job.warn(f"{int(broken.sum())} Gaussians left out of the result because they are not finite")
     poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
     write_poses(job.out / "body.npz", replace(clip.body, **poses))
     with (job.out / "curve.csv").open("w", newline="") as file:
@@ -365,6 +372,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "seconds": curve[-1]["seconds"],
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar)},
+        "broken": int(broken.sum()),
         "strays": int(stray.sum()),
         "lining": len(c.means) - len(learned.means),
         "left_out": fit.guard.left_out,

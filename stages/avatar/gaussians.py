@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import torch
@@ -35,6 +36,11 @@ class Splats(NamedTuple):
             away = torch.einsum("nij,ni->nj", self.turns, away)
         squared = away.square().sum(1, keepdim=True)
         return sh_colors(self.sh, away * squared.clamp_min(1e-12).rsqrt())
+
+
+def finite_rows(parts: Iterable[Tensor]) -> Tensor:
+    """Which rows of `parts`, each [N,...], are finite in all of them: bool [N]."""
+    return torch.stack([part.reshape(len(part), -1).isfinite().all(1) for part in parts]).all(0)
 
 
 def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:

@@ -219,6 +219,28 @@ def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_befor
         train.replay(tmp_path / "other.npz")
 
 
+def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted(tmp_path, inputs, monkeypatch):
+    sizes = {}
+
+    def spoil(fit, *args, write=train._write):
+        sizes.update(fit.sizes())
+        fit.scene.means.data[1, 2] = torch.nan
+        fit.scene.quats.data[2] = 0
+        fit.human.log_sizes[4] = 200  # the exponential overflows
+        write(fit, *args)
+
+    monkeypatch.setattr(train, "_write", spoil)
+    said: list[str] = []
+    job = fresh(tmp_path, "out")
+    job.emit = lambda event: said.append(event.get("text", ""))
+    train.run(job, PARAMS, **inputs)
+    assert "3 Gaussians left out of the result because they are not finite" in said
+    scene, avatar = read_scene(job.out / "scene.npz"), read_avatar(job.out / "avatar.npz")
+    facts = json.loads((job.out / "train.json").read_text())
+    assert len(scene) == sizes["scene"] - 2 and facts["broken"] == 3
+    assert len(avatar) == sizes["human"] - 1 - facts["strays"] + facts["lining"]
+
+
 def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
     xyz, rgb = read_points(inputs["sfm"] / "points.ply")
     eye = np.array([[1.0, 0, -3], [0.0, 0.001, -3]])  # where cameras stand

@@ -86,6 +86,7 @@ def test_h03_h10_adam_moments_follow_their_rows():
     assert rows.source.tolist() == [1, 2, 3, 4, 6, 7, 8, 9, 2, 5, 5]
     assert adam.state[grown]["exp_avg"][:, 0].tolist() == [1, 2, 3, 4, 6, 7, 8, 9, 0, 0, 0]
     assert len(adam.state) == 1 and adam.param_groups[0]["params"] == [grown]
+    assert (adam.state[grown]["exp_avg_sq"] >= 0).all() and (adam.state[grown]["exp_avg_sq"][:8] > 0).all()
     grown.grad = torch.ones_like(grown)
     adam.step()
     assert grown.isfinite().all()
@@ -101,6 +102,33 @@ def test_h10_a_scene_grows_with_all_its_rows():
     assert {len(getattr(scene, n)) for n in scene.ROWS} == {40}
     held = {id(p) for group in adam.param_groups for p in group["params"]}
     assert held == {id(p) for p in scene.parameters()}
+
+
+def test_h06_growth_without_limits_stays_within_its_cap():
+    g = torch.Generator().manual_seed(0)
+    scene = SceneModel(torch.rand(30, 3, generator=g), torch.rand(30, 3, generator=g), 1, 1.0)
+    adam = torch.optim.Adam([{"params": [getattr(scene, n)]} for n in scene.ROWS], fused=True)
+    rules, sizes = RULES._replace(grad=0.0, cap=100, dense_size=1e-6, max_size=1e9), []
+    for left in (5, 4, 3, 2, 1):
+        grow_scene(scene, adam, Growth(len(scene)), rules, left, g)
+        sizes.append(len(scene))
+    assert sizes == sorted(sizes) and sizes[0] > 30 and sizes[-1] == 100
+
+
+@pytest.mark.parametrize("log_scale", [-200.0, -90.0])
+def test_h08_h09_gaussians_without_size_or_transparency_are_copied_and_stay_finite(log_scale):
+    g = torch.Generator().manual_seed(0)
+    scene = SceneModel(torch.rand(6, 3, generator=g), torch.rand(6, 3, generator=g), 1, 1.0)
+    scene.log_scales.data[0] = log_scale  # exp gives 0, or the least there is
+    scene.logit_opacities.data[:2] = 20  # the sigmoid is exactly 1
+    scene.log_scales.data[1] = -1.0
+    adam = torch.optim.Adam([{"params": [getattr(scene, n)]} for n in scene.ROWS], fused=True)
+    rows = grow_scene(scene, adam, growth([5.0, 5, 0, 0, 0, 0]), RULES, 1, g)
+    assert (rows.cloned, rows.split) == (1, 1), "only what has a size is split"
+    assert all(getattr(scene, name).isfinite().all() for name in scene.ROWS)
+    twins = scene.means[rows.source == 0]
+    assert len(twins) == 2 and torch.equal(twins[0], twins[1])
+    assert (scene.logit_opacities[rows.source <= 1] == 20).all(), "no correction that could overflow"
 
 
 def test_lost_rows_are_pruned_whatever_else_they_are():

@@ -1,4 +1,6 @@
 import io
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -311,6 +313,31 @@ def test_h19_one_frame_trains(clip):
     numbers = run(fit, 60)
     assert fit.guard.left_out == 0 and np.mean(numbers[-10:]) < 0.95 * np.mean(numbers[25:35]), "at one resolution"
     assert fit.bodies()[0].shape == (1, 3) and fit.gains().tolist() == [[1, 1, 1]]
+
+
+HALVED = """
+import resource, torch
+from stages.avatar.views import Views
+images, masks = torch.zeros(1300, 96, 64, 3).byte(), torch.zeros(1300, 96, 64).byte()
+views = Views(images, masks, torch.eye(4).repeat(1300, 1, 1), torch.eye(3).repeat(1300, 1, 1))
+views._replace(images=images[:2], masks=masks[:2]).half()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+views.half()
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024 / (images.numel() + masks.numel()))
+"""
+
+
+def test_a_clip_of_1300_frames_is_halved_frame_by_frame_and_trains(clip, held):
+    done = subprocess.run([sys.executable, "-c", HALVED], capture_output=True, text=True, check=True)
+    held(float(done.stdout), 0.75, "memory over that of the pictures")
+    (views, person), many = clip, 1300
+    of = torch.arange(many) % FRAMES
+    long = Views(*(part[of] for part in views[:4]))
+    moved = person._replace(**{n: getattr(person, n)[of] for n in ("global_orient", "body_pose", "transl", "present")})
+    human, wall, generator = models()
+    fit = Fit(long, list(range(many)), moved, human, wall, Options(6, 2, 300, 260, 1.0), generator)
+    run(fit, 6)
+    assert fit.guard.left_out == 0 and fit.bodies()[0].shape == (many, 3) and fit.bodies()[0].isfinite().all()
 
 
 def test_only_seen_frames_move_and_others_take_their_neighbours(clip):

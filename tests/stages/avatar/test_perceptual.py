@@ -81,11 +81,12 @@ def test_agrees_with_the_paper_by_the_book(net, pictures):
     assert float(Lpips(arrays)(a.float(), b.float())) == pytest.approx(truth, rel=1e-4)
 
 
-def test_a_batch_is_its_pictures(pictures):
+def test_g11_a_batch_is_its_pictures_and_the_range_counts(pictures):
     lpips = Lpips(small_weights("alex"), torch.float64)
     batch = lpips(pictures, pictures.flip(0))
     assert batch.shape == (2,) and torch.allclose(batch, lpips(*pictures).expand(2))
     assert lpips(pictures, pictures).tolist() == [0, 0]
+    assert (lpips(pictures, pictures.flip(0), legacy=True) - batch).abs().min() > 0.05 * batch.max()
 
 
 @pytest.mark.parametrize("net", ["alex", "vgg"])

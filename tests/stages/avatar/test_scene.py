@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from stages.avatar.gaussians import Splats, spacing
-from stages.avatar.scene import SceneModel, fill_points, scene_extent
+from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
 
 
 def ring(n: int = 5, radius: float = 2.0) -> torch.Tensor:
@@ -20,6 +20,14 @@ def test_h05_extent_follows_the_cameras_and_survives_a_tripod():
     assert still == pytest.approx(2.0, rel=0.1)
     assert scene_extent(ring(radius=0.0), torch.zeros(0, 3)) == 1.0
     assert scene_extent(ring(radius=0.0), points - torch.tensor([0, 0, 50.0])) == 1.0
+
+
+def test_i18_a_few_points_at_the_end_of_the_world_change_no_length(held):
+    points, viewmats = torch.rand(500, 3) - 0.5, ring(radius=0.0)
+    far = torch.cat([points, torch.full((5, 3), 1e6)])
+    held(abs(scene_extent(viewmats, far) / scene_extent(viewmats, points) - 1), 0.02)
+    near, alike = spacing(points, 2.0), spacing(far, 2.0)
+    assert torch.equal(near, alike[:500]) and alike[500:].max() <= 0.2
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
@@ -57,6 +65,19 @@ def test_h17_a_gaussian_on_the_camera_has_a_colour_and_a_gradient():
     color = splats.colors(torch.zeros(3))
     color.sum().backward()
     assert color.isfinite().all() and means.grad.isfinite().all()
+
+
+def test_h17_points_on_a_camera_are_told_from_those_before_it():
+    points = torch.tensor([[0.0, 0, -4], [0.03, 0, -4], [0.05, 0, -4], [0, 0, 0]])
+    assert clear_of_cameras(points, ring(radius=0.0), 2.0).tolist() == [False, False, True, True]
+    assert clear_of_cameras(points * 1e3, _wider(ring(radius=0.0), 1e3), 2e3).tolist() == [False, False, True, True]
+    assert len(clear_of_cameras(torch.zeros(0, 3), ring(), 1.0)) == 0
+
+
+def _wider(viewmats: torch.Tensor, scale: float) -> torch.Tensor:
+    wider = viewmats.clone()
+    wider[:, :3, 3] *= scale
+    return wider
 
 
 def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():

@@ -58,6 +58,17 @@ def test_i15_a_file_cut_short_is_refused(tmp_path, suffix):
         read_image(path)
 
 
+def test_g13_pixels_that_are_not_finite_are_refused_by_file_and_count(tmp_path):
+    light = picture().astype(np.float32) / 255
+    write_raw(tmp_path / "good.exr", light)
+    assert np.abs(read_image(tmp_path / "good.exr").astype(int) - picture()).max() <= 1
+    light[3, 4, 1], light[3, 4, 2], light[9, 9] = np.nan, np.nan, np.inf
+    write_raw(tmp_path / "bad.exr", light)
+    with pytest.raises(StageError, match=r"bad\.exr has pixels that are not finite") as error:
+        read_image(tmp_path / "bad.exr")
+    assert error.value.facts == ("2 of 1961 pixels",)
+
+
 def test_missing_and_foreign_files_are_named(tmp_path):
     with pytest.raises(StageError, match="no picture"):
         read_image(tmp_path / "no.png")
