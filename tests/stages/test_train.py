@@ -82,7 +82,7 @@ def contents(folder) -> dict:
     return {p.name: dict(np.load(p)) for p in folder.glob("*.npz")}
 
 
-def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch):
+def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch, held):
     kept = []
     monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
     job = fresh(tmp_path, "out")
@@ -105,7 +105,8 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
     facts, n = json.loads((job.out / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
     covariances = [(splats.axes @ splats.axes.mT)[:n] for splats in (baked, network)]
-    assert torch.allclose(*covariances, atol=1e-6) and torch.allclose(baked.means[:n], network.means, atol=1e-5)
+    held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)
+    held((baked.means[:n] - network.means).abs().max(), 1e-5)
     assert torch.allclose(baked.opacities[:n], network.opacities)
     scene, trained = load_scene(read_scene(job.out / "scene.npz")), fit.scene.splats()
     assert torch.allclose(scene.axes, trained.axes, atol=1e-6) and torch.equal(scene.means, trained.means)

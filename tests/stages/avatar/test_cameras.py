@@ -88,3 +88,13 @@ def test_rescaled_world_gives_the_same_pixels():
     before, z = cameras.project(points, WORLD, K)
     after, z_after = cameras.project(points * 3, cameras.rescale_viewmats(WORLD[None], 3.0)[0], K)
     assert np.allclose(before, after) and np.allclose(z * 3, z_after)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_j11_points_that_are_not_finite_fix_no_rotation(bad):
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    broken = points.copy()
+    broken[2, 1] = bad
+    for pair in ((broken, points), (points, broken)):
+        with pytest.raises(ValueError, match="not finite"):
+            cameras.umeyama(*pair)

@@ -190,7 +190,7 @@ def test_j01_j10_k01_k02_k06_refuses_by_key(tmp_path, arrays, change, words):
     assert all(word in said for word in words) and "fit.npz" in said, said
 
 
-def test_j01_j03_k09_refuses_people_behind_the_camera_and_twice_named_frames(tmp_path, arrays, model):
+def test_j01_k09_refuses_people_behind_the_camera_and_twice_named_frames(tmp_path, arrays, model):
     behind = arrays | {"transl": arrays["transl"] * [1, 1, -1]}
     fit = match_frames(read_smpl_fit(save(tmp_path / "a.npz", **behind)), list("012345"))[0]
     with pytest.raises(StageError, match="behind the camera") as caught:
