@@ -1,5 +1,7 @@
 # make run [VIDEO=dance.mp4]   the environment, the models, and the flow on a video (or on a synthetic clip)
 # make test                    the environment and the tests
+# make hard                    the numerical hard cases: what holds each, how far from its bound
+# make mutants                 takes stabilisers out, one by one, and shows that a test notices
 # make bench WORK=work/kitchen/default   how fast it is here, with what that pipeline left; JSON in build/
 PYTHON ?= python3
 VENV   ?= .venv
@@ -16,6 +18,12 @@ test: $(VENV)/ready
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/python -m pytest
 
+hard: $(VENV)/ready
+	$(VENV)/bin/python -m tests.hard_cases
+
+mutants: $(VENV)/ready
+	$(VENV)/bin/python -m tests.mutants
+
 bench: $(VENV)/ready
 	@mkdir -p build
 	$(VENV)/bin/python -m tests.benchmarks.rasterizer --work $(WORK) --json build/rasterizer.json
@@ -29,4 +37,4 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
 	touch $@
 
-.PHONY: run test bench
+.PHONY: run test hard mutants bench

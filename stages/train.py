@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -70,6 +72,43 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
     from stages.avatar.neighbours import evenly
     from stages.avatar.rasterize.cache import compiled
+
+    fit, clip = _start(job, params, sfm, smpl, survey)
+    started = _resume(fit, job)
+    curve, seconds = started["curve"], started["seconds"]
+    sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
+    job.note(f"{len(fit.train)} training frames; starts with {sizes}")
+    if job.device == "cpu" and not compiled():
+        job.note("the drawing kernels are compiled for this processor first, once: half a minute")
+    judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
+    judged = evenly(judged, JUDGED)
+    every = max(1, params.steps // params.curve_points)
+    mark, saved = time.perf_counter(), time.perf_counter()
+    while fit.step < params.steps:
+        try:
+            numbers = fit.advance()
+        except (FloatingPointError, ValueError) as error:
+            made_of = {"params": params.model_dump(), "sfm": str(sfm), "smpl": str(smpl), "survey": str(survey)}
+            raise _broken_down(fit, clip.names[fit.frame], job, made_of, error) from error
+        if fit.step % every == 0 or fit.step == params.steps:
+            seconds += time.perf_counter() - mark
+            curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
+            job.progress(fit.step, params.steps, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
+            mark = time.perf_counter()
+        elif fit.step % 25 == 0:
+            job.progress(fit.step, params.steps, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
+        if job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS:
+            total = seconds + time.perf_counter() - mark
+            _save(fit, job.out / "checkpoint.pt", {"curve": curve, "seconds": total})
+            saved = time.perf_counter()
+            if job.stop_asked:
+                raise Stopped(f"stopped after step {fit.step} of {params.steps}; the next run goes on from there")
+    _write(fit, clip, job, curve, params)
+    for name in ("checkpoint.pt", "failure.npz"):
+        (job.out / name).unlink(missing_ok=True)
+
+
+def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
     from stages.formats.clip import load_clip
 
     decisions = json.loads((survey / "survey.json").read_text())["decisions"]
@@ -81,35 +120,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
             facts=[f"{len(clip.names)} frames registered, {int(clip.heldout.sum())} of them held out"],
             hint="take more frames: `--set frames.count=80`",
         )
-    fit = build(clip, train, params, decisions, job)
-    started = _resume(fit, job)
-    curve, seconds = started["curve"], started["seconds"]
-    sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
-    job.note(f"{len(train)} training frames; starts with {sizes}")
-    if job.device == "cpu" and not compiled():
-        job.note("the drawing kernels are compiled for this processor first, once: half a minute")
-    judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
-    judged = evenly(judged, JUDGED)
-    every = max(1, params.steps // params.curve_points)
-    mark, saved = time.perf_counter(), time.perf_counter()
-    while fit.step < params.steps:
-        numbers = _advance(fit)
-        whole = fit.leaves is None
-        if fit.step % every == 0 or fit.step == params.steps:
-            seconds += time.perf_counter() - mark
-            curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
-            job.progress(fit.step, params.steps, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
-            mark = time.perf_counter()
-        elif fit.step % 25 == 0:
-            job.progress(fit.step, params.steps, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
-        if whole and (job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS):
-            total = seconds + time.perf_counter() - mark
-            _save(fit, job.out / "checkpoint.pt", {"curve": curve, "seconds": total})
-            saved = time.perf_counter()
-            if job.stop_asked:
-                raise Stopped(f"stopped after step {fit.step} of {params.steps}; the next run goes on from there")
-    _write(fit, clip, job, curve, params)
-    (job.out / "checkpoint.pt").unlink(missing_ok=True)
+    return build(clip, train, params, decisions, job), clip
 
 
 def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any], job: Job) -> Fit:
@@ -122,7 +133,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     from stages.avatar.human import HumanModel
     from stages.avatar.neighbours import evenly
     from stages.avatar.paint import seen_colors
-    from stages.avatar.scene import SceneModel, fill_points, scene_extent
+    from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
     from stages.avatar.schedule import Options
     from stages.avatar.sh import sh_from_rgb
     from stages.avatar.views import Person, Views
@@ -189,7 +200,11 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
             rng,
         )
         points, colors = np.concatenate([clip.points, xyz]), np.concatenate([clip.colors, rgb])
-        scene = SceneModel(tensor(points), tensor(colors) / 255, params.scene_sh, extent)
+        clear = clear_of_cameras(tensor(points), tensor(clip.viewmats), extent)
+        if not clear.all():
+            job.note(f"{int((~clear).sum())} points left out that lie on a camera")
+        if clear.any():
+            scene = SceneModel(tensor(points)[clear], tensor(colors)[clear] / 255, params.scene_sh, extent)
     if scene is None and not (params.human_loss and params.joint):
         raise StageError(
             "there is no scene to train the person with",
@@ -224,15 +239,43 @@ def _perceptual(params: Params, device: str):
         return Lpips(arrays).to(device)
 
 
-def _advance(fit: Fit) -> dict[str, float]:
-    try:
-        return fit.advance()
-    except (FloatingPointError, ValueError) as error:
-        raise StageError(
-            "training broke down",
-            facts=[f"step {fit.step}: {error}", f"gradients or steps that were not finite so far: {fit.bad}"],
-            hint="look at the body overlay in the report: a wrong fit or mask is the usual cause; else try `--seed 1`",
-        ) from error
+def _broken_down(fit: Fit, name: str, job: Job, run: dict[str, Any], error: Exception) -> StageError:
+    """The error to raise for a step on the frame of that name; failure.npz holds what its `replay` needs."""
+    import torch
+
+    from stages.formats.failure import write_failure
+
+    before, file, path = fit.before or fit.state(), io.BytesIO(), job.out / "failure.npz"
+    torch.save(before, file)
+    facts = {"error": str(error), "step": before["numbers"][0], "frame": name, "seed": job.seed, "device": job.device}
+    write_failure(path, file.getvalue(), facts | {"threads": torch.get_num_threads()} | run)
+    return StageError(
+        "training broke down",
+        facts=[
+            f"step {facts['step']}, frame {name}: {error}",
+            f"gradients or steps left out so far: {fit.guard.left_out}",
+            f"`python -m stages.train {path}` takes that step again",
+        ],
+        hint="look at the body overlay in the report: a wrong fit or mask is the usual cause; else try `--seed 1`",
+    )
+
+
+def replay(path: Path) -> None:
+    """Take the step again that broke a training, from its `failure.npz` and the inputs where they were: the same error.
+
+    Bit for bit on a CPU. StageError when the step goes well, as it may after a change of the code.
+    """
+    import torch
+
+    from stages.formats.failure import read_failure
+
+    state, facts = read_failure(path)
+    torch.set_num_threads(facts["threads"])
+    job, params = Job(path.parent, facts["device"], facts["seed"]), Params(**facts["params"])
+    fit, _ = _start(job, params, *(Path(facts[name]) for name in ("sfm", "smpl", "survey")))
+    fit.load(torch.load(io.BytesIO(state), map_location=job.device, weights_only=True))
+    fit.advance()
+    raise StageError(f"step {facts['step']} went well this time", facts=[f"it had failed with: {facts['error']}"])
 
 
 def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
@@ -281,6 +324,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     from stages.avatar.bake import lean, lined
     from stages.avatar.densify import strays
+    from stages.avatar.gaussians import finite_rows
     from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
     from stages.formats.poses import write_poses
@@ -290,8 +334,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         return tensor.detach().cpu().numpy()
 
     (c, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
+    broken, lost = ~finite_rows(c), fit.human.defectors(c.weights)
+    c, lost = Canonical(*(part[~broken] for part in c)), lost[~broken]
     p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
-    stray = strays(c.means, p.vertices) | fit.human.defectors(c.weights)
+    stray = strays(c.means, p.vertices) | lost
     c = Canonical(*(part[~stray] for part in c))
     if stray.any():
         job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
@@ -310,7 +356,11 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         s = fit.scene
         quats = s.quats / s.quats.norm(dim=1, keepdim=True)
         parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
-        write_splats(job.out / "scene.npz", Scene(*(array(t) for t in parts)))
+        finite = finite_rows(parts)
+        broken = torch.cat([broken, ~finite])
+        write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts)))
+    if broken.any():
+        job.warn(f"{int(broken.sum())} Gaussians left out of the result because they are not finite")
     poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
     write_poses(job.out / "body.npz", replace(clip.body, **poses))
     with (job.out / "curve.csv").open("w", newline="") as file:
@@ -322,9 +372,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "seconds": curve[-1]["seconds"],
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar)},
+        "broken": int(broken.sum()),
         "strays": int(stray.sum()),
         "lining": len(c.means) - len(learned.means),
-        "not_finite": fit.bad,
+        "left_out": fit.guard.left_out,
         "not_drawn": fit.undrawn,
         "train_frames": [clip.names[i] for i in fit.train],
         "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",
@@ -333,7 +384,11 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         else {},
     }
     (job.out / "train.json").write_text(json.dumps(facts, indent=1))
-    if fit.bad:
-        job.warn(f"{fit.bad} gradients or steps were not finite and were left out")
+    if fit.guard.left_out:
+        job.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
     if fit.undrawn:
         job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
+
+
+if __name__ == "__main__":
+    replay(Path(sys.argv[1]))

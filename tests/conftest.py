@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -25,3 +26,14 @@ def shared_data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"no real clips at {DATA}")
     return DATA
+
+
+@pytest.fixture
+def held(record_property: Callable[[str, object], None]) -> Callable[..., None]:
+    """`held(measured, bound)`: fails above the bound, and puts both into the table of hard cases."""
+
+    def check(measured: float, bound: float, what: str = "") -> None:
+        record_property("held", (float(measured), float(bound)))
+        assert measured <= bound, f"{what or 'measured'} {measured:.3g} is over {bound:.3g}"
+
+    return check

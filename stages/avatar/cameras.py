@@ -74,11 +74,13 @@ def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, 
     """The similarity (scale, R [3,3], t [3]) that best takes `source` [N,3] to `target` [N,3] in least squares.
 
     target ~ scale * R @ source + t, R a rotation (never a mirror). Raises ValueError when the points fix no rotation:
-    fewer than 3, or all on one line. Source: Umeyama 1991, IEEE TPAMI 13(4), eq. 40-43.
+    fewer than 3, all on one line, or not finite. Source: Umeyama 1991, IEEE TPAMI 13(4), eq. 40-43.
     """
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
         raise ValueError(f"need two equal [N,3] arrays, not {source.shape} and {target.shape}")
+    if not (np.isfinite(source).all() and np.isfinite(target).all()):
+        raise ValueError("points that are not finite fix no rotation")
     mean_source, mean_target = source.mean(0), target.mean(0)
     a, b = source - mean_source, target - mean_target
     U, spread, Vt = np.linalg.svd(b.T @ a / len(a))

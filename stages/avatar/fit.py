@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any
 
@@ -12,7 +13,8 @@ from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
 from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
-from stages.avatar.gaussians import Splats, contain
+from stages.avatar.gaussians import Splats
+from stages.avatar.guard import Guard
 from stages.avatar.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
 from stages.avatar.layers import layers_of
 from stages.avatar.neighbours import nearest
@@ -24,8 +26,6 @@ from stages.avatar.schedule import HALF_UNTIL, HUMAN_GROWTH, SCENE_GROWTH, SETTL
 from stages.avatar.skinning import knn_weights
 from stages.avatar.views import Person, Views
 
-SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm (H02)
-BAD_STEPS = 20  # in a row, after which training stops
 NEIGHBOURS = 8  # of which a Gaussian of the surface is the middle
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
@@ -49,9 +49,10 @@ class Fit:
         self.options, self.generator, self.perceptual = options, generator, perceptual
         self.phases = phases(options.steps, options.joint)
         self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
-        self.step = self.bad = self.bad_in_a_row = self.undrawn = 0
+        self.step, self.frame, self.undrawn = 0, train[0], 0
+        self.guard = Guard()
         self.order = torch.empty(0, dtype=torch.long)
-        self.usual_norm = 0.0
+        self.before: dict[str, Any] | None = None
         self.leaves: Resting | None = None
         self.near: Tensor | None = None
         if person is not None:
@@ -81,15 +82,20 @@ class Fit:
         return (self.step - self.phase.first) / self.phase.steps
 
     def advance(self) -> dict[str, float]:
-        """Learn from one training frame; returns the losses. FloatingPointError after too many bad steps in a row."""
-        frame = self._next_frame()
+        """Learn from one training frame; returns the losses.
+
+        FloatingPointError after too many bad steps in a row, ValueError when no Gaussian is left; `before` is then the
+        state from which this step fails again.
+        """
+        self.before = copy.deepcopy(self.state()) if self.guard.alarmed else None
+        self._grow()
+        self.frame = self._next_frame()
         self._rates()
         views = self.small if self.done < HALF_UNTIL else self.full
-        numbers = self._learn(frame, views)
+        numbers = self._learn(self.frame, views)
         self.step += 1
         if self.human is not None and self.step % self.options.views_per_decode == 0:
             self._learn_human()
-        self._grow()
         return numbers
 
     def _next_frame(self) -> int:
@@ -166,9 +172,11 @@ class Fit:
             if min(target.shape[:2]) >= self.perceptual.smallest:
                 loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], target)
         self.undrawn += next(iter(drawn.values())).dropped
-        if not math.isfinite(loss.item()):
-            return self._bad_step(frame, numbers)
-        self.bad_in_a_row = 0
+        finite = math.isfinite(loss.item())
+        self.guard.left_out += not finite
+        self.guard.judge("loss", not finite, f"{numbers}")
+        if not finite:
+            return numbers
         loss.backward()
         rows = 0 if human is None else len(human.means)
         if scene is not None and phase.scene:
@@ -178,21 +186,16 @@ class Fit:
             self.growth["human"].add(only.screen_grad_abs[:rows], only.radii[:rows], right - left, bottom - top)
         elif human is not None:
             self.growth["human"].add(drawn["all"].screen_grad_abs[:rows], drawn["all"].radii[:rows], width, height)
-        self.adam["frames"].step()
-        self.adam["frames"].zero_grad(set_to_none=True)
-        return numbers
-
-    def _bad_step(self, frame: int, numbers: dict[str, float]) -> dict[str, float]:
-        self.bad += 1
-        self.bad_in_a_row += 1
-        if self.bad_in_a_row >= BAD_STEPS:
-            raise FloatingPointError(f"{BAD_STEPS} steps in a row without a finite loss, last frame {frame}: {numbers}")
+        self._apply("frames")
         return numbers
 
     def _apply(self, name: str) -> None:
+        """One step of an optimiser whose parameters have one row a Gaussian, or sparse ones of one row a frame."""
         optimizer = self.adam[name]
-        grads = [p.grad for g in optimizer.param_groups for p in g["params"] if p.grad is not None]
-        self.bad += contain(grads)
+        grads = {g["name"]: g["params"][0].grad for g in optimizer.param_groups}
+        rows = {n: g._values() if g.is_sparse else g for n, g in grads.items() if g is not None}
+        if rows:
+            self.guard.contain(name, rows)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
 
@@ -200,28 +203,19 @@ class Fit:
         if self.leaves is None or self.leaves.means.grad is None:
             self.leaves = None
             return
-        used = [
-            (d, leaf.grad / self.options.views_per_decode)
-            for d, leaf in zip(self.decoded, self.leaves, strict=True)
-            if leaf.grad is not None
-        ]
-        self.bad += contain([g for _, g in used])
-        shown = self.leaves.sh.grad.abs().sum((1, 2))
-        self.taught += torch.where(shown.isfinite(), shown, 0)
+        taught = {n: leaf.grad for n, leaf in self.leaves._asdict().items() if leaf.grad is not None}
+        self.guard.contain("person", taught)
+        self.taught += self.leaves.sh.grad.abs().sum((1, 2))
         prior = self.prior
         if self.canonical.weights.requires_grad:
             prior = losses.skinning(self.canonical.weights, self._reference()) + prior
-        torch.autograd.backward([d for d, _ in used] + [prior], [g for _, g in used] + [torch.ones_like(prior)])
-        rows = {id(getattr(owner, name)) for owner, name in self.human.rows()}
-        shared = [p for p in self.human.parameters() if id(p) not in rows]
-        norm = torch.nn.utils.get_total_norm([p.grad for p in shared]).item()
-        if not math.isfinite(norm):
-            self.bad += 1
-        else:
-            if self.usual_norm and norm > SPIKE * self.usual_norm:
-                torch._foreach_mul_([p.grad for p in shared], SPIKE * self.usual_norm / norm)
-                norm = SPIKE * self.usual_norm
-            self.usual_norm = norm if not self.usual_norm else 0.99 * self.usual_norm + 0.01 * norm
+        decoded = [getattr(self.decoded, n) for n in taught]
+        slopes = [grad / self.options.views_per_decode for grad in taught.values()]
+        torch.autograd.backward([*decoded, prior], [*slopes, torch.ones_like(prior)])
+        rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
+        self.guard.contain("corrections", {name: p.grad for name, p in rows.items() if p.grad is not None})
+        own = {id(p) for p in rows.values()}
+        if self.guard.clip("networks", [p.grad for p in self.human.parameters() if id(p) not in own]):
             self.adam["human"].step()
         self.adam["human"].zero_grad(set_to_none=True)
         self.leaves = None
@@ -300,18 +294,19 @@ class Fit:
     # ---- checkpoint ----
 
     def state(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on. Only between decodes: multiples of `views_per_decode` steps."""
-        if self.leaves is not None:
-            raise RuntimeError("a checkpoint between two decodes would lose gradients")
+        """Everything that the rest of the run depends on."""
+        leaves = {} if self.leaves is None else self.leaves._asdict()
         return {
             "models": {n: m.state_dict() for n, m in self._modules().items()},
             "adam": {n: a.state_dict() for n, a in self.adam.items()},
             "growth": {n: g.state() for n, g in self.growth.items()},
+            "guard": self.guard.state(),
             "generator": self.generator.get_state(),
             "order": self.order.clone(),
             "reference": [self.reference.clone(), self.reference_at.clone()],
             "taught": self.taught.clone(),
-            "numbers": [self.step, self.bad, self.bad_in_a_row, self.undrawn, self.usual_norm],
+            "leaves": {n: leaf.grad.clone() for n, leaf in leaves.items() if leaf.grad is not None},
+            "numbers": [self.step, self.undrawn],
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -328,12 +323,15 @@ class Fit:
             optimizer.load_state_dict(state["adam"][name])
         for name, growth in self.growth.items():
             growth.load(state["growth"][name])
+        self.guard.load(state["guard"])
         self.generator.set_state(state["generator"])
         self.order = state["order"].clone()
         self.reference, self.reference_at = (t.clone() for t in state["reference"])
         self.taught = state["taught"].clone()
-        self.step, self.bad, self.bad_in_a_row, self.undrawn, self.usual_norm = state["numbers"]
+        self.step, self.undrawn = state["numbers"]
         self.leaves = self.near = None
+        for name, grad in state["leaves"].items():
+            getattr(self.resting(), name).grad = grad.clone()
 
     def _modules(self) -> dict[str, torch.nn.Module]:
         return self._sets() | {"frames": self.frames}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import torch
@@ -37,6 +38,11 @@ class Splats(NamedTuple):
         return sh_colors(self.sh, away * squared.clamp_min(1e-12).rsqrt())
 
 
+def finite_rows(parts: Iterable[Tensor]) -> Tensor:
+    """Which rows of `parts`, each [N,...], are finite in all of them: bool [N]."""
+    return torch.stack([part.reshape(len(part), -1).isfinite().all(1) for part in parts]).all(0)
+
+
 def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
     """Root mean square distance [N] in metres to the nearest other `points`[N,3], within 1e-7 and 0.1 of `extent`.
 
@@ -47,16 +53,3 @@ def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
     distance, _ = nearest(points, points, neighbours + 1)
     rms = distance[:, 1:].square().mean(1).sqrt().to(points)
     return rms.clamp(SMALLEST * extent, 0.1 * extent)
-
-
-def contain(tensors: list[Tensor]) -> int:
-    """Zero, in place, every row of the gradients `tensors`[N,...] that is not finite in any of them; returns how many.
-
-    One poisoned row must not reach the optimiser, whose moments would keep it for ever (hard case H01).
-    """
-    if all(bool(t.sum().isfinite()) for t in tensors):
-        return 0
-    bad = torch.stack([~t.flatten(1).isfinite().all(1) if t.dim() > 1 else ~t.isfinite() for t in tensors]).any(0)
-    for t in tensors:
-        t[bad] = 0
-    return int(bad.sum())

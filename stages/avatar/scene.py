@@ -11,12 +11,13 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
 from stages.avatar.gaussians import Splats, spacing
+from stages.avatar.neighbours import nearest
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.sh import bases, sh_from_rgb
 
 START_OPACITY = 0.5
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
-NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard case H17)
+NEAREST = 0.02  # of the extent: nearer to a camera is no surface, see `clear_of_cameras`
 
 
 def scene_extent(viewmats: Tensor, points: Tensor) -> float:
@@ -32,6 +33,17 @@ def scene_extent(viewmats: Tensor, points: Tensor) -> float:
     depths = torch.einsum("cj,pj->cp", rotations[:, 2], points.double()) + shifts[:, 2:3]
     front = depths[depths > 0]
     return max(spread, 0.5 * front.median().item() if len(front) else 1.0)
+
+
+def clear_of_cameras(points: Tensor, viewmats: Tensor, extent: float) -> Tensor:
+    """Which points[P,3] are farther than NEAREST extents from the centres of all viewmats[C,4,4].
+
+    A point on a camera is a wrong match: no direction leads to it, and it covers that whole picture (hard case H17).
+    """
+    if len(points) == 0:
+        return torch.zeros(0, dtype=torch.bool, device=points.device)
+    centres = -(viewmats[:, :3, :3].mT @ viewmats[:, :3, 3:])[..., 0]
+    return nearest(centres, points, 1)[0][:, 0] > NEAREST * extent
 
 
 def fill_points(

@@ -129,16 +129,29 @@ class Triplane(nn.Module):
         """Bilinear features [N, 3*channels] at canonical `points`[N,3] in metres.
 
         A point outside the box reads the nearest face and still has a gradient, so it can return. Points that are not
-        finite raise ValueError before any table is read. Nodes lie on the faces of the box (align_corners).
+        finite raise ValueError before any table is read, and so does a table that is not: a weight of 0 would hide no
+        NaN. Nodes lie on the faces of the box (align_corners).
         """
         if not points.isfinite().all():
             bad = int((~points.isfinite().all(1)).nonzero()[0])
             raise ValueError(f"canonical point {bad} is not finite: {points[bad].tolist()}")
+        if not self.table.detach().sum().isfinite():
+            self._name_bad_cell()
         r = self.resolution
         inside = points + (points.detach().clamp(self.lower, self.upper) - points.detach())
         u = (inside - self.lower) / (self.upper - self.lower) * (r - 1)
         fast = u.dtype == torch.float32 and u.device.type == "cpu"
         return (_Features.apply if fast else features_reference)(u, self.table, r)
+
+    def _name_bad_cell(self) -> None:
+        bad = (~self.table.isfinite().all(1)).nonzero()
+        if len(bad):
+            plane, cell = divmod(int(bad[0]), self.resolution**2)
+            across, along = divmod(cell, self.resolution)
+            name = "xyz"[AXES[plane][0]] + "xyz"[AXES[plane][1]]
+            raise ValueError(
+                f"plane {name} of the triplane is not finite in {len(bad)} cells, first ({along}, {across})"
+            )
 
     def outside(self, points: Tensor) -> Tensor:
         """Mean squared distance in metres^2 of `points`[N,3] from the box: the pull that brings strays back."""

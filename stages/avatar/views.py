@@ -29,13 +29,19 @@ class Views(NamedTuple):
     def half(self) -> Views:
         """The same at half the resolution, by area."""
         height, width = (max(1, n // 2) for n in self.masks.shape[1:])
-        small = [F.adaptive_avg_pool2d(i.permute(2, 0, 1).float(), (height, width)) for i in self.images]
-        masks = [F.adaptive_avg_pool2d(m[None].float(), (height, width))[0] for m in self.masks]
+        images = torch.stack(
+            [_shrunk(image.permute(2, 0, 1), (height, width)).permute(1, 2, 0) for image in self.images]
+        )
+        masks = torch.stack([_shrunk(mask[None], (height, width))[0] for mask in self.masks])
         Ks = self.Ks.clone()
         Ks[:, 0] *= width / self.masks.shape[2]
         Ks[:, 1] *= height / self.masks.shape[1]
-        images = torch.stack([s.permute(1, 2, 0).round().to(torch.uint8) for s in small])
-        return Views(images, torch.stack([m.round().to(torch.uint8) for m in masks]), self.viewmats, Ks, self.moments)
+        return Views(images, masks, self.viewmats, Ks, self.moments)
+
+
+def _shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
+    """A picture uint8 [C,H,W] at another size, by area: in floats one at a time, whatever the clip's length."""
+    return F.adaptive_avg_pool2d(picture.float(), size).round().to(torch.uint8)
 
 
 class Person(NamedTuple):

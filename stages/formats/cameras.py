@@ -97,3 +97,8 @@ def _check_values(path: Path, viewmats: np.ndarray, Ks: np.ndarray, hint: str) -
     if bad.any():
         i = int(np.flatnonzero(bad)[0])
         raise StageError(f"camera {i} of {path} has no usable focal length", hint, [f"K = {Ks[i].tolist()}"])
+    rest = np.abs(Ks - np.eye(3))[:, [0, 1, 2, 2, 2], [1, 0, 0, 1, 2]].max(1)
+    if not (rest < 1e-6 * Ks[:, 0, 0]).all():
+        i = int(rest.argmax())
+        fact = f"K = {Ks[i].tolist()}, wanted [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        raise StageError(f"camera {i} of {path} has a skewed or transposed K", hint, [fact])

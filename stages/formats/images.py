@@ -40,9 +40,15 @@ def read_pixels(path: Path) -> np.ndarray:
 def read_image(path: Path) -> np.ndarray:
     """Read a picture as uint8 [H,W,3] upright; grey is repeated, alpha is left out, 16 bit and float are rounded.
 
-    Raises StageError as `read_pixels` does.
+    Raises StageError as `read_pixels` does, and for pixels that are not finite: as bytes they would be black.
     """
     pixels = read_pixels(path)
+    if not np.isfinite(pixels).all():
+        count = int((~np.isfinite(pixels)).any(-1).sum())
+        facts = [f"{count} of {pixels.shape[0] * pixels.shape[1]} pixels"]
+        raise StageError(
+            f"{path} has pixels that are not finite", "make the file again, as 8 bit PNG for example", facts
+        )
     if pixels.dtype != np.uint8:
         top = 65535.0 if pixels.dtype == np.uint16 else 1.0
         pixels = np.rint(pixels.clip(0, top) * (255.0 / top)).astype(np.uint8)

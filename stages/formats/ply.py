@@ -10,6 +10,7 @@ from stages.contract import StageError
 from stages.formats.splats import Scene
 
 REST = 15  # higher coefficients a channel: many viewers take degree 3 only, so lower degrees are padded with zeros
+CHUNK = 1 << 14  # rows made at a time, so that ten million need no more memory than these
 OPACITY_LOGIT = 15.0  # float32 cannot hold the logits of 0 and 1
 
 
@@ -39,23 +40,33 @@ def write_ply(path: Path, splats: Scene) -> int:
             "train again: `hugs run VIDEO train --force`",
             [f"row {row}: {splats.scales[row].tolist()}"],
         )
-    n, known = len(splats), splats.shN.shape[1]
-    rest = np.zeros((n, 3, REST), np.float32)
-    rest[:, :, :known] = splats.shN.transpose(0, 2, 1)
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
+    head += [f"property float {name}" for name in _names()]
+    bounded = 0
+    with Path(path).open("wb") as file:
+        file.write(("\n".join([*head, "end_header"]) + "\n").encode())
+        for start in range(0, len(splats), CHUNK):
+            table, more = _table(splats, slice(start, start + CHUNK))
+            file.write(table.tobytes())
+            bounded += more
+    return bounded
+
+
+def _table(splats: Scene, rows: slice) -> tuple[np.ndarray, int]:
+    """The file's columns of some rows, float32, and how many opacities were bounded."""
+    higher, opacities = splats.shN[rows], splats.opacities[rows].astype(np.float64)
+    rest = np.zeros((len(opacities), 3, REST), np.float32)
+    rest[:, :, : higher.shape[1]] = higher.transpose(0, 2, 1)
     with np.errstate(divide="ignore"):
-        logits = np.log(splats.opacities.astype(np.float64)) - np.log1p(-splats.opacities.astype(np.float64))
+        logits = np.log(opacities) - np.log1p(-opacities)
     bounded = np.clip(logits, -OPACITY_LOGIT, OPACITY_LOGIT)
     columns = [
-        splats.means,
-        np.zeros((n, 3)),
-        splats.sh0,
-        rest.reshape(n, -1),
+        splats.means[rows],
+        np.zeros((len(opacities), 3)),
+        splats.sh0[rows],
+        rest.reshape(len(opacities), -1),
         bounded[:, None],
-        np.log(splats.scales),
-        splats.quats,
+        np.log(splats.scales[rows]),
+        splats.quats[rows],
     ]
-    table = np.concatenate([np.asarray(c, "<f4") for c in columns], 1)
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
-    head += [f"property float {name}" for name in _names()]
-    Path(path).write_bytes(("\n".join([*head, "end_header"]) + "\n").encode() + table.astype("<f4").tobytes())
-    return int((bounded != logits).sum())
+    return np.concatenate([np.asarray(c, "<f4") for c in columns], 1), int((bounded != logits).sum())

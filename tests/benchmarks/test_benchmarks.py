@@ -74,5 +74,5 @@ def test_every_idea_can_be_left_out_and_is_back_afterwards(name, clip):
             stack.enter_context(patch)
         fit = fit_of(clip, steps=8)
         numbers = run(fit, 8)
-    assert np.isfinite(numbers).all() and fit.bad == 0
+    assert np.isfinite(numbers).all() and fit.guard.left_out == 0
     assert before == [getattr(patch.getter(), patch.attribute) for patch in patches]

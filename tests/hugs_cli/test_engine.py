@@ -83,7 +83,7 @@ def test_settings_that_only_change_speed_make_nothing_stale(flow):
     assert flow.text("four") == WHOLE
 
 
-def test_edited_video_and_masks(flow):
+def test_h20_edited_video_and_masks(flow):
     flow.hugs()
     flow.video.write_text("other pixels")
     assert flow.ran()["one"] == ["inputs.video changed"]

@@ -137,7 +137,7 @@ def test_exposure_darkens_the_person_not_the_white_around(tiny):
     torch.testing.assert_close(dark[1][inside], plain[1][inside] * 0.5, atol=0.02, rtol=0)
 
 
-def test_equal_pictures_count_a_hundred_decibels(tiny):
+def test_g14_equal_pictures_count_a_hundred_decibels(tiny):
     frame = shot(tiny)
     frame.image = frame.draw(frame.pose)[0]
     found = dict(evaluate._scores(frame, frame.draw(frame.pose), None))

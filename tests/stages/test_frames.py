@@ -35,7 +35,7 @@ def run(tmp_path, video, **params):
     return facts, out, [e["text"] for e in events if e["event"] == "warning"]
 
 
-def test_picks_one_sharp_frame_a_slot(tmp_path):
+def test_i08_picks_one_sharp_frame_a_slot(tmp_path):
     blurred = [i for i in range(60) if i % 3 != 1]
     facts, out, warnings = pick(tmp_path, panned(60, blurred), count=20)
     assert [frame["index"] for frame in facts["frames"]] == list(range(1, 60, 3)) and not warnings
@@ -50,7 +50,7 @@ def test_picks_one_sharp_frame_a_slot(tmp_path):
     assert sum(facts["dropped"].values()) + len(facts["frames"]) == 60
 
 
-def test_a_short_clip_keeps_all_but_copies_and_blur(tmp_path):
+def test_i08_i20_a_short_clip_keeps_all_but_copies_and_blur(tmp_path):
     pictures = panned(24, blurred=[7])
     pictures[15] = pictures[14]
     facts, _, _ = pick(tmp_path, pictures, count=80)
@@ -73,7 +73,7 @@ def test_large_videos_are_shrunk_and_small_ones_left(tmp_path):
     assert facts["video"]["width"] == 322
 
 
-def test_uneven_times_are_spread_by_time(tmp_path):
+def test_i10_uneven_times_are_spread_by_time(tmp_path):
     picker = frames.Picker(10, 10.0, 100)
     times = np.concatenate([np.linspace(0, 1, 90, endpoint=False), np.linspace(1, 10, 10, endpoint=False)])
     pictures = panned(100)
@@ -91,7 +91,7 @@ def test_a_black_fade_is_dropped(tmp_path):
     assert [f["index"] for f in facts["frames"]] == list(range(6, 20))
 
 
-def test_too_little_video_is_refused(tmp_path):
+def test_h19_i20_too_little_video_is_refused(tmp_path):
     for count in (1, 5):
         write_video(tmp_path / f"v{count}.mp4", panned(count), fps=30)
         with pytest.raises(StageError, match=f"has only {count} frame"):
@@ -104,7 +104,7 @@ def test_too_little_video_is_refused(tmp_path):
         frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "none.mp4")
 
 
-def test_a_file_cut_short_gives_what_it_has_or_says_so(tmp_path):
+def test_i14_a_file_cut_short_gives_what_it_has_or_says_so(tmp_path):
     noise = np.random.default_rng(0).integers(0, 20, (60, HEIGHT, WIDTH, 3), dtype=np.uint8)
     write_video(tmp_path / "v.mp4", [f // 2 + n for f, n in zip(panned(60), noise, strict=True)], fps=30)
     whole = (tmp_path / "v.mp4").read_bytes()
@@ -117,7 +117,7 @@ def test_a_file_cut_short_gives_what_it_has_or_says_so(tmp_path):
         frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "stub.mp4")
 
 
-def test_a_folder_of_pictures_keeps_their_names(tmp_path):
+def test_i22_a_folder_of_pictures_keeps_their_names(tmp_path):
     folder = tmp_path / "photos"
     folder.mkdir()
     for i, picture in enumerate(panned(10)):

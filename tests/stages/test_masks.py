@@ -58,7 +58,7 @@ def given(tmp_path, named):
 
 
 @pytest.mark.parametrize("pattern", ["{:06d}.png", "frame_{}.png", "{:06d}.jpg.png", "mask2_{:04d}.png"])
-def test_masks_are_joined_by_name_never_by_order(tmp_path, frames, pattern):
+def test_k04_masks_are_joined_by_name_never_by_order(tmp_path, frames, pattern):
     folder = given(tmp_path, {pattern.format(i): body(i) for i in range(12) if i != 5})
     facts, made, said = run(tmp_path, frames, folder)
     assert facts["source"] == "imported" and facts["unused"] == 7 and facts["no_person"] == []
@@ -69,7 +69,7 @@ def test_masks_are_joined_by_name_never_by_order(tmp_path, frames, pattern):
     assert any("taken as they are" in line for line in said)
 
 
-def test_missing_masks_are_named(tmp_path, frames):
+def test_k04_missing_masks_are_named(tmp_path, frames):
     folder = given(tmp_path, {f"{i}.png": body(i) for i in (0, 1, 2, 9)})
     with pytest.raises(StageError, match="missing for 2 of 4 frames") as error:
         run(tmp_path, frames, folder)
@@ -82,14 +82,14 @@ def test_names_counted_from_one_are_noticed(tmp_path, frames):
     assert np.array_equal(made["000009"], body(9)) and any("counted from 1" in line for line in said)
 
 
-def test_pictures_of_a_folder_are_joined_by_their_own_names(tmp_path):
+def test_k04_pictures_of_a_folder_are_joined_by_their_own_names(tmp_path):
     frames = make_frames(tmp_path, [0, 1], sources=["IMG_7", "IMG_9"])
     folder = given(tmp_path, {"IMG_9.jpg.png": body(9), "IMG_7.png": body(7), "IMG_1.png": body(1)})
     _, made, _ = run(tmp_path, frames, folder)
     assert np.array_equal(made["000000"], body(7)) and np.array_equal(made["000001"], body(9))
 
 
-def test_polarity_is_found_and_can_be_forced(tmp_path, frames):
+def test_g15_polarity_is_found_and_can_be_forced(tmp_path, frames):
     folder = given(tmp_path, {f"{i}.png": 255 - body(i) for i in range(12)})
     facts, made, said = run(tmp_path, frames, folder)
     assert facts["inverted"] and np.array_equal(made["000003"], body(3)) and any("inverted" in line for line in said)
@@ -106,7 +106,7 @@ def test_a_person_who_fills_the_picture_is_left_and_said(tmp_path, frames):
     assert facts["frames"]["000000"]["touches_border"] == ["bottom"]
 
 
-def test_masks_of_the_full_video_are_resized_and_others_refused(tmp_path, frames):
+def test_k03_masks_of_the_full_video_are_resized_and_others_refused(tmp_path, frames):
     large = {f"{i}.png": body(2 * i, (SIZE[0] * 2, SIZE[1] * 2)) for i in range(12)}
     _, made, _ = run(tmp_path, frames, given(tmp_path, large))
     assert ((made["000003"] > 127) != (body(3) > 127)).mean() < 0.01
@@ -116,7 +116,7 @@ def test_masks_of_the_full_video_are_resized_and_others_refused(tmp_path, frames
     assert "96x128" in error.value.facts[0] and "128x96" in error.value.facts[0]
 
 
-def test_frames_without_a_person_are_named_and_none_at_all_is_refused(tmp_path, frames):
+def test_g06_frames_without_a_person_are_named_and_none_at_all_is_refused(tmp_path, frames):
     named = {f"{i}.png": body(i) if i != 9 else np.zeros(SIZE, np.uint8) for i in range(12)}
     facts, _, said = run(tmp_path, frames, given(tmp_path, named))
     assert facts["no_person"] == ["000009"] and any("nobody in 1 of 4 frames: 000009" in line for line in said)

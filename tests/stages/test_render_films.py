@@ -79,6 +79,6 @@ def test_a_clip_without_a_scene_is_filmed_over_white(tiny_human, tmp_path):
     assert (colour_of(films["heldout"][0, :, WIDTH:]) >= 0).sum() > 300
 
 
-def test_a_clip_too_short_to_hold_a_frame_out_has_no_such_film(tiny, tmp_path, monkeypatch):
+def test_l13_a_clip_too_short_to_hold_a_frame_out_has_no_such_film(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr("stages.formats.splits.HELD_OUT_FIRST", 99)
     assert set(run(tiny, tmp_path)[0]) == {"turntable", "motion", "scene"}

@@ -91,7 +91,7 @@ def run(folder, **settings) -> tuple[dict, list[dict]]:
 
 
 @pytest.mark.slow
-def test_a_walk_past_a_room_is_reconstructed_with_its_lens(tmp_path):
+def test_i04_i07_a_walk_past_a_room_is_reconstructed_with_its_lens(tmp_path):
     views = walk(16, 1.2)
     write_clip(tmp_path, views)
     facts, events = run(tmp_path)
@@ -134,7 +134,7 @@ def test_a_walk_past_a_room_is_reconstructed_with_its_lens(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_turning_camera_is_named_and_keeps_its_rotations(tmp_path):
+def test_i01_a_turning_camera_is_named_and_keeps_its_rotations(tmp_path):
     views = walk(12, 0.0, turn=12.0)
     write_clip(tmp_path, views)
     facts, events = run(tmp_path, features=1024)
@@ -166,7 +166,7 @@ def test_a_fixed_camera_needs_no_features(tmp_path):
     assert len(read_points(tmp_path / "out/points.ply")[0]) == 0
 
 
-def test_blank_frames_are_an_error_with_numbers(tmp_path):
+def test_i02_blank_frames_are_an_error_with_numbers(tmp_path):
     write_clip(tmp_path, np.tile(np.eye(4), (3, 1, 1)))
     for path in (tmp_path / "frames/images").iterdir():
         write_image(path, np.full((HEIGHT, WIDTH, 3), 80, np.uint8))
@@ -175,7 +175,7 @@ def test_blank_frames_are_an_error_with_numbers(tmp_path):
     assert "features a frame: 0" in " ".join(error.value.facts) and "human_only" in error.value.hint
 
 
-def test_masks_must_fit_the_frames(tmp_path):
+def test_i04_i16_k03_masks_must_fit_the_frames(tmp_path):
     write_clip(tmp_path, np.tile(np.eye(4), (3, 1, 1)))
     write_mask(tmp_path / "masks/masks/000003.png", np.zeros((10, 20), np.uint8))
     with pytest.raises(StageError, match="000003"):
@@ -185,7 +185,7 @@ def test_masks_must_fit_the_frames(tmp_path):
         sfm.check_masks(["000000", "000003", "000006"], tmp_path / "masks", WIDTH, HEIGHT)
 
 
-def test_the_person_and_its_rim_are_ignored(tmp_path):
+def test_i04_the_person_and_its_rim_are_ignored(tmp_path):
     (tmp_path / "masks").mkdir()
     mask = np.zeros((100, 200), np.uint8)
     mask[40:60, 50:70] = 70  # a soft edge counts too
@@ -197,7 +197,7 @@ def test_the_person_and_its_rim_are_ignored(tmp_path):
     )
 
 
-def test_too_few_posed_frames_are_told_with_the_longest_run():
+def test_i06_i07_too_few_posed_frames_are_told_with_the_longest_run():
     names = [f"{i:06d}" for i in range(10)]
     posed = np.array([1, 1, 0, 1, 1, 1, 0, 0, 0, 0], bool)
     sfm.require_share(sfm.Params(), names, posed, [])

@@ -74,7 +74,7 @@ def camera_fit(clip):
     return {"betas": np.zeros(10), "global_orient": np.array(orient), "body_pose": pose, "transl": np.array(transl)}
 
 
-def test_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folders, tmp_path):
+def test_i05_j05_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folders, tmp_path):
     clip, frames, sfm = folders
     fit = camera_fit(clip)
     kept = np.delete(np.arange(16), [4, 5])
@@ -91,7 +91,7 @@ def test_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folders, tmp_p
     assert (tmp_path / "out" / "body_model.npz").exists()
 
 
-def test_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp_path):
+def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp_path):
     clip, frames, sfm = folders
     fit = camera_fit(clip)
     views = clip.cameras.viewmats
@@ -115,7 +115,7 @@ def test_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp_path):
     assert facts["mean_iou"] > 0.97
 
 
-def test_landmarks_become_poses_and_frames_without_a_person_are_named(folders, tmp_path, monkeypatch):
+def test_j05_landmarks_become_poses_and_frames_without_a_person_are_named(folders, tmp_path, monkeypatch):
     clip, frames, sfm = folders
     monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
     monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images: clip.tracks)
@@ -129,7 +129,7 @@ def test_landmarks_become_poses_and_frames_without_a_person_are_named(folders, t
         assert landmarks["xy"].shape == (16, 33, 2) and (landmarks["visibility"][13] == 0).all()
 
 
-def test_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):
+def test_j05_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):
     _, frames, sfm = folders
     monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
     monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images: [None] * 16)

@@ -1,11 +1,15 @@
 import csv
 import json
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import torch
 
 from stages import train
+from stages.avatar import losses
 from stages.avatar.human import load_avatar, pose_avatar
 from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
@@ -13,7 +17,7 @@ from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.images import write_image, write_mask
-from stages.formats.points import write_points
+from stages.formats.points import read_points, write_points
 from stages.formats.poses import BodyPoses, read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
 
@@ -78,7 +82,7 @@ def contents(folder) -> dict:
     return {p.name: dict(np.load(p)) for p in folder.glob("*.npz")}
 
 
-def test_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch):
+def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch, held):
     kept = []
     monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
     job = fresh(tmp_path, "out")
@@ -101,7 +105,8 @@ def test_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch):
     facts, n = json.loads((job.out / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
     covariances = [(splats.axes @ splats.axes.mT)[:n] for splats in (baked, network)]
-    assert torch.allclose(*covariances, atol=1e-6) and torch.allclose(baked.means[:n], network.means, atol=1e-5)
+    held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)
+    held((baked.means[:n] - network.means).abs().max(), 1e-5)
     assert torch.allclose(baked.opacities[:n], network.opacities)
     scene, trained = load_scene(read_scene(job.out / "scene.npz")), fit.scene.splats()
     assert torch.allclose(scene.axes, trained.axes, atol=1e-6) and torch.equal(scene.means, trained.means)
@@ -124,24 +129,131 @@ def test_held_out_pictures_and_masks_change_nothing(tmp_path, inputs):
             assert np.array_equal(value, contents(second.out)[name][key]), (name, key)
 
 
-@pytest.mark.parametrize("killed_while_saving", [False, True])
-def test_stopped_and_resumed_equals_straight(tmp_path, inputs, monkeypatch, killed_while_saving):
-    straight = fresh(tmp_path, "straight")
+def same_results(one, other) -> bool:
+    a, b = contents(one), contents(other)
+    return a.keys() == b.keys() and all(np.array_equal(a[name][key], b[name][key]) for name in a for key in a[name])
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import torch
+from stages import train
+from stages.avatar import losses
+from stages.contract import Job
+from tests.stages.test_train import PARAMS
+
+def save(value, file, saves=[], real=torch.save):
+    saves.append(1)
+    if len(saves) == 3:
+        file.write(b"half")
+        file.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+    real(value, file)
+
+torch.save, train.CHECKPOINT_SECONDS = save, -1
+root = Path(sys.argv[1])
+train.run(Job(out=root / "job"), PARAMS, **{name: root / name for name in ("sfm", "smpl", "survey")})
+"""
+
+
+def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_path, inputs):
+    straight, job = fresh(tmp_path, "straight"), fresh(tmp_path, "job")
     train.run(straight, PARAMS, **inputs)
-    job = stopping(tmp_path, "job", after=4)
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, check=False)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
+    assert (job.out / "checkpoint.part").read_bytes() == b"half"
+    said: list[str] = []
+
+    def listen(event: dict) -> None:
+        said.append(event.get("text", ""))
+        job._stop = event.get("done", 0) >= 4
+
+    job.emit = listen
     with pytest.raises(Stopped, match="goes on from there"):
         train.run(job, PARAMS, **inputs)
+    assert any("goes on after step 2" in text for text in said), "the last whole checkpoint"
     assert (job.out / "checkpoint.pt").exists() and not (job.out / "avatar.npz").exists()
-    if killed_while_saving:
-        (job.out / "checkpoint.part").write_bytes(b"half a file")
     train.run(Job(out=job.out), PARAMS, **inputs)
-    assert not list(job.out.glob("checkpoint*"))
-    for name, arrays in contents(straight.out).items():
-        for key, value in arrays.items():
-            assert np.array_equal(value, contents(job.out)[name][key]), (name, key)
+    assert not list(job.out.glob("checkpoint*")) and same_results(straight.out, job.out)
 
 
-def test_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkeypatch):
+def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_again(tmp_path, inputs, monkeypatch):
+    real = train.build
+
+    def faint(*args):
+        fit = real(*args)
+        fit.scene.logit_opacities.data.fill_(-20)
+        return fit
+
+    monkeypatch.setattr(train, "build", faint)
+    job = fresh(tmp_path, "job")
+    with pytest.raises(StageError, match="training broke down") as error:
+        train.run(job, PARAMS, **inputs)
+    monkeypatch.setattr(train, "build", real)
+    facts = error.value.facts
+    assert "step 1, frame 00000" in facts[0] and "Gaussians would be pruned" in facts[0]
+    assert str(job.out / "failure.npz") in facts[2] and not list(job.out.glob("avatar*"))
+    with pytest.raises(ValueError, match="Gaussians would be pruned") as again:
+        train.replay(job.out / "failure.npz")
+    assert str(again.value) in facts[0], "to the last word"
+    with np.load(job.out / "failure.npz", allow_pickle=False) as kept:
+        told = json.loads(kept["facts"].item())
+    assert (told["step"], told["seed"], told["threads"]) == (1, 0, torch.get_num_threads())
+
+
+def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_before(tmp_path, inputs, monkeypatch):
+    params, job = PARAMS.model_copy(update={"steps": 40}), fresh(tmp_path, "job")
+    real = losses.photometric
+    monkeypatch.setattr(losses, "photometric", lambda *a: real(*a) * torch.nan)
+    with pytest.raises(StageError, match="training broke down") as error:
+        train.run(job, params, **inputs)
+    assert "step 19, frame" in error.value.facts[0] and "20 bad steps in a row for the loss" in error.value.facts[0]
+    with pytest.raises(FloatingPointError, match="20 bad steps in a row for the loss") as again:
+        train.replay(job.out / "failure.npz")
+    assert str(again.value) in error.value.facts[0]
+    monkeypatch.setattr(losses, "photometric", real)
+    with pytest.raises(StageError, match="step 19 went well this time"):
+        train.replay(job.out / "failure.npz")
+    (tmp_path / "other.npz").write_text("no archive")
+    with pytest.raises(StageError, match="cannot read"):
+        train.replay(tmp_path / "other.npz")
+
+
+def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted(tmp_path, inputs, monkeypatch):
+    sizes = {}
+
+    def spoil(fit, *args, write=train._write):
+        sizes.update(fit.sizes())
+        fit.scene.means.data[1, 2] = torch.nan
+        fit.scene.quats.data[2] = 0
+        fit.human.log_sizes[4] = 200  # the exponential overflows
+        write(fit, *args)
+
+    monkeypatch.setattr(train, "_write", spoil)
+    said: list[str] = []
+    job = fresh(tmp_path, "out")
+    job.emit = lambda event: said.append(event.get("text", ""))
+    train.run(job, PARAMS, **inputs)
+    assert "3 Gaussians left out of the result because they are not finite" in said
+    scene, avatar = read_scene(job.out / "scene.npz"), read_avatar(job.out / "avatar.npz")
+    facts = json.loads((job.out / "train.json").read_text())
+    assert len(scene) == sizes["scene"] - 2 and facts["broken"] == 3
+    assert len(avatar) == sizes["human"] - 1 - facts["strays"] + facts["lining"]
+
+
+def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
+    xyz, rgb = read_points(inputs["sfm"] / "points.ply")
+    eye = np.array([[1.0, 0, -3], [0.0, 0.001, -3]])  # where cameras stand
+    write_points(inputs["sfm"] / "points.ply", np.concatenate([xyz, eye]), np.concatenate([rgb, rgb[:2]]))
+    said: list[str] = []
+    job = fresh(tmp_path, "out")
+    job.emit = lambda event: said.append(event.get("text", ""))
+    train.run(job, PARAMS, **inputs)
+    assert "1 points left out that lie on a camera" in said
+
+
+def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkeypatch):
     job = stopping(tmp_path, "job", after=4)
     with pytest.raises(Stopped):
         train.run(job, PARAMS, **inputs)
@@ -178,7 +290,7 @@ def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs):
     assert np.allclose(read_poses(job.out / "body.npz").body_pose, fitted.body_pose, atol=1e-6)
 
 
-def test_no_person_anywhere_is_a_clear_error(tmp_path, inputs):
+def test_g06_no_person_anywhere_is_a_clear_error(tmp_path, inputs):
     for path in (inputs["sfm"] / "masks").iterdir():
         write_mask(path, np.zeros((HEIGHT, WIDTH), np.uint8))
     with pytest.raises(StageError, match="no training frame shows a person") as error:
@@ -187,9 +299,6 @@ def test_no_person_anywhere_is_a_clear_error(tmp_path, inputs):
 
 
 def test_importing_the_stage_loads_nothing_heavy():
-    import subprocess
-    import sys
-
     code = "import sys, stages.train; print([m for m in ('torch', 'cv2', 'numba', 'pycolmap') if m in sys.modules])"
     assert (
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"

@@ -33,7 +33,7 @@ def test_without_lbs_learning_each_gaussian_keeps_the_weights_it_began_with(clip
     for fit in (kept, learned):
         before = fit.human()[0].means.detach()
         run(fit, 20)
-        assert fit.bad == 0 and not torch.equal(fit.human()[0].means, before), "the rest learns"
+        assert fit.guard.left_out == 0 and not torch.equal(fit.human()[0].means, before), "the rest learns"
     assert torch.equal(kept.human()[0].weights, began) and not torch.equal(learned.human()[0].weights, began)
     assert len(kept.reference) == 0, "nothing looks for neighbours that teach nothing"
     named = [name for name, _ in kept.human.named_parameters()]
@@ -62,7 +62,7 @@ def test_free_corrections_begin_as_the_networks_do_and_learn(clip):
     for a, b in zip(free.human()[0], decoded.human()[0], strict=True):
         assert torch.equal(a, b)
     numbers = run(free, 80)
-    assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10]) and free.bad == 0
+    assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10]) and free.guard.left_out == 0
     assert 162 < len(free.human) <= 300 and {len(p) for p in free.human.free.parameters()} == {len(free.human)}
     assert all(p.abs().max() > 0 for p in free.human.free.parameters())
     held = {id(p) for group in free.adam["human"].param_groups for p in group["params"]}

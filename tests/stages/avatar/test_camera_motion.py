@@ -45,9 +45,10 @@ def test_a_static_camera_is_named_even_with_moving_things_in_view():
 
 
 @pytest.mark.parametrize(("turn", "k"), [(14, 0.0), (14, -0.08), (14, 0.06), (3, 0.0)])
-def test_a_turning_camera_is_named_and_calibrated(turn, k):
+def test_i01_a_turning_camera_is_named_and_calibrated(turn, k, held):
     motion = judge_motion(clip(turn, 0, k=k, outliers=0.1)[0], WIDTH, HEIGHT)
-    assert motion.verdict == "rotation only" and motion.rotation_residual_px < 0.6 * motion.rotation_limit_px
+    assert motion.verdict == "rotation only"
+    held(motion.rotation_residual_px / motion.rotation_limit_px, 0.6)
     if turn > 10:
         assert motion.focal_px == pytest.approx(FOCAL, rel=0.03) and motion.k == pytest.approx(k, abs=0.03)
 
@@ -55,12 +56,13 @@ def test_a_turning_camera_is_named_and_calibrated(turn, k):
 @pytest.mark.parametrize(
     ("turn", "travel", "flat"), [(8, 0.8, False), (0, 0.5, False), (3, 0.2, False), (5, 0.8, True)]
 )
-def test_a_travelling_camera_is_not_taken_for_a_turning_one(turn, travel, flat):
+def test_i01_i03_a_travelling_camera_is_not_taken_for_a_turning_one(turn, travel, flat, held):
     motion = judge_motion(clip(turn, travel, flat)[0], WIDTH, HEIGHT)
-    assert motion.verdict == "moving" and motion.rotation_residual_px > 1.5 * motion.rotation_limit_px
+    assert motion.verdict == "moving"
+    held(motion.rotation_limit_px / motion.rotation_residual_px, 1 / 1.5)
 
 
-def test_a_known_focal_length_is_kept():
+def test_i03_a_known_focal_length_is_kept():
     pairs, _ = clip(10, 0)
     focal, _, residuals = fit_rotation_camera(pairs[-20:], WIDTH, HEIGHT, FOCAL)
     assert focal == pytest.approx(FOCAL) and np.median(residuals) < 0.5

@@ -75,7 +75,7 @@ def test_umeyama_finds_the_similarity_and_moves_cameras_with_it(scale, rotvec, s
     assert np.allclose(before, after, atol=1e-2) and np.allclose(z * scale, z_after, rtol=1e-5)
 
 
-def test_umeyama_never_mirrors_and_refuses_a_line():
+def test_j11_umeyama_never_mirrors_and_refuses_a_line():
     flat = np.random.default_rng(3).normal(size=(10, 3)) * [1, 1, 0]
     _, R, _ = cameras.umeyama(flat, flat * [-1, 1, 1])
     assert np.linalg.det(R) == pytest.approx(1)
@@ -88,3 +88,13 @@ def test_rescaled_world_gives_the_same_pixels():
     before, z = cameras.project(points, WORLD, K)
     after, z_after = cameras.project(points * 3, cameras.rescale_viewmats(WORLD[None], 3.0)[0], K)
     assert np.allclose(before, after) and np.allclose(z * 3, z_after)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_j11_points_that_are_not_finite_fix_no_rotation(bad):
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    broken = points.copy()
+    broken[2, 1] = bad
+    for pair in ((broken, points), (points, broken)):
+        with pytest.raises(ValueError, match="not finite"):
+            cameras.umeyama(*pair)

@@ -123,7 +123,7 @@ def test_gaussians_that_follow_other_bones_than_the_body_are_named(person):
 
 
 @pytest.mark.parametrize("height", [1.2, 1.8, 2.4])
-def test_the_box_fits_bodies_of_every_size(person, height):
+def test_f01_the_box_fits_bodies_of_every_size(person, height):
     body, _, vertices, _ = person
     scaled = vertices * height
     model = HumanModel(

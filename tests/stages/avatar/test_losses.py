@@ -2,26 +2,95 @@ import pytest
 import torch
 
 from stages.avatar import losses
+from stages.avatar.views import person_box
 
 
 def picture(seed: int = 0) -> torch.Tensor:
     return torch.rand(40, 32, 3, generator=torch.Generator().manual_seed(seed))
 
 
+def step_towards(loss, rendered: torch.Tensor, rate: float) -> tuple[float, float]:
+    """The loss before and after one step against its gradient, as long as `rate` of the largest change allowed."""
+    rendered = rendered.clone().requires_grad_()
+    before = loss(rendered)
+    before.backward()
+    assert rendered.grad.isfinite().all()
+    return before.item(), loss(rendered.detach() - rate * rendered.grad.sign()).item()
+
+
+def test_g02_a_black_render_is_moved_and_a_black_target_met():
+    black, wall = torch.zeros(40, 32, 3), picture()
+    before, after = step_towards(lambda x: losses.photometric(x, wall), black, 0.05)
+    assert after < before - 0.03
+    still = black.clone().requires_grad_()
+    loss = losses.photometric(still, black)
+    loss.backward()
+    assert loss.item() < 1e-6 and still.grad.abs().max() < 1e-6
+
+
+def test_b15_g12_pixels_too_bright_or_negative_are_pulled_back():
+    target = torch.full((20, 20, 3), 1.0)
+    target[:, :10] = 0
+    rendered = target.clone()
+    rendered[5, 15], rendered[5, 4] = 1.3, -0.2
+    rendered.requires_grad_()
+    losses.photometric(rendered, target).backward()
+    assert (rendered.grad[5, 15] > 0).all() and (rendered.grad[5, 4] < 0).all()
+
+
+def smooth(size: int) -> tuple[torch.Tensor, ...]:
+    """A smooth scene at `size` x `size` px: rendered, image, mask."""
+    y, x = torch.meshgrid(*[(torch.arange(size) + 0.5) / size] * 2, indexing="ij")
+    image = torch.stack([x, y, 0.5 + 0.4 * torch.sin(6 * x + 3 * y)], -1)
+    return image + 0.1 * torch.cos(5 * x)[..., None], image, ((x - 0.5).square() + (y - 0.5).square() < 0.1).float()
+
+
+def test_g18_losses_do_not_depend_on_resolution(held):
+    both = []
+    for size in (48, 96):
+        rendered, image, mask = smooth(size)
+        both.append(
+            [
+                losses.photometric(rendered, image).item(),
+                losses.photometric(losses.outside_person(rendered, image, mask), image).item(),
+                losses.person_only(rendered, 0.9 * mask, image, mask, torch.zeros(3)).item(),
+            ]
+        )
+    assert min(both[0]) > 0.01
+    held(max(abs(a / b - 1) for a, b in zip(*both, strict=True)), 0.2)
+
+
+def test_g07_what_lies_around_the_persons_window_does_not_count():
+    rendered, image, mask = smooth(96)
+    K, points = torch.tensor([[60.0, 0, 48], [0, 60, 48], [0, 0, 1]]), torch.tensor([[0.0, 0, 3]])
+    wide = [torch.nn.functional.pad(t.reshape(96, 96, -1), (0, 0, 48, 48, 48, 48)) for t in (rendered, image, mask)]
+    found = []
+    for pictures, shift in (((rendered, image, mask[..., None]), 0), (wide, 48)):
+        moved = K.clone()
+        moved[:2, 2] += shift
+        left, top, right, bottom = person_box(pictures[2][..., 0], points, torch.eye(4), moved)
+        drawn, target, seen = (p[top:bottom, left:right] for p in pictures)
+        assert left > shift and right < shift + 96, "precondition: the window is not cut by the picture's border"
+        found.append(losses.person_only(drawn, seen[..., 0] * 0.9, target, seen[..., 0], torch.ones(3)).item())
+    assert found[0] == found[1] > 0.01
+
+
 @pytest.mark.parametrize("fill", [0.0, 1.0, 0.5])
-def test_person_only_is_finite_for_every_mask(fill):
+def test_g06_person_only_is_finite_for_every_mask(fill):
     image, mask = picture(), torch.full((40, 32), fill)
     rendered, alpha = picture(1).requires_grad_(), torch.rand(40, 32, requires_grad=True)
     losses.person_only(rendered, alpha, image, mask, torch.rand(3)).backward()
     assert rendered.grad.isfinite().all() and alpha.grad.isfinite().all()
 
 
-def test_a_perfect_render_costs_nothing_for_any_background():
+def test_g16_a_perfect_render_costs_nothing_for_any_background(held):
     image, mask = picture(), (picture(2)[..., 0] > 0.5).float()
     for _ in range(3):
         background = torch.rand(3)
         rendered = losses.over_background(image, mask, background)
-        assert losses.person_only(rendered, mask, image, mask, background).item() < 1e-5
+        held(losses.person_only(rendered, mask, image, mask, background).item(), 1e-6)
+        other = losses.over_background(image, mask, 1 - background)
+        assert losses.person_only(other, mask, image, mask, background).item() > 0.05, "another draw would show"
 
 
 def test_person_pixels_and_a_seam_around_them_teach_the_scene_nothing():
@@ -35,7 +104,7 @@ def test_person_pixels_and_a_seam_around_them_teach_the_scene_nothing():
     assert (rendered.grad[wide == 0].abs().sum(-1) > 0).float().mean() > 0.99
 
 
-def test_skinning_is_a_mean_and_its_reference_a_constant():
+def test_g17_g19_skinning_is_a_mean_and_its_reference_a_constant():
     a = torch.tensor([[1.0, 0.0], [0.25, 0.75]], requires_grad=True)
     b = torch.tensor([[0.5, 0.5], [0.25, 0.75]], requires_grad=True)
     loss = losses.skinning(a, b)
@@ -47,7 +116,7 @@ def test_skinning_is_a_mean_and_its_reference_a_constant():
 
 @pytest.mark.parametrize("shape", [(100, 80), (300, 40), (400, 300), (1, 1)])
 @pytest.mark.parametrize("where", ["nowhere", "corner", "all"])
-def test_a_patch_is_always_a_window_of_the_picture(shape, where):
+def test_g08_a_patch_is_always_a_window_of_the_picture(shape, where):
     mask = torch.zeros(shape)
     if where == "corner":
         mask[-1, -1] = 1

@@ -13,7 +13,7 @@ def pictures(height=40, width=50):
     return torch.rand(height, width, 3, generator=g), torch.rand(height, width, 3, generator=g)
 
 
-def test_psnr_of_known_errors():
+def test_g14_psnr_of_known_errors():
     truth = torch.full((8, 8, 3), 0.5)
     assert float(psnr(truth + 0.1, truth)) == pytest.approx(20, abs=1e-4)
     assert math.isinf(float(psnr(truth, truth)))

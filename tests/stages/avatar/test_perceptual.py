@@ -81,15 +81,16 @@ def test_agrees_with_the_paper_by_the_book(net, pictures):
     assert float(Lpips(arrays)(a.float(), b.float())) == pytest.approx(truth, rel=1e-4)
 
 
-def test_a_batch_is_its_pictures(pictures):
+def test_g11_a_batch_is_its_pictures_and_the_range_counts(pictures):
     lpips = Lpips(small_weights("alex"), torch.float64)
     batch = lpips(pictures, pictures.flip(0))
     assert batch.shape == (2,) and torch.allclose(batch, lpips(*pictures).expand(2))
     assert lpips(pictures, pictures).tolist() == [0, 0]
+    assert (lpips(pictures, pictures.flip(0), legacy=True) - batch).abs().min() > 0.05 * batch.max()
 
 
 @pytest.mark.parametrize("net", ["alex", "vgg"])
-def test_gradient_where_all_features_are_zero(net):
+def test_g10_gradient_where_all_features_are_zero(net):
     arrays = small_weights(net)
     for key in arrays:
         if key.endswith("_b"):
@@ -110,7 +111,7 @@ def test_gradient_is_the_slope(pictures):
     assert float(slope) == pytest.approx(float((a.grad * step).sum()), rel=1e-4)
 
 
-def test_refuses_small_and_unequal_pictures_and_other_weights():
+def test_g09_refuses_small_and_unequal_pictures_and_other_weights():
     lpips = Lpips(small_weights("alex"))
     with pytest.raises(ValueError, match="alex needs 64 px each way, the picture has 80x63"):
         lpips(torch.zeros(63, 80, 3), torch.zeros(63, 80, 3))

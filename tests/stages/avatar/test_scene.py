@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.gaussians import Splats, contain, spacing
-from stages.avatar.scene import SceneModel, fill_points, scene_extent
+from stages.avatar.gaussians import Splats, spacing
+from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
 
 
 def ring(n: int = 5, radius: float = 2.0) -> torch.Tensor:
@@ -13,7 +13,7 @@ def ring(n: int = 5, radius: float = 2.0) -> torch.Tensor:
     return viewmats
 
 
-def test_extent_follows_the_cameras_and_survives_a_tripod():
+def test_h05_extent_follows_the_cameras_and_survives_a_tripod():
     points = torch.rand(50, 3) - 0.5
     assert scene_extent(ring(), points) == pytest.approx(2.2, rel=0.1)
     still = scene_extent(ring(radius=0.0), points)
@@ -22,8 +22,16 @@ def test_extent_follows_the_cameras_and_survives_a_tripod():
     assert scene_extent(ring(radius=0.0), points - torch.tensor([0, 0, 50.0])) == 1.0
 
 
+def test_i18_a_few_points_at_the_end_of_the_world_change_no_length(held):
+    points, viewmats = torch.rand(500, 3) - 0.5, ring(radius=0.0)
+    far = torch.cat([points, torch.full((5, 3), 1e6)])
+    held(abs(scene_extent(viewmats, far) / scene_extent(viewmats, points) - 1), 0.02)
+    near, alike = spacing(points, 2.0), spacing(far, 2.0)
+    assert torch.equal(near, alike[:500]) and alike[500:].max() <= 0.2
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_extent_scales_with_the_world(scale):
+def test_i05_extent_scales_with_the_world(scale):
     points, viewmats = torch.rand(50, 3) - 0.5, ring()
     scaled = viewmats.clone()
     scaled[:, :3, 3] *= scale
@@ -31,18 +39,18 @@ def test_extent_scales_with_the_world(scale):
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
-def test_spacing_of_few_points_has_limits(n):
+def test_h18_spacing_of_few_points_has_limits(n):
     distance = spacing(torch.rand(n, 3), 2.0)
     assert distance.shape == (n,) and ((distance >= 2e-7) & (distance <= 0.2)).all()
 
 
-def test_spacing_of_duplicates_and_of_a_grid():
+def test_h18_spacing_of_duplicates_and_of_a_grid():
     assert torch.equal(spacing(torch.ones(100, 3), 1.0), torch.full((100,), 1e-7))
     grid = torch.stack(torch.meshgrid(*[torch.arange(4.0) * 0.01] * 3, indexing="ij"), -1).reshape(-1, 3)
     assert torch.allclose(spacing(grid, 1.0), torch.full((64,), 0.01), rtol=1e-4)
 
 
-def test_a_scene_starts_as_its_points_and_needs_one():
+def test_h18_a_scene_starts_as_its_points_and_needs_one():
     points, rgb = torch.rand(20, 3), torch.rand(20, 3)
     splats = SceneModel(points, rgb, 2, 1.0).splats()
     assert torch.equal(splats.means, points)
@@ -51,12 +59,25 @@ def test_a_scene_starts_as_its_points_and_needs_one():
         SceneModel(torch.zeros(0, 3), torch.zeros(0, 3), 0, 1.0)
 
 
-def test_a_gaussian_on_the_camera_has_a_colour_and_a_gradient():
+def test_h17_a_gaussian_on_the_camera_has_a_colour_and_a_gradient():
     means = torch.zeros(1, 3, requires_grad=True)
     splats = Splats(means, torch.eye(3)[None], torch.ones(1), torch.ones(1, 4, 3))
     color = splats.colors(torch.zeros(3))
     color.sum().backward()
     assert color.isfinite().all() and means.grad.isfinite().all()
+
+
+def test_h17_points_on_a_camera_are_told_from_those_before_it():
+    points = torch.tensor([[0.0, 0, -4], [0.03, 0, -4], [0.05, 0, -4], [0, 0, 0]])
+    assert clear_of_cameras(points, ring(radius=0.0), 2.0).tolist() == [False, False, True, True]
+    assert clear_of_cameras(points * 1e3, _wider(ring(radius=0.0), 1e3), 2e3).tolist() == [False, False, True, True]
+    assert len(clear_of_cameras(torch.zeros(0, 3), ring(), 1.0)) == 0
+
+
+def _wider(viewmats: torch.Tensor, scale: float) -> torch.Tensor:
+    wider = viewmats.clone()
+    wider[:, :3, 3] *= scale
+    return wider
 
 
 def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
@@ -81,13 +102,3 @@ def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
     assert len(none) == 0
     behind, _ = fill_points(wall, [image], [mask], viewmat[None], K[None], person + [0, 0, 2.5], 400, rng)
     assert np.isclose(behind[:, 2].min(), 5) and np.isclose(behind[:, 2].max(), 6), "half a metre behind the person"
-
-
-def test_rows_that_are_not_finite_are_zeroed_in_all_tensors_and_counted():
-    a, b = torch.ones(4, 3), torch.ones(4)
-    a[1, 2], b[3] = float("nan"), float("inf")
-    assert contain([a, b]) == 2
-    assert a.tolist() == [[1] * 3, [0] * 3, [1] * 3, [0] * 3] and b.tolist() == [1, 0, 1, 0]
-    assert contain([a, b]) == 0
-    huge = torch.full((2, 3), 3e38)
-    assert contain([huge]) == 0 and (huge == 3e38).all()

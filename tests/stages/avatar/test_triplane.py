@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -15,7 +18,7 @@ def points(n: int = 200) -> torch.Tensor:
     return t.lower + (t.upper - t.lower) * torch.rand(n, 3, generator=torch.Generator().manual_seed(1))
 
 
-def test_equals_grid_sample_in_value_and_gradient():
+def test_f04_equals_grid_sample_in_value_and_gradient():
     t, p = field().double(), points().double()
     x = p.clone().requires_grad_()
     ours = t(x)
@@ -48,7 +51,7 @@ def test_the_fused_kernel_agrees_with_its_specification(channels):
         assert (a - b).norm() < 1e-6 * b.norm(), f"{name} off by {(a - b).norm() / b.norm():.1e}"
 
 
-def test_reproduces_a_linear_field_and_notices_swapped_axes():
+def test_f04_reproduces_a_linear_field_and_notices_swapped_axes(held):
     t = field(channels=1)
     i = torch.arange(9.0)
     with torch.no_grad():
@@ -56,11 +59,11 @@ def test_reproduces_a_linear_field_and_notices_swapped_axes():
     p = points()
     u = (p - t.lower) / (t.upper - t.lower) * 8
     want = torch.stack([2 * u[:, a] + 5 * u[:, b] for a, b in ((0, 1), (0, 2), (1, 2))], 1)
-    assert torch.allclose(t(p), want, atol=1e-4)
+    held((t(p) - want).abs().max() / want.abs().max(), 1e-6)
     assert not torch.allclose(t(p[:, [1, 0, 2]]), want, atol=1e-1)
 
 
-def test_outside_reads_the_face_and_can_return():
+def test_f01_outside_reads_the_face_and_can_return():
     t = field()
     far = torch.tensor([[40.0, 1.0, 0.0]], requires_grad=True)
     face = torch.tensor([[1.0, 1.0, 0.0]])
@@ -73,17 +76,49 @@ def test_outside_reads_the_face_and_can_return():
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
-def test_a_point_that_is_not_finite_is_named(bad):
+def test_f02_a_point_that_is_not_finite_is_named(bad):
     p = points(8)
     p[5, 1] = bad
     with pytest.raises(ValueError, match="point 5"):
         field()(p)
 
 
-def test_crowding_in_one_cell_is_summed_right():
-    t = field()
-    p = t.lower + 1e-3 + torch.zeros(20_000, 3)
+def test_f05_crowding_in_one_cell_is_summed_right(held):
+    t, single = field(), field().double()
+    p = t.lower + 1e-3 + torch.zeros(110_000, 3)
     t(p).sum().backward()
-    single = field()
-    single(p[:1]).sum().backward()
-    assert torch.allclose(t.table.grad / len(p), single.table.grad, rtol=1e-3, atol=1e-7)
+    single(p[:1].double()).sum().backward()
+    assert single.table.grad.abs().sum() > 0
+    held((t.table.grad / len(p) - single.table.grad).abs().max() / single.table.grad.abs().max(), 5e-3)
+
+
+CRASHES = """
+import torch
+from tests.stages.avatar.test_triplane import field, points
+for bad in (float("nan"), float("inf"), -float("inf"), 3e38, -3e38):
+    t, p = field(), points(64)
+    p[5, 1] = bad
+    p.requires_grad_()
+    try:
+        t(p).sum().backward()
+        assert p.grad.isfinite().all() and t.table.grad.isfinite().all()
+        print("drawn")
+    except ValueError as error:
+        print(str(error)[:17])
+"""
+
+
+def test_f02_no_coordinate_crashes_the_process():
+    done = subprocess.run([sys.executable, "-c", CRASHES], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["canonical point 5"] * 3 + ["drawn"] * 2
+
+
+def test_f03_a_cell_that_is_not_finite_is_named_though_its_weight_is_0():
+    t = field()
+    node = t.lower + (t.upper - t.lower) * torch.tensor([[3.0, 5.0, 2.0]]) / 8
+    assert t(node).isfinite().all()
+    with torch.no_grad():
+        t.table[2 * 81 + 2 * 9 + 6, 1] = torch.nan  # the neighbour along y, in the plane yz
+    with pytest.raises(ValueError, match=r"plane yz of the triplane is not finite in 1 cells, first \(6, 2\)"):
+        t(node)

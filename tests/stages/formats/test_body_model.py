@@ -63,7 +63,7 @@ def dump(path, content, protocol=2):
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4])
-def test_reads_an_old_smpl_pickle_without_chumpy(tmp_path, chumpy, protocol):
+def test_j09_reads_an_old_smpl_pickle_without_chumpy(tmp_path, chumpy, protocol):
     arrays = smpl_arrays(components=300)
     from scipy.sparse import csc_matrix
 
@@ -89,7 +89,7 @@ def test_reads_an_old_smpl_pickle_without_chumpy(tmp_path, chumpy, protocol):
 
 
 @pytest.mark.parametrize("kind", ["csc", "csr", "coo", "dense"])
-def test_reads_every_form_of_the_joint_regressor(tmp_path, kind):
+def test_j09_reads_every_form_of_the_joint_regressor(tmp_path, kind):
     import scipy.sparse
 
     arrays = smpl_arrays()
@@ -109,7 +109,7 @@ class Bomb:
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4])
-def test_runs_nothing(tmp_path, protocol):
+def test_j09_runs_nothing(tmp_path, protocol):
     import builtins
     import os
     import subprocess
@@ -145,7 +145,7 @@ def test_the_attack_would_have_worked(tmp_path):
 
 
 @pytest.mark.parametrize("cut", [0, 10, 2000])
-def test_a_truncated_pickle_is_refused(tmp_path, cut):
+def test_j09_a_truncated_pickle_is_refused(tmp_path, cut):
     whole = dump(tmp_path / "a.pkl", smpl_arrays()).read_bytes()
     (tmp_path / "b.pkl").write_bytes(whole[:cut])
     with pytest.raises(StageError, match=r"b\.pkl is not a pickle of plain arrays"):
@@ -190,7 +190,7 @@ def bad_number(array, index, value):
     ],
 )
 @pytest.mark.parametrize("suffix", [".npz", ".pkl"])
-def test_refuses_by_key_and_shape(tmp_path, arrays, words, suffix):
+def test_j09_refuses_by_key_and_shape(tmp_path, arrays, words, suffix):
     path = tmp_path / f"model{suffix}"
     if suffix == ".npz":
         np.savez(path, **arrays)
@@ -202,7 +202,7 @@ def test_refuses_by_key_and_shape(tmp_path, arrays, words, suffix):
     assert all(word in said for word in [*words, str(path)]), said
 
 
-def test_refuses_missing_files_and_pickled_npz(tmp_path):
+def test_j09_k06_refuses_missing_files_and_pickled_npz(tmp_path):
     with pytest.raises(StageError, match="no body model"):
         read_body_model(tmp_path / "none.pkl")
     np.savez(tmp_path / "a.npz", **dict(smpl_arrays(), v_template=np.array([{"a": 1}], dtype=object)))

@@ -37,12 +37,16 @@ def test_centers_are_where_the_camera_sees_zero():
         ({"viewmats": np.full((3, 4, 4), np.nan)}, "camera 0"),
         ({"viewmats": np.tile(np.eye(4), (2, 1, 1))}, "shapes"),
         ({"Ks": np.tile(np.diag([-500.0, 500, 1]), (3, 1, 1))}, "focal"),
+        ({"Ks": np.tile(np.diag([0.0, 500, 1]), (3, 1, 1))}, "focal"),
+        ({"Ks": np.tile([[500.0, 2, 320], [0, 500, 240], [0, 0, 1]], (3, 1, 1))}, "skewed or transposed"),
+        ({"Ks": np.tile([[500.0, 0, 0], [0, 500, 0], [320, 240, 1]], (3, 1, 1))}, "skewed or transposed"),
+        ({"Ks": np.tile(np.diag([500.0, 500, 2]), (3, 1, 1))}, "skewed or transposed"),
         ({"names": np.array(["a", "a", "b"])}, "names"),
         ({"names": np.array(["a", "../../b", "c"])}, "cannot be a file name"),
         ({"width": None}, "width"),
     ],
 )
-def test_wrong_cameras_are_refused_by_name(tmp_path, change, token):
+def test_k08_wrong_cameras_are_refused_by_name(tmp_path, change, token):
     write_cameras(tmp_path / "cameras.npz", some_cameras())
     arrays = dict(np.load(tmp_path / "cameras.npz")) | change
     np.savez(tmp_path / "cameras.npz", **{key: value for key, value in arrays.items() if value is not None})

@@ -50,12 +50,23 @@ def test_exif_orientation_is_applied(tmp_path, orientation, turns):
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_a_file_cut_short_is_refused(tmp_path, suffix):
+def test_i15_a_file_cut_short_is_refused(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     write_image(path, picture(200, 200))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(StageError, match="damaged or cut short"):
         read_image(path)
+
+
+def test_g13_pixels_that_are_not_finite_are_refused_by_file_and_count(tmp_path):
+    light = picture().astype(np.float32) / 255
+    write_raw(tmp_path / "good.exr", light)
+    assert np.abs(read_image(tmp_path / "good.exr").astype(int) - picture()).max() <= 1
+    light[3, 4, 1], light[3, 4, 2], light[9, 9] = np.nan, np.nan, np.inf
+    write_raw(tmp_path / "bad.exr", light)
+    with pytest.raises(StageError, match=r"bad\.exr has pixels that are not finite") as error:
+        read_image(tmp_path / "bad.exr")
+    assert error.value.facts == ("2 of 1961 pixels",)
 
 
 def test_missing_and_foreign_files_are_named(tmp_path):
@@ -69,7 +80,7 @@ def test_missing_and_foreign_files_are_named(tmp_path):
         read_mask(tmp_path / "c.png")
 
 
-def test_writing_fails_loudly(tmp_path):
+def test_l12_writing_fails_loudly(tmp_path):
     with pytest.raises(StageError, match="cannot write"):
         write_image(tmp_path / "nowhere" / "a.png", picture())
     with pytest.raises(ValueError, match="uint8"):

@@ -58,7 +58,7 @@ KINDS = [
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_encoding_gives_the_same_mask(tmp_path, kind):
+def test_g15_k05_every_encoding_gives_the_same_mask(tmp_path, kind):
     path = encoded(kind, tmp_path)
     given = ForeignMasks([path])
     mask = given.read(path)
@@ -84,14 +84,14 @@ def test_what_a_value_means_is_decided_over_all_files(tmp_path):
     assert np.array_equal(given.read(tmp_path / "b.png") > 127, disc())
 
 
-def test_all_marked_and_none_marked(tmp_path):
+def test_g15_all_marked_and_none_marked(tmp_path):
     for name, value in (("a", 1), ("b", 0)):
         write_raw(tmp_path / f"{name}.png", np.full((8, 8, 1), value, np.uint8))
     given = ForeignMasks([tmp_path / "a.png", tmp_path / "b.png"])
     assert given.read(tmp_path / "a.png").min() == 255 and given.read(tmp_path / "b.png").max() == 0
 
 
-def test_bad_arrays_are_refused(tmp_path):
+def test_k02_k06_bad_arrays_are_refused(tmp_path):
     bad = {
         "nan": (np.full((4, 4), np.nan), "not finite"),
         "box": (np.zeros((2, 4, 4)), r"not a mask \[H,W\]"),

@@ -6,7 +6,7 @@ from stages.contract import StageError
 from stages.formats.points import read_points, write_points
 
 
-def test_round_trip_and_another_reader(tmp_path):
+def test_l07_round_trip_and_another_reader(tmp_path):
     rng = np.random.default_rng(0)
     xyz = rng.normal(size=(50, 3)).astype(np.float32) * [1, 1e-3, 1e6]
     rgb = rng.integers(0, 256, (50, 3), dtype=np.uint8)
@@ -17,13 +17,13 @@ def test_round_trip_and_another_reader(tmp_path):
     assert np.allclose(other.vertices, xyz) and np.array_equal(np.asarray(other.colors)[:, :3], rgb)
 
 
-def test_no_points_is_a_valid_file(tmp_path):
+def test_l05_no_points_is_a_valid_file(tmp_path):
     write_points(tmp_path / "points.ply", np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     xyz, rgb = read_points(tmp_path / "points.ply")
     assert xyz.shape == (0, 3) and rgb.shape == (0, 3)
 
 
-def test_broken_files_are_refused(tmp_path):
+def test_l08_broken_files_are_refused(tmp_path):
     path = tmp_path / "points.ply"
     write_points(path, np.ones((4, 3)), np.ones((4, 3), np.uint8))
     whole = path.read_bytes()

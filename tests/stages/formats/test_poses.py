@@ -28,7 +28,7 @@ def test_what_is_written_comes_back(tmp_path):
 
 
 @pytest.mark.parametrize("dtype", [">f8", "<f4", "f2"])
-def test_any_float_is_read(tmp_path, dtype):
+def test_k07_any_float_is_read(tmp_path, dtype):
     poses = some_poses()
     arrays = {k: np.asarray(v).astype(dtype) for k, v in vars(poses).items() if k not in ("names", "confidence")}
     np.savez(tmp_path / "body.npz", names=np.array(poses.names), **arrays)
@@ -49,7 +49,7 @@ def test_any_float_is_read(tmp_path, dtype):
         ({"global_orient": np.array([["x"] * 3] * 3)}, ["global_orient", "numbers"]),
     ],
 )
-def test_refuses_by_key(tmp_path, change, words):
+def test_k01_k02_refuses_by_key(tmp_path, change, words):
     arrays = {k: np.asarray(v) for k, v in vars(some_poses()).items()} | change
     np.savez(tmp_path / "body.npz", **arrays)
     with pytest.raises(StageError) as caught:

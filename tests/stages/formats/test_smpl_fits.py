@@ -75,7 +75,7 @@ def test_leaving_the_pelvis_out_would_show(arrays, model):
     assert np.linalg.norm(turn @ pelvis - pelvis) > 0.1
 
 
-def test_hugs_fit_keeps_its_image_at_one_scale(tmp_path, arrays, model):
+def test_i05_j02_hugs_fit_keeps_its_image_at_one_scale(tmp_path, arrays, model):
     rng = np.random.default_rng(2)
     viewmats = random_viewmats(rng)
     scale = rng.uniform(2.5, 3.3, N)
@@ -130,13 +130,13 @@ def layouts(arrays):
 
 
 @pytest.mark.parametrize("which", range(6))
-def test_layouts(tmp_path, arrays, which):
+def test_j10_layouts(tmp_path, arrays, which):
     fit = read_smpl_fit(save(tmp_path / "a.npz", **list(layouts(arrays))[which]))
     assert np.allclose(fit.betas, arrays["betas"]) and np.allclose(fit.transl, arrays["transl"])
     assert np.allclose(fit.global_orient, arrays["global_orient"]) and np.allclose(fit.body_pose, arrays["body_pose"])
 
 
-def test_rows_are_joined_by_name_then_number_never_by_order(tmp_path, arrays):
+def test_k04_rows_are_joined_by_name_then_number_never_by_order(tmp_path, arrays):
     clip = ["000000", "000009", "000010", "000100"]
     mixed = ["frame_10.png", "frame_9.png", "frame_100.png", "frame_7.png", "frame_8.png", "frame_1.png"]
     fit, names, missing = match_frames(read_smpl_fit(save(tmp_path / "a.npz", **arrays, names=np.array(mixed))), clip)
@@ -182,7 +182,7 @@ def nan_at(array, *index):
         (lambda a: {"betas": np.array([{}], dtype=object)}, ["betas", "pickled"]),
     ],
 )
-def test_refuses_by_key(tmp_path, arrays, change, words):
+def test_j01_j10_k01_k02_k06_refuses_by_key(tmp_path, arrays, change, words):
     changed = {k: v for k, v in (arrays | change(arrays)).items() if v is not None}
     with pytest.raises(StageError) as caught:
         read_smpl_fit(save(tmp_path / "fit.npz", **changed))
@@ -190,7 +190,7 @@ def test_refuses_by_key(tmp_path, arrays, change, words):
     assert all(word in said for word in words) and "fit.npz" in said, said
 
 
-def test_refuses_people_behind_the_camera_and_twice_named_frames(tmp_path, arrays, model):
+def test_j01_k09_refuses_people_behind_the_camera_and_twice_named_frames(tmp_path, arrays, model):
     behind = arrays | {"transl": arrays["transl"] * [1, 1, -1]}
     fit = match_frames(read_smpl_fit(save(tmp_path / "a.npz", **behind)), list("012345"))[0]
     with pytest.raises(StageError, match="behind the camera") as caught:
@@ -201,7 +201,7 @@ def test_refuses_people_behind_the_camera_and_twice_named_frames(tmp_path, array
         match_frames(twice, ["000001"])
 
 
-def test_varying_and_extreme_shapes_are_said(tmp_path, arrays):
+def test_j13_varying_and_extreme_shapes_are_said(tmp_path, arrays):
     betas = np.tile(arrays["betas"], (N, 1))
     betas[:, 0] = np.linspace(5, 8, N)
     fit = read_smpl_fit(save(tmp_path / "a.npz", **arrays | {"betas": betas}))

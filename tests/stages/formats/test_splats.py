@@ -22,7 +22,7 @@ def avatar(n: int = 5) -> dict[str, np.ndarray]:
     return scene(n) | {"lbs_weights": weights} | more
 
 
-def test_round_trip_without_pickles(tmp_path):
+def test_l07_round_trip_without_pickles(tmp_path):
     write_splats(tmp_path / "scene.npz", Scene(**scene()))
     write_splats(tmp_path / "avatar.npz", Avatar(**avatar()))
     back = read_avatar(tmp_path / "avatar.npz")
@@ -34,7 +34,7 @@ def test_round_trip_without_pickles(tmp_path):
         assert all(data[k].dtype != object for k in data)
 
 
-def test_damage_is_named(tmp_path):
+def test_k02_l01_damage_is_named(tmp_path):
     path = tmp_path / "avatar.npz"
     np.savez(path, **scene())
     with pytest.raises(StageError, match="does not hold the Gaussians of the avatar") as error:

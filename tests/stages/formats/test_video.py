@@ -62,14 +62,14 @@ def test_the_file_is_h264_yuv420p_with_its_index_first(tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_odd_sizes_are_padded_by_repeating(tmp_path):
+def test_i12_odd_sizes_are_padded_by_repeating(tmp_path):
     write_video(tmp_path / "v.mp4", [np.full((47, 63, 3), 200, np.uint8)] * 4, fps=30)
     frame = next(decode(tmp_path / "v.mp4"))[2]
     assert frame.shape == (48, 64, 3) and abs(int(frame[47, 63, 0]) - 200) < 4
 
 
 @pytest.mark.parametrize("degrees", [0, 90, 180, 270])
-def test_rotation_in_the_file_is_applied(tmp_path, degrees):
+def test_i11_rotation_in_the_file_is_applied(tmp_path, degrees):
     write_video(tmp_path / "v.mp4", corner_marked(), fps=30)
     set_rotation(tmp_path / "v.mp4", degrees)
     info = probe(tmp_path / "v.mp4")
@@ -79,7 +79,7 @@ def test_rotation_in_the_file_is_applied(tmp_path, degrees):
     assert is_red(frame[corner]) and sum(is_red(frame[y, x]) for y in (4, -4) for x in (4, -4)) == 1
 
 
-def test_variable_frame_rate_keeps_each_time(tmp_path):
+def test_i10_variable_frame_rate_keeps_each_time(tmp_path):
     times = [0, 1, 2, 10, 11, 30]  # in 1/30 s
     with av.open(str(tmp_path / "v.mkv"), "w") as container:
         stream = container.add_stream("libx264", rate=30)
@@ -94,7 +94,7 @@ def test_variable_frame_rate_keeps_each_time(tmp_path):
     assert abs(probe(tmp_path / "v.mkv").fps - 5) < 0.1
 
 
-def test_high_dynamic_range_is_noticed(tmp_path):
+def test_i13_high_dynamic_range_is_noticed(tmp_path):
     with av.open(str(tmp_path / "v.mp4"), "w") as container:
         stream = container.add_stream("libx264", rate=30)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
@@ -105,7 +105,7 @@ def test_high_dynamic_range_is_noticed(tmp_path):
     assert probe(tmp_path / "v.mp4").transfer == "HLG"
 
 
-def test_unusable_paths_are_told_apart(tmp_path):
+def test_i14_unusable_paths_are_told_apart(tmp_path):
     with pytest.raises(StageError, match="no video at"):
         probe(tmp_path / "no.mp4")
     (tmp_path / "empty.mp4").touch()
@@ -125,7 +125,7 @@ def test_unusable_paths_are_told_apart(tmp_path):
         probe(tmp_path / "folder")
 
 
-def test_a_damaged_middle_loses_frames_but_never_raises(tmp_path):
+def test_i14_a_damaged_middle_loses_frames_but_never_raises(tmp_path):
     rng = np.random.default_rng(0)
     write_video(tmp_path / "v.mp4", list(rng.integers(0, 256, (40, 96, 96, 3), dtype=np.uint8)), fps=30)
     data = bytearray((tmp_path / "v.mp4").read_bytes())
@@ -145,7 +145,7 @@ def test_a_folder_of_pictures_is_a_video(tmp_path):
         list(decode(tmp_path))
 
 
-def test_natural_order(tmp_path):
+def test_i22_natural_order(tmp_path):
     names = ["b2.png", "b10.png", "b1.png", "a10b2.png", "a9b30.png", "é.png", "²1.png"]
     ordered = [p.name for p in sorted((tmp_path / n for n in names), key=natural)]
     assert ordered.index("a9b30.png") < ordered.index("a10b2.png") < ordered.index("b1.png")

@@ -1,0 +1,29 @@
+"""The catalogue of hard cases is whole: no case of weight is without a test or a reason, and no number is made up."""
+
+import re
+from pathlib import Path
+
+from tests.hard_cases import HERE, cases_of, catalogue, left
+
+
+def named() -> set[str]:
+    """The cases that some test of this tree covers."""
+    tests = re.compile(r"^\s*def (test_\w+)", re.M)
+    files = (path.read_text() for path in Path(HERE).rglob("test_*.py"))
+    return {case for text in files for name in tests.findall(text) for case in cases_of(name)}
+
+
+def test_numbers_are_read_from_names():
+    assert cases_of("test_a05_scales") == ["A05"]
+    assert cases_of("test_a05_l10_scales[1]") == ["A05", "L10"]
+    assert cases_of("test_a_scale") == cases_of("test_scales_a05") == []
+
+
+def test_every_number_is_in_the_catalogue():
+    assert named() | set(left()) <= set(catalogue())
+
+
+def test_every_heavy_case_has_a_test_or_a_reason():
+    heavy = {case for case, (severity, _) in catalogue().items() if severity in ("S0", "S1")}
+    assert not heavy - named() - set(left()), "neither tested nor explained"
+    assert not named() & set(left()), "tested, and yet explained away"
