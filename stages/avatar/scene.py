@@ -16,6 +16,7 @@ from stages.avatar.sh import bases, sh_from_rgb
 
 START_OPACITY = 0.5
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
+MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, and what is opaque would freeze (C04)
 NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard case H17)
 
 
@@ -98,6 +99,11 @@ class SceneModel(nn.Module):
 
     def __len__(self) -> int:
         return len(self.means)
+
+    @torch.no_grad()
+    def keep_movable(self) -> None:
+        """Hold opacities, in place, where they still have a slope."""
+        self.logit_opacities.clamp_(-MOVABLE, MOVABLE)
 
     def splats(self) -> Splats:
         """The scene as drawn."""
