@@ -16,7 +16,9 @@ from stages.avatar.sh import bases, sh_from_rgb
 
 START_OPACITY = 0.5
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
-MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, and what is opaque would freeze (C04)
+MOVABLE = (
+    15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, and what is opaque would freeze (C04)
+)
 NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard case H17)
 
 

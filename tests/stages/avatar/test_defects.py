@@ -1,4 +1,4 @@
-"""The known defects of the released HUGS code (D1 to D14, not the numbers of hard cases), each with what would happen if ours had it.
+"""The known defects of the released HUGS code (D1 to D14, no hard cases), each with what would happen if ours had it.
 
 D5, D6 and D7 are about settings, imports and files: tests/hugs_cli/test_pipelines.py, tests/stages/test_train.py and
 tests/stages/formats/test_splats.py hold them.

@@ -9,10 +9,10 @@ import torch
 from stages.avatar.compose import compose
 from stages.avatar.gaussians import Splats
 from stages.avatar.rasterize import Layer, cpu, gaussian_axes, reference
-from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN, BLUR
+from stages.avatar.rasterize.rendering import ALPHA_MAX, BLUR
 from stages.avatar.scene import MOVABLE, START_OPACITY, SceneModel
 from tests.stages.avatar.test_rasterize import NAMES, apart, camera, draw, gaussians
-from tests.stages.avatar.test_rasterize_projection import MAKERS, PICTURE, STRAIGHT, ball, both, cast, largest, show
+from tests.stages.avatar.test_rasterize_projection import MAKERS, STRAIGHT, ball, both, cast, largest, show
 
 
 @both
@@ -26,7 +26,9 @@ def test_b01_opacity_above_the_bound_draws_the_bound_and_gets_no_gradient(maker,
     assert middle[3].abs().max() == 0 and middle[4].abs().min() > 0
 
 
-@pytest.mark.parametrize("layers, opacity, low, high", [(1, 1.0, 0.999, 0.999), (6, 1.0, 0.999, 0.9999), (6, 0.98, 0.9996, 0.9999)])
+@pytest.mark.parametrize(
+    "layers, opacity, low, high", [(1, 1.0, 0.999, 0.999), (6, 1.0, 0.999, 0.9999), (6, 0.98, 0.9996, 0.9999)]
+)
 def test_b02_the_early_stop_leaves_no_hole(layers, opacity, low, high, held):
     fast, true = (
         show(m, cast(ball(layers, opacity=opacity), d), STRAIGHT, camera()[1], 61, 45).alpha[22, 30] for m, d in MAKERS
@@ -41,7 +43,9 @@ def test_b02_the_second_of_two_opaque_ones_may_fall_on_either_side_of_the_stop(m
     parts = ball(2, opacity=0.99)
     for nudge in (-1e-6, 0.0, 1e-6):
         parts[3] = torch.full((2,), 0.99 + nudge)
-        alpha = show(maker, cast(parts, dtype), STRAIGHT, torch.tensor([[60.0, 0, 30.5], [0, 60, 22.5], [0, 0, 1]]), 61, 45)
+        alpha = show(
+            maker, cast(parts, dtype), STRAIGHT, torch.tensor([[60.0, 0, 30.5], [0, 60, 22.5], [0, 0, 1]]), 61, 45
+        )
         assert 0.99 - 2e-6 <= alpha.alpha[22, 30] <= 0.9999 + 1e-6
 
 
@@ -103,7 +107,9 @@ def test_b07_a_change_of_order_is_no_more_than_the_two_share(maker, dtype, held)
     parts[4] = torch.tensor([[0.0, 0, 0], [1, 1, 1]])
     one, two = (p[0].clone() for p in (parts, parts))
     two[0, 2], two[1, 2] = torch.nextafter(two[0, 2], torch.tensor(9.0)), torch.nextafter(two[1, 2], torch.tensor(0.0))
-    pictures = [show(maker, cast([m, *parts[1:]], dtype), STRAIGHT, camera()[1], 61, 45).image[..., 0] for m in (one, two)]
+    pictures = [
+        show(maker, cast([m, *parts[1:]], dtype), STRAIGHT, camera()[1], 61, 45).image[..., 0] for m in (one, two)
+    ]
     singles = [
         show(maker, cast([p[i : i + 1] for p in parts], dtype), STRAIGHT, camera()[1], 61, 45).alpha for i in (0, 1)
     ]
@@ -240,7 +246,9 @@ def test_c01_gradients_at_points_that_are_chosen(held):
 
     analytic = torch.autograd.grad(picture(*leaves).sum(), leaves)
     assert all(g.abs().max() > 1e-3 for g in analytic)
-    assert torch.autograd.gradcheck(picture, leaves, eps=1e-7, atol=1e-5, rtol=1e-4, check_undefined_grad=False, fast_mode=True)
+    assert torch.autograd.gradcheck(
+        picture, leaves, eps=1e-7, atol=1e-5, rtol=1e-4, check_undefined_grad=False, fast_mode=True
+    )
     fast = draw(cpu, [t.detach().float() for t in leaves], STRAIGHT, K.float(), 8, 8)[1]
     true = draw(reference, [t.detach().float() for t in leaves], STRAIGHT, K, 8, 8, torch.float64)[1]
     held(max(apart(a, b) for a, b in zip(fast[:5], true[:5])), 8e-6)

@@ -47,7 +47,9 @@ def test_a01_no_pose_of_a_needle_loses_its_determinant(length, held):
     n = 50_000
     quats = torch.randn(n, 4, generator=torch.Generator().manual_seed(0))
     axes = gaussian_axes(quats, torch.tensor([length, 1e-4, 1e-4]).repeat(n, 1))
-    parts = [t.numpy() for t in (torch.tensor([[0, 0, 3.0]]).repeat(n, 1), axes, torch.full((n,), 0.7), torch.rand(n, 3))]
+    parts = [
+        t.numpy() for t in (torch.tensor([[0, 0, 3.0]]).repeat(n, 1), axes, torch.full((n,), 0.7), torch.rand(n, 3))
+    ]
     records, means2d, radii = np.empty((n, 16), np.float32), np.empty((n, 2), np.float32), np.empty(n, np.float32)
     K, eye = LONG.double().numpy(), np.eye(4)
     assert kernels.project(*parts, eye, K, 64, 64, False, 0.01, cpu.CHUNKS, records, means2d, radii) == 0
@@ -107,7 +109,7 @@ def test_a02_a03_flat_and_pointlike_gaussians(maker, dtype, scale, antialias, he
         parts[1] = torch.tensor([math.cos(angle / 2), 0, math.sin(angle / 2), 0]).repeat(8, 1)
         parts[2][0] = torch.tensor(scale)
         drawn, grads = draw(maker, parts, STRAIGHT, camera()[1], dtype=dtype, antialias=antialias)
-        assert drawn.dropped == 0 and 0.3 < drawn.alpha.max()
+        assert drawn.dropped == 0 and drawn.alpha.max() > 0.3
         assert all(g.isfinite().all() for g in grads)
         held(drawn.alpha.max().item() - (1 - 0.9**8), 2e-7)
 
@@ -196,7 +198,11 @@ def test_a08_beside_the_picture_no_footprint_grows_further(held):
     inside, outside = slopes < limit - 1e-3, slopes > limit + 1e-3
     assert inside.any() and torch.allclose(a[outside], a[-1], rtol=1e-12) and a[-1] < truth[-1] / 50
     held(((a - truth) / truth)[inside].abs().max(), 1e-12)
-    parts = (local.float(), *(p.repeat(len(slopes), 1) for p in ball(sigma=sigma)[1:3]), torch.full((len(slopes),), 0.9))
+    parts = (
+        local.float(),
+        *(p.repeat(len(slopes), 1) for p in ball(sigma=sigma)[1:3]),
+        torch.full((len(slopes),), 0.9),
+    )
     fast, true = (show(m, cast((*parts, torch.ones(len(slopes), 3)), d), STRAIGHT, K, width, height) for m, d in MAKERS)
     assert torch.equal(fast.radii.double(), true.radii) and (fast.radii[slopes > 2] == 0).all()
     assert (fast.radii[outside] > 0).any(), "some lie beyond the margin and reach into the picture"
@@ -225,7 +231,9 @@ def test_a09_c01_gradient_on_both_sides_of_the_clamped_direction(side, share):
 
     assert all((p.abs().sum() > 0) for p in torch.autograd.grad(picture(*leaves)[0].sum(), leaves))
     # a step of 1e-7 moves few pixels across the cut at 1/255; the tolerance is far below what one would cause
-    torch.autograd.gradcheck(picture, leaves, eps=1e-7, atol=1e-5, rtol=1e-4, check_undefined_grad=False, fast_mode=True)
+    torch.autograd.gradcheck(
+        picture, leaves, eps=1e-7, atol=1e-5, rtol=1e-4, check_undefined_grad=False, fast_mode=True
+    )
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01, 3.0])

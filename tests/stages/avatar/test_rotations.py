@@ -96,7 +96,7 @@ def test_d11_log_and_quaternion_move_at_the_identity():
 def test_d11_quaternions_are_exact_where_the_trace_is_minus_one(turn, held):
     axis = AXES[turn] / AXES[turn].norm()
     for angle in (math.pi, math.pi - 1e-7, math.pi - 1e-3):
-        matrix = r.matrix_from_rotvec((angle * axis)).float().requires_grad_()
+        matrix = r.matrix_from_rotvec(angle * axis).float().requires_grad_()
         quat = r.quat_from_matrix(matrix)
         truth = torch.cat([torch.tensor([math.cos(angle / 2)]).double(), math.sin(angle / 2) * axis])
         held(1 - (quat.double() @ truth).abs(), 2e-7)
@@ -150,7 +150,12 @@ def test_d01_d02_d03_degenerate_6d_rows_are_rotations_with_bounded_gradient(six,
 def test_d01_d02_d03_paths_into_degenerate_rows_stay_rotations(dtype, held):
     """A half that shrinks to nothing, and halves that close to parallel: the gradient grows, but never past its bound."""
     for down in (10.0 ** -torch.arange(0, 26, 0.25)).tolist():
-        for six in ([down, down / 2, 0, 0, 1, 0], [1, 0.5, 0, 0, down, 0], [1, 0, 0, 1, down, 0], [0.3, 0.5, 0.7, 0.6, 1, 1.4 + down]):
+        for six in (
+            [down, down / 2, 0, 0, 1, 0],
+            [1, 0.5, 0, 0, down, 0],
+            [1, 0, 0, 1, down, 0],
+            [0.3, 0.5, 0.7, 0.6, 1, 1.4 + down],
+        ):
             row = torch.tensor(six, dtype=dtype, requires_grad=True)
             matrix = r.matrix_from_6d(row)
             assert_rotation(matrix.double(), 2e-6)
@@ -213,7 +218,7 @@ def test_d12_no_normal_turns_a_round_flat_gaussian_suddenly(held):
     t = torch.linspace(0, 2 * math.pi, 20_001, dtype=torch.float64)
     for path in (torch.stack([t.sin(), 0 * t, t.cos()], 1), torch.stack([0.6 * t.sin(), 0.8 * t.sin(), t.cos()], 1)):
         flat = r.rotation_z_to(path) @ torch.diag(torch.tensor([1.0, 1, 0.5], dtype=torch.float64))
-        held(steps(lambda _: flat @ flat.mT, path), 2)
+        held(steps(lambda _, covariances=flat @ flat.mT: covariances, path), 2)
         assert (r.rotation_z_to(path)[1:] - r.rotation_z_to(path)[:-1]).abs().max() > 1, "the path crosses the seam"
 
 
