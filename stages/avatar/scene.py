@@ -14,11 +14,9 @@ from stages.avatar.gaussians import Splats, spacing
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.sh import bases, sh_from_rgb
 
+MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, what is opaque would freeze (C04)
 START_OPACITY = 0.5
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
-MOVABLE = (
-    15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, and what is opaque would freeze (C04)
-)
 NEAREST = 0.02  # of the extent: points closer to a camera are dropped (hard case H17)
 
 

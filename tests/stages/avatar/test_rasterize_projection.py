@@ -243,7 +243,7 @@ def test_a09_the_kernel_has_that_gradient_too(share, held):
     parts = ball(2, sigma=0.7)
     limit = (0.5 + FRUSTUM_MARGIN) * width / focal
     parts[0] = torch.tensor([[share * limit * 2, 0.1, 2], [-0.2, -share * limit * 2.5, 2.5]])
-    (fast, grads), (true, true_grads) = (draw(m, parts, STRAIGHT, K, width, width, d) for m, d in MAKERS)
+    (_, grads), (true, true_grads) = (draw(m, parts, STRAIGHT, K, width, width, d) for m, d in MAKERS)
     assert (true.radii > 0).all() and (true_grads[0].abs() > 1e-3).any(1).all()
     held(max(apart(a, b) for a, b in zip(grads[:1] + grads[2:6], true_grads[:1] + true_grads[2:6])), 1e-6)
 

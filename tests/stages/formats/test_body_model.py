@@ -183,6 +183,8 @@ def bad_number(array, index, value):
         (broken(weights=np.zeros((V, 24))), ["weights", "vertex 0", "0.0000"]),
         (broken(J_regressor=np.zeros((52, V))), ["SMPL-H", "52 joints", "SMPL_NEUTRAL.pkl"]),
         (broken(J_regressor=np.zeros((55, V))), ["SMPL-X", "55 joints", "SMPL_NEUTRAL.pkl"]),
+        (broken(kintree_table=with_parent(5, 9)), ["kintree_table", "joint 5 has parent 9"]),
+        (broken(kintree_table=with_parent(0, 1)), ["kintree_table", "joint 0 has parent 1"]),
         (broken(f=np.full((3, 3), V)), ["faces", f"{V} vertices"]),
         (broken(v_template=bad_number(smpl_arrays()["v_template"], (3, 1), np.nan)), ["v_template", "[3, 1]", "nan"]),
     ],
@@ -200,6 +202,14 @@ def test_refuses_by_key_and_shape(tmp_path, arrays, words, suffix):
     assert all(word in said for word in [*words, str(path)]), said
 
 
+def test_refuses_missing_files_and_pickled_npz(tmp_path):
+    with pytest.raises(StageError, match="no body model"):
+        read_body_model(tmp_path / "none.pkl")
+    np.savez(tmp_path / "a.npz", **dict(smpl_arrays(), v_template=np.array([{"a": 1}], dtype=object)))
+    with pytest.raises(StageError, match="'v_template'"):
+        read_body_model(tmp_path / "a.npz")
+
+
 @pytest.mark.parametrize("joint, parent", [(5, 9), (0, 1), (7, 7), (9, 2**32 - 1)])
 def test_e15_only_a_tree_with_each_parent_before_its_child_is_read(tmp_path, joint, parent):
     """The root's parent is stored as 4294967295, which is -1 in uint32."""
@@ -211,14 +221,6 @@ def test_e15_only_a_tree_with_each_parent_before_its_child_is_read(tmp_path, joi
     with pytest.raises(StageError, match="kintree_table") as refused:
         read_body_model(tmp_path / "model.npz")
     assert refused.value.facts == (f"joint {joint} has parent {-1 if parent > 23 else parent}",)
-
-
-def test_refuses_missing_files_and_pickled_npz(tmp_path):
-    with pytest.raises(StageError, match="no body model"):
-        read_body_model(tmp_path / "none.pkl")
-    np.savez(tmp_path / "a.npz", **dict(smpl_arrays(), v_template=np.array([{"a": 1}], dtype=object)))
-    with pytest.raises(StageError, match="'v_template'"):
-        read_body_model(tmp_path / "a.npz")
 
 
 def test_written_models_come_back(tmp_path):
