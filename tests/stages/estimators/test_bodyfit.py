@@ -150,7 +150,7 @@ def test_height_of_a_floor_is_signed():
     np.testing.assert_allclose(floor.height(np.array([[0, 2.0, 0], [1, 0, 0]])), [1.5, -0.5])
 
 
-def test_d07_gaps_are_filled_the_short_way_and_ends_held():
+def test_d07_j05_gaps_are_filled_the_short_way_and_ends_held():
     known, times = np.array([0.0, 2.0]), np.array([0.0, 1.0, 2.0, 3.0])
     orient = np.array([[np.pi - 0.1, 0, 0], [-np.pi + 0.1, 0, 0]])  # 0.2 rad apart, across the half turn
     turned, place, pose = fill_poses(orient, np.array([[0, 0, 0], [2.0, 0, 0]]), np.zeros((2, 69)), known, times)
