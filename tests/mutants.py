@@ -196,8 +196,8 @@ MUTANTS = (
     Mutant(
         "A04 a radius that overflows",
         AVATAR + "rasterize/kernels.py",
-        "np.ceil(math.sqrt(cut * (half",
-        "math.ceil(math.sqrt(cut * (half",
+        "np.ceil(math.sqrt(cut * longest))",
+        "math.ceil(math.sqrt(cut * longest))",
         TESTS + "test_rasterize_projection.py::enormous_scales_are_drawn_and_infinite_ones_dropped",
     ),
     Mutant(
@@ -257,11 +257,12 @@ def outcome(tree: Path, *nodes: str) -> str:
 def judge(mutant: Mutant, trees: SimpleQueue[Path]) -> str:
     """The outcome of a mutant's test in one of the trees, which is whole again afterwards."""
     tree = trees.get()
+    source, whole = mutated(mutant, tree), shutil.move(tree / mutant.file, tree / "whole")
     try:
-        (tree / mutant.file).write_text(mutated(mutant, tree))
+        (tree / mutant.file).write_text(source)
         return outcome(tree, node(mutant.test, tree))
     finally:
-        shutil.copy2(ROOT / mutant.file, tree / mutant.file)
+        shutil.move(whole, tree / mutant.file)
         trees.put(tree)
 
 

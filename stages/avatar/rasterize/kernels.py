@@ -105,9 +105,8 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             if px + reach_x <= 0 or px - reach_x >= width or py + reach_y <= 0 or py - reach_y >= height:
                 continue
             half = 0.5 * (aa + bb)
-            radii[i] = np.ceil(
-                math.sqrt(cut * (half + math.sqrt(0.25 * (aa - bb) ** 2 + ab * ab)))
-            )  # math.ceil overflows
+            longest = half + math.sqrt(0.25 * (aa - bb) ** 2 + ab * ab)
+            radii[i] = np.ceil(math.sqrt(cut * longest))  # math.ceil would overflow
             r = records[i]
             r[X], r[Y] = px, py
             r[QA], r[QB], r[QC] = 0.5 * LOG2E * bb / det, -LOG2E * ab / det, 0.5 * LOG2E * aa / det
