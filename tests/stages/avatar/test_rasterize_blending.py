@@ -12,7 +12,7 @@ from stages.avatar.rasterize import Layer, cpu, gaussian_axes, reference
 from stages.avatar.rasterize.rendering import ALPHA_MAX, BLUR
 from stages.avatar.scene import MOVABLE, START_OPACITY, SceneModel
 from tests.stages.avatar.test_rasterize import NAMES, apart, camera, draw, gaussians
-from tests.stages.avatar.test_rasterize_projection import MAKERS, STRAIGHT, ball, both, cast, largest, show
+from tests.stages.avatar.test_rasterize_projection import MAKERS, STRAIGHT, ball, both, cast, largest, show, worst
 
 
 @both
@@ -78,7 +78,7 @@ def test_b05_opaque_stacks_do_not_blow_gradients_up(maker, dtype, held):
         parts[0] = parts[0] + 0.01 * torch.arange(16)[:, None] * torch.tensor([1.0, 0.5, 1])
         grads[opacity] = draw(maker, parts, STRAIGHT, camera()[1], dtype=dtype)[1]
         assert all(g.isfinite().all() for g in grads[opacity])
-        held(max(g.abs().max() / h.abs().max() for g, h in zip(grads[opacity][:5], grads[0.5][:5])).item(), 15)
+        held(worst(g.abs().max() / h.abs().max() for g, h in zip(grads[opacity][:5], grads[0.5][:5])), 15)
 
 
 @both
@@ -149,7 +149,7 @@ def test_b10_sizes(size, n, held):
     (fast, grads), (true, true_grads) = (draw(m, parts, view, K, width, height, d) for m, d in MAKERS)
     assert fast.image.shape == (height, width, 3) and (true.radii > 0).any()
     assert ((fast.image - true.image).abs() > 3e-5).float().mean() < 1e-3
-    held(max(apart(a, b) for a, b in zip(grads[:1] + grads[2:5], true_grads[:1] + true_grads[2:5])), 1.5e-5)
+    held(worst(apart(a, b) for a, b in zip(grads[:1] + grads[2:5], true_grads[:1] + true_grads[2:5])), 1.5e-5)
 
 
 @both
@@ -251,7 +251,7 @@ def test_c01_gradients_at_points_that_are_chosen(held):
     )
     fast = draw(cpu, [t.detach().float() for t in leaves], STRAIGHT, K.float(), 8, 8)[1]
     true = draw(reference, [t.detach().float() for t in leaves], STRAIGHT, K, 8, 8, torch.float64)[1]
-    held(max(apart(a, b) for a, b in zip(fast[:5], true[:5])), 8e-6)
+    held(worst(apart(a, b) for a, b in zip(fast[:5], true[:5])), 8e-6)
 
 
 def test_c04_an_opaque_gaussian_can_still_become_clear():
@@ -281,7 +281,7 @@ def test_c05_gradients_of_the_inverse_covariance_from_a_hundredth_of_a_pixel_to_
     parts[1] = torch.tensor([[0.9, 0.2, -0.3, 0.4]]).repeat(3, 1)
     (_, grads), (_, true_grads) = (draw(m, parts, STRAIGHT, camera()[1], dtype=d) for m, d in MAKERS)
     assert all(g.abs().max() > 0 for g in true_grads[:5])
-    held(max(apart(a, b) for a, b in zip(grads[:5], true_grads[:5])), 1e-5)
+    held(worst(apart(a, b) for a, b in zip(grads[:5], true_grads[:5])), 1e-5)
 
 
 def test_c07_what_is_out_of_reach_gets_exactly_nothing():

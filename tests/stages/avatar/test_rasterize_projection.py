@@ -41,6 +41,11 @@ def largest(a, b):
     return (a.double() - b.double()).detach().abs().max().item()
 
 
+def worst(values):
+    """The largest; unlike Python's max, not-a-number if one is."""
+    return torch.tensor(list(values), dtype=torch.float64).max().item()
+
+
 @pytest.mark.parametrize("length", [10.0, 100.0])
 def test_a01_no_pose_of_a_needle_loses_its_determinant(length, held):
     """100 000 poses in all. The truth is a product of singular values, the usual a c - b^2 in float32 shows the danger."""
@@ -69,7 +74,7 @@ def test_a01_no_pose_of_a_needle_loses_its_determinant(length, held):
 def test_a01_needles_never_exceed_their_opacity(antialias, held):
     """100000:1, from everywhere: a determinant that cancels would paint the picture."""
     means, scales, color = torch.tensor([[0.0, 0, 3]]), torch.tensor([[10.0, 1e-4, 1e-4]]), torch.ones(1, 3)
-    drawn, faint, worst = 0, 1.01 * ALPHA_MIN, 0.0
+    drawn, faint, errors = 0, 1.01 * ALPHA_MIN, [0.0]
     for quat in torch.randn(200, 1, 4, generator=torch.Generator().manual_seed(0)):
         parts = (means, quat, scales, torch.tensor([0.7]), color)
         fast = show(cpu, parts, STRAIGHT, LONG, 64, 64, antialias=antialias).alpha
@@ -78,25 +83,29 @@ def test_a01_needles_never_exceed_their_opacity(antialias, held):
         # a pixel whose true value straddles the cut may be left out by one of the two
         kept = torch.minimum(fast.double(), true) > faint
         assert ((fast - true).abs()[~kept] < faint).all() and (~kept & (true > faint)).float().mean() < 4e-3
-        worst = max(worst, *(fast - true).abs()[kept].tolist(), 0.0)
+        errors += (fast - true).abs()[kept].tolist()
     assert drawn > 140
-    held(worst, 1e-3, "coefficients in float32, 60 px off the centre:")
+    held(worst(errors), 1e-3, "coefficients in float32, 60 px off the centre:")
 
 
 @pytest.mark.parametrize("maker, dtype", [*MAKERS, (reference, torch.float32)])
 def test_a01_a_needle_along_a_row_of_pixels_is_nowhere_above_its_opacity(maker, dtype, held):
     """Where pixel centres lie on the needle, the exponent is 0 but for rounding: as a sum of squares it has one sign."""
-    over, drawn = 0.0, 0.0
+    highest, errors, drawn = [], [], 0
     K = LONG - torch.tensor([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # the middle of a pixel
     for x, y in ((1, 1), (1, -1), (2, 1), (1, 3), (3, 2), (4, 3), (1, 5), (5, 2), (7, 3), (6, 5)):
         angle = math.atan2(y, x) / 2
         quat = torch.tensor([[math.cos(angle), 0, 0, math.sin(angle)]])
         for length in (10.0, 100.0, 1000.0):
             parts = (torch.tensor([[0.0, 0, 3]]), quat, torch.tensor([[length, 1e-4, 1e-4]]), torch.tensor([0.7]))
-            alpha = show(maker, cast((*parts, torch.ones(1, 3)), dtype), STRAIGHT, K, 64, 64).alpha
-            over, drawn = max(over, alpha.max().item() - 0.7), max(drawn, (alpha > 0.6).sum().item())
+            parts = (*parts, torch.ones(1, 3))
+            alpha, true = (show(m, cast(parts, d), STRAIGHT, K, 64, 64).alpha for m, d in ((maker, dtype), MAKERS[1]))
+            drawn = max(drawn, int((true > 0.6).sum()))
+            highest.append(alpha.max().item() - 0.7)
+            errors.append(largest(alpha[true > 0.1], true[true > 0.1]))
     assert drawn > 40, "the needle must lie on many pixels"
-    held(over, 1e-6)
+    held(worst(highest), 1e-6)
+    held(worst(errors), 8e-4)
 
 
 @both
@@ -132,7 +141,7 @@ def test_a02_a_pancake_seen_edge_on_is_a_line_as_wide_as_the_blur(maker, dtype, 
     truth = 0.99 * torch.exp(-(torch.arange(-2, 3).double() ** 2) / (2 * BLUR))
     truth = torch.where(truth < ALPHA_MIN, 0, truth)
     assert largest(profile, truth) < 1e-3 and line[13:32, 30].min() > 0.5
-    held(max(steps), 2e-2)
+    held(worst(steps), 2e-2)
 
 
 @both
@@ -245,7 +254,7 @@ def test_a09_the_kernel_has_that_gradient_too(share, held):
     parts[0] = torch.tensor([[share * limit * 2, 0.1, 2], [-0.2, -share * limit * 2.5, 2.5]])
     (_, grads), (true, true_grads) = (draw(m, parts, STRAIGHT, K, width, width, d) for m, d in MAKERS)
     assert (true.radii > 0).all() and (true_grads[0].abs() > 1e-3).any(1).all()
-    held(max(apart(a, b) for a, b in zip(grads[:1] + grads[2:6], true_grads[:1] + true_grads[2:6])), 1e-6)
+    held(worst(apart(a, b) for a, b in zip(grads[:1] + grads[2:6], true_grads[:1] + true_grads[2:6])), 1e-6)
 
 
 @pytest.mark.parametrize("cx, cy, left, top", [(20.0, 60.0, 30, 23), (0.02 * 96, 0.9 * 80, 3, 30)])
@@ -274,7 +283,7 @@ def test_a11_a_crop_is_a_window_of_the_whole(maker, dtype, bound, cx, cy, left, 
     weight[(whole.image[window] - small.image).detach().abs().amax(-1) > bound] = 0
     a = torch.autograd.grad((whole.image[window] * weight).sum(), leaves)
     b = torch.autograd.grad((small.image * weight).sum(), leaves)
-    held(max(apart(x, y) for x, y in zip(a, b)), bound)
+    held(worst(apart(x, y) for x, y in zip(a, b)), bound)
 
 
 def test_a12_from_a_lens_of_176_degrees_to_an_orthographic_one(held):
@@ -398,7 +407,7 @@ def test_a22_a_round_footprint_has_a_radius_and_a_gradient(maker, dtype, held):
     assert drawn.radii[0] == math.ceil(math.sqrt(2 * math.log(0.5 / ALPHA_MIN) * (16 + BLUR)))
     assert all(g.isfinite().all() for g in grads) and grads[2].abs().max() > 0.1
     true_grads = draw(reference, [p + 1e-9 for p in cast(parts)], STRAIGHT, K, dtype=torch.float64)[1]
-    held(max(apart(a, b) for a, b in zip(grads[:1] + grads[2:5], true_grads[:1] + true_grads[2:5])), 1.5e-6)
+    held(worst(apart(a, b) for a, b in zip(grads[:1] + grads[2:5], true_grads[:1] + true_grads[2:5])), 1.5e-6)
 
 
 @both
@@ -462,4 +471,4 @@ def test_a24_e11_e12_e13_any_linear_blend_is_drawn_as_its_covariance(blend, make
         assert (~same).sum() <= 2, "at the cut rounding decides"
         held(largest(drawn.alpha[same], truth[same]), 1e-6 if d == torch.float32 else 1e-12)
     assert all(g.isfinite().all() and g.abs().max() > 0 for g in grads[0])
-    held(max(apart(a, b) for a, b in zip(*grads)), 2e-5)
+    held(worst(apart(a, b) for a, b in zip(*grads)), 2e-5)
