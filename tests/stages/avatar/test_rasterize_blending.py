@@ -78,7 +78,7 @@ def test_b05_opaque_stacks_do_not_blow_gradients_up(maker, dtype, held):
         parts[0] = parts[0] + 0.01 * torch.arange(16)[:, None] * torch.tensor([1.0, 0.5, 1])
         grads[opacity] = draw(maker, parts, STRAIGHT, camera()[1], dtype=dtype)[1]
         assert all(g.isfinite().all() for g in grads[opacity])
-        held(worst(g.abs().max() / h.abs().max() for g, h in zip(grads[opacity][:5], grads[0.5][:5])), 15)
+        held(worst(g.abs().max() / h.abs().max() for g, h in zip(grads[opacity], grads[0.5]) if h.any()), 15)
 
 
 @both
