@@ -161,7 +161,7 @@ def test_d01_d02_d03_paths_into_degenerate_rows_stay_rotations(dtype, held):
             assert_rotation(matrix.double(), 2e-6)
             weights = torch.randn(3, 3, generator=torch.Generator().manual_seed(0)).to(dtype)
             (matrix * weights / weights.norm()).sum().backward()
-            held(row.grad.norm() if row.grad.isfinite().all() else math.inf, 2 / r.FLOOR_6D)
+            held(row.grad.norm() if row.grad.isfinite().all() else math.inf, 2000)
     wide = torch.tensor([[1.0, 0, 0, 1, 2e-3, 0], [2, 1, 0, 1, 0.4, 3]], dtype=dtype)  # narrow, but rotations
     e1 = wide[:, :3] / wide[:, :3].norm(dim=1, keepdim=True)
     assert torch.allclose(r.matrix_from_6d(wide)[..., 0], e1), "whose first axis is theirs"
