@@ -182,6 +182,7 @@ class Fit:
         if scene is not None and phase.scene:
             self.growth["scene"].add(drawn["all"].screen_grad_abs[rows:], drawn["all"].radii[rows:], width, height)
             self._apply("scene")
+            self.scene.keep_movable()
         if "person" in layers:
             self.growth["human"].add(only.screen_grad_abs[:rows], only.radii[:rows], right - left, bottom - top)
         elif human is not None:

@@ -180,7 +180,8 @@ class HumanModel(nn.Module):
         stray = self.triplane.outside(self.xyz) if self.triplane else self.xyz.new_zeros(())
         skin_logits = self.skin_logits + out["skin"] if "skin" in out else self.skin_logits
         identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
-        scale = SCALE_RANGE * torch.tanh(out["scale"] / SCALE_RANGE)
+        said = out["scale"] / SCALE_RANGE
+        scale = out["scale"] / torch.hypot(torch.ones_like(said), said)  # unlike tanh never flat
         person = Canonical(
             means=self.xyz + out["offset"],
             frames=self.frames @ matrix_from_6d(identity + out["turn"]),

@@ -89,8 +89,8 @@ def matrix_from_quat(quat: Tensor) -> Tensor:
 def matrix_from_6d(six: Tensor) -> Tensor:
     """First two columns [..., 6] = (a, b) of a rotation, unnormalised, to matrices [..., 3, 3] by Gram-Schmidt.
 
-    Zhou et al. 2019 (arXiv 1812.07035). Where `is_degenerate_6d` says so a fixed axis stands in without gradient,
-    so the gradient never passes about 1/FLOOR_6D.
+    Zhou et al. 2019 (arXiv 1812.07035). Where a half is near zero, or both within about 1e-3 rad of parallel, a fixed
+    axis stands in without gradient, so the gradient never passes about 1/FLOOR_6D.
     """
     a, b = (_tamed(half) for half in six.unflatten(-1, (2, 3)).unbind(-2))
     e1 = _unit_or(a, _short(a), torch.tensor([1.0, 0, 0]).to(a).expand_as(a))
@@ -100,14 +100,6 @@ def matrix_from_6d(six: Tensor) -> Tensor:
     e2 = e2 - (e1 * e2).sum(-1, keepdim=True) * e1
     e2 = e2 / e2.norm(dim=-1, keepdim=True)
     return torch.stack([e1, e2, torch.linalg.cross(e1, e2)], -1)
-
-
-def is_degenerate_6d(six: Tensor) -> Tensor:
-    """Which 6D rows [..., 6] name no rotation (a half near zero, or halves within about 1e-3 rad of parallel): bool."""
-    a, b = (_tamed(half) for half in six.detach().unflatten(-1, (2, 3)).unbind(-2))
-    e1 = _unit_or(a, _short(a), torch.tensor([1.0, 0, 0]).to(a).expand_as(a))
-    u = b - (e1 * b).sum(-1, keepdim=True) * e1
-    return (_short(a) | _flat(u, b)).squeeze(-1)
 
 
 def rotation_z_to(normals: Tensor) -> Tensor:

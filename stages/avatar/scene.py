@@ -15,6 +15,7 @@ from stages.avatar.neighbours import nearest
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.sh import bases, sh_from_rgb
 
+MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, what is opaque would freeze (C04)
 START_OPACITY = 0.5
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
 NEAREST = 0.02  # of the extent: nearer to a camera is no surface, see `clear_of_cameras`
@@ -110,6 +111,11 @@ class SceneModel(nn.Module):
 
     def __len__(self) -> int:
         return len(self.means)
+
+    @torch.no_grad()
+    def keep_movable(self) -> None:
+        """Hold opacities, in place, where they still have a slope."""
+        self.logit_opacities.clamp_(-MOVABLE, MOVABLE)
 
     def splats(self) -> Splats:
         """The scene as drawn."""

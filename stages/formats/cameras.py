@@ -91,7 +91,8 @@ def _check_values(path: Path, viewmats: np.ndarray, Ks: np.ndarray, hint: str) -
     bad = ~finite | ~(off < 1e-4)
     if bad.any():
         i = int(np.flatnonzero(bad)[0])
-        fact = f"viewmat = {viewmats[i].tolist()}"
+        det = np.linalg.det(viewmats[i, :3, :3])
+        fact = f"off by {off[i]:.2g}, determinant {det:.4g}: viewmat = {viewmats[i].tolist()}"
         raise StageError(f"camera {i} of {path} is not a rotation and a translation", hint, [fact])
     bad = ~np.isfinite(Ks).all((1, 2)) | ~(Ks[:, 0, 0] > 0) | ~(Ks[:, 1, 1] > 0)
     if bad.any():

@@ -53,7 +53,7 @@ def write_splats(path: Path, splats: Scene | Avatar) -> None:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read `scene.npz`; raises StageError when arrays are missing, of unequal length or not finite."""
+    """Read `scene.npz`; raises StageError when arrays are missing, of unequal length, not finite, or a quaternion is zero."""
     return _read(path, Scene)
 
 
@@ -83,10 +83,15 @@ def _read(path: Path, kind: type) -> Scene | Avatar:
         arrays = {n: data[n] for n in names}
     lengths = {n: len(arrays[n]) for n in names if n in _ROWS or n == "lbs_weights"}
     bad = [n for n in names if arrays[n].dtype.kind == "f" and not np.isfinite(arrays[n]).all()]
-    if len(set(lengths.values())) != 1 or bad:
+    zero = np.flatnonzero(~arrays["quats"].any(-1))
+    if len(set(lengths.values())) != 1 or bad or len(zero):
         raise StageError(
             f"{path.name} is damaged",
-            facts=[f"rows: {lengths}", f"arrays with values that are not finite: {', '.join(bad) or 'none'}"],
+            facts=[
+                f"rows: {lengths}",
+                f"arrays with values that are not finite: {', '.join(bad) or 'none'}",
+                f"rows whose quaternion is zero: {', '.join(map(str, zero[:5])) or 'none'}",
+            ],
             hint="train again: `hugs run VIDEO train --force`",
         )
     return kind(**arrays)

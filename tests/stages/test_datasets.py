@@ -130,7 +130,7 @@ def test_split_files_of_the_data_set_win(tmp_path):
     assert "name the same pictures" in error.problem and "00002.png" in error.facts[0]
 
 
-def test_smaller_pictures_a_lens_and_the_other_masks(tmp_path):
+def test_a25_smaller_pictures_a_lens_and_the_other_masks(tmp_path):
     made = datasets.neuman(tmp_path, frames=8, k=0.05)
     for path in (made.folder / "4d_humans" / "sam_segmentations").iterdir():
         path.unlink()
@@ -230,7 +230,7 @@ def test_what_is_missing_is_named(tmp_path, kind, gone, problem):
     assert problem in refused(made.folder, stage, tmp_path / "out").problem
 
 
-def test_what_does_not_fit_is_named(tmp_path):
+def test_a25_a26_what_does_not_fit_is_named(tmp_path):
     made = datasets.neuman(tmp_path, frames=8, width=48, height=64)
     cameras = made.folder / "sparse" / "cameras.txt"
     text = cameras.read_text()

@@ -147,7 +147,7 @@ def test_i01_a_turning_camera_is_named_and_keeps_its_rotations(tmp_path):
     assert facts["focal_px"] == pytest.approx(FOCAL, rel=0.05)
 
 
-def test_a_standing_camera_is_named_and_its_frames_are_left_alone(tmp_path):
+def test_a26_a_standing_camera_is_named_and_its_frames_are_left_alone(tmp_path):
     write_clip(tmp_path, np.tile(np.eye(4), (5, 1, 1)))
     facts, events = run(tmp_path, features=512)
     assert facts["verdict"] == "static camera" and facts["registered"] == 5 and facts["focal_source"] == "guessed"

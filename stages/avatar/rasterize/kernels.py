@@ -105,7 +105,8 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             if px + reach_x <= 0 or px - reach_x >= width or py + reach_y <= 0 or py - reach_y >= height:
                 continue
             half = 0.5 * (aa + bb)
-            radii[i] = math.ceil(math.sqrt(cut * (half + math.sqrt(0.25 * (aa - bb) ** 2 + ab * ab))))
+            longest = half + math.sqrt(0.25 * (aa - bb) ** 2 + ab * ab)
+            radii[i] = np.ceil(math.sqrt(cut * longest))  # math.ceil would overflow
             r = records[i]
             r[X], r[Y] = px, py
             r[QA], r[QB], r[QC] = 0.5 * LOG2E * bb / det, -LOG2E * ab / det, 0.5 * LOG2E * aa / det
@@ -241,6 +242,9 @@ def axes_forward(quats, scales, chunks, axes):
     for chunk in prange(chunks):
         for i in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
+            largest = max(abs(w), abs(x), abs(y), abs(z))
+            if not 1e-15 < largest < 1e15:  # squares would leave float32
+                w, x, y, z = w / largest, x / largest, y / largest, z / largest
             k = np.float32(2) / (w * w + x * x + y * y + z * z)
             s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
             one = np.float32(1)

@@ -112,8 +112,9 @@ def _draw(
 
             offset.register_hook(record)
         dx, dy = offset.unbind(-1)
-        power = (bb * dx * dx - 2 * ab * dx * dy + aa * dy * dy) / (2 * det)
-        alpha = opacity * torch.exp(-power)
+        first = dx / aa.sqrt()
+        second = (dy - ab / aa * dx) / (det / aa).sqrt()
+        alpha = opacity * torch.exp(-(first * first + second * second) / 2)  # by Cholesky: never above opacity
         alpha = torch.where(alpha < ALPHA_MIN, 0, alpha.clamp(max=ALPHA_MAX))
         passed = torch.cumprod(1 - alpha, 1)
         before = torch.cat([torch.ones_like(passed[:, :1]), passed[:, :-1]], 1) if len(rows) else passed

@@ -43,7 +43,7 @@ def test_batches_of_cameras():
     assert np.allclose(pixels[0], cameras.project(points, WORLD, K)[0])
 
 
-def test_a_point_in_the_camera_plane_is_finite_in_value_and_gradient():
+def test_c03_a_point_in_the_camera_plane_is_finite_in_value_and_gradient():
     points = torch.tensor([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [1.0, 1.0, -1.0], [0.0, 0.0, 2.0]], dtype=torch.float64)
     points.requires_grad_()
     pixels, z = cameras.project(points, torch.eye(4, dtype=torch.float64), torch.from_numpy(K))

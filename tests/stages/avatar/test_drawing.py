@@ -36,7 +36,7 @@ def test_person_and_scene_hide_each_other_by_depth():
     assert alone[15, 20, 2] > 0.9
 
 
-def test_bytes_are_rounded_and_clipped_but_never_made_of_nan():
-    assert to_uint8(np.array([-0.2, 0, 0.5, 0.9999, 1.7])).tolist() == [0, 0, 128, 255, 255]
+def test_b16_bytes_are_rounded_and_clipped_but_never_made_of_nan():
+    assert to_uint8(np.array([-0.2, -0.01, 0, 0.5, 0.9999, 1.004, 1.7])).tolist() == [0, 0, 0, 128, 255, 255, 255]
     with pytest.raises(ValueError, match="2 values"):
         to_uint8(np.array([0.1, np.nan, np.inf]))

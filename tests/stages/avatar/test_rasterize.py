@@ -80,7 +80,7 @@ BOUNDS = {"mixed": 5e-6, "needles": 5e-5, "huge": 1e-5, "tiny": 3e-5, "deep": 3e
 
 @pytest.mark.parametrize("antialias", [False, True])
 @pytest.mark.parametrize("kind", BOUNDS)
-def test_agrees_with_the_reference(kind, antialias):
+def test_c02_agrees_with_the_reference(kind, antialias, held):
     parts = gaussians(kind=kind)
     view, K = camera()
     fast, fast_grads = draw(cpu, parts, view, K, antialias=antialias)
@@ -93,19 +93,13 @@ def test_agrees_with_the_reference(kind, antialias):
     assert (fast.alpha.double() - true.alpha).abs().median() < 2e-6
     assert apart(fast.depth, true.depth) < 1e-5
     for name, a, b in zip(NAMES, fast_grads, true_grads, strict=True):
-        assert apart(a, b) < BOUNDS[kind], f"{kind}: {name} off by {apart(a, b):.1e}"
+        held(apart(a, b), BOUNDS[kind], f"{kind}: {name}")
+        bias = (a.double() - b).sum().abs() / b.abs().sum()  # errors of one sign would push in one direction
+        assert torch.cosine_similarity(a.double().flatten(), b.flatten(), 0) > 1 - 1e-7 and bias < BOUNDS[kind], name
     assert apart(fast.screen_grad, true.screen_grad) < BOUNDS[kind]
     assert apart(fast.screen_grad_abs, true.screen_grad_abs) < BOUNDS[kind]
     assert (fast.screen_grad_abs.norm() > 1.5 * fast.screen_grad.norm()) or kind == "huge"
     assert torch.equal(fast.radii > 0, true.radii > 0)
-
-
-@pytest.mark.parametrize("maker", [cpu, reference])
-def test_nothing_to_draw_is_the_background(maker):
-    parts = [part[:0] for part in gaussians(3)]
-    drawn, grads = draw(maker, parts, *camera())
-    assert torch.allclose(drawn.image, BACKGROUND.expand(HEIGHT, WIDTH, 3)) and drawn.alpha.max() == 0
-    assert grads[0].shape == (0, 3) and drawn.dropped == 0
 
 
 LAYERS = (

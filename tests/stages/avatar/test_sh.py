@@ -35,7 +35,7 @@ def test_rgb_round_trip_and_unknown_degree():
         sh_basis(torch.eye(3), 4)
 
 
-def test_dark_colour_is_clamped_but_can_return():
+def test_b15_dark_colour_is_clamped_but_can_return():
     sh = torch.full((1, 1, 3), -5.0, requires_grad=True)
     color = sh_colors(sh, None)
     assert torch.equal(color, torch.zeros(1, 3))

@@ -161,6 +161,16 @@ def test_d07_j05_gaps_are_filled_the_short_way_and_ends_held():
     assert np.isfinite(continuous(np.zeros((3, 24, 3)))).all()
 
 
+def test_d07_half_turns_of_either_sign_are_one_pose():
+    from stages.formats.poses import BodyPoses
+
+    orient = np.tile([0, 3.14, 0], (4, 1)) * np.array([[1], [-1], [1], [-1]])
+    steps = np.linalg.norm(np.diff(continuous(orient[:, None])[:, 0], axis=0), axis=1)
+    assert steps.max() < 0.0033, "0.003 rad apart, not 6.28"
+    poses = BodyPoses(tuple("abcd"), np.zeros(10), orient, np.tile(orient, 23), np.zeros((4, 3)), np.ones(4))
+    assert fast_joints(poses, np.arange(4) / 30) == [""] * 4
+
+
 def test_knees_and_elbows_bend_one_way():
     pose = torch.zeros(4, 23, 3)
     pose[0, 3, 0], pose[1, 3, 0] = 1.0, -1.0  # left knee

@@ -210,6 +210,19 @@ def test_j09_k06_refuses_missing_files_and_pickled_npz(tmp_path):
         read_body_model(tmp_path / "a.npz")
 
 
+@pytest.mark.parametrize("joint, parent", [(5, 9), (0, 1), (7, 7), (9, 2**32 - 1)])
+def test_e15_only_a_tree_with_each_parent_before_its_child_is_read(tmp_path, joint, parent):
+    """The root's parent is stored as 4294967295, which is -1 in uint32."""
+    np.savez(tmp_path / "model.npz", **smpl_arrays())
+    assert (
+        smpl_arrays()["kintree_table"][0, 0] == 2**32 - 1 and read_body_model(tmp_path / "model.npz").parents[0] == -1
+    )
+    np.savez(tmp_path / "model.npz", **broken(kintree_table=with_parent(joint, parent)))
+    with pytest.raises(StageError, match="kintree_table") as refused:
+        read_body_model(tmp_path / "model.npz")
+    assert refused.value.facts == (f"joint {joint} has parent {-1 if parent > 23 else parent}",)
+
+
 def test_written_models_come_back(tmp_path):
     model = read_body_model(dump(tmp_path / "SMPL_NEUTRAL.pkl", smpl_arrays()))
     write_body_model(tmp_path / "body_model.npz", model)

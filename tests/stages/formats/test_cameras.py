@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,29 @@ def test_k08_wrong_cameras_are_refused_by_name(tmp_path, change, token):
     np.savez(tmp_path / "cameras.npz", **{key: value for key, value in arrays.items() if value is not None})
     with pytest.raises(StageError, match=token):
         read_cameras(tmp_path / "cameras.npz")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (np.diag([1.0, 1, -1]), ["off by 2", "determinant -1"]),
+        (np.array([[1, 0.01, 0], [0, 1, 0], [0, 0, 1.0]]), ["off by 0.01", "determinant 1"]),
+        (np.full((3, 3), np.nan), ["nan"]),
+        (1.001 * np.eye(3), ["off by 0.003", "determinant 1.003"]),
+    ],
+    ids=["mirror", "shear", "nan", "scale"],
+)
+def test_d13_what_is_no_rotation_is_refused_with_numbers(tmp_path, change, words):
+    good = some_cameras()
+    viewmats = good.viewmats.copy()
+    viewmats[1, :3, :3] = change @ viewmats[1, :3, :3]
+    write_cameras(tmp_path / "cameras.npz", replace(good, viewmats=viewmats))
+    with pytest.raises(StageError, match=r"camera 1 of .* is not a rotation") as refused:
+        read_cameras(tmp_path / "cameras.npz")
+    assert all(word in refused.value.facts[0] for word in words), refused.value.facts
+    noise = 1e-5 * np.random.default_rng(0).uniform(-1, 1, viewmats.shape) * (np.arange(4) < 3)[:, None]
+    write_cameras(tmp_path / "cameras.npz", replace(good, viewmats=good.viewmats + noise))
+    assert len(read_cameras(tmp_path / "cameras.npz")) == 3
 
 
 def test_a_camera_path_needs_no_names(tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
+from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.images import write_image
 from stages.formats.poses import read_poses, write_poses
@@ -47,7 +48,21 @@ def test_a_camera_without_a_body_is_named(tiny, tmp_path):
     assert "000018, 000021" in refused.value.facts[0]
 
 
-def test_a_picture_of_another_size_is_refused(tiny, tmp_path):
+def test_a14_a_world_far_from_its_origin_is_refused(tiny, tmp_path):
+    """At 5e5 m, where maps count from, float32 knows a place to 3 cm."""
+    sfm = shutil.copytree(tiny["sfm"], tmp_path / "sfm")
+    cameras, unit = read_cameras(sfm / "cameras.npz"), read_poses(tiny["smpl"] / "body.npz").world_from_sfm
+    for metres in (900.0, 5e5):
+        viewmats = cameras.viewmats.copy()
+        viewmats[:, :3, 3] -= viewmats[:, :3, :3] @ [metres / unit, 0, 0]
+        write_cameras(sfm / "cameras.npz", replace(cameras, viewmats=viewmats))
+        if metres < 1000:
+            assert load_clip(sfm, tiny["smpl"]).names == tiny_clip.NAMES
+    with pytest.raises(StageError, match=r"5e\+05 m from the origin"):
+        load_clip(sfm, tiny["smpl"])
+
+
+def test_a25_a_picture_of_another_size_is_refused(tiny, tmp_path):
     sfm = shutil.copytree(tiny["sfm"], tmp_path / "sfm")
     write_image(sfm / "images" / "000003.png", np.zeros((64, 48, 3), np.uint8))
     clip = load_clip(sfm, tiny["smpl"])

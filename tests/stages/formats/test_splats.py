@@ -53,3 +53,12 @@ def test_k02_l01_damage_is_named(tmp_path):
     np.savez(path, **(avatar() | {"lbs_weights": np.full((5, 24), 0.05, np.float32)}))
     with pytest.raises(StageError, match="do not sum to one"):
         read_avatar(path)
+
+
+def test_a19_a_zero_quaternion_is_no_rotation(tmp_path):
+    damaged = scene()
+    damaged["quats"][3] = 0
+    np.savez(tmp_path / "scene.npz", **damaged)
+    with pytest.raises(StageError, match="damaged") as error:
+        read_scene(tmp_path / "scene.npz")
+    assert error.value.facts[2] == "rows whose quaternion is zero: 3"

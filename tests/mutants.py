@@ -1,0 +1,292 @@
+"""Takes stabilisers out of the code, one by one, and shows that the test of each turns red.
+
+    python -m tests.mutants        prints a table (`make mutants`); exit code 1 if any test stayed green
+
+Every row of MUTANTS puts back a mistake that is easily made: the entries of the torture set of the hard cases (14-1 to
+14-16), and single cases. Two copies of the tree are worked on at a time, each with a cache of its own for compiled kernels.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from queue import SimpleQueue
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+COPIED = ("hugs_cli", "stages", "tests", "pipelines.yaml", "pyproject.toml")
+WORKERS = 2
+AVATAR, TESTS = "stages/avatar/", "tests/stages/avatar/"
+
+
+class Mutant(NamedTuple):
+    """`text`, which stands once in `file`, becomes `instead`; then `test` must fail.
+
+    `test` is a file and the name of a test in it, without "test_" and the numbers of its cases.
+    """
+
+    name: str
+    file: str
+    text: str
+    instead: str
+    test: str
+
+
+MUTANTS = (
+    Mutant(
+        "14-1 A01 the determinant as a difference",
+        AVATAR + "rasterize/reference.py",
+        "det = sharp + BLUR * (aa + bb - BLUR)",
+        "det = aa * bb - ab * ab",
+        TESTS + "test_rasterize_projection.py::a_needle_along_a_row_of_pixels_is_nowhere_above_its_opacity",
+    ),
+    Mutant(
+        "14-1 A01 an exponent of either sign",
+        AVATAR + "rasterize/blend.py",
+        "lesser(exp2(lesser(power, log_opacity)), LARGEST)",
+        "lesser(exp2(power), LARGEST)",
+        TESTS + "test_rasterize_projection.py::a_needle_along_a_row_of_pixels_is_nowhere_above_its_opacity",
+    ),
+    Mutant(
+        "14-1 A16 the compensation without a floor",
+        AVATAR + "rasterize/reference.py",
+        "(sharp / det).clamp_min(COMPENSATION_MIN**2).sqrt()",
+        "(sharp / det).sqrt()",
+        TESTS + "test_rasterize_projection.py::flat_and_pointlike_gaussians",
+    ),
+    Mutant(
+        "14-2 A23 a row that is not finite",
+        AVATAR + "rasterize/kernels.py",
+        "if not math.isfinite(probe):",
+        "if probe == 1e300:",
+        TESTS + "test_rasterize_projection.py::a_bad_row_is_counted_and_harms_no_other",
+    ),
+    Mutant(
+        "14-2 C03 a colour seen from within",
+        AVATAR + "gaussians.py",
+        "squared.clamp_min(1e-12).rsqrt()",
+        "squared.rsqrt()",
+        TESTS + "test_scene.py::a_gaussian_on_the_camera_has_a_colour_and_a_gradient",
+    ),
+    Mutant(
+        "14-3 A09 the gradient beyond the clamp",
+        AVATAR + "rasterize/kernels.py",
+        "if u == x / z:",
+        "if z > 0:",
+        TESTS + "test_rasterize_projection.py::the_kernel_has_that_gradient_too",
+    ),
+    Mutant(
+        "14-3 A11 a principal point in the middle",
+        AVATAR + "rasterize/reference.py",
+        "u.clamp((-cx - FRUSTUM_MARGIN * width) / fx, (width - cx + FRUSTUM_MARGIN * width) / fx)",
+        "u.clamp(-0.65 * width / fx, 0.65 * width / fx)",
+        TESTS + "test_rasterize_projection.py::a_crop_is_a_window_of_the_whole",
+    ),
+    Mutant(
+        "14-4 A13 a length in metres",
+        AVATAR + "gaussians.py",
+        "rms.clamp(SMALLEST * extent, 0.1 * extent)",
+        "rms.clamp(SMALLEST, 0.1)",
+        TESTS + "test_training_hard.py::pictures_steps_and_growth_do_not_depend_on_the_unit_of_length",
+    ),
+    Mutant(
+        "14-4 H05 the extent of a tripod",
+        AVATAR + "scene.py",
+        "return max(spread, 0.5 * front.median().item() if len(front) else 1.0)",
+        "return spread",
+        TESTS + "test_scene.py::extent_follows_the_cameras_and_survives_a_tripod",
+    ),
+    Mutant(
+        "14-5 B02 an opacity of 1",
+        AVATAR + "rasterize/rendering.py",
+        "ALPHA_MAX = 0.999",
+        "ALPHA_MAX = 1.0",
+        TESTS + "test_rasterize_blending.py::the_early_stop_leaves_no_hole",
+    ),
+    Mutant(
+        "14-6 B13 a reset of opacities",
+        AVATAR + "densify.py",
+        "scene.log_scales[rows.child] -= math.log(SHRINK)",
+        "scene.logit_opacities.fill_(-4.6)",
+        TESTS + "test_training_hard.py::growth_resets_no_opacity",
+    ),
+    Mutant(
+        "14-7 D01 a floor of 1e-12 for 6D",
+        AVATAR + "rotations.py",
+        "FLOOR_6D = 1e-3",
+        "FLOOR_6D = 1e-12",
+        TESTS + "test_rotations.py::paths_into_degenerate_rows_stay_rotations",
+    ),
+    Mutant(
+        "14-8 D04 Rodrigues without its series",
+        AVATAR + "rotations.py",
+        "SERIES_BELOW = 1e-4",
+        "SERIES_BELOW = 0.0",
+        TESTS + "test_rotations.py::rotvec_is_a_rotation_with_true_gradient_at_every_singular_point",
+    ),
+    Mutant(
+        "14-8 D12 z turned to -z in one go",
+        AVATAR + "rotations.py",
+        "down = n[..., 2:] < 0",
+        "down = n[..., 2:] < -2",
+        TESTS + "test_rotations.py::z_reaches_every_normal",
+    ),
+    Mutant(
+        "14-9 E12 a blend made a rotation",
+        AVATAR + "skinning.py",
+        "+ blend[..., 3], linear",
+        "+ blend[..., 3], torch.linalg.qr(linear)[0]",
+        TESTS + "test_skinning.py::a_bent_elbow_takes_the_covariance_of_its_blend",
+    ),
+    Mutant(
+        "14-10 E04 weights without a shift",
+        AVATAR + "skinning.py",
+        "exponents.softmax(-1).to(points)",
+        "(exponents.exp() / exponents.exp().sum(-1, keepdim=True)).to(points)",
+        TESTS + "test_skinning.py::neighbour_weights_near_and_far",
+    ),
+    Mutant(
+        "14-11 F01 points outside the box",
+        AVATAR + "triplane.py",
+        "inside = points + (points.detach().clamp(self.lower, self.upper) - points.detach())",
+        "inside = points",
+        TESTS + "test_triplane.py::outside_reads_the_face_and_can_return",
+    ),
+    Mutant(
+        "14-12 G01 SSIM without a shift",
+        AVATAR + "ssim.py",
+        "mean = target.mean((0, 1)).numpy()",
+        "mean = np.zeros(3, np.float32)",
+        TESTS + "test_ssim.py::flat_pictures",
+    ),
+    Mutant(
+        "14-12 G06 a frame without a person",
+        AVATAR + "views.py",
+        "    if not low:\n        return 0, 0, width, height\n",
+        "",
+        TESTS + "test_fit.py::person_box_is_always_a_window_of_the_picture",
+    ),
+    Mutant(
+        "14-14 H11 a checkpoint without the order of frames",
+        AVATAR + "fit.py",
+        '"order": self.order.clone(),',
+        '"order": self.order[:0],',
+        TESTS + "test_fit.py::resumed_equals_uninterrupted_bit_for_bit",
+    ),
+    Mutant(
+        "14-15 I01 a camera that only turns",
+        AVATAR + "camera_motion.py",
+        'verdict = "rotation only" if believable and residual < limit else "moving"',
+        'verdict = "moving"',
+        TESTS + "test_camera_motion.py::a_turning_camera_is_named_and_calibrated",
+    ),
+    Mutant(
+        "14-16 I07 frames joined by position",
+        "stages/formats/clip.py",
+        "order = [row[name] for name in cameras.names]",
+        "order = list(range(len(cameras)))",
+        "tests/stages/formats/test_clip.py::bodies_are_put_in_the_order_of_the_cameras",
+    ),
+    Mutant(
+        "A04 a radius that overflows",
+        AVATAR + "rasterize/kernels.py",
+        "np.ceil(math.sqrt(cut * longest))",
+        "math.ceil(math.sqrt(cut * longest))",
+        TESTS + "test_rasterize_projection.py::enormous_scales_are_drawn_and_infinite_ones_dropped",
+    ),
+    Mutant(
+        "A05 a scale that goes flat",
+        AVATAR + "human.py",
+        'scale = out["scale"] / torch.hypot(torch.ones_like(said), said)',
+        "scale = SCALE_RANGE * torch.tanh(said)",
+        TESTS + "test_human.py::scales_are_positive_and_alive_whatever_the_network_says",
+    ),
+    Mutant(
+        "C04 an opacity that freezes",
+        AVATAR + "fit.py",
+        "self.scene.keep_movable()",
+        "pass",
+        TESTS + "test_training_hard.py::training_holds_opacities_where_they_move",
+    ),
+)
+
+
+def node(test: str, root: Path = ROOT) -> str:
+    """The pytest node id that a row's `test` means; LookupError unless there is exactly one."""
+    file, _, name = test.partition("::")
+    found = re.findall(rf"^def (test_(?:[a-l]\d\d_)*{name})\(", (root / file).read_text(), re.M)
+    if len(found) != 1:
+        raise LookupError(f"{len(found)} tests are called {name} in {file}")
+    return f"{file}::{found[0]}"
+
+
+def mutated(mutant: Mutant, root: Path = ROOT) -> str:
+    """The file's source with the mistake in it; LookupError unless the text stands in it exactly once."""
+    source = (root / mutant.file).read_text()
+    if source.count(mutant.text) != 1:
+        raise LookupError(f"{mutant.name}: found {source.count(mutant.text)} times in {mutant.file}: {mutant.text}")
+    return source.replace(mutant.text, mutant.instead)
+
+
+def copy_tree(to: Path) -> Path:
+    """The tree under test, its times kept: compiled kernels are known by them."""
+    for name in COPIED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, to / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            to.mkdir(exist_ok=True)
+            shutil.copy2(ROOT / name, to / name)
+    return to
+
+
+def outcome(tree: Path, *nodes: str) -> str:
+    """What pytest says of the tests in the tree: red, GREEN, or its last line where it could not run them."""
+    environment = {"PYTHONPATH": str(tree), "HUGS_CACHE": str(tree / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *nodes]
+    done = subprocess.run(command, cwd=tree, env=os.environ | environment, capture_output=True, text=True)
+    lines = (done.stdout + done.stderr).strip().splitlines() or [f"exit code {done.returncode}"]
+    return {0: "GREEN", 1: "red"}.get(done.returncode, lines[-1])
+
+
+def judge(mutant: Mutant, trees: SimpleQueue[Path]) -> str:
+    """The outcome of a mutant's test in one of the trees, which is whole again afterwards."""
+    tree = trees.get()
+    source, whole = mutated(mutant, tree), shutil.move(tree / mutant.file, tree / "whole")
+    try:
+        (tree / mutant.file).write_text(source)
+        return outcome(tree, node(mutant.test, tree))
+    finally:
+        shutil.move(whole, tree / mutant.file)
+        trees.put(tree)
+
+
+def main() -> int:
+    """Judge all mutants, or those whose name contains a word of the command line, and print the table."""
+    words = sys.argv[1:]
+    chosen = [m for m in MUTANTS if not words or any(word in m.name for word in words)]
+    with tempfile.TemporaryDirectory(prefix="hugs-mutants-") as scratch, ThreadPoolExecutor(WORKERS) as pool:
+        trees: SimpleQueue[Path] = SimpleQueue()
+        copies = [copy_tree(Path(scratch, str(number))) for number in range(WORKERS)]
+        nodes = sorted({node(m.test) for m in chosen})
+        clean = list(pool.map(lambda tree: outcome(tree, *nodes), copies))
+        if clean != ["GREEN"] * WORKERS:
+            print(f"the tests must pass before anything is taken out: {clean}")
+            return 1
+        for tree in copies:
+            trees.put(tree)
+        stayed = 0
+        for mutant, found in zip(chosen, pool.map(lambda m: judge(m, trees), chosen)):
+            stayed += found != "red"
+            print(f"{mutant.name:52}{found:7}{node(mutant.test).removeprefix('tests/')}", flush=True)
+    print(f"\n{len(chosen)} mutants, {stayed} not noticed")
+    return int(stayed > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
