@@ -42,6 +42,7 @@ PipelinesFile = Annotated[Path, Option(help="Read pipelines from this file.", sh
 Settings = Annotated[list[str] | None, Option("--set", metavar="STAGE.PARAM=VALUE", help="Change one setting.")]
 Work = Annotated[Path, Option(help="Folder that holds a folder for each clip.")]
 Masks = Annotated[Path | None, Option(help="Folder of person masks, named as the frames.")]
+Cameras = Annotated[Path | None, Option(help="Cameras to import: a COLMAP model's folder, or transforms.json.")]
 SmplFit = Annotated[Path | None, Option(help="Body poses to import (npz).")]
 BodyModel = Annotated[Path | None, Option(help="SMPL model (.pkl, .npz) to use in place of the free body.")]
 Seed = Annotated[int, Option(help="Of every random choice; part of what makes a result.")]
@@ -56,6 +57,7 @@ def judge_of(
     pipeline: PipelineName = "default",
     set_: Settings = None,
     masks: Masks = None,
+    cameras: Cameras = None,
     smpl_fit: SmplFit = None,
     body_model: BodyModel = None,
     seed: Seed = 0,
@@ -64,7 +66,13 @@ def judge_of(
 ) -> Judge:
     """The judge of one clip and one pipeline; UsageError where the options make no sense."""
     loaded = pipelines.load(pipeline, set_ or (), pipelines_file)
-    sources = {"video": video, "mask_files": masks, "smpl_fit": smpl_fit, "body_model": body_model}
+    sources = {
+        "video": video,
+        "mask_files": masks,
+        "cameras": cameras,
+        "smpl_fit": smpl_fit,
+        "body_model": body_model,
+    }
     return Judge(Workspace(video, work, pipeline), loaded, sources, seed, Code(work / CODE_MEMORY))
 
 
