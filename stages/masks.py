@@ -59,7 +59,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     if len(apart) > MANY * len(names):
         job.warn(
             f"the masks have a second large part in {len(apart)} of {len(names)} frames, first {apart[0]}: is it "
-            "somebody else? Masks with an id for each person (SAM 2, COCO) let one be picked by masks.person"
+            "somebody else? Masks with an id for each person (SAM 2, COCO) let one be picked with --person"
         )
     summary = {"source": source, **details, "no_person": nobody, "frames": found}
     (job.out / "masks.json").write_text(json.dumps(summary, indent=1) + "\n")

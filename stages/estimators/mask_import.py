@@ -78,7 +78,7 @@ def person_of(job: Job, given: MaskSet, rows: list[int], person: int | str | Non
         objects = labelled(masks)
         if not objects and person is not None:
             facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
-            raise StageError(f"no person {person!r} in the given masks", "leave out masks.person", facts)
+            raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
         chosen = pick(objects, person) if objects else Object("", 0, 0.0)
         say(job, objects, chosen)
         return Person(chosen.id, masks, frozenset(rows), chosen.labels or None)
@@ -108,7 +108,7 @@ def say(job: Job, objects: list[Object], chosen: Object) -> None:
     if len(objects) > 1:
         more = f" and {len(objects) - 8} more" if len(objects) > 8 else ""
         job.note(f"{len(objects)} objects in the given masks: {'; '.join(map(str, objects[:8]))}{more}")
-        job.warn(f"following object {chosen.id} of {len(objects)}; `--set masks.person=ID` takes another")
+        job.warn(f"following object {chosen.id} of {len(objects)}; `--person ID` takes another")
     elif chosen.labels and len(chosen.labels) > 1:
         job.note(f"labels {', '.join(map(str, sorted(chosen.labels)))} touch nearly always: parts of one person")
 

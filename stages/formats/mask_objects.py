@@ -38,7 +38,7 @@ def pick(objects: list[Object], person: str | int | None) -> Object:
     found = [one for one in objects if same(one.id, str(person))]
     if not found:
         facts = [f"there are: {'; '.join(map(str, objects[:12]))}"]
-        raise StageError(f"no person {person!r} in the given masks", "choose with `--set masks.person=ID`", facts)
+        raise StageError(f"no person {person!r} in the given masks", "choose with `--person ID`", facts)
     return found[0]
 
 
