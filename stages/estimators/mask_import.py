@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -74,7 +75,7 @@ def joined_to(job: Job, listing: dict[str, Any], names: tuple[str, ...] | None) 
 def person_of(job: Job, given: MaskSet, rows: list[int], person: int | str | None) -> Person:
     """The person's masks; where there are several objects, they are named with numbers, and which is followed."""
     if given.objects == ("",):
-        masks = ForeignMasks(rows, lambda i: given.read("", i))
+        masks = ForeignMasks(rows, partial(given.read, ""))
         objects = labelled(masks)
         if not objects and person is not None:
             facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
@@ -82,25 +83,17 @@ def person_of(job: Job, given: MaskSet, rows: list[int], person: int | str | Non
         chosen = pick(objects, person) if objects else Object("", 0, 0.0)
         say(job, objects, chosen)
         return Person(chosen.id, masks, frozenset(rows), chosen.labels or None)
-    people = {one: person_rows(given, one, rows) for one in given.objects}
+    people = {one: ForeignMasks(rows, partial(given.read, one)) for one in given.objects}
     objects = []
-    for one, (masks, there) in people.items():
-        shares = [float((masks.read(i) > 127).mean()) for i in there]
-        shares = [share for share in shares if share]
+    for one, masks in people.items():
+        shares = [share for i in masks.keys if (share := float((masks.read(i) > 127).mean()))]
         objects.append(Object(one, len(shares), sum(shares) / max(len(shares), 1)))
     objects = ranked(objects)
     if not objects:
         raise StageError("no object in the given masks is in any frame", "check the masks", [f"{len(people)} objects"])
     chosen = pick(objects, person)
     say(job, objects, chosen)
-    masks, there = people[chosen.id]
-    return Person(chosen.id, masks, frozenset(there))
-
-
-def person_rows(given: MaskSet, person: str, rows: list[int]) -> tuple[ForeignMasks, list[int]]:
-    """One object's masks and in which of `rows` it is."""
-    there = [i for i in rows if given.read(person, i) is not None]
-    return ForeignMasks(there, lambda i: given.read(person, i)), there
+    return Person(chosen.id, people[chosen.id], frozenset(people[chosen.id].keys))
 
 
 def say(job: Job, objects: list[Object], chosen: Object) -> None:

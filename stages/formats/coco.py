@@ -50,7 +50,10 @@ def read_coco(path: Path) -> MaskSet:
         images[key] = (stem(str(name)), *size)
     order = sorted(images, key=lambda key: images[key][0])
     shown = defaultdict(list)
-    for i, one in enumerate(_people(content)):
+    people = _people(content.get("categories") or [])
+    for i, one in enumerate(content["annotations"]):
+        if people and isinstance(one, dict) and one.get("category_id") not in people:
+            continue
         what = f"annotation {i} of {path}"
         image = _taken(one, "image_id", what)
         if image not in images:
@@ -88,13 +91,10 @@ def _taken(entry: Any, key: str, what: str) -> Any:
     return entry[key]
 
 
-def _people(content: dict[str, Any]) -> list[Any]:
-    """Annotations of the category called person, or all if there is no such category."""
-    categories = [one for one in content.get("categories") or [] if isinstance(one, dict)]
-    people = {one.get("id") for one in categories if str(one.get("name")).lower() == "person"}
-    if not people:
-        return content["annotations"]
-    return [one for one in content["annotations"] if not isinstance(one, dict) or one.get("category_id") in people]
+def _people(categories: list[Any]) -> set:
+    """Ids of the categories that are called person."""
+    known = [one for one in categories if isinstance(one, dict)]
+    return {one.get("id") for one in known if str(one.get("name")).lower() == "person"}
 
 
 def _followed(order: list, images: dict, shown: dict):
@@ -171,7 +171,7 @@ def polygons(parts: list, height: int, width: int, what: str) -> np.ndarray:
         try:
             corners = np.array(part, np.float64).reshape(-1, 2)
         except (TypeError, ValueError) as error:
-            raise StageError(f"{what} has a polygon that is no x y x y ...", HINT, [str(error)]) from error
+            raise StageError(f"{what} has a polygon that is no list of x and y", HINT, [str(error)]) from error
         if len(corners) < 3 or not np.isfinite(corners).all():
             raise StageError(f"{what} has a polygon that is none", HINT, [f"{len(corners)} corners: {str(part)[:60]}"])
         crossings = np.zeros((height, width + 1), np.int64)

@@ -151,15 +151,19 @@ class ForeignMasks:
 
     Integers up to `LABELS`, a few integers of 16 bits and more, colours, and any two values, are labels (the lowest is
     background). Floats below 0 are logits: the person is above 0. Other values are soft masks over the range of their
-    type (floats: 0..1, or 0..255 if any is above 1). `values_of` reads the values of a key.
+    type (floats: 0..1, or 0..255 if any is above 1). `values_of` reads the values of a key; keys that have none are left
+    out of `keys`.
     """
 
-    def __init__(self, keys: Iterable[Any], values_of: Callable[[Any], tuple[np.ndarray, str]] = read_values):
+    def __init__(self, keys: Iterable[Any], values_of: Callable[[Any], tuple[np.ndarray, str] | None] = read_values):
         self.values_of = values_of
+        self.keys: list[Any] = []
         self.kinds: dict[str, Levels] = {}
         for key in keys:
-            values, kind = values_of(key)
-            self.kinds.setdefault(kind, Levels(values.dtype, values[:0, 0])).add(values)
+            found = values_of(key)
+            if found is not None:
+                self.keys.append(key)
+                self.kinds.setdefault(found[1], Levels(found[0].dtype, found[0][:0, 0])).add(found[0])
 
     def is_labels(self, kind: str) -> bool:
         """True if masks of this kind hold labels."""
