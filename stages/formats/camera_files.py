@@ -11,7 +11,7 @@ from stages.formats.given_cameras import GivenCameras, checked_lens, without_poi
 from stages.formats.transforms_json import read_transforms
 
 HINT = "`--cameras` takes the folder of a COLMAP model (cameras, images, points3D as .bin or .txt), or transforms.json"
-PLACES = ("", "sparse", "sparse/*", "colmap/sparse/*")
+PLACES = ("", "*", "sparse/*", "colmap/sparse/*")
 """Where COLMAP and programs that call it put models under a folder."""
 
 

@@ -84,6 +84,7 @@ LAYOUTS = {
     "COLMAP binary": lambda folder, truth: files.colmap(folder / "model", truth),
     "COLMAP text": lambda folder, truth: files.colmap(folder / "model", truth, text=True),
     "COLMAP project": lambda folder, truth: files.colmap(folder / "sparse" / "0", truth).parents[1],
+    "COLMAP sparse": lambda folder, truth: files.colmap(folder / "sparse" / "0", truth).parent,
     "COLMAP of larger pictures": lambda folder, truth: files.colmap(folder, truth, scale=2.5, model="SIMPLE_PINHOLE"),
     "instant-ngp": lambda folder, truth: files.instant_ngp(folder / "transforms.json", truth),
     "instant-ngp of larger pictures": lambda folder, truth: files.instant_ngp(folder / "transforms.json", truth, 4.0),
