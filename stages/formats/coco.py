@@ -24,6 +24,7 @@ from stages.formats.mask_sets import MaskSet, Values
 
 HINT = "COCO masks need images with id, file_name, height, width, and annotations with image_id and segmentation"
 TRACKS = ("track_id", "instance_id", "object_id", "obj_id")
+LARGEST = 1 << 14  # px a side
 OVERLAP = 0.2
 """Intersection over union of boxes from which an object without an id is the same as one seen before."""
 
@@ -36,7 +37,7 @@ def read_coco(path: Path) -> MaskSet:
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise StageError(f"{path} is not JSON", HINT, [str(error)]) from error
     for key in ("images", "annotations"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list) or not content[key]:
@@ -45,20 +46,20 @@ def read_coco(path: Path) -> MaskSet:
     images = {}
     for i, image in enumerate(content["images"]):
         key, name, *size = (_taken(image, k, f"image {i} of {path}") for k in ("id", "file_name", "height", "width"))
-        if not all(isinstance(n, int) and 0 < n <= 1 << 16 for n in size):
+        if not all(isinstance(n, int) and 0 < n <= LARGEST for n in size):
             raise StageError(f"image {i} of {path} has no picture size", HINT, [f"height {size[0]}, width {size[1]}"])
-        images[key] = (stem(str(name)), *size)
+        images[_identifier(key, f"id of image {i} of {path}")] = (stem(str(name)), *size)
     order = sorted(images, key=lambda key: images[key][0])
     shown = defaultdict(list)
     people = _people(content.get("categories") or [])
     for i, one in enumerate(content["annotations"]):
-        if people and isinstance(one, dict) and one.get("category_id") not in people:
-            continue
         what = f"annotation {i} of {path}"
-        image = _taken(one, "image_id", what)
+        if people and _identifier(_taken(one, "category_id", what), f"category_id of {what}") not in people:
+            continue
+        image = _identifier(_taken(one, "image_id", what), f"image_id of {what}")
         if image not in images:
             raise StageError(
-                f"{what} belongs to no image", HINT, [f"image_id is {image}, {len(images)} images are there"]
+                f"{what} belongs to no image", HINT, [f"image_id is {str(image)[:60]}, {len(images)} images are there"]
             )
         _taken(one, "segmentation", what)
         shown[image].append((one, what))
@@ -91,10 +92,16 @@ def _taken(entry: Any, key: str, what: str) -> Any:
     return entry[key]
 
 
-def _people(categories: list[Any]) -> set:
+def _identifier(value: Any, what: str) -> int | str:
+    if not isinstance(value, int | str):
+        raise StageError(f"{what} is neither number nor text", HINT, [f"it is {str(value)[:60]}"])
+    return value
+
+
+def _people(categories: list[Any]) -> list[Any]:
     """Ids of the categories that are called person."""
     known = [one for one in categories if isinstance(one, dict)]
-    return {one.get("id") for one in known if str(one.get("name")).lower() == "person"}
+    return [one.get("id") for one in known if str(one.get("name")).lower() == "person"]
 
 
 def _followed(order: list, images: dict, shown: dict):
@@ -132,7 +139,7 @@ def decode(segmentation: Any, height: int, width: int, what: str) -> np.ndarray:
     if isinstance(segmentation, list):
         return polygons(segmentation, height, width, what)
     counts, size = _taken(segmentation, "counts", what), _taken(segmentation, "size", what)
-    if list(size) != [height, width]:
+    if size != [height, width]:
         raise StageError(f"the size of {what} is not its image's", HINT, [f"found {size}, wanted [{height}, {width}]"])
     runs = run_lengths(counts, what) if isinstance(counts, str) else counts
     if not isinstance(runs, list) or not all(isinstance(run, int) and run >= 0 for run in runs):

@@ -102,7 +102,7 @@ def widest_angles(points: np.ndarray, tracks: Sequence[np.ndarray], centres: np.
     widest = []
     for point, track in zip(points, tracks, strict=True):
         rays = centres[track] - point
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)  # a point may lie in a camera
         chords = np.linalg.norm(rays[:, None] - rays[None], axis=-1)
         widest.append(np.degrees(2 * np.arcsin(np.clip(chords.max(initial=0) / 2, 0, 1))))
     return np.array(widest)

@@ -23,6 +23,7 @@ HINT = "transforms.json needs frames with file_path and transform_matrix [4,4], 
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 FISHEYE = "OPENCV_FISHEYE"
 SAME_FOCAL = 0.01  # relative difference up to which fl_x and camera_angle_x say the same
+HUGE = 1e9  # px and coefficients beyond are no numbers of a lens
 OPENGL = np.diag([1.0, -1, -1, 1])  # OpenCV's camera axes in OpenGL's
 
 
@@ -33,7 +34,7 @@ def read_transforms(path: Path, width: int, height: int) -> GivenCameras:
     """
     try:
         top = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise StageError(f"{path} is not JSON", HINT, [str(error)]) from error
     frames = top.get("frames") if isinstance(top, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -83,7 +84,9 @@ def _lens(given: dict[str, Any], what: str, width: int, height: int) -> Lens:
 
     def number(key: str, default: float | None = None) -> float | None:
         value = given.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float | None):
+        if value is not None and (
+            isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < HUGE
+        ):
             raise StageError(f"{key} of {what} is not a number", HINT, [f"it is {str(value)[:60]!r}"])
         return value
 
@@ -93,7 +96,7 @@ def _lens(given: dict[str, Any], what: str, width: int, height: int) -> Lens:
     if fx is not None and (w is None or h is None):
         fact = f"fl_x is {fx:g}; w and h of the picture it counts in are missing"
         raise StageError(f"{what} has a focal length but no picture size", HINT, [fact])
-    w, h = w or width, h or height
+    w, h = width if w is None else w, height if h is None else h
     if angle is not None:
         if not 0 < angle < np.pi:
             raise StageError(
