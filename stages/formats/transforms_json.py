@@ -97,6 +97,8 @@ def _lens(given: dict[str, Any], what: str, width: int, height: int) -> Lens:
         fact = f"fl_x is {fx:g}; w and h of the picture it counts in are missing"
         raise StageError(f"{what} has a focal length but no picture size", HINT, [fact])
     w, h = width if w is None else w, height if h is None else h
+    if not (w > 0 and h > 0):
+        raise StageError(f"{what} has no picture size", HINT, [f"found {w:g}x{h:g}"])
     if angle is not None:
         if not 0 < angle < np.pi:
             raise StageError(
