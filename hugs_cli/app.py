@@ -226,7 +226,9 @@ def doctor(
 @app.command()
 def render(
     video: options.Video,
-    cameras: Annotated[Path, Option(help="npz: viewmats [C,4,4], Ks [C,3,3], width, height; the clip's world.")],
+    cameras: Annotated[
+        Path, Option(help="Views to draw (npz: viewmats [C,4,4], Ks [C,3,3], width, height; the clip's world).")
+    ],
     out: Annotated[Path, Option(help="Folder for the PNGs (with alpha).")],
     poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,

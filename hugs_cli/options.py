@@ -50,7 +50,9 @@ PipelineName = Annotated[str, Option("--pipeline", "-p", help="One of pipelines.
 PipelinesFile = Annotated[Path, Option(help="Read pipelines from this file.", show_default="pipelines.yaml")]
 Settings = Annotated[list[str] | None, Option("--set", metavar="STAGE.PARAM=VALUE", help="Change one setting.")]
 Work = Annotated[Path, Option(help="Folder that holds a folder for each clip.")]
-Masks = Annotated[Path | None, Option(help="Folder of person masks, named as the frames.")]
+Masks = Annotated[Path | None, Option(help="Person masks: a folder, a stack (.npy, .npz), COCO .json, a video.")]
+Person = Annotated[str | None, Option(help="Whom to follow where several are in view: an id that the run says.")]
+Cameras = Annotated[Path | None, Option(help="Cameras to import: a COLMAP model's folder, or transforms.json.")]
 SmplFit = Annotated[Path | None, Option(help="Body poses to import (npz).")]
 BodyModel = Annotated[Path | None, Option(help="SMPL model (.pkl, .npz) to use in place of the free body.")]
 Seed = Annotated[int, Option(help="Of every random choice; part of what makes a result.")]
@@ -65,6 +67,8 @@ def judge_of(
     pipeline: PipelineName = "default",
     set_: Settings = None,
     masks: Masks = None,
+    person: Person = None,
+    cameras: Cameras = None,
     smpl_fit: SmplFit = None,
     body_model: BodyModel = None,
     seed: Seed = 0,
@@ -72,8 +76,15 @@ def judge_of(
     pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> Judge:
     """The judge of one clip and one pipeline; UsageError where the options make no sense."""
-    loaded = pipelines.load(pipeline, set_ or (), pipelines_file)
-    sources = {"video": video, "mask_files": masks, "smpl_fit": smpl_fit, "body_model": body_model}
+    chosen = () if person is None else (f"masks.person={person}",)
+    loaded = pipelines.load(pipeline, (*(set_ or ()), *chosen), pipelines_file)
+    sources = {
+        "video": video,
+        "mask_files": masks,
+        "cameras": cameras,
+        "smpl_fit": smpl_fit,
+        "body_model": body_model,
+    }
     return Judge(Workspace(video, work, pipeline), loaded, sources, seed, Code(work / CODE_MEMORY))
 
 

@@ -17,7 +17,13 @@ from pydantic import ValidationError
 from stages.contract import Params, StageError
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
-SOURCES = {"video": "VIDEO", "mask_files": "--masks", "smpl_fit": "--smpl-fit", "body_model": "--body-model"}
+SOURCES = {
+    "video": "VIDEO",
+    "mask_files": "--masks",
+    "cameras": "--cameras",
+    "smpl_fit": "--smpl-fit",
+    "body_model": "--body-model",
+}
 PIPELINE_KEYS = ("doc", "extends", "stages")
 STAGE_KEYS = ("needs", "module", "params")
 NAME = re.compile(r"[a-z][a-z0-9_]*")

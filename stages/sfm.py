@@ -1,4 +1,4 @@
-"""frames, masks -> cameras.npz, points.ply, undistorted images/ and masks/, sparse/ (COLMAP), sfm.json."""
+"""frames, masks (or cameras of another program) -> cameras.npz, points.ply, undistorted images/, masks/, sparse/, sfm.json."""
 
 from __future__ import annotations
 
@@ -17,14 +17,11 @@ from stages.contract import Job, StageError
 if TYPE_CHECKING:
     import numpy as np
 
+    from stages.estimators.sparse_model import Pinholes
+
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
-PERSON = 64  # mask value from which a pixel counts as the person when features are looked for
-DILATION = 0.01  # of the longer side: descriptors reach beyond their keypoint, and masks miss hair and hands
 NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
-GOOD_SHARE = 0.9  # of the frames: below this the second mapper gets its chance too
-MIN_TRACK, MAX_ERROR = 3, 2.0  # frames that must see a point; px it may be off on average
-PERSON_SHARE = 0.8  # a point that falls on the person in more of its views than this is taken for the person's
-FLAT = 0.02  # thickness over width of the points: below it focal length and depth are poorly fixed
+GOOD_SHARE, GOOD_ERROR = 0.9, 2.0  # of the frames; px off on average: a worse model gives the second mapper its chance
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
 
@@ -39,6 +36,8 @@ class Params(contract.Params):
     """Each frame is matched with this many that follow, besides those 1, 2, 4, 8 ... frames later. Time grows with it."""
     min_share: float = Field(0.5, gt=0, le=1)
     """Share of the frames that must get a pose."""
+    cameras_from: Literal["auto", 0, 1] = "auto"
+    """Number of the video's first frame in the names of `--cameras`. auto: found out where the names tell."""
 
 
 @dataclass
@@ -55,49 +54,69 @@ class Solution:
     facts: dict = field(default_factory=dict)
 
 
-def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
+def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | None = None) -> None:
     """Find out where each frame was taken from, with the person masked out, and undistort the frames once.
 
-    A camera that stood still or only turned is named in sfm.json `verdict` and by a warning, never mapped.
+    `cameras` of another program (a COLMAP model, transforms.json) take the place of mapping; where they have no points,
+    COLMAP triangulates them. A camera that stood still or only turned is named in sfm.json `verdict` and by a warning.
     """
-    import numpy as np
-
-    from stages.avatar import lens
-    from stages.estimators import colmap
+    from stages.estimators.camera_check import compare_colours, triangulate
+    from stages.estimators.camera_import import imported
+    from stages.estimators.sparse_model import write_model
     from stages.formats.cameras import Cameras, write_cameras
     from stages.formats.undistorted import write_undistorted
 
     listing = json.loads((frames / "frames.json").read_text())
-    names = [frame["name"] for frame in listing["frames"]]
-    width, height = listing["width"], listing["height"]
-    check_masks(names, masks, width, height)
+    names, size = [frame["name"] for frame in listing["frames"]], (listing["width"], listing["height"])
+    check_masks(names, masks, *size)
     with tempfile.TemporaryDirectory(dir=job.out) as scratch:
-        if params.camera == "fixed":
-            focal = params.focal or GUESSED_FOCAL * max(width, height)
-            solution = Solution("static camera", names, fixed_views(len(names)), focal, (width / 2, height / 2), 0.0)
-            job.note("the camera is taken to stand still, as asked")
+        if cameras is None:
+            found = mapped(job, params, names, frames, masks, size, Path(scratch))
         else:
-            solution = solve(job, params, names, frames, masks, width, height, Path(scratch))
-    shift = lens.max_shift(solution.focal, solution.k, width, height)
-    pinhole = solution.focal
-    if shift >= NO_SHIFT:
-        pinhole = lens.pinhole_focal(solution.focal, np.array(solution.center), solution.k, width, height)
-    K = np.array([[pinhole, 0, width / 2], [0, pinhole, height / 2], [0, 0, 1.0]])
-    center = np.array(solution.center)
-    grid = lens.remap_grid(solution.focal, center, solution.k, pinhole, width, height) if shift >= NO_SHIFT else None
-    for done in write_undistorted(frames, masks, job.out, solution.names, lambda name: grid):
-        job.progress(85 + 14 * done // len(solution.names), 100)
-    Ks = np.tile(K, (len(solution.names), 1, 1))
-    write_cameras(job.out / "cameras.npz", Cameras(tuple(solution.names), solution.viewmats, Ks, width, height))
-    sparse = job.out / "sparse"
-    sparse.mkdir()
-    if solution.model is None:
-        files = [f"{name}.png" for name in solution.names]
-        solution.model = colmap.empty_model(files, solution.viewmats, K, width, height)
+            found = imported(job, Path(cameras), listing, params.min_share, params.cameras_from)
+        for done in write_undistorted(frames, masks, job.out, found.names, found.grids.get):
+            job.progress(85 + 14 * done // len(found.names), 100)
+        write_cameras(job.out / "cameras.npz", Cameras(tuple(found.names), found.viewmats, found.Ks, *size))
+        if found.cloud is not None:
+            compare_colours(job, found)
+        elif cameras is not None and found.verdict == "moving":
+            triangulate(job, found, size, params.features, Path(scratch))
+    facts = {
+        "verdict": found.verdict,
+        "registered": len(found.names),
+        "of": len(names),
+        "dropped": [name for name in names if name not in set(found.names)],
+        **found.facts,
+        **write_model(job, found, size),
+    }
+    (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
+
+
+def mapped(
+    job: Job, params: Params, names: list[str], frames: Path, masks: Path, size: tuple[int, int], scratch: Path
+) -> Pinholes:
+    """Cameras found by COLMAP, and the pinhole that replaces their lens."""
+    import numpy as np
+
+    from stages.avatar import lens
+    from stages.estimators import colmap
+    from stages.estimators.sparse_model import Pinholes
+
+    width, height = size
+    if params.camera == "fixed":
+        focal = params.focal or GUESSED_FOCAL * max(size)
+        solution = Solution("static camera", names, fixed_views(len(names)), focal, (width / 2, height / 2), 0.0)
+        job.note("the camera is taken to stand still, as asked")
     else:
+        solution = solve(job, params, names, frames, masks, width, height, scratch)
+    shift, pinhole, grid = lens.max_shift(solution.focal, solution.k, width, height), solution.focal, None
+    if shift >= NO_SHIFT:
+        center = np.array(solution.center)
+        pinhole = lens.pinhole_focal(solution.focal, center, solution.k, width, height)
+        grid = lens.remap_grid(solution.focal, center, solution.k, pinhole, width, height)
+    K = np.array([[pinhole, 0, width / 2], [0, pinhole, height / 2], [0, 0, 1.0]])
+    if solution.model is not None:
         colmap.make_pinhole(solution.model, pinhole)
-    solution.facts |= write_points(job, solution, K)
-    solution.model.write_binary(sparse)
     guessed = solution.verdict == "static camera" and params.focal is None
     if guessed:
         job.warn(
@@ -105,17 +124,14 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
             "if you know it, give it with --set sfm.focal=PX"
         )
     facts = {
-        "verdict": solution.verdict,
-        "registered": len(solution.names),
-        "of": len(names),
-        "dropped": [name for name in names if name not in set(solution.names)],
         "focal_px": solution.focal,
         "focal_source": "guessed" if guessed else "given" if params.focal else "estimated",
         "pinhole_focal_px": pinhole,
         "distortion": {"model": "SIMPLE_RADIAL", "params": [solution.k], "max_shift_px": shift},
         **solution.facts,
     }
-    (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
+    Ks, grids = np.tile(K, (len(solution.names), 1, 1)), dict.fromkeys(solution.names, grid)
+    return Pinholes(solution.verdict, solution.names, solution.viewmats, Ks, grids, facts, solution.model)
 
 
 def solve(
@@ -126,6 +142,7 @@ def solve(
 
     from stages.avatar.camera_motion import camera_rotations, judge_motion
     from stages.estimators import colmap
+    from stages.estimators.sparse_model import write_ignored
 
     files, images, database = [f"{name}.png" for name in names], frames / "images", scratch / "database.db"
     job.progress(0, 100)
@@ -217,7 +234,7 @@ def map_all(job: Job, params: Params, database: Path, images: Path, scratch: Pat
 
     fixed_focal = params.focal is not None
     models = colmap.map_global(database, images, scratch / "global", fixed_focal)
-    if not any(rank(model) >= (GOOD_SHARE * count, True, -MAX_ERROR) for model in models):
+    if not any(rank(model) >= (GOOD_SHARE * count, True, -GOOD_ERROR) for model in models):
         job.note("the global mapper left frames out; trying the incremental one too")
         models += colmap.map_incremental(database, images, scratch / "incremental", fixed_focal, step)
     return sorted(models, key=rank, reverse=True)
@@ -260,61 +277,3 @@ def check_masks(names: list[str], masks: Path, width: int, height: int) -> None:
         if shape != (height, width):
             fact = f"mask {shape[1]}x{shape[0]}, frame {width}x{height}"
             raise StageError(f"the mask of frame {name} has another size", hint, [fact])
-
-
-def write_ignored(names: list[str], masks: Path, out: Path, side: int) -> None:
-    """Write COLMAP's masks, 0 = ignore: the person, made a little larger."""
-    import cv2
-    import numpy as np
-
-    from stages.formats.images import read_mask, write_mask
-
-    out.mkdir()
-    reach = max(2, round(DILATION * side))
-    brush = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    for name in names:
-        person = (read_mask(masks / "masks" / f"{name}.png") >= PERSON).astype(np.uint8)
-        write_mask(out / f"{name}.png", 255 * (1 - cv2.dilate(person, brush)))
-
-
-def write_points(job: Job, solution: Solution, K: np.ndarray) -> dict:
-    """Drop weak points from the model, write the rest as points.ply, and say how many went and how the rest lie."""
-    import numpy as np
-
-    from stages.avatar.cameras import project
-    from stages.estimators import colmap
-    from stages.formats.images import read_mask
-    from stages.formats.points import write_points as write
-
-    ids, xyz, rgb, tracks, errors = colmap.points_and_tracks(solution.model)
-    on_person, in_view = np.zeros(len(ids)), np.zeros(len(ids))
-    for name, viewmat in zip(solution.names, solution.viewmats, strict=True) if len(ids) else ():
-        mask = read_mask(job.out / "masks" / f"{name}.png")
-        pixels, z = project(xyz, viewmat, K)
-        inside = (z > 0) & (pixels >= 0).all(1) & (pixels < mask.shape[::-1]).all(1)
-        x, y = pixels[inside].astype(int).T
-        in_view += inside
-        on_person[inside] += mask[y, x] > 127
-    short, loose = tracks < MIN_TRACK, errors > MAX_ERROR
-    person = on_person > PERSON_SHARE * np.maximum(in_view, 1)
-    keep = ~(short | loose | person)
-    for i in ids[~keep]:
-        solution.model.delete_point3D(i)
-    write(job.out / "points.ply", xyz[keep], rgb[keep])
-    facts: dict = {
-        "points": int(keep.sum()),
-        "points_dropped": {"short_track": int(short.sum()), "error": int(loose.sum()), "on_person": int(person.sum())},
-    }
-    if not keep.any():
-        return facts
-    angles = colmap.triangulation_angles(solution.model)
-    spread = np.linalg.svd((xyz - np.median(xyz, 0))[keep & (errors < MAX_ERROR)], compute_uv=False)
-    flatness = float(spread[2] / spread[0])
-    if flatness < FLAT:
-        job.warn(f"the points lie on a plane (thickness {flatness:.3f} of their width): the focal length is uncertain")
-    return facts | {
-        "reprojection_px": float(errors[keep].mean()),
-        "median_track": float(np.median(tracks[keep])),
-        "median_triangulation_deg": float(np.median(angles)),
-        "flatness": flatness,
-    }

@@ -108,13 +108,14 @@ def estimated(
     import numpy as np
 
     from stages.estimators import bodyfit_evidence as evidences
-    from stages.estimators.blazepose import BlazePose
+    from stages.estimators.blazepose import BlazePose, masked
     from stages.estimators.bodyfit import fit_body
     from stages.formats.images import read_image
 
     names, regressor = evidences.model_landmarks(model)
     job.progress(0, 100)
-    tracks = BlazePose().track([read_image(sfm / "images" / f"{name}.png") for name in cameras.names])
+    network, images = BlazePose(), [read_image(sfm / "images" / f"{name}.png") for name in cameras.names]
+    tracks = network.track(images, masked(network.sightings(images), masks))
     job.progress(40, 100)
     evidence, strangers = evidences.without_strangers(evidences.gather(tracks, names), masks)
     evidence, swapped = evidences.with_sides_voted(evidence)

@@ -46,13 +46,20 @@ def pinhole_focal(focal: float, center: np.ndarray, k: float, width: int, height
 
     Width and height stay; `center` [2] is the lens's principal point. Raises ValueError for a lens that folds over.
     """
-    outline = (undistort((border(width, height) - center) / focal, k)).reshape(4, -1, 2)
-    top, bottom, left, right = outline
+    return focal_within(undistort((border(width, height) - center) / focal, k), width, height)
+
+
+def focal_within(outline: np.ndarray, width: int, height: int) -> float:
+    """The same for any lens, from the ideal points [4*steps,2] that it shows along `border`, normalised by a focal length of 1.
+
+    Raises ValueError where no rectangle fits.
+    """
+    top, bottom, left, right = outline.reshape(4, -1, 2)
     room = min(
         -top[:, 1].max() / height, bottom[:, 1].min() / height, -left[:, 0].max() / width, right[:, 0].min() / width
     )
     if not room > 0:
-        raise ValueError(f"the lens with k = {k:.4g} leaves no rectangle of the image")
+        raise ValueError("the lens leaves no rectangle of the image")
     return 0.5 / room
 
 

@@ -20,6 +20,8 @@ DETECTOR_SIDE, CROP_SIDE, HEATMAP_SIDE = 224, 256, 64  # px, the networks' own
 ROI_MARGIN = 1.25  # the person's circle is enlarged by this to make a crop
 SURE = 0.5  # probability from which a detection, a tracked person or a heat map counts
 NEIGHBOURHOOD = 3  # heat map cells on each side of the peak that take part in its mean
+PAINTED = 0.1  # of a person's height: how far beyond the joints a person is painted over
+APART = 0.3  # of a crop's side: people whose crops' middles are nearer are one
 SEEDS = 9  # frames looked at to choose whom to follow
 # Looks at the person that are averaged: (side as a share of the fitting crop, turn in degrees, mirrored). Measured on the
 # kitchen clip, five looks halve the jitter of one (second difference 2.4 -> 1.2 px, 19 -> 10 mm).
@@ -35,6 +37,7 @@ NAMES = (
     "left_heel", "right_heel", "left_foot_index", "right_foot_index",
 )
 # fmt: on
+TORSO = [NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "hip")]
 MIRRORED = [
     NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")) for name in NAMES
 ] + list(range(LANDMARKS, LANDMARKS + 6))
@@ -60,6 +63,10 @@ class Roi:
         reach = shift * self.side
         x, y = self.x - reach * np.sin(self.angle), self.y + reach * np.cos(self.angle)
         return Roi(x, y, self.side * side, self.angle + np.radians(turn))
+
+    def covers(self, other: Roi) -> bool:
+        """True if the other crop's middle is so near that it is of the same person."""
+        return bool(np.hypot(self.x - other.x, self.y - other.y) <= APART * self.side)
 
     @staticmethod
     def around(centre: np.ndarray, top: np.ndarray) -> Roi:
@@ -87,6 +94,16 @@ class Pose:
     """The crop in which the person was seen."""
     next_roi: Roi
     """The crop that fits the person as seen."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Somebody in one frame: the detector's probability and crop, and the pose in it."""
+
+    frame: int
+    score: float
+    roi: Roi
+    pose: Pose
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
@@ -142,7 +159,7 @@ class BlazePose:
                 break
             points = boxes.reshape(-1, 12)[i, 4:8].reshape(2, 2) / DETECTOR_SIDE + self.anchors[i]
             roi = Roi.around(*to_picture(points, window))
-            if all(np.hypot(roi.x - r.x, roi.y - r.y) > 0.3 * r.side for _, r in found):
+            if not any(r.covers(roi) for _, r in found):
                 found.append((float(scores[i]), roi))
         return found
 
@@ -227,26 +244,69 @@ class BlazePose:
                     return pose
         return None
 
-    def track(self, images: Sequence[np.ndarray]) -> list[Pose | None]:
-        """Follow one person through a clip's frames (uint8 [H,W,3] in order of time), both ways from where he is clear.
+    def sightings(self, images: Sequence[np.ndarray]) -> list[Sighting]:
+        """Everybody who is surely seen in a few frames spread over the clip, each frame's people from large to small."""
+        found = []
+        for i in np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)):
+            image, here = images[i], []
+            hits = self.search(image)
+            while hits:
+                known = len(here)
+                for score, roi in hits:
+                    pose, _ = self.look(images[i], roi)
+                    if pose.presence >= SURE and not any(one.pose.next_roi.covers(pose.next_roi) for one in here):
+                        here.append(Sighting(int(i), score, roi, pose))
+                image = without(image, here[known:])
+                hits = self.detect(image) if len(here) > known else []
+            found += sorted(here, key=lambda one: -one.pose.next_roi.side)
+        return found
 
-        The person is the largest one surely seen among a few frames spread over the clip. A frame where he cannot be
-        found gives None; after it he is looked for again, nearest to where he was.
+    def track(self, images: Sequence[np.ndarray], start: Sighting | None = None) -> list[Pose | None]:
+        """Follow one person through a clip's frames (uint8 [H,W,3] in order of time), both ways from `start`.
+
+        Without a `start` it is the largest who is surely seen. A frame where the person cannot be found gives None; after
+        it he is looked for again, nearest to where he was.
         """
         count = len(images)
-        seeds = []
-        for i in np.unique(np.linspace(0, count - 1, min(count, SEEDS)).round().astype(int)):
-            seeds += [(score * roi.side, int(i), roi) for score, roi in self.search(images[i])]
         poses: list[Pose | None] = [None] * count
-        if not seeds:
+        start = start or clearest(self.sightings(images))
+        if start is None:
             return poses
-        _, start, roi = max(seeds, key=lambda seed: seed[0])
-        for order in (range(start, count), range(start - 1, -1, -1)):
-            last = poses[start].next_roi if poses[start] else roi
+        for order in (range(start.frame, count), range(start.frame - 1, -1, -1)):
+            last = poses[start.frame].next_roi if poses[start.frame] else start.roi
             for i in order:
                 poses[i] = self.follow(images[i], last)
                 last = poses[i].next_roi if poses[i] else last
         return poses
+
+
+def without(image: np.ndarray, people: list[Sighting]) -> np.ndarray:
+    """The picture with people painted over: the detector, made for one, tells of others once that one is gone."""
+    painted = image.copy()
+    for one in people:
+        (left, top), (right, bottom) = one.pose.xy.min(0), one.pose.xy.max(0)
+        rim = PAINTED * max(right - left, bottom - top)
+        corners = np.array([left - rim, top - rim, right + rim, bottom + rim]).clip(0).astype(int)
+        painted[corners[1] : corners[3], corners[0] : corners[2]] = 128
+    return painted
+
+
+def clearest(sightings: list[Sighting]) -> Sighting | None:
+    """The largest person who is surely seen."""
+    return max(sightings, key=lambda one: one.score * one.roi.side, default=None)
+
+
+def masked(sightings: list[Sighting], masks: Sequence[np.ndarray]) -> Sighting | None:
+    """The same among those whose torso the `masks` (uint8 [H,W], 255 = person) of their frames cover, or of all."""
+    covered = [one for one in sightings if torso_share(one.pose, masks[one.frame]) > 0.5]
+    return clearest(covered or sightings)
+
+
+def torso_share(pose: Pose, mask: np.ndarray) -> float:
+    """Share of the shoulders and hips that fall on a mask uint8 [H,W]."""
+    x, y = pose.xy[TORSO].astype(int).T
+    inside = (x >= 0) & (y >= 0) & (x < mask.shape[1]) & (y < mask.shape[0])
+    return float((mask[y[inside], x[inside]] > 127).sum() / len(TORSO))
 
 
 def run(network: Interpreter, pixels: np.ndarray) -> Iterator[np.ndarray]:

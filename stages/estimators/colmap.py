@@ -16,6 +16,7 @@ import pycolmap
 
 from stages.avatar import lens
 from stages.avatar.camera_motion import Pair
+from stages.formats.given_cameras import Lens, widest_angles
 
 SEED = 1  # of every random draw in COLMAP
 MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
@@ -49,18 +50,28 @@ class Model:
         }
 
 
-def extract(database: Path, images: Path, masks: Path, files: list[str], features: int, camera: list[float]) -> None:
-    """SIFT features of `files` in `images` outside the person, into `database`, for one shared SIMPLE_RADIAL camera.
+def extract(
+    database: Path,
+    images: Path,
+    masks: Path,
+    files: list[str],
+    features: int,
+    camera: list[float],
+    model: str = "SIMPLE_RADIAL",
+    shared: bool = True,
+) -> None:
+    """SIFT features of `files` in `images` outside the person, into `database`, for one camera, or one a file.
 
-    `masks` holds a file of the same name for each image, 0 = ignore. `camera` is focal, cx, cy, k, or empty for
-    COLMAP's guess of 1.2 times the longer side.
+    `masks` holds a file of the same name for each image, 0 = ignore. `camera` has the numbers of its `model` (focal,
+    cx, cy, k), or none for COLMAP's guess of 1.2 times the longer side.
     """
     reader = pycolmap.ImageReaderOptions()
-    reader.mask_path, reader.camera_model = str(masks), "SIMPLE_RADIAL"
+    reader.mask_path, reader.camera_model = str(masks), model
     reader.camera_params = ",".join(repr(float(value)) for value in camera)
+    mode = pycolmap.CameraMode.SINGLE if shared else pycolmap.CameraMode.PER_IMAGE
     pycolmap.Database.open(database).close()
     pycolmap.import_images(
-        database, images, camera_mode=pycolmap.CameraMode.SINGLE, image_names=files, options=reader
+        database, images, camera_mode=mode, image_names=files, options=reader
     )  # in order, so that identifiers do not depend on which thread is faster
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu, extraction.sift.max_num_features = False, features
@@ -68,7 +79,7 @@ def extract(database: Path, images: Path, masks: Path, files: list[str], feature
         database,
         images,
         image_names=files,
-        camera_mode=pycolmap.CameraMode.SINGLE,
+        camera_mode=mode,
         reader_options=reader,
         extraction_options=extraction,
         device=pycolmap.Device.cpu,
@@ -137,30 +148,79 @@ def map_global(database: Path, images: Path, out: Path, fixed_focal: bool) -> li
     return [Model("global", model) for model in models.values()]
 
 
-def points_and_tracks(
-    model: pycolmap.Reconstruction,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points of a model: identifiers [P], xyz [P,3], rgb [P,3] uint8, frames that see each [P], mean error px [P]."""
+@dataclass(frozen=True)
+class Cloud:
+    """Points of a model: `ids` [P], `xyz` [P,3], `rgb` [P,3] uint8, mean `errors` [P] px.
+
+    `lengths` [P] pictures see each, at `angles` [P] degrees at most; `tracks` are the rows of those that are frames.
+    """
+
+    ids: np.ndarray
+    xyz: np.ndarray
+    rgb: np.ndarray
+    errors: np.ndarray
+    lengths: np.ndarray
+    angles: np.ndarray
+    tracks: tuple[np.ndarray, ...]
+
+
+def cloud_of(model: pycolmap.Reconstruction, files: list[str]) -> Cloud:
+    """The points of a model with tracks as rows of `files`, in the order of their identifiers."""
+    row = {name: i for i, name in enumerate(files)}
+    rows = {i: row[model.images[i].name] for i in model.reg_image_ids()}
+    centres = np.zeros((len(files), 3))
+    for i, k in rows.items():
+        centres[k] = model.images[i].projection_center()
     points = sorted(model.points3D.items())
-    return (
-        np.array([i for i, _ in points], dtype=np.int64),
-        np.array([p.xyz for _, p in points]).reshape(-1, 3),
-        np.array([p.color for _, p in points], dtype=np.uint8).reshape(-1, 3),
-        np.array([len({e.image_id for e in p.track.elements}) for _, p in points], dtype=int),
-        np.array([p.error for _, p in points]),
+    xyz = np.array([p.xyz for _, p in points]).reshape(-1, 3)
+    tracks = [np.array(sorted({rows[e.image_id] for e in p.track.elements}), dtype=np.int64) for _, p in points]
+    return Cloud(
+        ids=np.array([i for i, _ in points], dtype=np.int64),
+        xyz=xyz,
+        rgb=np.array([p.color for _, p in points], dtype=np.uint8).reshape(-1, 3),
+        errors=np.array([p.error for _, p in points]),
+        lengths=np.array([len(track) for track in tracks], dtype=int),
+        angles=widest_angles(xyz, tracks, centres),
+        tracks=tuple(tracks),
     )
 
 
-def triangulation_angles(model: pycolmap.Reconstruction) -> np.ndarray:
-    """The widest angle in degrees at which each point of a model is seen, in the order of its identifiers [P]."""
-    centers = {i: model.images[i].projection_center() for i in model.reg_image_ids()}
-    angles = []
-    for _, point in sorted(model.points3D.items()):
-        rays = np.array([centers[e.image_id] for e in point.track.elements]) - point.xyz
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        chords = np.linalg.norm(rays[:, None] - rays[None], axis=-1)
-        angles.append(np.degrees(2 * np.arcsin(np.clip(chords.max() / 2, 0, 1))))
-    return np.array(angles)
+def triangulate(
+    database: Path,
+    images: Path,
+    out: Path,
+    files: list[str],
+    viewmats: np.ndarray,
+    Ks: np.ndarray,
+    size: tuple[int, int],
+) -> pycolmap.Reconstruction:
+    """Points from the matches in `database`, with cameras that are known and stay as they are.
+
+    `files` were extracted in this order with model PINHOLE, with one camera a file if `Ks` differ.
+    """
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed, options.num_threads = SEED, 1
+    out.mkdir()
+    model = posed_model(files, viewmats, Ks, *size)
+    return pycolmap.triangulate_points(model, database, images, out, options=options)
+
+
+def set_pinholes(database: Path, Ks: np.ndarray) -> None:
+    """Give each of a database's cameras, one a file in order, its own pinhole."""
+    with pycolmap.Database.open(database) as store:
+        for camera, K in zip(sorted(store.read_all_cameras(), key=lambda c: c.camera_id), Ks, strict=True):
+            camera.params = pinhole_params(K)
+            store.update_camera(camera)
+
+
+def camera_of(lens: Lens) -> pycolmap.Camera:
+    """COLMAP's camera for a lens."""
+    return pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))
+
+
+def pinhole_params(K: np.ndarray) -> list[float]:
+    """fx, fy, cx, cy of K [3,3]."""
+    return [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]
 
 
 def make_pinhole(model: pycolmap.Reconstruction, focal: float) -> None:
@@ -177,16 +237,22 @@ def make_pinhole(model: pycolmap.Reconstruction, focal: float) -> None:
         camera.params = [focal, focal, *middle]
 
 
-def empty_model(
-    files: list[str], viewmats: np.ndarray, K: np.ndarray, width: int, height: int
+def posed_model(
+    files: list[str], viewmats: np.ndarray, Ks: np.ndarray, width: int, height: int
 ) -> pycolmap.Reconstruction:
-    """A model with cameras and no points, for a camera that does not travel."""
+    """A model with cameras and no points; identifiers count from 1, with one camera in all if all `Ks` are the same."""
     model = pycolmap.Reconstruction()
-    params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(model="PINHOLE", width=width, height=height, params=params, camera_id=1)
-    )
+    shared = bool((Ks == Ks[0]).all())
+    for i, K in enumerate(Ks[:1] if shared else Ks, 1):
+        camera = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=pinhole_params(K), camera_id=i)
+        model.add_camera_with_trivial_rig(camera)
     for i, (name, viewmat) in enumerate(zip(files, viewmats, strict=True), 1):
-        image = pycolmap.Image(name=name, camera_id=1, image_id=i)
+        image = pycolmap.Image(name=name, camera_id=1 if shared else i, image_id=i)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(viewmat[:3]))
     return model
+
+
+def add_points(model: pycolmap.Reconstruction, cloud: Cloud, keep: np.ndarray) -> None:
+    """Put points of another model into one with cameras only; without tracks, whose features are not at hand."""
+    for xyz, rgb in zip(cloud.xyz[keep], cloud.rgb[keep], strict=True):
+        model.add_point3D(xyz, pycolmap.Track(), rgb)

@@ -1,19 +1,23 @@
-"""Masks made by other programs: pictures and .npy files in many encodings, joined to frames by name."""
+"""Values of masks made by other programs: pictures and .npy files in many encodings, and what their values mean."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.frame_names import ENDINGS
 from stages.formats.images import read_pixels
-from stages.formats.video import PICTURES, natural
+from stages.formats.video import natural
 
-SUFFIXES = (*PICTURES, ".npy")
 LABELS = 32
-"""Integer masks whose largest value is at most this are labels: 0 is background, everything else the person."""
+"""Integer masks whose largest value is at most this are labels; pictures with more colours than this are no masks."""
+COLOURED = 30
+"""Levels between a pixel's channels from which it is coloured; JPEG makes grey ones differ by less."""
 
 
 def mask_files(folder: Path) -> list[Path]:
@@ -21,31 +25,19 @@ def mask_files(folder: Path) -> list[Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise StageError(f"no folder of masks at {folder}", "give the folder that holds one mask per frame")
-    found = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    found = [p for p in folder.iterdir() if p.suffix.lower() in ENDINGS and not p.name.startswith(".")]
     if not found:
-        raise StageError(f"no masks in {folder}", f"masks are {', '.join(SUFFIXES)} files, one per frame")
+        inside = ", ".join(sorted(path.name for path in folder.iterdir())[:8]) or "nothing"
+        raise StageError(f"no masks in {folder}", f"masks are {', '.join(ENDINGS)} files, one per frame", [inside])
     return sorted(found, key=natural)
-
-
-def stem(path: Path) -> str:
-    """A mask's name without its suffixes, those of the picture it belongs to included (frame.jpg.png -> frame)."""
-    name = path.name
-    while Path(name).suffix.lower() in SUFFIXES:
-        name = name[: -len(Path(name).suffix)]
-    return name
-
-
-def number(name: str) -> int | None:
-    """The last run of digits in a name, as a number."""
-    digits = re.findall(r"[0-9]+", name)
-    return int(digits[-1]) if digits else None
 
 
 def read_values(path: Path) -> tuple[np.ndarray, str]:
     """Read a mask's values [H,W] as stored, and the name of what holds them.
 
-    A cut-out with alpha gives its alpha, colours their brightest channel. Raises StageError for damaged files, for
-    arrays that are no picture and for values that are not finite.
+    A cut-out with alpha gives its alpha, a picture with a palette or with few colours an integer for each (the palette's
+    own, or r g b as one number), grey its level. Raises StageError for damaged files, for arrays that are no picture,
+    for values that are not finite and for pictures of many colours, which are no masks.
     """
     kind = path.suffix.lower()[1:]
     if kind == "npy":
@@ -55,9 +47,39 @@ def read_values(path: Path) -> tuple[np.ndarray, str]:
     channels = pixels.shape[2]
     if channels in (2, 4) and pixels[..., -1].min() != pixels[..., -1].max():
         return pixels[..., -1], f"{kind} alpha {pixels.dtype}"
-    if channels > 2:
-        return pixels[..., :3].max(2), f"{kind} colour {pixels.dtype}"
-    return pixels[..., 0], f"{kind} {pixels.dtype}"
+    if channels <= 2:
+        return pixels[..., 0], f"{kind} {pixels.dtype}"
+    if pixels.dtype == np.uint8 and (np.ptp(pixels[..., :3], axis=2) > COLOURED).any():
+        return colour_ids(pixels[..., :3], path), f"{kind} colour ids"
+    return pixels[..., :3].max(2), f"{kind} colour {pixels.dtype}"
+
+
+def colour_ids(pixels: np.ndarray, path: Path) -> np.ndarray:
+    """An integer for each colour of uint8 [H,W,3]: its place in the file's palette, else red green blue as one number."""
+    table = palette(path)
+    packed = pixels.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+    seen = np.zeros(1 << 24, bool)
+    seen[packed] = True
+    colours = np.flatnonzero(seen)
+    if len(colours) > (LABELS if table is None else 256):
+        hint = "give masks: white where the person is, or one colour for each person, saved as PNG"
+        raise StageError(f"{path} is a picture, not a mask", hint, [f"it has {len(colours)} colours"])
+    if table is None:
+        return packed
+    codes = table.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+    place = {int(code): i for i, code in reversed(list(enumerate(codes)))}
+    return np.array([place[int(c)] for c in colours], np.uint32)[np.searchsorted(colours, packed)]
+
+
+def palette(path: Path) -> np.ndarray | None:
+    """Colours uint8 [N,3] of a PNG with a palette, else None. Source: PNG specification, 11.2.2 PLTE."""
+    data = Path(path).read_bytes()
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[25] != 3:
+        return None
+    at = 8
+    while data[at + 4 : at + 8] != b"PLTE":
+        at += 12 + int.from_bytes(data[at : at + 4])
+    return np.frombuffer(data, np.uint8, int.from_bytes(data[at : at + 4]), at + 8).reshape(-1, 3)
 
 
 def read_array(path: Path) -> np.ndarray:
@@ -66,56 +88,121 @@ def read_array(path: Path) -> np.ndarray:
         array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError) as error:
         raise StageError(f"{path} is not a plain .npy array", "save it by numpy.save", [str(error)]) from error
-    array = np.squeeze(array)
+    return checked_values(np.squeeze(array), str(path))
+
+
+def checked_values(array: np.ndarray, what: str) -> np.ndarray:
+    """The array if it is one mask [H,W] of bool, integers or finite floats; bool becomes uint8."""
     if array.ndim != 2 or array.dtype.kind not in "buif" or array.size == 0:
-        raise StageError(f"{path} is not a mask [H,W]", "save one mask a file", [f"it is {array.dtype} {array.shape}"])
+        raise StageError(f"{what} is not a mask [H,W]", "save one mask a file", [f"it is {array.dtype} {array.shape}"])
     if not np.isfinite(array).all():
         first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise StageError(f"{path} has values that are not finite", "make the mask again", [f"first at {first}"])
+        raise StageError(f"{what} has values that are not finite", "make the mask again", [f"first at {first}"])
     return array.astype(np.uint8) if array.dtype == bool else array
+
+
+@dataclass
+class Levels:
+    """What values masks of one kind hold: the distinct ones, or None if they are many, their range, and where."""
+
+    dtype: np.dtype
+    few: np.ndarray | None
+    lowest: float = np.inf
+    highest: float = -np.inf
+    files: int = 0
+    areas: dict[int, list[float]] = field(default_factory=dict)
+    """Value -> the share of the picture that it covers, in each file that has it."""
+    together: dict[tuple[int, int], list[bool]] = field(default_factory=dict)
+    """Two values above the lowest -> whether they touch, in each file that has both."""
+
+    def add(self, values: np.ndarray) -> None:
+        """Take one more mask into account."""
+        self.files += 1
+        self.lowest, self.highest = min(self.lowest, values.min()), max(self.highest, values.max())
+        found, counts = np.unique(values, return_counts=True)
+        if self.few is not None:
+            joined = np.union1d(self.few, found)
+            self.few = joined if len(joined) <= LABELS + 1 else None
+        if self.few is None or values.dtype.kind == "f" or len(found) < 3:
+            pairs: set[tuple[int, int]] = set()
+        else:
+            pairs = neighbours(values)
+        if self.few is not None and values.dtype.kind != "f":
+            labels = [int(value) for value in found]
+            for label, count in zip(labels, counts, strict=True):
+                self.areas.setdefault(label, []).append(count / values.size)
+            for i, a in enumerate(labels):
+                for b in labels[i + 1 :]:
+                    self.together.setdefault((a, b), []).append((a, b) in pairs)
+
+
+def neighbours(values: np.ndarray) -> set[tuple[int, int]]:
+    """Pairs of different values (the smaller first) that stand side by side in [H,W]."""
+    found = set()
+    for a, b in ((values[:, 1:], values[:, :-1]), (values[1:], values[:-1])):
+        differ = a != b
+        both = np.sort(np.stack([a[differ], b[differ]], 1).astype(np.int64), axis=1)
+        found |= {(int(low), int(high)) for low, high in np.unique(both, axis=0)}
+    return found
 
 
 class ForeignMasks:
     """Masks of another program: what their values mean is decided over all files of a kind, then each can be read.
 
-    Integers up to `LABELS`, and any two values, are labels (the lower one is background); other values are soft
-    masks over the range of their type (floats: 0..1, or 0..255 if any is above 1).
+    Integers up to `LABELS`, a few integers of 16 bits and more, colours, and any two values, are labels (the lowest is
+    background). Floats below 0 are logits: the person is above 0. Other values are soft masks over the range of their
+    type (floats: 0..1, or 0..255 if any is above 1). `values_of` reads the values of a key; keys that have none are left
+    out of `keys`.
     """
 
-    def __init__(self, paths: list[Path]):
-        self.levels: dict[str, np.ndarray] = {}
-        self.counts: dict[str, int] = {}
-        for path in paths:
-            values, kind = read_values(path)
-            self.levels[kind] = np.union1d(self.levels.get(kind, values[:0, 0]), values)
-            self.counts[kind] = self.counts.get(kind, 0) + 1
+    def __init__(self, keys: Iterable[Any], values_of: Callable[[Any], tuple[np.ndarray, str] | None] = read_values):
+        self.values_of = values_of
+        self.keys: list[Any] = []
+        self.kinds: dict[str, Levels] = {}
+        for key in keys:
+            found = values_of(key)
+            if found is not None:
+                self.keys.append(key)
+                self.kinds.setdefault(found[1], Levels(found[0].dtype, found[0][:0, 0])).add(found[0])
 
     def is_labels(self, kind: str) -> bool:
         """True if masks of this kind hold labels."""
-        levels = self.levels[kind]
-        return len(levels) <= 2 or (levels.dtype.kind in "ui" and levels[-1] <= LABELS)
+        levels = self.kinds[kind]
+        if levels.few is None or len(levels.few) <= 2:
+            return levels.few is not None
+        wide = levels.dtype.kind in "ui" and levels.dtype.itemsize > 1 and levels.highest != 65535
+        return levels.dtype.kind in "ui" and (levels.highest <= LABELS or wide or kind.endswith("ids"))
 
     def top(self, kind: str) -> float:
         """The value that means 'surely person' in soft masks of this kind."""
-        levels = self.levels[kind]
+        levels = self.kinds[kind]
         if levels.dtype == np.uint16:
             return 65535.0
-        return 1.0 if levels.dtype.kind == "f" and levels[-1] <= 1 else 255.0
+        return 1.0 if levels.dtype.kind == "f" and levels.highest <= 1 else 255.0
 
-    def read(self, path: Path) -> np.ndarray:
-        """The mask as uint8 [H,W], 255 = marked."""
-        values, kind = read_values(path)
+    def background(self, kind: str) -> float:
+        """The label of the background."""
+        levels = self.kinds[kind]
+        return levels.few[0] if len(levels.few) == 2 else min(0, levels.lowest)
+
+    def read(self, key: Hashable, labels: frozenset[int] | None = None) -> np.ndarray:
+        """The mask as uint8 [H,W], 255 = marked; of label masks only `labels`, or all but the background."""
+        values, kind = self.values_of(key)
         if self.is_labels(kind):
-            lowest = self.levels[kind][0] if len(self.levels[kind]) == 2 else 0
-            return np.where(values > lowest, np.uint8(255), np.uint8(0))
+            marked = values > self.background(kind) if labels is None else np.isin(values, list(labels))
+            return np.where(marked, np.uint8(255), np.uint8(0))
+        if self.kinds[kind].lowest < 0:
+            return np.where(values > 0, np.uint8(255), np.uint8(0))
         top = self.top(kind)
         return np.rint(values.clip(0, top) * (255.0 / top)).astype(np.uint8)
 
     def encodings(self) -> dict[str, int]:
         """What was found: encoding in words -> files."""
         words = {}
-        for kind, count in self.counts.items():
-            levels = self.levels[kind]
-            values = " and ".join(f"{v:g}" for v in levels) if len(levels) < 3 else f"0..{levels[-1]:g}"
-            words[f"{kind}, {'labels ' + values if self.is_labels(kind) else f'soft 0..{self.top(kind):g}'}"] = count
+        for kind, levels in self.kinds.items():
+            few, high = levels.few, f"0..{levels.highest:g}"
+            values = " and ".join(f"{v:g}" for v in few) if few is not None and len(few) < 3 else high
+            meaning = f"labels {values}" if self.is_labels(kind) else f"soft 0..{self.top(kind):g}"
+            meaning = "logits" if not self.is_labels(kind) and levels.lowest < 0 else meaning
+            words[f"{kind}, {meaning}"] = levels.files
         return words

@@ -17,8 +17,10 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import read_npz
 from stages.formats.capture import Capture, Shot, require
-from stages.formats.colmap_text import TextModel, read_text_model
-from stages.formats.masks import mask_files, read_values, stem
+from stages.formats.colmap_model import read_colmap
+from stages.formats.frame_names import stem
+from stages.formats.given_cameras import GivenCameras
+from stages.formats.masks import mask_files, read_values
 from stages.formats.video import pictures
 
 FIT = "4d_humans/smpl_optimized_aligned_scale.npz"
@@ -32,7 +34,7 @@ FILE_RULE = "The split of the data set's own files: test_split.txt is measured, 
 def read_neuman(folder: Path) -> Capture:
     """Read a sequence; StageError for what is missing, and where masks or poses do not belong to the pictures."""
     require(folder, ("images", "sparse", FIT), "a NeuMan sequence", "neuman")
-    model = read_text_model(folder / "sparse")
+    model = read_colmap(folder / "sparse")
     files = pictures(folder / "images")
     have = {file.name: file for file in files}
     gone = [name for name in model.files if name not in have]
@@ -58,10 +60,10 @@ def read_neuman(folder: Path) -> Capture:
         rule=rule,
         shots=shots,
         viewmats=model.viewmats,
-        Ks=model.Ks,
-        lenses=model.lenses,
-        width=model.width,
-        height=model.height,
+        Ks=np.stack([lens.K for lens in model.lenses]),
+        lenses=np.stack([np.pad(lens.distortion, (0, 5))[:5] for lens in model.lenses]),
+        width=model.lenses[0].width,
+        height=model.lenses[0].height,
         points=model.points,
         colors=model.colors,
         fit=_fit(folder / FIT, model, files),
@@ -108,7 +110,7 @@ def _listed(path: Path, by_stem: dict[str, str]) -> list[str] | None:
     return [by_stem[name] for name in stems]
 
 
-def _masks(folder: Path, model: TextModel, files: list[Path]) -> tuple[dict[str, Path], bool]:
+def _masks(folder: Path, model: GivenCameras, files: list[Path]) -> tuple[dict[str, Path], bool]:
     """File name of each registered picture -> its mask file; and whether those masks mark the background."""
     if (folder / SAM).is_dir():
         found = mask_files(folder / SAM)
@@ -121,7 +123,7 @@ def _masks(folder: Path, model: TextModel, files: list[Path]) -> tuple[dict[str,
     return {name: by_stem[Path(name).stem] for name in model.files}, True
 
 
-def _fit(path: Path, model: TextModel, files: list[Path]) -> dict[str, np.ndarray]:
+def _fit(path: Path, model: GivenCameras, files: list[Path]) -> dict[str, np.ndarray]:
     """The arrays of the fit, a row for each registered picture."""
     arrays = read_npz(path, HINT)
     missing = [key for key in FIT_KEYS if key not in arrays]
@@ -134,7 +136,7 @@ def _fit(path: Path, model: TextModel, files: list[Path]) -> dict[str, np.ndarra
     return {key: arrays[key] if key == "betas" and whole else arrays[key][order] for key in FIT_KEYS}
 
 
-def _in_order(rows: list, model: TextModel, files: list[Path], what: str) -> dict[str, object]:
+def _in_order(rows: list, model: GivenCameras, files: list[Path], what: str) -> dict[str, object]:
     """Registered picture -> its row, where the i-th row belongs to the i-th picture of images/, or to the i-th of sparse/."""
     for names in ([file.name for file in files], list(model.files)):
         if len(rows) == len(names):

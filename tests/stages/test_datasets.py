@@ -212,7 +212,7 @@ def test_a_corner_of_every_layout_is_read():
 @pytest.mark.parametrize(
     ("kind", "gone", "problem"),
     [
-        ("neuman", "sparse/images.txt", "cannot read"),
+        ("neuman", "sparse/images.txt", "lacks images.txt"),
         ("neuman", "4d_humans/smpl_optimized_aligned_scale.npz", "is not a NeuMan sequence"),
         ("neuman", "images/00003.png", "1 of 8 pictures of sparse/ are not in images/"),
         ("neuman", "4d_humans/sam_segmentations/mask_0003.png", "7 masks in"),

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from stages import sfm
 from stages.avatar import cameras, lens
 from stages.contract import Job, StageError
+from stages.estimators.sparse_model import write_ignored
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points
@@ -190,7 +191,7 @@ def test_i04_the_person_and_its_rim_are_ignored(tmp_path):
     mask = np.zeros((100, 200), np.uint8)
     mask[40:60, 50:70] = 70  # a soft edge counts too
     write_mask(tmp_path / "masks/a.png", mask)
-    sfm.write_ignored(["a"], tmp_path, tmp_path / "ignored", 200)
+    write_ignored(["a"], tmp_path, tmp_path / "ignored", 200)
     ignored = read_mask(tmp_path / "ignored/a.png")
     assert (
         ignored[50, 60] == 0 and ignored[50, 48] == 0 and ignored[50, 45] == 255 and set(np.unique(ignored)) == {0, 255}

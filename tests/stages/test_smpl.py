@@ -118,7 +118,8 @@ def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp
 def test_j05_landmarks_become_poses_and_frames_without_a_person_are_named(folders, tmp_path, monkeypatch):
     clip, frames, sfm = folders
     monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
-    monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images: clip.tracks)
+    monkeypatch.setattr(blazepose.BlazePose, "sightings", lambda self, images: [])
+    monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images, start: clip.tracks)
     poses, facts, _ = run(tmp_path / "out", frames, sfm)
     error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
     assert error.mean() < 0.05
@@ -132,7 +133,8 @@ def test_j05_landmarks_become_poses_and_frames_without_a_person_are_named(folder
 def test_j05_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):
     _, frames, sfm = folders
     monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
-    monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images: [None] * 16)
+    monkeypatch.setattr(blazepose.BlazePose, "sightings", lambda self, images: [])
+    monkeypatch.setattr(blazepose.BlazePose, "track", lambda self, images, start: [None] * 16)
     with pytest.raises(StageError, match="0 of 16 frames") as error:
         run(tmp_path / "out", frames, sfm)
     assert "--smpl-fit" in error.value.hint

@@ -3,8 +3,9 @@ import OpenImageIO as oiio
 import pytest
 
 from stages.contract import StageError
+from stages.formats.frame_names import number, stem
 from stages.formats.images import write_image
-from stages.formats.masks import ForeignMasks, mask_files, number, stem
+from stages.formats.masks import ForeignMasks, mask_files
 
 
 def disc(height=60, width=80):

@@ -1,0 +1,61 @@
+"""Which frame of a clip a file of another program belongs to, by its name: never by its place in a list."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import PurePath
+from typing import Any
+
+from stages.contract import StageError
+from stages.formats.video import PICTURES
+
+ENDINGS = (*PICTURES, ".npy")
+
+
+def stem(name: str | PurePath) -> str:
+    """A file's name without folders and endings, those of the picture it belongs to included (frame.jpg.png -> frame)."""
+    name = PurePath(name).name
+    while PurePath(name).suffix.lower() in ENDINGS:
+        name = name[: -len(PurePath(name).suffix)]
+    return name
+
+
+def number(name: str) -> int | None:
+    """The last run of digits in a name, as a number."""
+    digits = re.findall(r"[0-9]+", name)
+    return int(digits[-1]) if digits else None
+
+
+def named(listing: dict[str, Any]) -> bool:
+    """True if the clip is a folder of pictures, whose frames have names of their own."""
+    return any("source" in frame for frame in listing["frames"])
+
+
+def count_from_one(listing: dict[str, Any], stems: Sequence[str]) -> bool:
+    """True if the stems are surely numbered from 1 to the number of the video's frames: the last is there, 0 is not."""
+    numbers = {number(name) for name in stems}
+    return not named(listing) and 0 not in numbers and listing["video"]["frames"] in numbers
+
+
+def join(listing: dict[str, Any], stems: Sequence[str], first: int, what: str) -> dict[str, int]:
+    """Frame name -> which of `stems` is its: by the same name, else by the frame's number in the video plus `first`.
+
+    `listing` is frames.json. Raises StageError where two stems are one name; `what` says what they name.
+    """
+    twice = sorted(name for name, count in Counter(stems).items() if count > 1)
+    if twice:
+        fact = f"{', '.join(twice[:5])}" + (f" and {len(twice) - 5} more" if len(twice) > 5 else "")
+        raise StageError(f"two {what} have the name of one frame", "give one for each frame", [fact])
+    row = {name: i for i, name in enumerate(stems)}
+    numbers = [number(name) for name in stems]
+    counts = Counter(numbers)
+    unique = {n: i for i, n in enumerate(numbers) if n is not None and counts[n] == 1}
+    joined = {}
+    for frame in listing["frames"]:
+        exact = row.get(frame.get("source", frame["name"])) if not first else None
+        found = exact if exact is not None or "source" in frame else unique.get(frame["index"] + first)
+        if found is not None:
+            joined[frame["name"]] = found
+    return joined
