@@ -12,6 +12,7 @@ from stages.avatar.refine import FrameCorrections
 from stages.avatar.rotations import matrix_from_rotvec
 from stages.avatar.scene import MOVABLE, SceneModel, scene_extent
 from stages.avatar.sh import sh_colors, sh_from_rgb
+from stages.avatar.ssim import ssim, ssim_reference
 from tests.stages.avatar.test_fit import fit_of, make_clip, run
 
 clip = pytest.fixture(scope="module")(make_clip)
@@ -101,6 +102,17 @@ def test_c04_training_holds_opacities_where_they_move(clip):
         fit.scene.logit_opacities[:3] = torch.tensor([40.0, -40, 16])
     run(fit, 1)
     assert fit.scene.logit_opacities[:3].tolist() == [MOVABLE, -MOVABLE, MOVABLE]
+
+
+@pytest.mark.parametrize("level", [0.1, 0.6, 0.95])
+def test_g01_faint_texture_on_a_bright_wall_is_measured_to_the_last_digits(level, held):
+    """E[x^2] - E[x]^2 of plain float32 is off by 2e-7, which SSIM divides by 9e-4; equal pictures would not show it."""
+    image, target = level + 2e-3 * torch.rand(2, 40, 30, 3, generator=torch.Generator().manual_seed(0))
+    leaves = image.requires_grad_(), image.detach().double().requires_grad_()
+    value, truth = ssim(leaves[0], target), ssim_reference(leaves[1], target.double())
+    held(abs(value.item() - truth.item()), 1e-7)
+    slope, true_slope = (torch.autograd.grad(v, leaf)[0] for v, leaf in zip((value, truth), leaves))
+    held((slope - true_slope).norm() / true_slope.norm(), 4e-5)
 
 
 def test_b15_colours_out_of_range_are_pulled_back_into_it():
