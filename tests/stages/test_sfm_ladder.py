@@ -7,6 +7,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stages import report, sfm
 from stages.avatar import cameras
@@ -155,7 +156,8 @@ def test_i01_a_camera_that_does_little_more_than_turn_goes_on_turning_where_noth
     found = read_cameras(tmp_path / "out/cameras.npz")
     assert np.allclose(found.viewmats[:, :3, 3], 0)
     off = found.viewmats[:, :3, :3] @ (views[:, :3, :3] @ views[0, :3, :3].T).mT
-    assert np.degrees(np.arccos((np.trace(off, axis1=1, axis2=2).min() - 1) / 2)) < 3
+    angles = Rotation.from_matrix(off).magnitude()
+    assert np.degrees(angles).max() < 5, "0.6 m past walls 5 to 7 m away look like a turn of 5 degrees"
 
 
 def test_i02_frames_without_texture_are_named(tmp_path):
@@ -197,6 +199,7 @@ def test_i06_two_models_are_named_with_the_cut():
     assert small.name is None, "a second model of a third of the frames that lack a pose explains too little"
 
 
+@pytest.mark.slow
 def test_i06_two_rooms_in_one_clip_go_on_with_the_larger_or_fail(monkeypatch, tmp_path):
     monkeypatch.setattr(sfm_ladder, "RUNGS", {"global mapper": sfm_ladder.by_global})
     write_clip(tmp_path, walk(7, 1.2), person=False)
