@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from stages.avatar.camera_motion import Motion, Pair
+    from stages.estimators.sfm_ladder import Matched
     from stages.estimators.sfm_verdict import Footage
 
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
@@ -123,7 +124,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
 def solve(
     job: Job, params: Params, names: list[str], frames: Path, masks: Path, width: int, height: int, scratch: Path
 ) -> Solution:
-    """Features, matches, the verdict on the camera's motion, and for a moving camera the best model of all rungs."""
+    """Features, matches, the verdict on the camera's motion, and the cameras of a clip that stands, turns or walks."""
     import numpy as np
 
     from stages.avatar.camera_motion import judge_motion
@@ -147,7 +148,7 @@ def solve(
     need = math.ceil(params.min_share * len(names))
     footage = sfm_verdict.Footage(names, images, scratch / "ignored", database, need)
     if not pairs:
-        footage.require(job, [], [])
+        footage.require(job, [], [])  # raises
     motion = judge_motion(pairs, width, height, params.focal)
     facts["motion"] = {
         "displacement_px": motion.displacement_px,
@@ -166,25 +167,37 @@ def solve(
     if motion.verdict == "rotation only":
         return turning(job, footage, motion, pairs, width, height, facts)
     job.progress(55, 100)
-    matched = sfm_ladder.Matched(
-        database, images, scratch, len(names), side, need, params.overlap, params.focal is not None
+    fixed_focal = params.focal is not None
+    matched = sfm_ladder.Matched(database, images, scratch, len(names), side, need, params.overlap, fixed_focal)
+    return walking(job, matched, footage, motion, pairs, facts) or turning(
+        job, footage, motion, pairs, width, height, facts
     )
-    rungs = sfm_ladder.climb(job, matched)
-    rung = sfm_ladder.best_rung(matched, rungs)
-    facts["rungs"] = [one.facts() for one in rungs]
-    posed = [model.posed for model in rung.models]
-    placed = [np.array([name in poses for name in names]) for poses in posed]
-    joined = sfm_verdict.components(pairs, len(names))[0].sum() >= need
+
+
+def walking(
+    job: Job, matched: Matched, footage: Footage, motion: Motion, pairs: list[Pair], facts: dict
+) -> Solution | None:
+    """The cameras of the best model of all rungs; None if there is none to believe and a turn may stand in."""
+    from stages.estimators.sfm_ladder import best_rung, climb
+    from stages.estimators.sfm_verdict import components
+
+    names = footage.names
+    rungs = climb(job, matched)
+    facts["rungs"] = [rung.facts() for rung in rungs]
+    rung = best_rung(matched, rungs)
+    joined = components(pairs, len(names))[0].sum() >= footage.need
     if motion.nearly_turns and joined and not any(matched.usable(model) for model in rung.models):
-        return turning(job, footage, motion, pairs, width, height, facts)
-    tried = [f"the background moves {motion.displacement_px:.0f} px", *(one.said(matched) for one in rungs)]
-    facts |= {"mapper": rung.how, "trouble": footage.require(job, placed, tried)}
-    best, kept = rung.models[0], [name for name in names if name in posed[0]]
-    viewmats = fixed_views(len(kept))
-    viewmats[:, :3] = [posed[0][name] for name in kept]
-    focal, cx, cy, k = (float(value) for value in next(iter(best.reconstruction.cameras.values())).params)
+        return None
+    tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.said(matched) for rung in rungs)]
+    facts["mapper"] = rung.how
+    facts["trouble"] = footage.require(job, [model.places(names) for model in rung.models], tried)
+    best, posed = rung.models[0], rung.models[0].posed
     if doubts := matched.doubts(best):
         job.warn(f"the best model is hard to believe: {', '.join(doubts)}")
+    kept = [name for name in names if name in posed]
+    viewmats = fixed_views(len(kept))
+    viewmats[:, :3] = [posed[name] for name in kept]
+    focal, cx, cy, k = (float(value) for value in next(iter(best.reconstruction.cameras.values())).params)
     return Solution("moving", kept, viewmats, focal, (cx, cy), k, best.reconstruction, facts)
 
 

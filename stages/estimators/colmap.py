@@ -54,6 +54,11 @@ class Model:
         images = (image for image in self.reconstruction.images.values() if image.has_pose)
         return {image.name.removesuffix(".png"): image.cam_from_world().matrix() for image in images}
 
+    def places(self, names: list[str]) -> np.ndarray:
+        """Which of the frames have a pose [C] bool."""
+        posed = self.posed
+        return np.array([name in posed for name in names])
+
     def facts(self) -> dict:
         """What sfm.json says of every model that was made."""
         return {

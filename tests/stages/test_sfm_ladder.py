@@ -193,6 +193,8 @@ def test_i06_two_models_are_named_with_the_cut():
         "a model of 3 of 10 frames (000018 to 000024)",
         "cut between 000015 and 000018: 37 matches join the two sides; a pair of frames on one side has 300",
     ]
+    later = sfm_verdict.judge(NAMES, [chosen(5, 6, 7, 8, 9), chosen(0, 1, 2, 3, 4)], RICH, SHARP, pairs)
+    assert later.facts[2].startswith("cut between 000012 and 000015: 316 matches"), "the larger may come later"
     third = sfm_verdict.judge(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5, 6), chosen(7, 8, 9)], RICH, SHARP, pairs)
     assert third.name == "3 separate models" and len(third.facts) == 4
     small = sfm_verdict.judge(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5)], RICH, SHARP, pairs)
