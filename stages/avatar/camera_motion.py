@@ -37,7 +37,7 @@ class Pair:
 class Motion:
     """What the matches say: verdict "moving", "rotation only" or "static camera", and the numbers behind it.
 
-    `nearly_turns`: a rotation leaves no more than NEARLY times its limit, so that it may stand in where mapping fails.
+    `nearly_turns`: a rotation leaves less than ROTATION_PX or NEARLY times its limit; it may stand in where mapping fails.
     """
 
     verdict: str
@@ -76,7 +76,9 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
     # A flat wall seen by a sliding camera looks like a turn with ever longer focal length: do not believe the limit.
     believable = known is not None or focal < 0.95 * MAX_FOCAL * side
     verdict = "rotation only" if believable and residual < limit else "moving"
-    return Motion(verdict, displacement, residual, limit, focal, k, believable and residual < NEARLY * limit)
+    inside = known is not None or focal > 1.05 * MIN_FOCAL * side
+    nearly = believable and inside and residual < max(NEARLY * limit, ROTATION_PX * side)
+    return Motion(verdict, displacement, residual, limit, focal, k, nearly)
 
 
 def fit_rotation_camera(

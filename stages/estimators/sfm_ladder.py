@@ -78,7 +78,7 @@ class Rung:
     def said(self, matched: Matched) -> str:
         """In a few words: the best model's frames, and what is wrong with it if they do not say it."""
         if not self.models:
-            return f"{self.how}: no model in {self.seconds:.0f} s"
+            return f"{self.how}: no model of {FEW_POINTS} points in {self.seconds:.0f} s"
         best = self.models[0]
         words = f"{self.how}: {best.registered} of {matched.count} frames in {self.seconds:.0f} s"
         doubts = matched.doubts(best)

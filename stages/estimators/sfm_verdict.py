@@ -119,7 +119,8 @@ def judge(
     return Verdict(
         None,
         facts,
-        f"the clip may turn too fast for its frames; try `--set frames.count=160` or `--set sfm.overlap=24`; or {ALONE}",
+        "the camera may turn too fast for its frames: try `--set frames.count=160` or `--set sfm.overlap=24`; or it "
+        f"hardly moves: {ALONE}",
     )
 
 
