@@ -80,7 +80,7 @@ def run(
             page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
             note="The fitted body over the frames. Where the outline leaves the person, the avatar suffers.",
         ),
-        page.section("What was measured and decided", _survey(survey)),
+        page.section("What was measured and decided", _survey(survey) + _rungs(_json(sfm / "sfm.json"))),
         page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
     ]
     (job.out / "report.html").write_text(page.page(f"{name}: hugs", parts), encoding="utf-8")
@@ -224,6 +224,18 @@ def _survey(survey: Path) -> str:
     ]
     decided = ", ".join(f"{k.replace('_', ' ')} {'on' if v else 'off'}" for k, v in found["decisions"].items())
     return page.table(["measured", "value", "verdict"], rows) + f"<p>Decided: {page.escape(decided)}.</p>"
+
+
+def _rungs(found: dict[str, Any]) -> str:
+    """How the cameras were found, and what was tried before, if they were mapped."""
+    from stages.formats import page
+
+    said = []
+    for rung in found.get("rungs", []):
+        best = max((model["registered"] for model in rung["models"]), default=0)
+        said.append(f"{rung['how']} {best} of {found['of']} frames in the largest of {len(rung['models'])} models")
+    taken = f" Taken: {found['mapper']}." if len(said) > 1 and "mapper" in found else ""
+    return f"<p>Cameras: {page.escape('; '.join(said))}.{page.escape(taken)}</p>" if said else ""
 
 
 def _number(value: Any) -> str:

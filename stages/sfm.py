@@ -17,11 +17,13 @@ from stages.contract import Job, StageError
 if TYPE_CHECKING:
     import numpy as np
 
+    from stages.avatar.camera_motion import Motion, Pair
+    from stages.estimators.sfm_ladder import Matched
+    from stages.estimators.sfm_verdict import Footage
     from stages.estimators.sparse_model import Pinholes
 
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
 NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
-GOOD_SHARE, GOOD_ERROR = 0.9, 2.0  # of the frames; px off on average: a worse model gives the second mapper its chance
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
 
@@ -137,11 +139,11 @@ def mapped(
 def solve(
     job: Job, params: Params, names: list[str], frames: Path, masks: Path, width: int, height: int, scratch: Path
 ) -> Solution:
-    """Features, matches, the verdict on the camera's motion, and for a moving camera the best model."""
+    """Features, matches, the verdict on the camera's motion, and the cameras of a clip that stands, turns or walks."""
     import numpy as np
 
-    from stages.avatar.camera_motion import camera_rotations, judge_motion
-    from stages.estimators import colmap
+    from stages.avatar.camera_motion import judge_motion
+    from stages.estimators import colmap, sfm_ladder, sfm_verdict
     from stages.estimators.sparse_model import write_ignored
 
     files, images, database = [f"{name}.png" for name in names], frames / "images", scratch / "database.db"
@@ -159,102 +161,84 @@ def solve(
         "features": {"min": int(counts.min()), "median": float(np.median(counts))},
         "verified_pairs": len(pairs),
     }
-    found = [f"{len(names)} frames", f"features a frame: {counts.min()} at least, {np.median(counts):.0f} median"]
+    need = math.ceil(params.min_share * len(names))
+    footage = sfm_verdict.Footage(names, images, scratch / "ignored", database, need)
     if not pairs:
-        raise StageError(
-            "no two frames show the same thing outside the person",
-            "the background may be blank or blurred; go on without it with `--pipeline human_only`",
-            [*found, "verified pairs: 0"],
-        )
+        footage.require(job, [], [])  # raises
     motion = judge_motion(pairs, width, height, params.focal)
     facts["motion"] = {
         "displacement_px": motion.displacement_px,
         "rotation_residual_px": motion.rotation_residual_px,
         "rotation_limit_px": motion.rotation_limit_px,
     }
-    center = (width / 2, height / 2)
     if motion.verdict == "static camera":
         job.warn(
             f"the camera stands still (the background moves {motion.displacement_px:.2f} px between frames): "
             f"its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
         )
-        focal = params.focal or GUESSED_FOCAL * max(width, height)
-        return Solution(motion.verdict, names, fixed_views(len(names)), focal, center, 0.0, facts=facts)
+        focal = params.focal or GUESSED_FOCAL * side
+        return Solution(
+            motion.verdict, names, fixed_views(len(names)), focal, (width / 2, height / 2), 0.0, facts=facts
+        )
     if motion.verdict == "rotation only":
-        turns, known = camera_rotations(pairs, len(names), motion.focal_px, motion.k, width, height)
-        require_share(params, names, known, found)
-        job.warn(
-            f"the camera only turns (that explains the {motion.displacement_px:.0f} px by which the background "
-            f"moves to {motion.rotation_residual_px:.2f} px): its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
-        )
-        views = fixed_views(len(names))
-        views[:, :3, :3] = turns
-        kept = [name for name, there in zip(names, known, strict=True) if there]
-        return Solution(motion.verdict, kept, views[known], motion.focal_px, center, motion.k, facts=facts)
+        return turning(job, footage, motion, pairs, width, height, facts)
     job.progress(55, 100)
-    models = map_all(job, params, database, images, scratch, len(names))
-    if not models:
-        raise StageError(
-            "no model could be made from the matches",
-            "film with more sideways motion and more texture, or go on without the scene: `--pipeline human_only`",
-            [*found, f"verified pairs: {len(pairs)}", f"the background moves {motion.displacement_px:.0f} px"],
-        )
-    best = models[0]
-    posed = {image.name.removesuffix(".png"): image for image in best.reconstruction.images.values() if image.has_pose}
-    require_share(params, names, np.array([name in posed for name in names]), found)
+    fixed_focal = params.focal is not None
+    matched = sfm_ladder.Matched(database, images, scratch, len(names), side, need, params.overlap, fixed_focal)
+    return walking(job, matched, footage, motion, pairs, facts) or turning(
+        job, footage, motion, pairs, width, height, facts
+    )
+
+
+def walking(
+    job: Job, matched: Matched, footage: Footage, motion: Motion, pairs: list[Pair], facts: dict
+) -> Solution | None:
+    """The cameras of the best model of all rungs; None if there is none to believe and a turn may stand in."""
+    from stages.estimators.sfm_ladder import best_rung, climb
+    from stages.estimators.sfm_verdict import components
+
+    names = footage.names
+    rungs = climb(job, matched)
+    facts["rungs"] = [rung.facts() for rung in rungs]
+    rung = best_rung(matched, rungs)
+    joined = components(pairs, len(names))[0].sum() >= footage.need
+    if motion.nearly_turns and joined and not any(matched.usable(model) for model in rung.models):
+        return None
+    tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.said(matched) for rung in rungs)]
+    facts["mapper"] = rung.how
+    facts["trouble"] = footage.require(job, [model.places(names) for model in rung.models], tried)
+    best, posed = rung.models[0], rung.models[0].posed
+    if doubts := matched.doubts(best):
+        job.warn(f"the best model is hard to believe: {', '.join(doubts)}")
     kept = [name for name in names if name in posed]
     viewmats = fixed_views(len(kept))
-    viewmats[:, :3] = [posed[name].cam_from_world().matrix() for name in kept]
+    viewmats[:, :3] = [posed[name] for name in kept]
     focal, cx, cy, k = (float(value) for value in next(iter(best.reconstruction.cameras.values())).params)
-    facts |= {"mapper": best.how, "models": [model.facts() for model in models]}
-    if not 0.3 < focal / max(width, height) < 3:
-        job.warn(f"the estimated focal length, {focal:.0f} px for frames of {width}x{height}, is hard to believe")
     return Solution("moving", kept, viewmats, focal, (cx, cy), k, best.reconstruction, facts)
 
 
-def map_all(job: Job, params: Params, database: Path, images: Path, scratch: Path, count: int) -> list:
-    """All models, the best first: most frames, then a believable focal length, then the smaller error.
+def turning(
+    job: Job, footage: Footage, motion: Motion, pairs: list[Pair], width: int, height: int, facts: dict
+) -> Solution:
+    """The rotations of a camera that only turns, or that does hardly more and cannot be mapped."""
+    from stages.avatar.camera_motion import camera_rotations
+    from stages.estimators.sfm_verdict import components
 
-    The global mapper goes first: on halves and quarters of one real clip it found the same focal length within 1 %,
-    where the incremental one, in twice the time, was up to 50 % off and stopped short of the best fit.
-    """
-    from stages.estimators import colmap
-
-    placed = 0
-
-    def step() -> None:
-        nonlocal placed
-        placed = min(placed + 1, count)
-        job.progress(60 + 25 * placed // count, 100, frames=placed)
-
-    def rank(model: colmap.Model) -> tuple:
-        camera = next(iter(model.reconstruction.cameras.values()))
-        sane = 0.3 < model.focal / max(camera.width, camera.height) < 3
-        return model.registered, sane, -model.reconstruction.compute_mean_reprojection_error()
-
-    fixed_focal = params.focal is not None
-    models = colmap.map_global(database, images, scratch / "global", fixed_focal)
-    if not any(rank(model) >= (GOOD_SHARE * count, True, -GOOD_ERROR) for model in models):
-        job.note("the global mapper left frames out; trying the incremental one too")
-        models += colmap.map_incremental(database, images, scratch / "incremental", fixed_focal, step)
-    return sorted(models, key=rank, reverse=True)
-
-
-def require_share(params: Params, names: list[str], posed: np.ndarray, found: list[str]) -> None:
-    """Raise StageError with the longest run of posed frames, if fewer than `min_share` have a pose."""
-    need, have = math.ceil(params.min_share * len(names)), int(posed.sum())
-    if have >= need:
-        return
-    runs = "".join("x" if there else " " for there in posed).split(" ")
-    longest = max(map(len, runs))
-    start = "".join("x" if there else " " for there in posed).index("x" * longest)
-    where = f"longest run: frames {names[start]} to {names[start + longest - 1]}" if longest else "no frame was placed"
-    raise StageError(
-        f"SfM placed only {have} of {len(names)} frames (needs {need})",
-        "the clip may turn too fast for its frames; try `--set frames.count=160` or `--set sfm.overlap=24`, "
-        "or go on without the scene with `--pipeline human_only`",
-        [where, *found],
+    names = footage.names
+    turns, known = camera_rotations(pairs, len(names), motion.focal_px, motion.k, width, height)
+    others = [part for part in components(pairs, len(names)) if not (part & known).any()]
+    facts["trouble"] = footage.require(job, [known, *others], [])
+    only = motion.verdict == "rotation only"
+    job.warn(
+        f"the camera {'only turns' if only else 'hardly does more than turn, and nothing could be mapped'} "
+        f"(a turn explains the {motion.displacement_px:.0f} px by which the background moves to "
+        f"{motion.rotation_residual_px:.2f} px): its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
     )
+    views = fixed_views(len(names))
+    views[:, :3, :3] = turns
+    kept = [name for name, there in zip(names, known, strict=True) if there]
+    center = (width / 2, height / 2)
+    return Solution("rotation only", kept, views[known], motion.focal_px, center, motion.k, facts=facts)
 
 
 def fixed_views(count: int) -> np.ndarray:

@@ -20,6 +20,7 @@ STATIC_PX = 0.0015  # of the longer side: 1.4 px at 960; compression noise is 0.
 ROTATION_PX = 0.0015  # of the longer side: what a pure rotation may leave unexplained (0.2-0.5 px is usual)
 MIN_FOCAL, MAX_FOCAL = 0.4, 2.2  # of the longer side: 100 to 26 degrees, every phone lens but the long tele
 ROTATION_SHARE = 0.03  # and of the displacement: a hand that moves leaves 0.1 and more
+NEARLY = 3  # times that: the most a rotation may leave that stands in where nothing can be mapped
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Motion:
-    """What the matches say: verdict "moving", "rotation only" or "static camera", and the numbers behind it."""
+    """What the matches say: verdict "moving", "rotation only" or "static camera", and the numbers behind it.
+
+    `nearly_turns`: a rotation leaves less than ROTATION_PX or NEARLY times its limit; it may stand in where mapping fails.
+    """
 
     verdict: str
     displacement_px: float
@@ -42,6 +46,7 @@ class Motion:
     rotation_limit_px: float | None = None
     focal_px: float | None = None
     k: float | None = None
+    nearly_turns: bool = False
 
 
 def pair_displacements(pairs: list[Pair]) -> np.ndarray:
@@ -71,7 +76,9 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
     # A flat wall seen by a sliding camera looks like a turn with ever longer focal length: do not believe the limit.
     believable = known is not None or focal < 0.95 * MAX_FOCAL * side
     verdict = "rotation only" if believable and residual < limit else "moving"
-    return Motion(verdict, displacement, residual, limit, focal, k)
+    inside = known is not None or focal > 1.05 * MIN_FOCAL * side
+    nearly = believable and inside and residual < max(NEARLY * limit, ROTATION_PX * side)
+    return Motion(verdict, displacement, residual, limit, focal, k, nearly)
 
 
 def fit_rotation_camera(

@@ -20,13 +20,13 @@ from stages.formats.given_cameras import Lens, widest_angles
 
 SEED = 1  # of every random draw in COLMAP
 MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
+CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
 
 
 @dataclass(frozen=True)
 class Model:
-    """One reconstruction and how it was made: `how` is "incremental" or "global"."""
+    """One reconstruction, and the numbers that tell whether to believe it."""
 
-    how: str
     reconstruction: pycolmap.Reconstruction
 
     @property
@@ -39,13 +39,33 @@ class Model:
         """Focal length of the shared camera in px."""
         return float(next(iter(self.reconstruction.cameras.values())).params[0])
 
+    @property
+    def points(self) -> int:
+        """Number of points; a camera that hardly travels can get poses without any, at an error of 0."""
+        return self.reconstruction.num_points3D()
+
+    @property
+    def error(self) -> float:
+        """Mean reprojection error in px."""
+        return self.reconstruction.compute_mean_reprojection_error()
+
+    @property
+    def posed(self) -> dict[str, np.ndarray]:
+        """Camera from world [3,4] of each frame with a pose, by the frame's name."""
+        images = (image for image in self.reconstruction.images.values() if image.has_pose)
+        return {image.name.removesuffix(".png"): image.cam_from_world().matrix() for image in images}
+
+    def places(self, names: list[str]) -> np.ndarray:
+        """Which of the frames have a pose [C] bool."""
+        posed = self.posed
+        return np.array([name in posed for name in names])
+
     def facts(self) -> dict:
         """What sfm.json says of every model that was made."""
         return {
-            "how": self.how,
             "registered": self.registered,
-            "points": self.reconstruction.num_points3D(),
-            "reprojection_px": round(self.reconstruction.compute_mean_reprojection_error(), 4),
+            "points": self.points,
+            "reprojection_px": round(self.error, 4),
             "focal_px": round(self.focal, 3),
         }
 
@@ -127,15 +147,20 @@ def read_pairs(database: Path, files: list[str]) -> tuple[list[Pair], np.ndarray
 
 
 def map_incremental(
-    database: Path, images: Path, out: Path, fixed_focal: bool, registered: Callable[[], None]
+    database: Path, images: Path, out: Path, fixed_focal: bool, registered: Callable[[], None], close: bool = False
 ) -> list[Model]:
-    """Every model that COLMAP's incremental mapper makes; `registered()` is called for each frame it places."""
+    """Every model that COLMAP's incremental mapper makes; `registered()` is called for each frame it places.
+
+    `close` lets it start with two frames that see their points at CLOSE_ANGLE and share CLOSE_INLIERS of them.
+    """
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed, options.num_threads = SEED, 1  # more threads sum in another order
     options.ba_refine_focal_length = not fixed_focal
+    if close:
+        options.mapper.init_min_tri_angle, options.mapper.init_min_num_inliers = CLOSE_ANGLE, CLOSE_INLIERS
     out.mkdir()
     models = pycolmap.incremental_mapping(database, images, out, options, next_image_callback=registered)
-    return [Model("incremental", model) for model in models.values()]
+    return [Model(model) for model in models.values()]
 
 
 def map_global(database: Path, images: Path, out: Path, fixed_focal: bool) -> list[Model]:
@@ -145,7 +170,7 @@ def map_global(database: Path, images: Path, out: Path, fixed_focal: bool) -> li
     options.mapper.bundle_adjustment.refine_focal_length = not fixed_focal
     out.mkdir()
     models = pycolmap.global_mapping(database, images, out, options)
-    return [Model("global", model) for model in models.values()]
+    return [Model(model) for model in models.values()]
 
 
 @dataclass(frozen=True)

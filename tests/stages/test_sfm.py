@@ -196,15 +196,3 @@ def test_i04_the_person_and_its_rim_are_ignored(tmp_path):
     assert (
         ignored[50, 60] == 0 and ignored[50, 48] == 0 and ignored[50, 45] == 255 and set(np.unique(ignored)) == {0, 255}
     )
-
-
-def test_i06_i07_too_few_posed_frames_are_told_with_the_longest_run():
-    names = [f"{i:06d}" for i in range(10)]
-    posed = np.array([1, 1, 0, 1, 1, 1, 0, 0, 0, 0], bool)
-    sfm.require_share(sfm.Params(), names, posed, [])
-    with pytest.raises(StageError, match=r"5 of 10 frames \(needs 6\)") as error:
-        sfm.require_share(sfm.Params(min_share=0.6), names, posed, ["x"])
-    assert error.value.facts[0] == "longest run: frames 000003 to 000005"
-    with pytest.raises(StageError) as error:
-        sfm.require_share(sfm.Params(), names, np.zeros(10, bool), [])
-    assert error.value.facts[0] == "no frame was placed"

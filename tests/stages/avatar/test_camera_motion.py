@@ -62,6 +62,12 @@ def test_i01_i03_a_travelling_camera_is_not_taken_for_a_turning_one(turn, travel
     held(motion.rotation_limit_px / motion.rotation_residual_px, 1 / 1.5)
 
 
+@pytest.mark.parametrize(("travel", "nearly"), [(0.15, True), (0.8, False)])
+def test_a_camera_that_travels_little_nearly_turns(travel, nearly):
+    motion = judge_motion(clip(8, travel)[0], WIDTH, HEIGHT)
+    assert motion.verdict == "moving" and motion.nearly_turns is nearly
+
+
 def test_i03_a_known_focal_length_is_kept():
     pairs, _ = clip(10, 0)
     focal, _, residuals = fit_rotation_camera(pairs[-20:], WIDTH, HEIGHT, FOCAL)
