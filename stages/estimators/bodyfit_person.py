@@ -70,7 +70,8 @@ def overlaps(
     for row, frame in enumerate(frames):
         mask = hulls[frame]
         if mask.any():
-            drawn = _hull(pixels[row][z[row] > 0], ratio, shape)
+            shown = (z[row] > 0) & np.isfinite(pixels[row]).all(-1)
+            drawn = _hull(pixels[row][shown], ratio, shape)
             result[row] = (drawn & mask).sum() / (drawn | mask).sum()
     return result
 

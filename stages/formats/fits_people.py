@@ -42,13 +42,12 @@ def read_phalp(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smp
             facts = [", ".join(f"{key} {length}" for key, length in lengths.items())]
             raise StageError(f"{where} has lists of different lengths", PHALP_HINT, facts)
         for i, tid in enumerate(lists["tid"]):
-            if lists["tracked_time"][i] > 0:
+            values = {key: value[i] for key, value in {**lists, "2d_joints": flat}.items()}
+            one = Fields(values, f"person {tid} in {where}", PHALP_HINT)
+            if one.get("tracked_time") > 0:
                 ghosts += 1
-                continue
-            one = Fields(
-                {key: v[i] for key, v in {**lists, "2d_joints": flat}.items()}, f"person {tid} in {where}", PHALP_HINT
-            )
-            fits.append(_phalp_person(one, path, str(name), number, str(tid), size))
+            else:
+                fits.append(_phalp_person(one, path, str(name), number, str(tid), size))
     notes = (f"{ghosts} poses that the tracker only predicted are left out",) if ghosts else ()
     whole = joined(fits, path)
     return replace(whole, notes=whole.notes + notes)

@@ -7,6 +7,7 @@ chumpy and scipy.sparse objects found in SMPL files (neither package is needed).
 from __future__ import annotations
 
 import pickle
+import tokenize
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -61,11 +62,15 @@ def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
 
 
 def read_npy(file: BinaryIO, unpickler: type[ArraysOnly]) -> Any:
-    """The array of an open .npy file; objects in it by `unpickler`. Raises what a broken file makes numpy raise."""
+    """The array of an open .npy file; objects in it by `unpickler`. Raises ValueError or EOFError if it is broken."""
     start = file.tell()
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    if read(file)[2].hasobject:
+    try:
+        dtype = read(file)[2]
+    except (SyntaxError, tokenize.TokenError) as error:
+        raise ValueError(f"its header is damaged: {error}") from error
+    if dtype.hasobject:
         return unpickler(file, encoding="latin1").load()
     file.seek(start)
     return np.lib.format.read_array(file, allow_pickle=False)
