@@ -18,6 +18,7 @@ from stages.formats.fit_record import SmplFit
 
 EVERY = 10  # of the body's vertices, enough for its hull
 SIDE = 200  # px of the longer side at which hulls are compared
+SPECK = 0.05  # of a mask's area; smaller pieces do not count
 NOWHERE = 0.1  # mean overlap under which a fit is of something else
 
 
@@ -30,20 +31,15 @@ def choose_person(
     followed for long wins over one who passes. StageError if nobody is where the masks are.
     """
     overlap = overlaps(fit, frames, cameras, masks, model)
-    if np.isnan(overlap).all():
-        overlap = np.zeros(len(overlap))
-        masked = False
-    else:
-        masked = True
     tracks = np.array(fit.tracks if fit.tracks is not None else [""] * len(fit))
     best: dict[str, dict[int, int]] = {}
     for row in np.argsort(np.nan_to_num(overlap, nan=-1.0), kind="stable"):
         best.setdefault(str(tracks[row]), {})[int(frames[row])] = int(row)  # the best row of a frame comes last
     say = {track: float(np.nansum(overlap[list(rows.values())])) for track, rows in best.items()}
-    chosen = max(sorted(say), key=lambda track: say[track])
+    chosen = max(sorted(say), key=lambda track: (say[track], len(best[track])))
     rows = [best[chosen][frame] for frame in sorted(best[chosen])]
     mean = {track: _mean(overlap[list(kept.values())]) for track, kept in best.items()}
-    if masked and mean[chosen] is not None and mean[chosen] < NOWHERE:
+    if mean[chosen] is not None and mean[chosen] < NOWHERE:
         facts = [f"the best of {len(best)} overlaps the masks by {100 * mean[chosen]:.0f} %, in {len(rows)} frames"]
         hint = "is it of this video, frame by frame, and in the camera's axes (x right, y down, z forward)?"
         raise StageError(f"{fit.path} shows nobody where the masks do", hint, facts)
@@ -65,22 +61,31 @@ def overlaps(
     pixels, z = project(vertices, rescale_viewmats(cameras.viewmats[frames], poses.world_from_sfm), cameras.Ks[frames])
     ratio = min(1.0, SIDE / max(cameras.width, cameras.height))
     shape = (max(1, round(cameras.height * ratio)), max(1, round(cameras.width * ratio)))
-    hulls = {i: _hull(np.argwhere(masks[i] > 127)[:, ::-1] + 0.5, ratio, shape) for i in set(frames.tolist())}
+    hulls = {i: _mask_hull(masks[i], shape) for i in set(frames.tolist())}
     result = np.full(len(fit), np.nan)
     for row, frame in enumerate(frames):
         mask = hulls[frame]
         if mask.any():
             shown = (z[row] > 0) & np.isfinite(pixels[row]).all(-1)
-            drawn = _hull(pixels[row][shown], ratio, shape)
+            drawn = _hull(pixels[row][shown] * ratio, shape)
             result[row] = (drawn & mask).sum() / (drawn | mask).sum()
     return result
 
 
-def _hull(points: np.ndarray, ratio: float, shape: tuple[int, int]) -> np.ndarray:
-    """The convex hull of `points` [N,2] px drawn into bool `shape`, a picture shrunk by `ratio`."""
+def _mask_hull(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """The convex hull of the mask, shrunk to bool `shape`, without specks."""
+    small = (cv2.resize(mask, shape[::-1], interpolation=cv2.INTER_AREA) > 127).astype(np.uint8)
+    _, labels, facts, _ = cv2.connectedComponentsWithStats(small)
+    sizes = facts[1:, cv2.CC_STAT_AREA]
+    kept = 1 + np.flatnonzero(sizes >= SPECK * sizes.sum())
+    return _hull(np.argwhere(np.isin(labels, kept))[:, ::-1] + 0.5, shape)
+
+
+def _hull(points: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """The convex hull of `points` [N,2] px drawn into bool `shape`."""
     canvas = np.zeros(shape, np.uint8)
     if len(points):
-        bounded = np.clip(points * ratio, -4 * max(shape), 4 * max(shape)).astype(np.float32)
+        bounded = np.clip(points, -4 * max(shape), 4 * max(shape)).astype(np.float32)
         cv2.fillConvexPoly(canvas, np.rint(cv2.convexHull(bounded) * 16 - 8).astype(np.int32), 1, shift=4)
     return canvas.astype(bool)
 

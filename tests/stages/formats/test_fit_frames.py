@@ -23,7 +23,7 @@ def motion(times):
     return {"global_orient": turns[:, :3], "body_pose": turns[:, 3:], "transl": walk}
 
 
-def fit_of(times, **more):
+def fit_of(times, /, **more):
     return SmplFit("f.npz", "npz", betas=np.zeros((len(times), 10)), **motion(times), **more)
 
 
