@@ -42,7 +42,7 @@ PipelinesFile = Annotated[Path, Option(help="Read pipelines from this file.", sh
 Settings = Annotated[list[str] | None, Option("--set", metavar="STAGE.PARAM=VALUE", help="Change one setting.")]
 Work = Annotated[Path, Option(help="Folder that holds a folder for each clip.")]
 Masks = Annotated[Path | None, Option(help="Folder of person masks, named as the frames.")]
-SmplFit = Annotated[Path | None, Option(help="Body poses to import (npz).")]
+SmplFit = Annotated[Path | None, Option(help="Body poses to import: the file or folder of another tool.")]
 BodyModel = Annotated[Path | None, Option(help="SMPL model (.pkl, .npz) to use in place of the free body.")]
 Seed = Annotated[int, Option(help="Of every random choice; part of what makes a result.")]
 AsJson = Annotated[bool, Option("--json", help="Print the result as JSON.")]

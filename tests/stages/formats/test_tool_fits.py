@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras import project, rescale_viewmats
+from stages.estimators.bodyfit_import import import_fit
 from stages.estimators.bodyfit_person import choose_person
 from stages.formats.cameras import Cameras
 from stages.formats.fit_frames import join_frames
@@ -116,3 +117,16 @@ def test_a_body_beside_the_optical_axis_is_seen_from_the_same_side(truth):
     assert np.linalg.norm(joints_of(poses, truth.model) - truth.world_joints(), axis=-1).max() < 1e-5
     print(f"{place[0]:.3f} px off in the middle, {place[1]:.3f} px unturned")
     assert place[0] < 2.0 and place[1] > 1.5 * place[0]
+
+
+@pytest.mark.parametrize("aside,least,most", [(0.0, 0.0, 0.03), (0.1, 0.1, 0.3)])
+def test_joints_that_the_tool_drew_elsewhere_are_noticed(truth, tmp_path, aside, least, most):
+    content = fits.contents("PHALP", truth)
+    for entry in content.values():
+        entry["2d_joints"] = [joints + np.float32(aside) for joints in entry["2d_joints"]]
+    fit = read_smpl_fit(fits.write("PHALP", content, tmp_path), truth.size)
+    cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
+    given = (truth.model, cameras, truth.numbers / truth.fps, list(truth.views.masks), None, False)
+    _, facts = import_fit(fit, *given)
+    assert least <= facts["tool_joints_off"] < most and facts["person"] == "7"
+    assert facts["notes"] == ["1 poses that the tracker only predicted are left out"]
