@@ -254,7 +254,7 @@ def simple_video(truth: Truth) -> dict[str, Any]:
     tracks = {}
     for tid, row, count in ((0, 0, 5), (1, 1, len(truth))):
         rows = list(frames.values())[:count]
-        tracks[tid] = {"frame_id": list(range(count))} | {key: [r[key][row] for r in rows] for key in rows[0]}
+        tracks[tid] = {"frame_id": list(range(len(rows)))} | {key: [r[key][row] for r in rows] for key in rows[0]}
     return {"results": results, "sequence_results": tracks}
 
 

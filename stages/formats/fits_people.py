@@ -36,14 +36,14 @@ def read_phalp(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smp
         picture = Fields(values, where, PHALP_HINT)
         lists = {key: picture.take(key) for key in ("tid", "tracked_time", "smpl", "camera", "size")}
         number = int(picture.get("time"))
-        flat = picture.take("2d_joints") if "2d_joints" in picture else [None] * len(lists["tid"])
-        lengths = {key: len(v) if hasattr(v, "__len__") else -1 for key, v in {**lists, "2d_joints": flat}.items()}
-        if len(set(lengths.values())) > 1:
+        lists |= {"2d_joints": picture.take("2d_joints")} if "2d_joints" in picture else {}
+        lengths = {key: _length(value) for key, value in lists.items()}
+        if None in lengths.values() or len(set(lengths.values())) > 1:
             facts = [", ".join(f"{key} {length}" for key, length in lengths.items())]
             raise StageError(f"{where} has lists of different lengths", PHALP_HINT, facts)
         for i, tid in enumerate(lists["tid"]):
-            values = {key: value[i] for key, value in {**lists, "2d_joints": flat}.items()}
-            one = Fields(values, f"person {tid} in {where}", PHALP_HINT)
+            person = {key: value[i] for key, value in lists.items()}
+            one = Fields(person, f"person {tid} in {where}", PHALP_HINT)
             if one.get("tracked_time") > 0:
                 ghosts += 1
             else:
@@ -53,6 +53,12 @@ def read_phalp(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smp
     return replace(whole, notes=whole.notes + notes)
 
 
+def _length(value: Any) -> int | None:
+    """How many entries a list or an array has, None for what is neither."""
+    listed = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    return len(value) if listed else None
+
+
 def _phalp_person(one: Fields, path: str, name: str, number: int, tid: str, size: tuple[int, int]) -> SmplFit:
     body = Fields(one.take("smpl"), f"smpl of {one.where}", PHALP_HINT)
     rotations = {key: np.asarray(body.array(key))[None] for key in ("global_orient", "body_pose")}
@@ -60,7 +66,7 @@ def _phalp_person(one: Fields, path: str, name: str, number: int, tid: str, size
     height, width = one.get("size", 2)
     ratio = same_picture(np.array([[width, height]]), size, one.where, PHALP_HINT)
     joints2d = np.full((1, 24, 2), np.nan)
-    if one.values["2d_joints"] is not None:
+    if "2d_joints" in one:
         square = one.get("2d_joints", 90).reshape(45, 2) * max(width, height)
         padding = np.array([(max(width, height) - width) // 2, (max(width, height) - height) // 2])
         joints2d[0, OPENPOSE_SMPL] = (square[1:15] - padding) * ratio
@@ -106,16 +112,14 @@ def _tracked(tracks: Mapping[Any, Any], results: Any, path: str) -> Iterator[tup
     for track, lists in tracks.items():
         person = Fields(lists, f"track {track} of {path}", ROMP_HINT)
         frames = person.take("frame_id")
+        short = [key for key in person.values if _length(person.values[key]) != _length(frames)]
+        if short or _length(frames) is None:
+            facts = [f"{(short or ['frame_id'])[0]} has not the {_length(frames)} entries of frame_id"]
+            raise StageError(f"{person.where} has lists of different lengths", ROMP_HINT, facts)
         for i, frame in enumerate(frames):
             if not (isinstance(frame, int | np.integer) and 0 <= frame < len(names)):
                 facts = [f"frame_id {frame!r}; there are {len(names)} pictures"]
                 raise StageError(f"{person.where} names a picture that is not there", ROMP_HINT, facts)
-            short = [
-                key for key, values in lists.items() if not hasattr(values, "__len__") or len(values) != len(frames)
-            ]
-            if short:
-                facts = [f"{short[0]} has not the {len(frames)} entries of frame_id"]
-                raise StageError(f"{person.where} has lists of different lengths", ROMP_HINT, facts)
             yield names[frame], str(track), {key: values[i] for key, values in lists.items()}
 
 

@@ -84,6 +84,7 @@ for tool, spoil, words in (
     ("PHALP", within(0, "tid")(gone), ["000001.jpg", "no tid"]),
     ("PHALP", within(0, "time")(put("a")), ["000001.jpg", "time", "a str"]),
     ("PHALP", within(0, "camera")(lambda v: v[:1]), ["000001.jpg", "different lengths", "camera 1", "tid 2"]),
+    ("PHALP", within(0, "tid")(put(3)), ["000001.jpg", "different lengths", "tid None"]),
     ("PHALP", within(*PERSON, "betas")(part(slice(9))), ["person 7", "betas", "1x9", "1x10"]),
     ("PHALP", within(*PERSON, "betas")(with_number(np.inf, 2)), ["person 7", "betas", "[0, 2]", "inf"]),
     ("PHALP", within(*PERSON, "body_pose")(part(slice(21))), ["person 7", "body_pose", "1x21x3x3"]),
@@ -115,6 +116,7 @@ for tool, spoil, words in (
         ["track 0", "frame_id 99", "4 pictures"],
     ),
     ("simple-romp video", within("sequence_results", 0, "cam")(lambda v: v[:1]), ["track 0", "lengths", "cam"]),
+    ("simple-romp video", within("sequence_results", 0, "frame_id")(put(None)), ["track 0", "lengths"]),
     ("simple-romp video", within("sequence_results", 0, "frame_id")(gone), ["track 0", "no frame_id"]),
     # WHAM
     ("WHAM", within(*WHAM, "trans")(gone), ["track 1", "no trans", "pose_world"]),
