@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
+OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's below which it is doubtful
+JOINTS_OFF = 0.05  # of the person's height, from the joints that the tool itself drew
 SEEN_LEAST = 0.1  # share of the frames that must show a person
 
 
@@ -61,7 +63,9 @@ def run(
     if "dataset" in listing and body_model is None:
         job.warn("the data set's poses and shapes are those of SMPL, the free body is another: give --body-model FILE")
     if smpl_fit is not None:
-        poses, facts = imported(job, smpl_fit, model, cameras, times, points, moving)
+        pictures = {frame["name"]: frame["source"] for frame in listing["frames"] if "source" in frame}
+        sources = tuple(pictures[name] for name in cameras.names if name in pictures)
+        poses, facts = imported(job, smpl_fit, model, cameras, times, masks, points, moving, sources)
         verdict = judge(poses, model, cameras, times, masks)
     else:
         poses, facts, evidence, pixels = estimated(job, sfm, model, cameras, times, points, moving, masks)
@@ -80,18 +84,33 @@ def imported(
     model: BodyModel,
     cameras: Cameras,
     times: np.ndarray,
+    masks: list[np.ndarray],
     points: np.ndarray,
     moving: bool,
+    sources: tuple[str, ...],
 ) -> tuple[BodyPoses, dict[str, Any]]:
-    """Poses read from another program's file."""
+    """Poses read from another program's file; says which of its people was taken, and what else is worth knowing."""
     from stages.estimators.bodyfit_import import import_fit
     from stages.formats.smpl_fits import read_smpl_fit
 
-    fit = read_smpl_fit(smpl_fit)
-    for note in fit.notes:
+    fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
+    poses, facts = import_fit(fit, model, cameras, times, masks, points, moving, sources)
+    for note in facts.pop("notes"):
         job.warn(note)
-    poses, scale = import_fit(fit, model, cameras, times, points, moving)
-    return poses, {"source": smpl_fit.name, "scale": scale}
+    if fit.tool != "npz" and model.name == "free body":
+        job.warn(f"{fit.tool} fits SMPL's body, the free body is another: give --body-model FILE")
+    overlap, people = facts["overlap"], facts["people"]
+    if len(people) > 1:
+        others = [f"{who or 'unnamed'} {100 * share:.0f} %" for who, share in people.items() if share is not None]
+        job.note(
+            f"person {facts['person']} of {fit.tool} is the masked one; overlap with the masks: {', '.join(others)}"
+        )
+    if overlap is not None and overlap < OVERLAP_LEAST:
+        job.warn(f"the fit of {fit.tool} overlaps the masks by only {100 * overlap:.0f} %: is it of this person?")
+    if facts.get("tool_joints_off") is not None and facts["tool_joints_off"] > JOINTS_OFF:
+        off = 100 * facts["tool_joints_off"]
+        job.warn(f"the body's joints are {off:.0f} % of its height from where {fit.tool} drew them: is it SMPL's body?")
+    return poses, {"source": smpl_fit.name, **facts}
 
 
 def estimated(

@@ -41,7 +41,7 @@ def checked(array: np.ndarray, shape: tuple[int | None, ...], key: str, path: Pa
     if len(found) != len(shape) or any(
         want is not None and want != have for want, have in zip(shape, found, strict=True)
     ):
-        wanted = "x".join("any" if n is None else str(n) for n in shape)
+        wanted = "x".join("any" if n is None else str(n) for n in shape) or "a single number"
         facts = [f"found {'x'.join(map(str, found)) or 'a single number'}, wanted {wanted}"]
         raise StageError(f"{key} in {path} has the wrong shape", hint, facts)
     if array.dtype.kind not in "fiub":

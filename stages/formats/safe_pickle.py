@@ -7,8 +7,9 @@ chumpy and scipy.sparse objects found in SMPL files (neither package is needed).
 from __future__ import annotations
 
 import pickle
+import tokenize
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy._core.multiarray import _reconstruct, scalar
@@ -35,7 +36,7 @@ def read_pickle(path: Path, hint: str = "") -> dict[str, Any]:
     """The pickled dictionary in `path`, arrays made plain numpy; StageError if it is broken or asks for code."""
     try:
         with open(path, "rb") as file:
-            content = _ArraysOnly(file, encoding="latin1").load()
+            content = ArraysOnly(file, encoding="latin1").load()
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
     except _BROKEN as error:
@@ -49,10 +50,7 @@ def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
     """The dictionary that numpy.save put into `path`; StageError if there is none, or if it holds more than arrays."""
     try:
         with open(path, "rb") as file:
-            version = np.lib.format.read_magic(file)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            _, _, dtype = read(file)
-            content = _ArraysOnly(file, encoding="latin1").load() if dtype.hasobject else None
+            content = read_npy(file, ArraysOnly)
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
     except _BROKEN as error:
@@ -61,6 +59,21 @@ def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
     if not isinstance(content, dict):
         raise StageError(f"{path} holds no named arrays", hint)
     return {str(key): plain(value, f"{key} in {path}") for key, value in content.items()}
+
+
+def read_npy(file: BinaryIO, unpickler: type[ArraysOnly]) -> Any:
+    """The array of an open .npy file; objects in it by `unpickler`. Raises ValueError or EOFError if it is broken."""
+    start = file.tell()
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    try:
+        dtype = read(file)[2]
+    except (SyntaxError, tokenize.TokenError) as error:
+        raise ValueError(f"its header is damaged: {error}") from error
+    if dtype.hasobject:
+        return unpickler(file, encoding="latin1").load()
+    file.seek(start)
+    return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def plain(value: Any, name: str) -> Any:
@@ -106,10 +119,18 @@ def _latin1(text: str, encoding: str = "latin1") -> bytes:
     return text.encode("latin1")
 
 
-class _ArraysOnly(pickle.Unpickler):
+def _from_buffer(buffer: Any, dtype: np.dtype, shape: tuple[int, ...], order: str, *rest: Any) -> np.ndarray:
+    return np.frombuffer(buffer, dtype).reshape(shape, order=order)
+
+
+class ArraysOnly(pickle.Unpickler):
+    """Builds numbers, texts, containers, arrays and inert stand-ins; any other name is an UnpicklingError."""
+
     def find_class(self, module: str, name: str) -> Any:
         if module in _MODULES and name in ("_reconstruct", "scalar"):
             return {"_reconstruct": _reconstruct, "scalar": scalar}[name]
+        if module in ("numpy.core.numeric", "numpy._core.numeric") and name == "_frombuffer":
+            return _from_buffer  # pickle protocol 5
         if module == "numpy" and name in ("ndarray", "dtype"):
             return getattr(np, name)
         if module in ("__builtin__", "builtins") and name in ("object", "set", "frozenset"):

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from stages import smpl
 from stages.avatar.body import Body
@@ -113,6 +114,40 @@ def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp
     np.testing.assert_allclose(world_joints(poses), clip.joints, atol=2e-3)
     assert any(event["event"] == "warning" and "scale varies" in event["text"] for event in said)
     assert facts["mean_iou"] > 0.97
+
+
+def test_of_two_people_in_a_folder_of_easymocap_the_masked_one_is_taken(folders, tmp_path):
+    clip, frames, sfm = folders
+    fit = camera_fit(clip)
+    pelvis = (MODEL.J_regressor @ MODEL.v_template)[0].astype(float)
+    (tmp_path / "fit").mkdir()
+    for i, name in enumerate(clip.cameras.names):
+        turned = Rotation.from_rotvec(fit["global_orient"][i]).apply(pelvis)
+        people = []
+        for who, aside in ((0, 1.3), (1, 0.0)):
+            place = fit["transl"][i] + pelvis - turned + [aside, 0, 0]
+            row = {"Rh": fit["global_orient"][i], "Th": place, "poses": np.append([0, 0, 0], fit["body_pose"][i])}
+            people.append({"id": who, "shapes": [[0.0] * 10], **{key: [value.tolist()] for key, value in row.items()}})
+        (tmp_path / "fit" / f"{name}.json").write_text(json.dumps(people))
+    poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit")
+    error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
+    assert error.mean() < 0.05 and facts["mean_iou"] > 0.9
+    assert facts["person"] == "1" and facts["overlap"] > 0.8 and facts["people"]["0"] < 0.3
+    texts = [event["text"] for event in said if event["event"] in ("note", "warning")]
+    assert any(text.startswith("person 1 of EasyMocap is the masked one; overlap with the masks: ") for text in texts)
+    assert any("EasyMocap fits SMPL's body, the free body is another" in text for text in texts)
+
+
+def test_a_fit_of_somebody_else_is_refused_and_a_doubtful_one_is_said(folders, tmp_path):
+    clip, frames, sfm = folders
+    fit = camera_fit(clip) | {"names": np.array(clip.cameras.names)}
+    np.savez(tmp_path / "far.npz", **fit | {"transl": fit["transl"] + [3.0, 0, 0]})
+    with pytest.raises(StageError, match="shows nobody where the masks do"):
+        run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "far.npz")
+    np.savez(tmp_path / "near.npz", **fit | {"transl": fit["transl"] + [0.35, 0, 0]})
+    _, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "near.npz")
+    assert 0.1 < facts["overlap"] < 0.5
+    assert any("overlaps the masks by only" in event.get("text", "") for event in said)
 
 
 def test_j05_landmarks_become_poses_and_frames_without_a_person_are_named(folders, tmp_path, monkeypatch):

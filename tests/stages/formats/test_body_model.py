@@ -100,6 +100,35 @@ def test_j09_reads_every_form_of_the_joint_regressor(tmp_path, kind):
     assert np.allclose(read_body_model(path).J_regressor, arrays["J_regressor"], atol=1e-6)
 
 
+@pytest.mark.parametrize("components", [10, 300])
+@pytest.mark.parametrize("kind", ["1.0 with chumpy", "1.0 cleaned", "1.1", "npz"])
+@pytest.mark.parametrize("name", ["SMPL_NEUTRAL", "SMPL_MALE", "basicModel_f_lbs_10_207_0_v1.0.0"])
+def test_every_smpl_file_is_the_same_body(tmp_path, chumpy, kind, components, name):
+    """The three bodies of SMPL 1.0 and 1.1, as they are downloaded and as people clean or repack them."""
+    from scipy.sparse import csc_matrix
+
+    arrays = smpl_arrays(components=components)
+    path = tmp_path / f"{name}{'.npz' if kind == 'npz' else '.pkl'}"
+    if kind == "npz":
+        np.savez(path, **arrays, bs_style="lbs", bs_type="lrotmin", J=np.zeros((24, 3)))
+    else:
+        file = dict(arrays, bs_style="lbs", bs_type="lrotmin", J=np.zeros((24, 3)))
+        file["J_regressor"] = csc_matrix(arrays["J_regressor"])
+        file |= {"J_regressor_prior": file["J_regressor"], "weights_prior": arrays["weights"]}
+        file |= {"vert_sym_idxs": np.arange(V), "pose_training_info": {"date": "x", "subjects": ["a", {"b": 1.5}]}}
+        if "chumpy" in kind:
+            wrapped = ("shapedirs", "posedirs", "v_template", "weights")
+            file |= {key: made(chumpy.Ch, x=arrays[key], _dirty_vars=set()) for key in wrapped}
+        dump(path, file, protocol=4 if kind == "1.1" else 2)
+    chumpy.forget()
+    model = read_body_model(path)
+    assert model.name == name and model.shapedirs.shape == (V, 3, 10)
+    pairs = (("v_template", "v_template"), ("posedirs", "posedirs"), ("lbs_weights", "weights"))
+    for mine, theirs in (*pairs, ("J_regressor", "J_regressor")):
+        np.testing.assert_allclose(getattr(model, mine), arrays[theirs], atol=1e-6)
+    np.testing.assert_allclose(model.shapedirs, arrays["shapedirs"][..., :10], atol=1e-6)
+
+
 class Bomb:
     def __init__(self, callable_, *args):
         self.reduced = callable_, args

@@ -1,0 +1,208 @@
+"""What other programs pickled: joblib's and torch's files, object arrays of numpy. Nothing of them is run.
+
+| file begins with | what it is                                                                    |
+|------------------|-------------------------------------------------------------------------------|
+| PK               | torch.save's zip (NAME/data.pkl, NAME/data/KEY), or an .npz                   |
+| \\x93NUMPY        | .npy                                                                          |
+| x                | joblib.dump, compressed by zlib                                               |
+| anything else    | pickle: joblib.dump (arrays follow their NumpyArrayWrapper), or old torch.save |
+
+Sources: joblib/numpy_pickle.py, torch/serialization.py, numpy.lib.format.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+import struct
+import zipfile
+import zlib
+from collections import OrderedDict, defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.safe_pickle import ArraysOnly, plain, read_npy
+
+OLD_TORCH = 0x1950A86A20F9469CFC6C  # the first of the pickles in a file of old torch.save
+_STORAGES = {
+    "DoubleStorage": np.dtype("<f8"),
+    "FloatStorage": np.dtype("<f4"),
+    "HalfStorage": np.dtype("<f2"),
+    "LongStorage": np.dtype("<i8"),
+    "IntStorage": np.dtype("<i4"),
+    "ShortStorage": np.dtype("<i2"),
+    "CharStorage": np.dtype("i1"),
+    "ByteStorage": np.dtype("u1"),
+    "BoolStorage": np.dtype("?"),
+}
+_PLAIN = {
+    ("collections", "OrderedDict"): OrderedDict,
+    ("collections", "defaultdict"): defaultdict,
+    ("builtins", "dict"): dict,
+    ("builtins", "list"): list,
+    ("torch", "Size"): tuple,
+}
+_BROKEN = (
+    pickle.UnpicklingError,
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    ArithmeticError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    MemoryError,
+    NotImplementedError,
+    RecursionError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+
+
+def read_tool_file(path: Path, hint: str = "") -> Any:
+    """Numbers, texts, lists, dictionaries and arrays of a file; tensors are arrays too, an .npz is a dictionary.
+
+    Raises StageError for a file that is broken, or that asks for anything else than these.
+    """
+    try:
+        return _plain(_load(Path(path).read_bytes()))
+    except OSError as error:
+        raise StageError(f"cannot open {path}", hint, [str(error)]) from error
+    except _BROKEN as error:
+        raise StageError(f"{path} cannot be read without running what it holds", hint, [f"{error}"[:300]]) from error
+
+
+def _load(data: bytes) -> Any:
+    if data[:2] == b"PK":
+        return _unzip(zipfile.ZipFile(io.BytesIO(data)))
+    if data[:6] == b"\x93NUMPY":
+        return read_npy(io.BytesIO(data), ToolObjects)
+    if data[:1] == b"x":
+        data = zlib.decompress(data)
+    file = io.BytesIO(data)
+    first = ToolObjects(file).load()
+    return _old_torch(file) if first == OLD_TORCH and isinstance(first, int) else first
+
+
+def _unzip(archive: zipfile.ZipFile) -> Any:
+    names = archive.namelist()
+    pickled = [name for name in names if name.rpartition("/")[2] == "data.pkl"]
+    if not pickled:
+        return {name.removesuffix(".npy"): read_npy(io.BytesIO(archive.read(name)), ToolObjects) for name in names}
+    folder = pickled[0].removesuffix("data.pkl")
+    order = f"{folder}byteorder"
+    if order in names and archive.read(order).strip() != b"little":
+        raise pickle.UnpicklingError("its numbers are not little-endian")
+
+    def storage(dtype: np.dtype, key: str, count: int) -> np.ndarray:
+        return np.frombuffer(archive.read(f"{folder}data/{key}"), dtype, count)
+
+    return ToolObjects(io.BytesIO(archive.read(pickled[0])), storage).load()
+
+
+def _old_torch(file: io.BytesIO) -> Any:
+    """What old torch.save wrote after its magic number: version, host, the object, its storages' keys, their numbers."""
+    ToolObjects(file).load()
+    if not ToolObjects(file).load().get("little_endian", True):
+        raise pickle.UnpicklingError("its numbers are not little-endian")
+    room = file.getbuffer().nbytes
+    storages: dict[str, np.ndarray] = {}
+
+    def storage(dtype: np.dtype, key: str, count: int) -> np.ndarray:
+        if not 0 <= count * dtype.itemsize <= room:
+            raise pickle.UnpicklingError(f"a storage of {count} numbers does not fit the file")
+        return storages.setdefault(key, np.zeros(count, dtype))
+
+    content = ToolObjects(file, storage).load()
+    for key in ToolObjects(file).load():
+        (count,) = struct.unpack("<q", file.read(8))
+        if count != len(storages[key]):
+            raise pickle.UnpicklingError(f"storage {key} has {count} numbers, not {len(storages[key])}")
+        storages[key][:] = np.frombuffer(file.read(storages[key].nbytes), storages[key].dtype)
+    return content
+
+
+class ToolObjects(ArraysOnly):
+    """ArraysOnly, and joblib's arrays and torch's tensors; `storage` gives a tensor's numbers by type, key and count."""
+
+    def __init__(
+        self,
+        file: io.BytesIO,
+        storage: Callable[[np.dtype, str, int], np.ndarray] | None = None,
+        encoding: str = "latin1",
+    ):
+        super().__init__(file, encoding=encoding)
+        self.file, self.storage = file, storage
+
+    def persistent_load(self, key: Any) -> np.ndarray:
+        kind, dtype, name, _, count = key[:5]
+        if self.storage is None or kind != "storage" or not isinstance(dtype, np.dtype):
+            raise pickle.UnpicklingError(f"it refers to {key!r}")
+        return self.storage(dtype, str(name), int(count))
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) in _PLAIN:
+            return _PLAIN[module, name]
+        if module == "torch" and name in _STORAGES:
+            return _STORAGES[name]
+        if module == "torch._utils" and name == "_rebuild_tensor_v2":
+            return _tensor
+        if module == "torch._utils" and name == "_rebuild_parameter":
+            return lambda tensor, *rest: tensor
+        if module == "torch.storage" and name == "_load_from_bytes":
+            return _load
+        if (module, name) == ("joblib.numpy_pickle", "NumpyArrayWrapper"):
+            return type(name, (_JoblibArray,), {"file": self.file})
+        return super().find_class(module, name)
+
+
+class _JoblibArray:
+    """Stands for an array whose numbers follow in the file."""
+
+    file: io.BytesIO
+    array: np.ndarray | None = None
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        dtype, shape = state["dtype"], tuple(int(n) for n in state["shape"])
+        if dtype.hasobject:
+            self.array = ToolObjects(self.file).load()
+            return
+        if state.get("numpy_array_alignment_bytes"):
+            self.file.read(self.file.read(1)[0])
+        count = int(np.prod([np.float64(n) for n in shape]))
+        if min(shape, default=0) < 0 or count * dtype.itemsize > self.file.getbuffer().nbytes:
+            raise pickle.UnpicklingError(f"an array of shape {shape} does not fit the file")
+        numbers = np.frombuffer(self.file.read(count * dtype.itemsize), dtype, count)
+        self.array = numbers.reshape(shape, order="F" if state["order"] == "F" else "C")
+
+
+def _tensor(storage: np.ndarray, offset: int, shape: tuple, stride: tuple, *rest: Any) -> np.ndarray:
+    """The tensor [shape] that lies in flat `storage` from `offset` on, `stride` elements apart; a view."""
+    if not isinstance(storage, np.ndarray) or storage.ndim != 1:
+        raise pickle.UnpicklingError("a tensor's numbers are not where they should be")
+    if len(shape) != len(stride) or min((*shape, *stride, offset), default=0) < 0:
+        raise pickle.UnpicklingError(f"a tensor has shape {shape} and strides {stride}")
+    last = offset + sum((n - 1) * step for n, step in zip(shape, stride, strict=True))
+    if 0 not in shape and last >= len(storage):
+        raise pickle.UnpicklingError(f"a tensor of shape {shape} does not fit its {len(storage)} numbers")
+    steps = [step * storage.itemsize for step in stride]
+    return np.lib.stride_tricks.as_strided(storage[offset:], shape, steps, writeable=False)
+
+
+def _plain(value: Any) -> Any:
+    """`value` with stand-ins turned into arrays, all the way down; arrays of objects become lists."""
+    if isinstance(value, _JoblibArray):
+        return _plain(value.array)
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(_plain(one) for one in value)
+    if isinstance(value, np.ndarray) and value.dtype.hasobject:
+        return _plain(value.item()) if value.ndim == 0 else [_plain(one) for one in value]
+    return plain(value, "an object")
