@@ -173,6 +173,20 @@ MUTANTS = (
         TESTS + "test_fit.py::person_box_is_always_a_window_of_the_picture",
     ),
     Mutant(
+        "14-13 H01 a gradient that is not finite",
+        AVATAR + "guard.py",
+        "grad[bad] = 0",
+        "pass",
+        TESTS + "test_fit.py::a_bad_gradient_stays_in_its_row_and_is_forgotten",
+    ),
+    Mutant(
+        "14-7 H02 an absurd gradient",
+        AVATAR + "guard.py",
+        "ABSURD = 300.0",
+        "ABSURD = 1e300",
+        TESTS + "test_guard.py::one_enormous_gradient_freezes_nothing",
+    ),
+    Mutant(
         "14-14 H11 a checkpoint without the order of frames",
         AVATAR + "fit.py",
         '"order": self.order.clone(),',
