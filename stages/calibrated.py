@@ -10,6 +10,9 @@ from stages.contract import Job, StageError
 
 NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
 
+LISTING = {"dataset": {"rule": str}, "frames": [{"name": str, "split": str, "moment": int}]}
+"""What is taken from frames.json."""
+
 
 class Params(contract.Params):
     pass
@@ -23,6 +26,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
 
     from stages.formats.cameras import read_cameras, write_cameras
     from stages.formats.capture import given_by, read_lenses
+    from stages.formats.facts import read_facts
     from stages.formats.points import read_points
     from stages.formats.splits import write_split
     from stages.formats.undistorted import opencv_grid, write_undistorted
@@ -30,7 +34,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     given = given_by(frames, "cameras.npz")
     if given is None:
         raise StageError("no cameras came with these frames", "take `stages.sfm` for the frames of a video")
-    cameras, listing = read_cameras(given), json.loads((frames / "frames.json").read_text())
+    cameras, listing = read_cameras(given), read_facts(frames / "frames.json", LISTING)
     lenses = read_lenses(given_by(frames, "lenses.npz"), len(cameras))
     width, height = cameras.width, cameras.height
     grids, shift = {}, 0.0
@@ -59,7 +63,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
         "focal_source": "given",
         "distortion": {"model": "OPENCV", "params": lenses[0].tolist(), "max_shift_px": shift},
         "points": points,
-        **json.loads(given_by(frames, "sfm.json").read_text()),
+        **read_facts(given_by(frames, "sfm.json"), {}),
     }
     (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
     job.note(f"{len(cameras)} cameras and {points} points as given; the lens moves pixels by up to {shift:.1f} px")

@@ -18,6 +18,9 @@ MANY = 0.2
 ASPECT = 0.01
 """Relative difference in width / height up to which a mask of another size is taken for the same picture."""
 
+LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [{"name": str, "index": int}]}
+"""What is taken from frames.json."""
+
 
 class Params(contract.Params):
     """How given masks are read."""
@@ -33,9 +36,10 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
     from stages.formats.capture import given_by
+    from stages.formats.facts import read_facts
     from stages.formats.images import write_mask
 
-    facts = json.loads((frames / "frames.json").read_text())
+    facts = read_facts(frames / "frames.json", LISTING)
     names = [frame["name"] for frame in facts["frames"]]
     mask_files = mask_files or given_by(frames, "masks")
     if mask_files is not None:

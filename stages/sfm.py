@@ -27,6 +27,9 @@ PERSON_SHARE = 0.8  # a point that falls on the person in more of its views than
 FLAT = 0.02  # thickness over width of the points: below it focal length and depth are poorly fixed
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
+LISTING = {"width": int, "height": int, "frames": [{"name": str}]}
+"""What is taken from frames.json."""
+
 
 class Params(contract.Params):
     camera: Literal["auto", "fixed"] = "auto"
@@ -65,9 +68,10 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     from stages.avatar import lens
     from stages.estimators import colmap
     from stages.formats.cameras import Cameras, write_cameras
+    from stages.formats.facts import read_facts
     from stages.formats.undistorted import write_undistorted
 
-    listing = json.loads((frames / "frames.json").read_text())
+    listing = read_facts(frames / "frames.json", LISTING)
     names = [frame["name"] for frame in listing["frames"]]
     width, height = listing["width"], listing["height"]
     check_masks(names, masks, width, height)

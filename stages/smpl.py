@@ -24,6 +24,9 @@ STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these i
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
 SEEN_LEAST = 0.1  # share of the frames that must show a person
 
+LISTING = {"frames": [{"name": str, "time_s": float}]}
+"""What is taken from frames.json."""
+
 
 class Params(contract.Params):
     doubtful: float = Field(0.5, ge=0, le=1)
@@ -45,6 +48,7 @@ def run(
     from stages.formats.body_model import read_body_model, write_body_model
     from stages.formats.cameras import read_cameras
     from stages.formats.capture import given_by
+    from stages.formats.facts import read_facts
     from stages.formats.images import read_mask
     from stages.formats.points import read_points
     from stages.formats.poses import write_poses
@@ -53,8 +57,8 @@ def run(
     cameras = read_cameras(sfm / "cameras.npz")
     masks = [read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names]
     points = read_points(sfm / "points.ply")[0].astype(np.float64)
-    moving = json.loads((sfm / "sfm.json").read_text())["verdict"] == "moving"
-    listing = json.loads((frames / "frames.json").read_text())
+    moving = read_facts(sfm / "sfm.json", {"verdict": str})["verdict"] == "moving"
+    listing = read_facts(frames / "frames.json", LISTING)
     taken = {frame["name"]: frame["time_s"] for frame in listing["frames"]}
     times = np.array([taken[name] for name in cameras.names], np.float64)
     smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")

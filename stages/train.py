@@ -71,8 +71,9 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     from stages.avatar.neighbours import evenly
     from stages.avatar.rasterize.cache import compiled
     from stages.formats.clip import load_clip
+    from stages.formats.facts import read_facts
 
-    decisions = json.loads((survey / "survey.json").read_text())["decisions"]
+    decisions = read_facts(survey / "survey.json", {"decisions": {str: bool}})["decisions"]
     clip = load_clip(sfm, smpl)
     train = [i for i in range(len(clip.names)) if clip.training[i]]
     if not train:

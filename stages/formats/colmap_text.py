@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,6 +94,13 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line.strip()
 
 
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
+
+
 def _wrong(path: Path, number: int, line: str, wanted: str) -> StageError:
     return StageError(f"line {number} of {path} is not {wanted}", HINT, [f"it is: {line[:80]}"])
 
@@ -104,7 +112,7 @@ def _cameras(path: Path) -> Iterator[tuple[int, tuple[tuple[int, int], np.ndarra
         wanted = "a camera: CAMERA_ID MODEL WIDTH HEIGHT PARAMS"
         try:
             key, model, width, height, *params = line.split()
-            values = [float(value) for value in params]
+            values = [_finite(value) for value in params]
             size = int(key), int(width), int(height)
         except ValueError as error:
             raise _wrong(path, number, line, wanted) from error
@@ -127,8 +135,10 @@ def _images(path: Path) -> Iterator[tuple[int, str, np.ndarray, int]]:
             continue
         try:
             key, *pose, camera, name = line.split(None, 9)
-            w, x, y, z, *t = (float(value) for value in pose)
-            norm, ids = (w * w + x * x + y * y + z * z) ** 0.5, (int(key), int(camera))
+            w, x, y, z, *t = (_finite(value) for value in pose)
+            if len(t) != 3:
+                raise ValueError(f"{len(pose)} numbers of 7")
+            norm, ids = math.hypot(w, x, y, z), (int(key), int(camera))
             w, x, y, z = w / norm, x / norm, y / norm, z / norm
         except (ValueError, ZeroDivisionError) as error:
             wanted = "a picture: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
@@ -151,7 +161,7 @@ def _points(path: Path, row: dict[int, int]) -> Iterator[tuple[list[float], np.n
             continue
         try:
             _, *values = line.split()
-            numbers, seen = [float(value) for value in values[:7]], [int(value) for value in values[7::2]]
+            numbers, seen = [_finite(value) for value in values[:7]], [int(value) for value in values[7::2]]
         except ValueError as error:
             raise _wrong(path, number, line, "a point: POINT3D_ID X Y Z R G B ERROR TRACK") from error
         if len(numbers) < 7:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.arrays import read_npy
 from stages.formats.images import read_pixels
 from stages.formats.video import PICTURES, natural
 
@@ -62,11 +63,7 @@ def read_values(path: Path) -> tuple[np.ndarray, str]:
 
 def read_array(path: Path) -> np.ndarray:
     """Read a .npy mask [H,W] (axes of length 1 are dropped) of bool, integers or finite floats."""
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise StageError(f"{path} is not a plain .npy array", "save it by numpy.save", [str(error)]) from error
-    array = np.squeeze(array)
+    array = np.squeeze(read_npy(path, "save it by numpy.save"))
     if array.ndim != 2 or array.dtype.kind not in "buif" or array.size == 0:
         raise StageError(f"{path} is not a mask [H,W]", "save one mask a file", [f"it is {array.dtype} {array.shape}"])
     if not np.isfinite(array).all():
