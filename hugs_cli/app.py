@@ -20,7 +20,7 @@ from hugs_cli.engine import RunStopped
 from hugs_cli.freshness import Judge, Verdict
 from hugs_cli.options import AsJson, DeviceName, DryRun, Force, PipelineName, Settings, Stages, Work, on_clip
 from hugs_cli.pipelines import UsageError
-from hugs_cli.workspace import Stamp, Workspace, size_of
+from hugs_cli.workspace import Stamp, Workspace, read_json, size_of
 from stages.contract import StageError
 
 HELP = "From a phone video to an animatable person and the scene, as 3D Gaussians."
@@ -271,13 +271,11 @@ def shown(stamp: Stamp | None) -> dict[str, Any]:
 
 def clip_facts(workspace: Workspace) -> str:
     """Length and size of the clip, once the frames stage has read them."""
-    file = workspace.links / "frames" / "frames.json"
-    if not file.is_file():
+    video = read_json(workspace.links / "frames" / "frames.json").get("video")
+    try:
+        return f"{video['duration_s']:.1f} s, {video['frames']} frames, {video['width']}x{video['height']}"
+    except (TypeError, KeyError, ValueError):
         return ""
-    video = json.loads(file.read_bytes()).get("video", {})
-    if not {"duration_s", "frames", "width", "height"} <= set(video):
-        return ""
-    return f"{video['duration_s']:.1f} s, {video['frames']} frames, {video['width']}x{video['height']}"
 
 
 def stop(signum: int, frame: Any) -> None:

@@ -109,7 +109,7 @@ def variant(pipeline: Pipeline, name: str) -> Pipeline:
 
 def names(file: Path = FILE) -> dict[str, str]:
     """Every pipeline of the file with its one-line description."""
-    return {name: str((entry or {}).get("doc", "")) for name, entry in read_yaml(file).items()}
+    return {name: str(entry.get("doc", "")) for name, entry in read_yaml(file).items() if isinstance(entry, dict)}
 
 
 def read_yaml(file: Path) -> dict[str, Any]:
@@ -118,10 +118,12 @@ def read_yaml(file: Path) -> dict[str, Any]:
     try:
         content = yaml.load(file.read_text(encoding="utf-8"), loader)
     except OSError as error:
-        raise UsageError(f"cannot read {file}", "give the file with `--pipelines`", [str(error.strerror)]) from error
-    except yaml.YAMLError as error:
+        raise UsageError(
+            f"cannot read {file}", "give the file with `--pipelines-file`", [str(error.strerror)]
+        ) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date or a letter that is none
         raise UsageError(f"{file} is not valid YAML", "mend the line named above", str(error).splitlines()) from error
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
         raise UsageError(f"{file} holds no pipelines", "it maps a pipeline's name to doc, extends and stages")
     return content
 

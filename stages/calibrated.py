@@ -7,10 +7,11 @@ from pathlib import Path
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.facts import NAME, read_facts
 
 NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
 
-LISTING = {"dataset": {"rule": str}, "frames": [{"name": str, "split": str, "moment": int}]}
+LISTING = {"dataset": {"rule": str}, "frames": [{"name": NAME, "split": str, "moment": int}]}
 """What is taken from frames.json."""
 
 
@@ -26,7 +27,6 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
 
     from stages.formats.cameras import read_cameras, write_cameras
     from stages.formats.capture import given_by, read_lenses
-    from stages.formats.facts import read_facts
     from stages.formats.points import read_points
     from stages.formats.splits import write_split
     from stages.formats.undistorted import opencv_grid, write_undistorted
@@ -35,6 +35,10 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     if given is None:
         raise StageError("no cameras came with these frames", "take `stages.sfm` for the frames of a video")
     cameras, listing = read_cameras(given), read_facts(frames / "frames.json", LISTING)
+    rows = {row["name"]: (row["split"], row["moment"]) for row in listing["frames"]}
+    if strangers := [name for name in cameras.names if name not in rows]:
+        hint = "run the frames stage again: `hugs run FOLDER frames --force`"
+        raise StageError(f"{len(strangers)} cameras belong to no frame", hint, [f"the first is {strangers[0]}"])
     lenses = read_lenses(given_by(frames, "lenses.npz"), len(cameras))
     width, height = cameras.width, cameras.height
     grids, shift = {}, 0.0
@@ -49,7 +53,6 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
         job.progress(done, len(cameras))
     write_cameras(job.out / "cameras.npz", cameras)
     shutil.copyfile(given_by(frames, "points.ply"), job.out / "points.ply")
-    rows = {row["name"]: (row["split"], row["moment"]) for row in listing["frames"]}
     write_split(job.out / "split.json", listing["dataset"]["rule"], rows)
     points = len(read_points(job.out / "points.ply")[0])
     training = np.array([rows[name][0] == "train" for name in cameras.names])

@@ -8,6 +8,7 @@ from typing import Literal
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.facts import NAME, read_facts
 
 PERSON_SHARE = 5e-4
 """Share of the picture below which a mask shows nobody."""
@@ -18,7 +19,7 @@ MANY = 0.2
 ASPECT = 0.01
 """Relative difference in width / height up to which a mask of another size is taken for the same picture."""
 
-LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [{"name": str, "index": int}]}
+LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [{"name": NAME, "index": int}]}
 """What is taken from frames.json."""
 
 
@@ -36,7 +37,6 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
     from stages.formats.capture import given_by
-    from stages.formats.facts import read_facts
     from stages.formats.images import write_mask
 
     facts = read_facts(frames / "frames.json", LISTING)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages import contract
-from stages.contract import Job
+from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,6 +20,7 @@ FILMS = {
     "motion": "a motion that is not in the clip",
     "scene": "the scene without the person",
 }
+AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
     "heldout": "held out",
     "heldout_fitted": "held out, poses fitted",
@@ -166,12 +167,15 @@ def _curve(train: Path) -> str:
 
     from stages.formats import page
 
-    with (train / "curve.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
     lines = {}
-    for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
-        known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
-        lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
+    try:
+        with (train / "curve.csv").open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
+            known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
+            lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise StageError(f"cannot read {train / 'curve.csv'}", AGAIN, [repr(error)]) from error
     return page.chart(lines, "minutes of training", "PSNR dB") or "<p>Too few measurements for a curve.</p>"
 
 

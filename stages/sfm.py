@@ -13,6 +13,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.facts import NAME, read_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,7 +28,7 @@ PERSON_SHARE = 0.8  # a point that falls on the person in more of its views than
 FLAT = 0.02  # thickness over width of the points: below it focal length and depth are poorly fixed
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
-LISTING = {"width": int, "height": int, "frames": [{"name": str}]}
+LISTING = {"width": int, "height": int, "frames": [{"name": NAME}]}
 """What is taken from frames.json."""
 
 
@@ -68,7 +69,6 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     from stages.avatar import lens
     from stages.estimators import colmap
     from stages.formats.cameras import Cameras, write_cameras
-    from stages.formats.facts import read_facts
     from stages.formats.undistorted import write_undistorted
 
     listing = read_facts(frames / "frames.json", LISTING)

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.facts import NAME, read_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,7 +25,7 @@ STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these i
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
 SEEN_LEAST = 0.1  # share of the frames that must show a person
 
-LISTING = {"frames": [{"name": str, "time_s": float}]}
+LISTING = {"frames": [{"name": NAME, "time_s": float}]}
 """What is taken from frames.json."""
 
 
@@ -48,7 +49,6 @@ def run(
     from stages.formats.body_model import read_body_model, write_body_model
     from stages.formats.cameras import read_cameras
     from stages.formats.capture import given_by
-    from stages.formats.facts import read_facts
     from stages.formats.images import read_mask
     from stages.formats.points import read_points
     from stages.formats.poses import write_poses

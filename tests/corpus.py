@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import pickle
 import shutil
 from collections.abc import Callable
@@ -10,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from stages import report
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
 SIDE = 24  # px of the pictures
@@ -83,6 +87,71 @@ def picture(root: Path, file: str) -> Any:
 PICTURES = [Kind(f"picture.{end}", lambda root, e=end: picture(root, f"picture.{e}")) for end in
             ("png", "jpg", "tif", "webp", "bmp")]  # fmt: skip
 
+
+def calibrated(file: str) -> Kind:
+    """What a data set's frames stage left, through the two stages that read it."""
+
+    def read(root: Path) -> Any:
+        from stages import calibrated, masks
+        from stages.contract import Job
+
+        for name in ("masks", "sfm"):
+            (root / "out" / name).mkdir()
+        masks.run(Job(root / "out" / "masks"), masks.Params(invert="never"), frames=root / "frames")
+        made = {"frames": root / "frames", "masks": root / "out" / "masks"}
+        calibrated.run(Job(root / "out" / "sfm"), calibrated.Params(), **made)
+
+    return Kind(file, read)
+
+
+def facts(file: str, wanted: Any) -> Kind:
+    """A .json file between stages."""
+    return Kind(file, lambda root: formats("facts").read_facts(root / file, wanted))
+
+
+def read_stamp(root: Path) -> Any:
+    """A result's stamp, as `status` and `why` show it."""
+    from hugs_cli.console import Console
+    from hugs_cli.freshness import Verdict
+    from hugs_cli.workspace import Stamp
+    from stages.contract import StageError
+
+    stamp = Stamp.read(root / "store")
+    if stamp is None:
+        raise StageError("no whole stamp")
+    stamp.damage(root / "store")
+    screen, verdict = Console(io.StringIO(), io.StringIO()), Verdict("points", stamp=stamp)
+    screen.cached("points", stamp)
+    screen.verdicts({"points": verdict})
+    screen.why(verdict, {})
+
+
+def read_memories(root: Path) -> Any:
+    """What a workspace remembers of sources and code, and what a run's first line tells of the clip."""
+    from hugs_cli.app import clip_facts
+    from hugs_cli.fingerprint import Code
+    from hugs_cli.workspace import Workspace
+
+    Workspace(root / "work.mp4", root, "pipeline").source("video", root / "points.ply")
+    clip_facts(Workspace(root / "work.mp4", root, "pipeline"))
+    Code(root / "work" / "code.json").digests("stages.export")
+
+
+def read_pipeline(root: Path) -> Any:
+    """The pipelines."""
+    from hugs_cli.pipelines import load, names
+
+    names(root / "pipelines.yaml")
+    load("draft", ["train.steps=3"], root / "pipelines.yaml")
+
+
+def read_curve(root: Path) -> Any:
+    """Training's curve, as the report draws it."""
+    from stages.report import _curve
+
+    _curve(root)
+
+
 KINDS = [
     one("points.ply", "points", "read_points"),
     one("cameras.npz", "cameras", "read_cameras"),
@@ -108,6 +177,20 @@ KINDS = [
     stage("CoreView_377/annots.npy", "zju", "CoreView_377"),
     stage("CoreView_377/new_params/0.npy", "zju", "CoreView_377"),
     stage("CoreView_377/mask/Camera_B1/000000.png", "zju", "CoreView_377"),
+    calibrated("frames/frames.json"),
+    calibrated("frames/given/cameras.npz"),
+    calibrated("frames/given/lenses.npz"),
+    calibrated("frames/given/points.ply"),
+    calibrated("frames/given/sfm.json"),
+    one("split.json", "splits", "read_split", NAMES),
+    facts("survey.json", report.SURVEY),
+    facts("metrics.json", report.METRICS),
+    Kind("curve.csv", read_curve),
+    Kind("store/stamp.json", read_stamp),
+    Kind("work/sources.json", read_memories),
+    Kind("work/code.json", read_memories),
+    Kind("work/pipeline/frames/frames.json", read_memories),
+    Kind("pipelines.yaml", read_pipeline),
 ]
 
 
@@ -125,6 +208,8 @@ def make(folder: Path) -> Path:
     write_arrays(root, rng)
     write_fits(root, rng)
     write_pictures(root, rng)
+    write_facts(root)
+    write_workspace(root)
     return root
 
 
@@ -168,6 +253,51 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         body.write_body_model(root / name, model)
     with np.load(root / "body_model.npz") as arrays, open(root / "body_model.pkl", "wb") as file:
         pickle.dump(dict(arrays), file, protocol=2)
+
+
+def write_facts(root: Path) -> None:
+    """What stages tell each other."""
+    from stages import neuman
+    from stages.contract import Job
+
+    (root / "frames").mkdir()
+    neuman.run(Job(root / "frames"), neuman.Params(), video=root / "bike")
+    formats("splits").write_split(
+        root / "split.json", "one apart", {name: ("train", i) for i, name in enumerate(NAMES)}
+    )
+    scores = {"full": {"psnr": 20.5, "ssim": None}}
+    metrics = {"heldout": scores, "heldout_fitted": scores, "gaussians": {"human": 3, "scene": 4}, "protocol": "ours"}
+    metrics |= {"seconds": {"total": 3.5}, "peak_memory_bytes": 5}
+    measure = {"value": 0.5, "unit": "px", "verdict": "good"}
+    survey = {"measures": {"parallax": measure, "points": measure}, "decisions": {"scene": True}}
+    (root / "metrics.json").write_text(json.dumps(metrics))
+    (root / "survey.json").write_text(json.dumps(survey, indent=1))
+    (root / "curve.csv").write_text("step,seconds,psnr,psnr_person\n1,3.5,20.1,18.2\n2,6.5,21.1,\n4,12.5,22.5,20.0\n")
+
+
+def write_workspace(root: Path) -> None:
+    """A finished result and what a workspace remembers."""
+    from hugs_cli.fingerprint import Code
+    from hugs_cli.pipelines import FILE
+    from hugs_cli.workspace import Stamp, Workspace, seal
+
+    shutil.copyfile(FILE, root / "pipelines.yaml")
+    (root / "store" / "sub").mkdir(parents=True)
+    shutil.copyfile(root / "points.ply", root / "store" / "sub" / "points.ply")
+    content, files = seal(root / "store")
+    machine = {"host": "h", "device": "cpu", "system": "s", "processors": 2, "versions": {"python": "3.12"}}
+    accepted = [{"when": "2026-01-01T00:00:00+00:00", "instead_of": "ab", "changes": ["code a edited"]}]
+    made = {"made": "2026-01-01T00:00:00+00:00", "seconds": 1.5, "peak_memory_bytes": 7, "machine": machine}
+    Stamp("points", "ab" * 32, 0, {"m": "d"}, {"word": "a"}, {"video": "c"}, content, files, **made, reasons=["first run"],
+          notes=["n"], warnings=["w"], accepted=accepted).write(root / "store")  # fmt: skip
+    workspace = Workspace(root / "work.mp4", root, "pipeline")
+    workspace.create()
+    workspace.source("video", root / "points.ply")
+    (workspace.links / "frames").mkdir()
+    shutil.copyfile(root / "frames" / "frames.json", workspace.links / "frames" / "frames.json")
+    code = Code(workspace.root / "code.json")
+    code.digests("stages.export")
+    code.save()
 
 
 def write_fits(root: Path, rng: np.random.Generator) -> None:

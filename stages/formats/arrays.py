@@ -17,7 +17,7 @@ from stages.contract import StageError
 
 BROKEN = (
     *(OSError, ValueError, TypeError, KeyError, EOFError, RuntimeError, OverflowError),
-    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError, SyntaxError),
 )
 """What Python's zipfile and numpy raise on damaged archives and headers."""
 PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

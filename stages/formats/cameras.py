@@ -9,6 +9,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
+from stages.formats.facts import is_file_name
 
 LARGEST_SIDE = 1 << 16  # px
 
@@ -70,7 +71,7 @@ def read_cameras(path: Path) -> Cameras:
     names = arrays.get("names", np.array([f"{i:06d}" for i in range(count)]))
     if names.shape != (count,) or len(set(names.tolist())) != count:
         raise StageError(f"the {names.size} names in {path} do not name its {count} cameras one by one", hint)
-    unfit = [str(name) for name in names if str(name) in ("", ".", "..") or set(str(name)) & set("/\\\0")]
+    unfit = [str(name) for name in names if not is_file_name(str(name))]
     if unfit:
         raise StageError(f"a camera name in {path} cannot be a file name", hint, [f"found {unfit[0]!r}"])
     _check_values(path, viewmats, Ks, hint)

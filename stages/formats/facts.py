@@ -11,13 +11,22 @@ from stages.contract import StageError
 
 MADE_BY = {"split": "sfm", "metrics": "evaluate"}
 """The stage that writes a file, where the file is not named after it."""
-WORDS = {str: "a text", float: "a number", int: "a whole number", bool: "true or false", None: "null"}
+NAME = "name"
+"""The form of a text that becomes the name of a file."""
+WORDS = {
+    NAME: "a file name",
+    str: "a text",
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    None: "null",
+}
 
 
 def read_facts(path: Path, wanted: Any) -> Any:
     """What a .json file holds; StageError, naming the place in it, where that is not as `wanted`.
 
-    `wanted` shows the form: `str`, `float` (finite, whole ones too), `int`, `bool` or None; `[form]` for a list of any
+    `wanted` shows the form: `str`, `NAME`, `float` (finite, whole ones too), `int`, `bool` or None; `[form]` for a list of any
     length; `{"key": form}` for these keys and any others; `{str: form}` for any keys; a tuple for any of several forms.
     """
     hint = f"run the stage again: `hugs run VIDEO {MADE_BY.get(path.stem, path.stem)} --force`"
@@ -51,11 +60,18 @@ def mismatch(value: Any, wanted: Any, place: str) -> str:
         return next(filter(None, each), "")
     if wanted is None:
         fits = value is None
+    elif wanted is NAME:
+        fits = isinstance(value, str) and is_file_name(value)
     elif wanted is float:
         fits = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     else:
         fits = isinstance(value, wanted) and (wanted is bool or not isinstance(value, bool))
     return "" if fits else f"{place or 'it'} is {short(value)}, not {WORDS[wanted]}"
+
+
+def is_file_name(text: str) -> bool:
+    """True if the text names a file of the folder that it is put into, never one elsewhere."""
+    return text not in ("", ".", "..") and not set(text) & set("/\\\0")
 
 
 def short(value: Any) -> str:

@@ -64,7 +64,7 @@ def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream
     if path.stat().st_size == 0:
         raise StageError(f"{path} is empty", "copy the video again")
     try:
-        container = av.open(str(path))
+        container = av.open(str(path), metadata_errors="replace")
     except av.error.FFmpegError as error:
         size = f"{path.stat().st_size} bytes; {first_line(error.strerror or str(error))}"
         cause = "cut short (its index stands at the end and is missing)" if is_mp4(path) else "not a video"
