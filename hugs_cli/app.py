@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import shutil
 import signal
@@ -297,10 +296,10 @@ def main() -> None:
         Console().error(error)
         sys.exit(2 if isinstance(error, UsageError) else 1)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES):
+        said = child.file_trouble(error)
+        if said is None:
             raise
-        hint = "`hugs gc` frees what nothing uses; `--work` chooses another folder"
-        Console().error(StageError(f"cannot write {error.filename or 'results'}: {error.strerror.lower()}", hint))
+        Console().error(said)
         sys.exit(1)
 
 

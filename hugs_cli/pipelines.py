@@ -145,6 +145,8 @@ def merged(name: str, content: dict[str, Any], file: Path, seen: tuple[str, ...]
         if own is None:
             stages.pop(stage, None)
             continue
+        if not (isinstance(stage, str) and NAME.fullmatch(stage)):
+            raise UsageError(f"{where}: {stage!r} cannot name a stage", "use small letters, digits and _")
         check_keys(own, STAGE_KEYS, f"{where}, stage {stage}")
         old = stages.get(stage, {"needs": None, "module": f"stages.{stage}", "params": {}})
         params = {**old["params"], **check_keys(own.get("params", {}), None, f"{where}, stage {stage}, params")}

@@ -239,8 +239,12 @@ class Workspace:
 
 
 def clip_name(video: Path) -> str:
-    """The name of a clip's folder: the video's name without its ending."""
-    return video.stem if video.suffix and not video.is_dir() else video.name
+    """The name of a clip's folder: the video's name without its ending; UsageError for one that names no folder."""
+    video = Path(os.path.abspath(video))
+    name = video.stem if video.suffix and not video.is_dir() else video.name
+    if name in ("", ".", ".."):
+        raise UsageError(f"{video} gives no name to a clip", "give a video, or a folder that has a name")
+    return name
 
 
 def seal(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import pickle
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 RESUMES = True
 CHECKPOINT_SECONDS = 60
+BROKEN = (OSError, RuntimeError, LookupError, ValueError, TypeError, EOFError, AttributeError, pickle.UnpicklingError)
+"""What torch raises on a checkpoint that is damaged, of another model, or asks for code."""
 PAINTED = 24  # frames from which the person's first colours are read
 FILLED = 16  # frames from which points of the scene are filled in
 JUDGED = 6  # held-out frames on the accuracy curve
@@ -266,8 +269,14 @@ def _resume(fit: Fit, job: Job) -> dict[str, Any]:
     path.with_suffix(".part").unlink(missing_ok=True)
     if not path.exists():
         return {"curve": [], "seconds": 0.0}
-    saved = torch.load(path, map_location=job.device, weights_only=True)
-    fit.load(saved["fit"])
+    try:
+        saved = torch.load(path, map_location=job.device, weights_only=True)
+        fit.load(saved["fit"])
+        saved["threads"], saved["curve"], saved["seconds"]
+    except BROKEN as error:
+        said = str(error).strip().partition("\n")[0] or type(error).__name__
+        hint = "begin again: `hugs run VIDEO train --force`"
+        raise StageError("the checkpoint of the stopped training cannot be used", hint, [f"{path}: {said}"]) from error
     job.note(f"goes on after step {fit.step}")
     if saved["threads"] != torch.get_num_threads():
         job.warn(f"{saved['threads']} threads before, {torch.get_num_threads()} now: sums differ in their last digits")

@@ -8,6 +8,7 @@ Each kind runs in a process of its own, so that a crash inside a library is seen
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import resource
@@ -19,6 +20,7 @@ import tempfile
 import traceback
 import zlib
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from tests.corpus import KINDS, WHOLE, Kind, make
 from tests.mutations import mutated
 
 LONGEST = 10.0  # s for one file
+START = 300.0  # s until the first one, on a machine with much else to do
 GROWTH = 1 << 30  # bytes
 OUTCOMES = ("refused", "read", "crashed", "hung")
 
@@ -46,59 +49,47 @@ def damaged(kind: Kind, whole: Path, seed: int, number: int) -> bytes:
     return mutated((whole / kind.file).read_bytes(), rng)
 
 
-def fuzz(kind: Kind, whole: Path, seed: int, tries: int) -> Tally:
-    """Run `tries` damaged files of one kind; a process that dies or hangs is replaced by another one that goes on."""
+def fuzz(kind: Kind, whole: Path, seed: int, tries: int, kinds: str = "tests.corpus") -> Tally:
+    """Run `tries` damaged files of one kind; a process that dies or hangs is replaced by another one that goes on.
+
+    `kinds` is the module whose KINDS have it.
+    """
     tally, number = Tally(), 0
     while number < tries:
-        command = [
-            sys.executable,
-            "-m",
-            "tests.fuzz",
-            "--work",
-            kind.file,
-            str(whole),
-            str(seed),
-            str(number),
-            str(tries),
-        ]
-        env = {**os.environ, "MALLOC_ARENA_MAX": "2", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        with (
-            tempfile.TemporaryFile() as errors,
-            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, env=env) as process,
-        ):
-            before = number
-            for outcome, text in results(process):
-                tally.counts[outcome] += 1
-                if outcome in ("crashed", "hung"):
-                    tally.findings.append(f"{kind.file}:{number} {outcome} {text}")
-                number += 1
-            if process.wait() == 0:
-                break
-            if number < tries and not (tally.findings and f":{number - 1} hung" in tally.findings[-1]):
-                errors.seek(0)
-                last = errors.read().decode(errors="replace").strip().splitlines()[-1:]
-                if number == before and "whole" in "".join(last):
-                    raise RuntimeError(f"the undamaged {kind.file} is not read: {last}")
-                tally.counts["crashed"] += 1
-                tally.findings.append(f"{kind.file}:{number} crashed, exit code {process.returncode} {last}")
-                number += 1
+        job = [kinds, kind.file, str(whole), str(seed), str(number), str(tries)]
+        for outcome, text in results([sys.executable, "-m", "tests.fuzz", "--work", *job]):
+            tally.counts[outcome] += 1
+            if outcome in ("crashed", "hung"):
+                tally.findings.append(f"{kind.file}:{number} {outcome} {text}")
+            number += 1
     return tally
 
 
-def results(process: subprocess.Popen):
-    """(outcome, text) of each try as the process tells it; kills it where one takes too long."""
-    rest, started = b"", False
-    while True:
-        if not select.select([process.stdout], [], [], LONGEST if started else 120)[0]:
-            process.kill()
-            yield "hung", f"for {LONGEST:.0f} s"
-            return
-        data = os.read(process.stdout.fileno(), 65536)
-        if not data:
-            return
-        started = True
-        *lines, rest = (rest + data).split(b"\n")
-        yield from (json.loads(line) for line in lines if line != b"ready")
+def results(command: list[str]) -> Iterator[tuple[str, str]]:
+    """(outcome, text) of each try as the process tells it, the last one of a process that dies or takes too long."""
+    env = {**os.environ, "MALLOC_ARENA_MAX": "2", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with (
+        tempfile.TemporaryFile() as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, env=env) as process,
+    ):
+        rest, ready = b"", False
+        while True:
+            if not select.select([process.stdout], [], [], LONGEST if ready else START)[0]:
+                process.kill()
+                yield "hung", f"for {LONGEST:.0f} s"
+                return
+            data = os.read(process.stdout.fileno(), 65536)
+            if not data:
+                break
+            *lines, rest = (rest + data).split(b"\n")
+            ready |= bool(lines)
+            yield from (json.loads(line) for line in lines if line != b"ready")
+        if process.wait():
+            errors.seek(0)
+            said = errors.read().decode(errors="replace").strip()
+            if not ready:
+                raise RuntimeError(f"it does not begin: {said}")
+            yield "crashed", f"exit code {process.returncode} {said[-200:]}"
 
 
 def work(kind: Kind, whole: Path, seed: int, first: int, tries: int) -> None:
@@ -118,6 +109,7 @@ def work(kind: Kind, whole: Path, seed: int, first: int, tries: int) -> None:
             outcome, text = attempt(kind, root)
             if new := set(Path(scratch).rglob("*")) - before:
                 outcome, text = "crashed", f"wrote {sorted(new)[0]}"
+                before |= new
             print(json.dumps([outcome, text]), flush=True)
 
 
@@ -184,11 +176,12 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", help="kinds; all if none")
     parser.add_argument("--show", metavar="KIND:TRY")
     parser.add_argument("--corpus", type=Path, help="folder that keeps the corpus")
-    parser.add_argument("--work", nargs=5, help=argparse.SUPPRESS)
+    parser.add_argument("--work", nargs=6, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.work:
-        name, whole, *numbers = args.work
-        work(next(kind for kind in KINDS if kind.file == name), Path(whole), *map(int, numbers))
+        module, name, whole, *numbers = args.work
+        kinds = importlib.import_module(module).KINDS
+        work(next(kind for kind in kinds if kind.file == name), Path(whole), *map(int, numbers))
         return 0
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.corpus or Path(temporary)
