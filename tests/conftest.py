@@ -25,3 +25,11 @@ def shared_data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"no real clips at {DATA}")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory) -> Path:
+    """The folder of small whole files of every kind that we read; a test that damages one puts it back."""
+    from tests import corpus
+
+    return corpus.make(tmp_path_factory.mktemp("corpus"))

@@ -9,13 +9,7 @@ from tests import faulty, fuzz, kills
 from tests.corpus import KINDS
 from tests.mutations import DAMAGE, mutated, with_checksums
 
-TRIES = 8  # of each kind
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The folder of whole files."""
-    return fuzz.make(tmp_path_factory.mktemp("corpus"))
+TRIES = 5  # of each kind
 
 
 def test_i14_i15_every_kind_of_damaged_file_is_read_or_refused(whole, tmp_path):
@@ -59,8 +53,10 @@ def test_checksums_are_made_right(whole):
     assert with_checksums(bytes(data)) != bytes(data)
 
 
-@pytest.mark.parametrize(("kind", "times"), [(kills.StandIns, 8), (kills.Training, 2)])
-def test_h11_killed_at_random_moments_nothing_is_lost(tmp_path, kind, times):
-    found = kills.harass(kind(tmp_path), times, np.random.default_rng(3))
+@pytest.mark.slow
+def test_killed_at_random_moments_nothing_is_lost(tmp_path):
+    """Stand-in stages; `python -m tests.kills` also kills a real training."""
+    times = 8
+    found = kills.harass(kills.StandIns(tmp_path), times, np.random.default_rng(3))
     assert {what: found[what] for what in kills.FINDINGS} == dict.fromkeys(kills.FINDINGS, 0)
     assert sum(found[f"killed {number.name}"] for number in kills.SIGNALS) == times and found["finished"]

@@ -13,7 +13,6 @@ import pytest
 
 from hugs_cli import pipelines
 from stages.contract import StageError
-from tests import corpus
 from tests.corpus import KINDS, Kind
 
 PICKLES = [kind for kind in KINDS if Path(kind.file).suffix in (".npz", ".npy", ".pkl")]
@@ -27,12 +26,6 @@ class Touches:
 
     def __reduce__(self):
         return os.system, (f"touch {self.sign}",)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Path:
-    """The folder of whole files."""
-    return corpus.make(tmp_path_factory.mktemp("corpus"))
 
 
 @pytest.fixture

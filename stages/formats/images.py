@@ -89,8 +89,9 @@ def write_uint8(path: Path, pixels: np.ndarray) -> None:
     Encoded in memory by OpenCV: OpenImageIO cuts files short on a full disk and reports success.
     """
     stored = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]] if pixels.shape[2] > 1 else pixels
+    suffix = Path(path).suffix
     try:
-        _, data = cv2.imencode(Path(path).suffix, stored, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+        _, data = cv2.imencode(suffix, stored, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL] if suffix == ".png" else [])
         Path(path).write_bytes(data)
     except (cv2.error, OSError) as error:
         raise StageError(f"cannot write {path}", "check the disk and the folder", [first_line(str(error))]) from error
