@@ -31,7 +31,7 @@ def read_npz(path: Path, hint: str = "") -> dict[str, np.ndarray]:
     arrays = {}
     key = ""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(Path(path).read_bytes())) as archive:  # of a file it reads what headers promise
             for member in archive.infolist():
                 key = member.filename.removesuffix(".npy")
                 if member.compress_type not in PLAIN:

@@ -128,6 +128,9 @@ def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
                 frames = [] if packet is None else packet.decode()
             except (av.error.InvalidDataError, av.error.EOFError):
                 continue
+            except av.error.FFmpegError as error:
+                hint = "the file is damaged or its codec unknown; export it again as H.264"
+                raise StageError(f"{path} cannot be decoded", hint, [first_line(str(error))]) from error
             if packet is None:
                 return
             yield from (frame for frame in frames if not frame.is_corrupt)
