@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import struct
 import zipfile
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 from hugs_cli import pipelines
 from stages.contract import StageError
 from tests.corpus import KINDS, Kind
+from tests.mutations import with_checksums
 
 PICKLES = [kind for kind in KINDS if Path(kind.file).suffix in (".npz", ".npy", ".pkl")]
 
@@ -128,6 +130,9 @@ def test_l08_headers_that_promise_more_than_there_is_take_no_memory(whole, put):
     npy = (whole / "masks/soft.npy").read_bytes()
     lie = npy.replace(b"(24, 24), }" + b" " * 11, b"(24, " + count + b"), }")
     assert len(lie) == len(npy) and "promised" in put(kinds["masks/soft.npy"], lie).facts[0]
+    png = bytearray((whole / "picture.png").read_bytes())
+    png[16:24] = struct.pack(">II", 60_000, 60_000)
+    assert "10299 MB" in put(kinds["picture.png"], with_checksums(bytes(png))).facts[0]
     memo = b"\x80\x02}r\xff\xff\xff\x7f."  # the unpickler in C would make a table of 2 ** 31 rows
     assert put(kinds["body_model.pkl"], memo).problem
     rows: list = [1.0] * 10
