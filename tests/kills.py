@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -94,15 +95,15 @@ class Training(Flow):
 
 
 def harass(flow: StandIns | Training, times: int, rng: np.random.Generator) -> Counter:
-    """Kill runs `times` times, each at a random moment, and let every third one end; counts of what was found."""
-    found, seed = Counter(), 0
+    """Kill runs `times` times, each at a random moment, and let every fourth one end; counts of what was found."""
+    found = Counter()
     length, truth = in_peace(flow)
     while sum(found[f"killed {number.name}"] for number in SIGNALS) < times:
-        seed += 1
+        shutil.rmtree(flow.work / flow.name)
         kept, cut, ended = {}, set(), False
         while not ended:
             calm = sum(found[f"killed {number.name}"] for number in SIGNALS) >= times or rng.random() < 0.25
-            process = flow.start(*flow.args, "--seed", str(seed))
+            process = flow.start(*flow.args)
             if not calm:
                 strike(process, length * rng.random(), rng, found)
             _, said = process.communicate(timeout=LONGEST)
