@@ -19,7 +19,8 @@ PART = 0.2
 MANY = 0.2
 """Share of frames from which a finding is a warning."""
 
-LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [{"name": NAME, "index": int}]}
+FRAME = {"name": NAME, "index": int, "source?": str}
+LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [FRAME]}
 """What is taken from frames.json."""
 
 

@@ -34,8 +34,8 @@ METRICS = {"heldout": SCORES, "heldout_fitted": SCORES, "gaussians": {"human": i
 METRICS |= {"seconds": {"total": float}, "peak_memory_bytes": int}
 MEASURE = {"value": (float, None), "unit": str, "verdict": str}
 SURVEY = {"measures": {str: MEASURE}, "decisions": {str: bool}}
-RUNGS = {"of": int, "rungs": [{"how": str, "models": [{"registered": int}]}]}
-"""What is taken from stamp.json, metrics.json, survey.json, and sfm.json where the cameras were mapped."""
+RUNGS = {"of?": int, "rungs?": [{"how": str, "models": [{"registered": int}]}], "mapper?": str}
+"""What is taken from stamp.json, metrics.json, survey.json, and sfm.json, which has rungs where the cameras were mapped."""
 
 
 class Params(contract.Params):
@@ -91,7 +91,7 @@ def run(
             page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
             note="The fitted body over the frames. Where the outline leaves the person, the avatar suffers.",
         ),
-        page.section("What was measured and decided", _survey(survey) + _rungs(sfm / "sfm.json")),
+        page.section("What was measured and decided", _survey(survey) + _rungs(read_facts(sfm / "sfm.json", RUNGS))),
         page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
     ]
     (job.out / "report.html").write_text(page.page(f"{name}: hugs", parts), encoding="utf-8")
@@ -237,15 +237,12 @@ def _survey(survey: Path) -> str:
     return page.table(["measured", "value", "verdict"], rows) + f"<p>Decided: {page.escape(decided)}.</p>"
 
 
-def _rungs(sfm: Path) -> str:
-    """How the cameras were found, and what was tried before, if they were mapped."""
+def _rungs(found: dict[str, Any]) -> str:
+    """How the cameras were found, and what was tried before, if they were mapped; `found` is sfm.json."""
     from stages.formats import page
-    from stages.formats.facts import read_facts
 
-    if "rungs" not in read_facts(sfm, {}):
-        return ""
-    found, said = read_facts(sfm, RUNGS), []
-    for rung in found["rungs"]:
+    said = []
+    for rung in found.get("rungs", []):
         best = max((model["registered"] for model in rung["models"]), default=0)
         said.append(f"{rung['how']} {best} of {found['of']} frames in the largest of {len(rung['models'])} models")
     taken = f" Taken: {found.get('mapper', 'none of them')}." if len(said) > 1 else ""

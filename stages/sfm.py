@@ -27,7 +27,8 @@ GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wid
 NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
-LISTING = {"width": int, "height": int, "frames": [{"name": NAME}]}
+FRAME = {"name": NAME, "index": int, "source?": str}
+LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [FRAME]}
 """What is taken from frames.json."""
 
 

@@ -27,7 +27,7 @@ OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's be
 JOINTS_OFF = 0.05  # of the person's height, from the joints that the tool itself drew
 SEEN_LEAST = 0.1  # share of the frames that must show a person
 
-LISTING = {"frames": [{"name": NAME, "time_s": float}]}
+LISTING = {"frames": [{"name": NAME, "time_s": float, "source?": str}]}
 """What is taken from frames.json."""
 
 

@@ -7,7 +7,7 @@ import json
 import pickle
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from stages import report
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
 SIDE = 24  # px of the pictures
+FPS = 12.0
 VERTICES = 30
 WHOLE = "whole"
 """The folder of the corpus that has every file undamaged."""
@@ -40,24 +41,56 @@ def formats(name: str) -> Any:
     return importlib.import_module(f"stages.formats.{name}")
 
 
-def fit(file: str) -> Kind:
-    """An SMPL fit: read, joined to the frames, and brought into the world."""
+def fit(file: str, given: str = "") -> Kind:
+    """An SMPL fit, or one file of those in the folder `given`: read, joined to the frames, and brought into the world."""
 
     def read(root: Path) -> Any:
-        fits, body = formats("smpl_fits"), formats("body_model").read_body_model(root / "whole.npz")
-        found, kept, _ = fits.match_frames(fits.read_smpl_fit(root / file), NAMES)
-        return fits.place_in_world(found, np.tile(np.eye(4), (len(kept), 1, 1)), body, 1.0)
+        body, cameras = formats("body_model").read_body_model(root / "whole.npz"), still_cameras()
+        found = formats("smpl_fits").read_smpl_fit(root / (given or file), (SIDE, SIDE))
+        found, rows = formats("fit_frames").join_frames(found, NAMES, np.arange(len(NAMES)) / FPS)
+        names = tuple(NAMES[i] for i in rows)
+        return formats("fit_placing").place_in_world(found, names, cameras.viewmats[rows], cameras.Ks[rows], body, 1.0)
 
     return Kind(file, read)
 
 
-def masks(file: str) -> Kind:
-    """A mask of another program."""
+def masks(file: str, given: str = "") -> Kind:
+    """Masks of another program, one file or one of those in the folder `given`, through the stage that takes them."""
 
     def read(root: Path) -> Any:
-        return formats("masks").ForeignMasks([root / file]).read(root / file)
+        from stages import masks
+        from stages.contract import Job
+
+        masks.run(Job(root / "out"), masks.Params(), frames=root / "film", mask_files=root / (given or file))
 
     return Kind(file, read)
+
+
+def given_cameras(file: str) -> Kind:
+    """Cameras of another program, joined to the frames; of a COLMAP model its folder is given."""
+
+    def read(root: Path) -> Any:
+        from stages import sfm
+        from stages.contract import Job
+        from stages.estimators.camera_import import imported
+
+        path, listing = root / file, formats("facts").read_facts(root / "film" / "frames.json", sfm.LISTING)
+        return imported(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
+
+    return Kind(file, read)
+
+
+def read_bvh(root: Path) -> Any:
+    """A BVH motion, and which of its joints are whose."""
+    found = formats("bvh").read_bvh(root / "motion.bvh")
+    return formats("bvh_names").map_body(found, root / "motion.bvh")
+
+
+def still_cameras() -> Any:
+    """A camera for each of NAMES, all in the same place."""
+    K = np.array([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]])
+    n = len(NAMES)
+    return formats("cameras").Cameras(NAMES, np.tile(np.eye(4), (n, 1, 1)), np.tile(K, (n, 1, 1)), SIDE, SIDE)
 
 
 def stage(file: str, module: str, video: str, **params: Any) -> Kind:
@@ -163,10 +196,26 @@ KINDS = [
     fit("fit_named.npz"),
     fit("fit_poses.npz"),
     fit("fit_zju.npz"),
-    masks("masks/soft.png"),
-    masks("masks/labels.png"),
-    masks("masks/cutout.png"),
-    masks("masks/soft.npy"),
+    fit("wham_output.pkl"),
+    fit("demo_clip.pkl"),
+    fit("hmr4d_results.pt"),
+    fit("video_results.npz"),
+    fit("smpl/000000.json", "smpl"),
+    one("motion.npz", "motions", "read_smpl_motion"),
+    Kind("motion.bvh", read_bvh),
+    one("failure.npz", "failure", "read_failure"),
+    given_cameras("colmap/cameras.bin"),
+    given_cameras("colmap/images.bin"),
+    given_cameras("colmap/points3D.bin"),
+    given_cameras("transforms.json"),
+    masks("masks/soft/000000.png", "masks/soft"),
+    masks("masks/labels/000000.png", "masks/labels"),
+    masks("masks/cutout/000000.png", "masks/cutout"),
+    masks("masks/array/000000.npy", "masks/array"),
+    masks("masks/sam2/clip/00000.png", "masks/sam2"),
+    masks("masks/stack.npy"),
+    masks("masks/stack.npz"),
+    masks("masks/coco.json"),
     *PICTURES,
     stage("clip.mp4", "frames", "clip.mp4", count=8, max_side=64),
     stage("bike/sparse/cameras.txt", "neuman", "bike"),
@@ -207,7 +256,9 @@ def make(folder: Path) -> Path:
     rng = np.random.default_rng(0)
     write_arrays(root, rng)
     write_fits(root, rng)
+    write_tools(root)
     write_pictures(root, rng)
+    write_masks(root, rng)
     write_facts(root)
     write_workspace(root)
     return root
@@ -215,14 +266,12 @@ def make(folder: Path) -> Path:
 
 def write_arrays(root: Path, rng: np.random.Generator) -> None:
     """Points, cameras, poses, Gaussians, body models."""
-    cameras, poses, splats, body = (formats(name) for name in ("cameras", "poses", "splats", "body_model"))
+    poses, splats, body = (formats(name) for name in ("poses", "splats", "body_model"))
     n, rows = len(NAMES), 20
     formats("points").write_points(
         root / "points.ply", rng.normal(size=(rows, 3)), rng.integers(0, 255, (rows, 3), np.uint8)
     )
-    K = np.array([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]])
-    path = cameras.Cameras(NAMES, np.tile(np.eye(4), (n, 1, 1)), np.tile(K, (n, 1, 1)), SIDE, SIDE)
-    cameras.write_cameras(root / "cameras.npz", path)
+    formats("cameras").write_cameras(root / "cameras.npz", still_cameras())
     turned = poses.BodyPoses(
         NAMES, np.zeros(10), rng.normal(size=(n, 3)), rng.normal(size=(n, 69)), np.ones((n, 3)), np.ones(n)
     )
@@ -262,6 +311,10 @@ def write_facts(root: Path) -> None:
 
     (root / "frames").mkdir()
     neuman.run(Job(root / "frames"), neuman.Params(), video=root / "bike")
+    (root / "film").mkdir()
+    listing = {"width": SIDE, "height": SIDE, "video": {"frames": len(NAMES)}}
+    listing["frames"] = [{"name": name, "index": i} for i, name in enumerate(NAMES)]
+    (root / "film" / "frames.json").write_text(json.dumps(listing))
     formats("splits").write_split(
         root / "split.json", "one apart", {name: ("train", i) for i, name in enumerate(NAMES)}
     )
@@ -321,15 +374,52 @@ def write_fits(root: Path, rng: np.random.Generator) -> None:
 
 
 def write_pictures(root: Path, rng: np.random.Generator) -> None:
-    """Pictures, masks in several encodings, a video."""
+    """Pictures and a video."""
     images = formats("images")
     smooth = np.kron(rng.integers(0, 255, (SIDE // 8, SIDE // 8, 3), np.uint8), np.ones((8, 8, 1), np.uint8))
     for kind in PICTURES:
         images.write_image(root / kind.file, smooth)
-    (root / "masks").mkdir()
-    images.write_mask(root / "masks" / "soft.png", smooth[..., 0])
-    images.write_mask(root / "masks" / "labels.png", smooth[..., 0] // 128)
-    images.write_image(root / "masks" / "cutout.png", np.concatenate([smooth, smooth[..., :1]], 2))
-    np.save(root / "masks" / "soft.npy", smooth[..., 0].astype(np.float32) / 255)
     frames = (rng.integers(0, 255, (SIDE, SIDE, 3), np.uint8).repeat(2, 0).repeat(2, 1) for _ in range(10))
     formats("video").write_video(root / "clip.mp4", frames, 10.0)
+
+
+def write_masks(root: Path, rng: np.random.Generator) -> None:
+    """Masks of two people in several encodings, one a frame."""
+    from tests import mask_files
+
+    images, folder = formats("images"), root / "masks"
+    both = np.zeros((2, len(NAMES), SIDE, SIDE), bool)
+    both[0, :, 4:20, 3:10], both[1, :, 8:20, 14:19] = True, True
+    soft = np.where(both[0], rng.integers(150, 255, both[0].shape), rng.integers(0, 50, both[0].shape)).astype(np.uint8)
+    for kind in ("soft", "labels", "cutout", "array"):
+        (folder / kind).mkdir(parents=True)
+    for name, grey, ids in zip(NAMES, soft, mask_files.ids(*both), strict=True):
+        images.write_mask(folder / "soft" / f"{name}.png", grey)
+        images.write_mask(folder / "labels" / f"{name}.png", ids)
+        images.write_image(folder / "cutout" / f"{name}.png", grey[..., None].repeat(4, 2))
+        np.save(folder / "array" / f"{name}.npy", grey.astype(np.float32) / 255)
+    mask_files.sam2_palette(folder / "sam2", *both)
+    np.save(folder / "stack.npy", both[0])
+    np.savez_compressed(folder / "stack.npz", masks=both[0], names=np.array(NAMES))
+    mask_files.coco(folder / "coco.json", *both)
+
+
+def write_tools(root: Path) -> None:
+    """What tools that fit bodies, move them and find cameras leave, and a training that broke down."""
+    from stages.formats.failure import write_failure
+    from tests import camera_files, fits
+    from tests.stages import bvh_made
+
+    truth = fits.make_truth(len(NAMES), SIDE, SIDE)
+    truth = replace(truth, numbers=np.arange(len(NAMES)))
+    for tool in ("WHAM", "PHALP", "GVHMR", "simple-romp video", "EasyMocap"):
+        fits.write(tool, fits.contents(tool, truth), root)
+    amass = fits.contents("AMASS", truth)
+    np.savez(root / "motion.npz", **{key: amass[key] for key in ("poses", "trans", "mocap_framerate")})  # what is read
+    local, rest = bvh_made.matrices(truth.orient, truth.views.body_pose), np.tile(np.eye(3), (24, 1, 1))
+    bvh_made.write_bvh(root / "motion.bvh", truth.views.joints[0], local, truth.pelvis, rest)
+    cameras = replace(still_cameras(), viewmats=truth.viewmats, Ks=truth.views.Ks)
+    camera_files.colmap(root / "colmap", cameras, truth.world_joints()[0], model="OPENCV")
+    camera_files.nerfstudio(root / "transforms.json", cameras)
+    facts = {"step": 3, "frame": "000001", "error": "e", "threads": 1, "device": "cpu", "seed": 0, "params": {}}
+    write_failure(root / "failure.npz", b"state", facts | {"sfm": "a", "smpl": "b", "survey": "c"})

@@ -27,7 +27,8 @@ def read_facts(path: Path, wanted: Any) -> Any:
     """What a .json file holds; StageError, naming the place in it, where that is not as `wanted`.
 
     `wanted` shows the form: `str`, `NAME`, `float` (finite, whole ones too), `int`, `bool` or None; `[form]` for a list of any
-    length; `{"key": form}` for these keys and any others; `{str: form}` for any keys; a tuple for any of several forms.
+    length; `{"key": form}` for these keys and any others, `"key?"` for one that may be missing; `{str: form}` for any keys;
+    a tuple for any of several forms.
     """
     hint = f"run the stage again: `hugs run VIDEO {MADE_BY.get(path.stem, path.stem)} --force`"
     try:
@@ -52,7 +53,10 @@ def mismatch(value: Any, wanted: Any, place: str) -> str:
     if isinstance(wanted, dict):
         if not isinstance(value, dict):
             return f"{place or 'it'} is {short(value)}, not named values"
-        forms = dict.fromkeys(value, wanted[str]) if str in wanted else wanted
+        if str in wanted:
+            forms = dict.fromkeys(value, wanted[str])
+        else:
+            forms = {k.removesuffix("?"): form for k, form in wanted.items() if k[-1] != "?" or k[:-1] in value}
         missing = [key for key in forms if key not in value]
         if missing:
             return f"{place or 'it'} has no {missing[0]}"

@@ -5,7 +5,14 @@ import pytest
 from stages.contract import StageError
 from stages.formats.facts import NAME, mismatch, read_facts
 
-FORM = {"width": int, "time": float, "on": bool, "frames": [{"name": NAME, "psnr": (float, None)}], "each": {str: str}}
+FORM = {
+    "width": int,
+    "time": float,
+    "on": bool,
+    "frames": [{"name": NAME, "psnr": (float, None)}],
+    "each": {str: str},
+    "by?": str,
+}
 GOOD = {"width": 3, "time": 2, "on": True, "frames": [{"name": "a", "psnr": None}], "each": {"x": "y"}, "more": []}
 
 
@@ -28,6 +35,7 @@ def test_what_fits_is_read_with_all_its_keys(tmp_path):
         ({"frames": [{"name": "../x", "psnr": 1}]}, 'frames[0].name is "../x", not a file name'),
         ({"each": {"x": 1}}, "each.x is 1, not a text"),
         ({"each": ["x" * 50]}, "each is"),
+        ({"by": []}, "by is [], not a text"),
     ],
 )
 def test_the_first_place_that_does_not_fit_is_named(change, said):
