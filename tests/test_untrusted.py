@@ -139,3 +139,26 @@ def test_l08_headers_that_promise_more_than_there_is_take_no_memory(whole, put):
     for _ in range(40):
         rows = [rows] * 10
     assert "endlessly" in put(kinds["body_model.pkl"], pickle.dumps({"f": rows})).facts[0]
+
+
+@pytest.mark.parametrize("code", [0x110000, 0xD800])
+def test_letters_that_unicode_has_not_are_refused(whole, put, code):
+    for order in "<>":
+        names = np.array(["000000", "000001"], f"{order}U6")
+        names.view(f"{order}u4")[0] = code
+        file = io.BytesIO()
+        np.savez(file, names=names)
+        error = put(next(kind for kind in KINDS if kind.file == "cameras.npz"), file.getvalue())
+        assert "array 'names'" in error.problem and f"{code:#x}" in error.facts[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"facts": "{"}, "no JSON"), ({"facts": "{}"}, "not what training leaves"), ({"state": 1.0}, "not what training")],
+)
+def test_a_failure_that_is_none_is_refused(whole, put, change, said):
+    with np.load(whole / "failure.npz") as arrays:
+        content = dict(arrays) | change
+    file = io.BytesIO()
+    np.savez(file, **content)
+    assert said in put(next(kind for kind in KINDS if kind.file == "failure.npz"), file.getvalue()).problem

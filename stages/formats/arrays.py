@@ -64,7 +64,18 @@ def array_of(data: bytes) -> np.ndarray:
         raise ValueError(
             f"{dtype.itemsize * math.prod(shape)} bytes of {dtype} {shape} promised, {len(data) - start} found"
         )
-    return np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C").copy()
+    array = np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C").copy()
+    check_letters(array)
+    return array
+
+
+def check_letters(array: np.ndarray) -> None:
+    """ValueError for texts of numbers that are no letters in Unicode: numpy makes broken Python texts of them."""
+    if array.dtype.kind == "U" and array.size:
+        codes = np.frombuffer(array.tobytes(), np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+        wrong = codes[(codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))]
+        if len(wrong):
+            raise ValueError(f"a text has the letter {int(wrong[0]):#x}, which Unicode has not")
 
 
 def npy_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
