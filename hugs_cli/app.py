@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import shutil
 import signal
@@ -20,7 +19,7 @@ from hugs_cli.engine import RunStopped
 from hugs_cli.freshness import Judge, Verdict
 from hugs_cli.options import AsJson, DeviceName, DryRun, Force, PipelineName, Settings, Stages, Work, on_clip
 from hugs_cli.pipelines import UsageError
-from hugs_cli.workspace import Stamp, Workspace, size_of
+from hugs_cli.workspace import Stamp, Workspace, read_json, size_of
 from stages.contract import StageError
 
 HELP = "From a phone video to an animatable person and the scene, as 3D Gaussians."
@@ -337,13 +336,11 @@ def shown(stamp: Stamp | None) -> dict[str, Any]:
 
 def clip_facts(workspace: Workspace) -> str:
     """Length and size of the clip, once the frames stage has read them."""
-    file = workspace.links / "frames" / "frames.json"
-    if not file.is_file():
+    video = read_json(workspace.links / "frames" / "frames.json").get("video")
+    try:
+        return f"{video['duration_s']:.1f} s, {video['frames']} frames, {video['width']}x{video['height']}"
+    except (TypeError, KeyError, ValueError):
         return ""
-    video = json.loads(file.read_bytes()).get("video", {})
-    if not {"duration_s", "frames", "width", "height"} <= set(video):
-        return ""
-    return f"{video['duration_s']:.1f} s, {video['frames']} frames, {video['width']}x{video['height']}"
 
 
 def stop(signum: int, frame: Any) -> None:
@@ -365,10 +362,10 @@ def main() -> None:
         Console().error(error)
         sys.exit(2 if isinstance(error, UsageError) else 1)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES):
+        said = child.file_trouble(error)
+        if said is None:
             raise
-        hint = "`hugs gc` frees what nothing uses; `--work` chooses another folder"
-        Console().error(StageError(f"cannot write {error.filename or 'results'}: {error.strerror.lower()}", hint))
+        Console().error(said)
         sys.exit(1)
 
 

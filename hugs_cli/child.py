@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,6 +36,9 @@ LIBRARIES = {
     "ai_edge_litert": "ai-edge-litert",
 }
 """What computes: the module's name and the name it is installed under."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+GONE = (errno.ENOENT, errno.EIO, errno.ESTALE, errno.ENOTDIR, errno.EISDIR)
 PROGRESS_EVERY = 0.1  # s between progress events of one stage
 TORCH_MEMORY = ("OutOfMemoryError", "can't allocate memory")  # how torch says it, on a GPU and without
 TICK = 0.25  # s between looks at the clock
@@ -195,16 +198,42 @@ def main() -> int:
     except Exception as error:
         if not isinstance(error, StageError):
             traceback.print_exc()
-        emit(failed(error, job["out"]))
+        emit(failed(error, job["out"], job["inputs"].values()))
     return 1
 
 
-def failed(error: Exception, out: str) -> dict[str, Any]:
+def file_trouble(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> Exception | None:
+    """The StageError for a disk that is full, or a file that is gone or forbidden; None where a bug is likelier.
+
+    A file that is merely not there is a bug of a stage, unless it belongs to its inputs: these it has seen before.
+    """
+    from stages.contract import StageError
+
+    cause: BaseException | None = error
+    while cause:  # torch turns a full disk into an error of its own
+        if isinstance(cause, OSError) and cause.errno in FULL:
+            where = f" at {out or cause.filename}" if out or cause.filename else ""
+            hint = "free some space; `hugs gc` removes results that nothing uses"
+            return StageError(f"the disk is full{where}", hint, [str(cause)])
+        cause = cause.__cause__ or cause.__context__
+    if not isinstance(error, OSError):
+        return None
+    name = str(error.filename or "")
+    if error.errno in FORBIDDEN:
+        hint = "make it readable, and the work folder writable; `--work` chooses another one"
+        return StageError(f"cannot read or write {name or 'a file'}: {os.strerror(error.errno).lower()}", hint)
+    given = [path for path in inputs if path]
+    if error.errno in GONE and (not out or any(name == path or name.startswith(f"{path}/") for path in given)):
+        return StageError(f"{name} is gone or cannot be read", "put it back, and run again; finished stages are kept")
+    return None
+
+
+def failed(error: Exception, out: str, inputs: Iterable[str | None] = ()) -> dict[str, Any]:
     """The event for what a stage raised: 'error' where its user can help, 'crash' for a bug."""
     from stages.contract import StageError
 
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        error = StageError(f"the disk is full at {out}", "free some space; `hugs gc` removes results that nothing uses")
+    if said := file_trouble(error, out, inputs):
+        error = said
     elif isinstance(error, MemoryError) or any(words in f"{type(error).__name__} {error}" for words in TORCH_MEMORY):
         hint = "close other programs, or use smaller settings (`--pipeline draft`)"
         error = StageError("the machine has no memory left for this stage", hint, [str(error).partition("\n")[0]])

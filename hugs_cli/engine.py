@@ -22,6 +22,8 @@ from hugs_cli.pipelines import Stage, UsageError
 from hugs_cli.workspace import LOG, STAMP, Stamp, seal
 from stages.contract import StageError
 
+FULL_DISK = 1 << 20  # bytes
+
 
 class Watcher(Protocol):
     """Who is told what happens (the console)."""
@@ -124,6 +126,8 @@ def make(
         content, files = seal(part)
         if not files:
             outcome = replace(outcome, kind="crash", facts={"problem": "it ended as if all was well but wrote no file"})
+        elif doubt := doubtful(judge, stage, recipe, part):
+            outcome = replace(outcome, kind="error", facts=doubt)
     watcher.ended(stage.name, outcome)
     if outcome.kind != "done":
         error = failure(stage, outcome, part / LOG)
@@ -137,6 +141,19 @@ def make(
         workspace.link(stage.name, verdict.folder)
         workspace.log_run(**facts, result="done")
     return stamp
+
+
+def doubtful(judge: Judge, stage: Stage, recipe: Recipe, part: Path) -> dict[str, Any] | None:
+    """Why a result that a stage ended well with is not to be trusted, as an error's problem, hint and facts."""
+    free = shutil.disk_usage(part).free
+    if free < FULL_DISK:  # libraries in C cut files short there without a word
+        hint = "free some space; `hugs gc` removes results that nothing uses"
+        return {"problem": f"the disk is full at {part}", "hint": hint, "facts": [f"{free} bytes are free"]}
+    for need in stage.needs:
+        if judge.changed(need, recipe.inputs[need]):
+            hint = "run again when nothing writes to it; finished stages are kept"
+            return {"problem": f"{judge.sources[need]} changed while {stage.name} ran", "hint": hint, "facts": []}
+    return None
 
 
 def stamp_of(recipe: Recipe, content: str, files: dict, outcome: Outcome, facts: dict[str, Any]) -> Stamp:

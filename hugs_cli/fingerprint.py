@@ -67,11 +67,7 @@ class Code:
         self.used: dict[str, Any] = {}
         self.files: dict[str, dict[str, Path]] = {}
         if memory and memory.is_file():
-            try:
-                content = json.loads(memory.read_bytes())
-            except ValueError:
-                content = {}  # only a memory: what cannot be read is worked out again
-            self.known = content.get("modules", {}) if content.get("format") == FORMAT else {}
+            self.known = remembered(memory)
 
     def digests(self, module: str) -> dict[str, str]:
         """Digest of each module and data file that `module` comes to: {'stages.train': ..., 'stages/x.npz': ...}."""
@@ -122,6 +118,24 @@ class Code:
             os.replace(part, self.memory)
         except OSError:
             part.unlink(missing_ok=True)
+
+
+def remembered(memory: Path) -> dict[str, Any]:
+    """What earlier runs learned of source texts; only a memory, so what cannot be read is worked out again."""
+    try:
+        content = json.loads(memory.read_bytes())
+        modules = content["modules"] if content["format"] == FORMAT else {}
+        return {text: facts for text, facts in modules.items() if is_known(facts)}
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def is_known(facts: Any) -> bool:
+    """True for what `look_into` returns."""
+    if not isinstance(facts, dict) or not isinstance(facts.get("digest"), str):
+        return False
+    lists = [facts.get(name) for name in ("imports", "names")]
+    return all(isinstance(one, list) and all(isinstance(name, str) for name in one) for one in lists)
 
 
 def package_folder(top: str) -> Path:

@@ -203,6 +203,10 @@ class Judge:
             return before[need].stamp.content
         return self.workspace.source(need, self.sources.get(need))
 
+    def changed(self, need: str, content: str | None) -> bool:
+        """True if a source has not, or no longer, the content that a run began with."""
+        return need in SOURCES and self.workspace.source(need, self.sources.get(need)) != content
+
     def check_sources(self) -> None:
         """Refuse sources that are given but not there, or that no stage of this pipeline takes."""
         taken = {need for stage in self.pipeline.stages.values() for need in stage.needs}

@@ -115,7 +115,7 @@ def variant(pipeline: Pipeline, name: str) -> Pipeline:
 
 def names(file: Path = FILE) -> dict[str, str]:
     """Every pipeline of the file with its one-line description."""
-    return {name: str((entry or {}).get("doc", "")) for name, entry in read_yaml(file).items()}
+    return {name: str(entry.get("doc", "")) for name, entry in read_yaml(file).items() if isinstance(entry, dict)}
 
 
 def read_yaml(file: Path) -> dict[str, Any]:
@@ -124,10 +124,12 @@ def read_yaml(file: Path) -> dict[str, Any]:
     try:
         content = yaml.load(file.read_text(encoding="utf-8"), loader)
     except OSError as error:
-        raise UsageError(f"cannot read {file}", "give the file with `--pipelines`", [str(error.strerror)]) from error
-    except yaml.YAMLError as error:
+        raise UsageError(
+            f"cannot read {file}", "give the file with `--pipelines-file`", [str(error.strerror)]
+        ) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date or a letter that is none
         raise UsageError(f"{file} is not valid YAML", "mend the line named above", str(error).splitlines()) from error
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
         raise UsageError(f"{file} holds no pipelines", "it maps a pipeline's name to doc, extends and stages")
     return content
 
@@ -149,6 +151,8 @@ def merged(name: str, content: dict[str, Any], file: Path, seen: tuple[str, ...]
         if own is None:
             stages.pop(stage, None)
             continue
+        if not (isinstance(stage, str) and NAME.fullmatch(stage)):
+            raise UsageError(f"{where}: {stage!r} cannot name a stage", "use small letters, digits and _")
         check_keys(own, STAGE_KEYS, f"{where}, stage {stage}")
         old = stages.get(stage, {"needs": None, "module": f"stages.{stage}", "params": {}})
         params = {**old["params"], **check_keys(own.get("params", {}), None, f"{where}, stage {stage}, params")}

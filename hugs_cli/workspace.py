@@ -14,8 +14,17 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import (
+    Annotated,
+    Any,
+    NotRequired,  # pydantic's own; it needs these before Python 3.12
+)
+
+from pydantic import AfterValidator, TypeAdapter
+from typing_extensions import TypedDict
 
 from hugs_cli import fingerprint
 from hugs_cli.pipelines import UsageError
@@ -23,6 +32,46 @@ from hugs_cli.pipelines import UsageError
 STAMP, LOG = "stamp.json", "log.txt"
 OURS = (STAMP, LOG)  # in a result's folder, but no part of the result
 PART, OLD = ".part", ".old"
+
+
+def with_zone(text: str) -> str:
+    """The time of a stamp if it is one; ValueError for any other text."""
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("a time without its zone")
+    return text
+
+
+Time = Annotated[str, AfterValidator(with_zone)]
+
+
+class FileFacts(TypedDict):
+    """What is known of one file of a result."""
+
+    size: int
+    mtime_ns: int
+    sha256: str
+
+
+class Machine(TypedDict):
+    """Where a result was made."""
+
+    host: str
+    device: str
+    system: str
+    processors: int
+    versions: dict[str, str]
+    peak_gpu_memory_bytes: NotRequired[int]
+
+
+class Accepted(TypedDict):
+    """When a result was taken as made by newer code, and what had changed."""
+
+    when: Time
+    instead_of: str
+    changes: list[str]
+
+
+form_of = cache(TypeAdapter)
 
 
 @dataclass(frozen=True)
@@ -37,24 +86,24 @@ class Stamp:
     inputs: dict[str, str | None]
     content: str
     """Digest of names and bytes of all files: what later stages see."""
-    files: dict[str, dict[str, Any]]
-    """Relative name -> size, mtime_ns, sha256."""
-    made: str
+    files: dict[str, FileFacts]
+    """By relative name."""
+    made: Time
     seconds: float
     peak_memory_bytes: int
-    machine: dict[str, Any]
+    machine: Machine
     """Host, device, processors, library versions: shown, never compared."""
     reasons: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    accepted: list[dict[str, Any]] = field(default_factory=list)
+    accepted: list[Accepted] = field(default_factory=list)
 
     @classmethod
     def read(cls, folder: Path) -> Stamp | None:
         """The stamp of a folder, or None where there is no whole one."""
         try:
-            return cls(**json.loads((folder / STAMP).read_bytes()))
-        except (OSError, ValueError, TypeError):
+            return form_of(cls).validate_json((folder / STAMP).read_bytes(), strict=True)
+        except (OSError, ValueError):
             return None
 
     def write(self, folder: Path) -> None:
@@ -133,9 +182,13 @@ class Workspace:
             return None
         memory = self.root / "sources.json"
         known, stat = read_json(memory), fingerprint.stat_digest(path)
-        entry = known.get(name, {})
-        if entry.get("path") == str(path) and entry.get("stat") == stat:
-            return entry["sha256"]
+        entry = known.get(name)
+        if (
+            isinstance(entry, dict)
+            and (entry.get("path"), entry.get("stat")) == (str(path), stat)
+            and "sha256" in entry
+        ):
+            return str(entry["sha256"])
         sha256 = fingerprint.content_digest(path)
         files = fingerprint.files_under(path).values()
         size = sum(file.stat().st_size for file in files)
@@ -186,8 +239,12 @@ class Workspace:
 
 
 def clip_name(video: Path) -> str:
-    """The name of a clip's folder: the video's name without its ending."""
-    return video.stem if video.suffix and not video.is_dir() else video.name
+    """The name of a clip's folder: the video's name without its ending; UsageError for one that names no folder."""
+    video = Path(os.path.abspath(video))
+    name = video.stem if video.suffix and not video.is_dir() else video.name
+    if name in ("", ".", ".."):
+        raise UsageError(f"{video} gives no name to a clip", "give a video, or a folder that has a name")
+    return name
 
 
 def seal(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
@@ -220,9 +277,10 @@ def size_of(folder: Path) -> int:
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON file that is only a memory: empty where it is missing or broken."""
     try:
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError):
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
         return {}
+    return content if isinstance(content, dict) else {}
 
 
 def write_json(path: Path, value: Any) -> None:

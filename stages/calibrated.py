@@ -7,8 +7,12 @@ from pathlib import Path
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.facts import NAME, read_facts
 
 NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
+
+LISTING = {"dataset": {"rule": str}, "frames": [{"name": NAME, "split": str, "moment": int}]}
+"""What is taken from frames.json."""
 
 
 class Params(contract.Params):
@@ -30,7 +34,11 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     given = given_by(frames, "cameras.npz")
     if given is None:
         raise StageError("no cameras came with these frames", "take `stages.sfm` for the frames of a video")
-    cameras, listing = read_cameras(given), json.loads((frames / "frames.json").read_text())
+    cameras, listing = read_cameras(given), read_facts(frames / "frames.json", LISTING)
+    rows = {row["name"]: (row["split"], row["moment"]) for row in listing["frames"]}
+    if strangers := [name for name in cameras.names if name not in rows]:
+        hint = "run the frames stage again: `hugs run FOLDER frames --force`"
+        raise StageError(f"{len(strangers)} cameras belong to no frame", hint, [f"the first is {strangers[0]}"])
     lenses = read_lenses(given_by(frames, "lenses.npz"), len(cameras))
     width, height = cameras.width, cameras.height
     grids, shift = {}, 0.0
@@ -45,7 +53,6 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
         job.progress(done, len(cameras))
     write_cameras(job.out / "cameras.npz", cameras)
     shutil.copyfile(given_by(frames, "points.ply"), job.out / "points.ply")
-    rows = {row["name"]: (row["split"], row["moment"]) for row in listing["frames"]}
     write_split(job.out / "split.json", listing["dataset"]["rule"], rows)
     points = len(read_points(job.out / "points.ply")[0])
     training = np.array([rows[name][0] == "train" for name in cameras.names])
@@ -59,7 +66,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
         "focal_source": "given",
         "distortion": {"model": "OPENCV", "params": lenses[0].tolist(), "max_shift_px": shift},
         "points": points,
-        **json.loads(given_by(frames, "sfm.json").read_text()),
+        **read_facts(given_by(frames, "sfm.json"), {}),
     }
     (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
     job.note(f"{len(cameras)} cameras and {points} points as given; the lens moves pixels by up to {shift:.1f} px")

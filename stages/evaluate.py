@@ -58,6 +58,7 @@ def run(
     from stages.avatar.perceptual import Lpips
     from stages.estimators.assets import path
     from stages.formats.clip import load_clip
+    from stages.formats.facts import read_facts
     from stages.formats.images import write_image
     from stages.formats.splats import read_avatar, read_scene
 
@@ -65,7 +66,7 @@ def run(
     clip = load_clip(sfm, smpl, train / "body.npz")
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     learned = load_learned(read_avatar(train / "avatar.npz"), scene, job.device)
-    facts = json.loads((train / "train.json").read_text())
+    facts = read_facts(train / "train.json", {"exposure": {str: [float]}})
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
     held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(i)]
@@ -84,7 +85,8 @@ def run(
                 strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
                 write_image(job.out / "heldout" / f"{clip.names[i]}.png", strip)
     upstream = {"frames": frames, "masks": masks, "sfm": sfm, "smpl": smpl, "survey": survey, "train": train}
-    stamps = {name: json.loads((folder / "stamp.json").read_text()) for name, folder in upstream.items()}
+    cost = {"seconds": float, "peak_memory_bytes": int}
+    stamps = {name: read_facts(folder / "stamp.json", cost) for name, folder in upstream.items()}
     seconds = {name: stamp["seconds"] for name, stamp in stamps.items()}
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [stamp["peak_memory_bytes"] for stamp in stamps.values()]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages import contract
-from stages.contract import Job
+from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,12 +20,22 @@ FILMS = {
     "motion": "a motion that is not in the clip",
     "scene": "the scene without the person",
 }
+AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
     "heldout": "held out",
     "heldout_fitted": "held out, poses fitted",
 }
 REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
 MASKED = {"masked_full": "person times mask, whole", "masked_crop": "person times mask, its box"}
+
+STAMP = {"seconds": float, "peak_memory_bytes": int, "notes": [str], "warnings": [str]}
+SCORES = {str: {str: (float, None)}}
+METRICS = {"heldout": SCORES, "heldout_fitted": SCORES, "gaussians": {"human": int, "scene": int}, "protocol": str}
+METRICS |= {"seconds": {"total": float}, "peak_memory_bytes": int}
+MEASURE = {"value": (float, None), "unit": str, "verdict": str}
+SURVEY = {"measures": {str: MEASURE}, "decisions": {str: bool}}
+RUNGS = {"of?": int, "rungs?": [{"how": str, "models": [{"registered": int}]}], "mapper?": str}
+"""What is taken from stamp.json, metrics.json, survey.json, and sfm.json, which has rungs where the cameras were mapped."""
 
 
 class Params(contract.Params):
@@ -50,20 +59,22 @@ def run(
     """Write report.html, one self-contained page."""
     from stages.formats import page
     from stages.formats.clip import load_clip
+    from stages.formats.facts import read_facts
 
     folders = (frames, masks, sfm, smpl, survey, train, export, render, evaluate)
     names = ("frames", "masks", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
-    stamps = {name: _json(folder / "stamp.json") for name, folder in zip(names, folders, strict=True)}
-    video, metrics = _json(frames / "frames.json")["video"], _json(evaluate / "metrics.json")
+    stamps = {name: read_facts(folder / "stamp.json", STAMP) for name, folder in zip(names, folders, strict=True)}
+    listing = read_facts(frames / "frames.json", {"video": {"path": str}})
+    metrics = read_facts(evaluate / "metrics.json", METRICS)
     clip = load_clip(sfm, smpl)
-    name = Path(video["path"]).name
+    name = Path(listing["video"]["path"]).name
     sizes = metrics["gaussians"]
     parts = [
         f"<h1>{page.escape(name)}</h1>",
         f'<p class="soft">{len(clip.names)} frames of {clip.width}x{clip.height} px, '
         f"{sizes['human']:,} Gaussians in the person, {sizes['scene']:,} in the scene</p>",
         page.facts(_headline(metrics)),
-        *(page.warning(f"{stage}: {text}") for stage, stamp in stamps.items() for text in stamp.get("warnings", [])),
+        *(page.warning(f"{stage}: {text}") for stage, stamp in stamps.items() for text in stamp["warnings"]),
         page.section("What was learned", _films(render)),
         page.section(
             "Held-out frames",
@@ -72,7 +83,7 @@ def run(
             "trained on.",
         ),
         page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics["protocol"]),
-        *_beside_the_paper(_json(frames / "frames.json").get("dataset"), metrics),
+        *_beside_the_paper(listing.get("dataset"), metrics),
         page.section("Accuracy over time", _curve(train), note="The clock stands still while accuracy is measured."),
         page.section("Where the time went", _times(stamps)),
         page.section(
@@ -80,15 +91,11 @@ def run(
             page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
             note="The fitted body over the frames. Where the outline leaves the person, the avatar suffers.",
         ),
-        page.section("What was measured and decided", _survey(survey) + _rungs(_json(sfm / "sfm.json"))),
+        page.section("What was measured and decided", _survey(survey) + _rungs(read_facts(sfm / "sfm.json", RUNGS))),
         page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
     ]
     (job.out / "report.html").write_text(page.page(f"{name}: hugs", parts), encoding="utf-8")
     job.note(f"report.html, {(job.out / 'report.html').stat().st_size / 2**20:.1f} MiB")
-
-
-def _json(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text()) if path.exists() else {}
 
 
 def _headline(metrics: dict[str, Any]) -> list[tuple[str, str]]:
@@ -161,19 +168,22 @@ def _curve(train: Path) -> str:
 
     from stages.formats import page
 
-    with (train / "curve.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
     lines = {}
-    for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
-        known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
-        lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
+    try:
+        with (train / "curve.csv").open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
+            known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
+            lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise StageError(f"cannot read {train / 'curve.csv'}", AGAIN, [repr(error)]) from error
     return page.chart(lines, "minutes of training", "PSNR dB") or "<p>Too few measurements for a curve.</p>"
 
 
 def _times(stamps: dict[str, dict[str, Any]]) -> str:
     from stages.formats import page
 
-    spent = {name: stamp["seconds"] for name, stamp in stamps.items() if "seconds" in stamp}
+    spent = {name: stamp["seconds"] for name, stamp in stamps.items()}
     longest = max(spent.values(), default=1.0) or 1.0
     rows = [
         [name, _duration(s), f"{stamps[name]['peak_memory_bytes'] / 2**20:.0f} MiB", page.bar(s / longest)]
@@ -216,8 +226,9 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
 
 def _survey(survey: Path) -> str:
     from stages.formats import page
+    from stages.formats.facts import read_facts
 
-    found = _json(survey / "survey.json")
+    found = read_facts(survey / "survey.json", SURVEY)
     rows = [
         [name.replace("_", " "), f"{_number(m.get('value'))} {m.get('unit') or ''}", str(m.get("verdict", ""))]
         for name, m in found["measures"].items()
@@ -227,14 +238,14 @@ def _survey(survey: Path) -> str:
 
 
 def _rungs(found: dict[str, Any]) -> str:
-    """How the cameras were found, and what was tried before, if they were mapped."""
+    """How the cameras were found, and what was tried before, if they were mapped; `found` is sfm.json."""
     from stages.formats import page
 
     said = []
     for rung in found.get("rungs", []):
         best = max((model["registered"] for model in rung["models"]), default=0)
         said.append(f"{rung['how']} {best} of {found['of']} frames in the largest of {len(rung['models'])} models")
-    taken = f" Taken: {found['mapper']}." if len(said) > 1 and "mapper" in found else ""
+    taken = f" Taken: {found.get('mapper', 'none of them')}." if len(said) > 1 else ""
     return f"<p>Cameras: {page.escape('; '.join(said))}.{page.escape(taken)}</p>" if said else ""
 
 
@@ -243,4 +254,4 @@ def _number(value: Any) -> str:
 
 
 def _notes(stamps: dict[str, dict[str, Any]]) -> list[list[str]]:
-    return [[stage, note] for stage, stamp in stamps.items() for note in stamp.get("notes", [])]
+    return [[stage, note] for stage, stamp in stamps.items() for note in stamp["notes"]]

@@ -43,8 +43,9 @@ class Params(contract.Params):
 def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl: Path) -> None:
     """Measure the clip and decide, with reasons, what training models."""
     from stages.formats.clip import load_clip
+    from stages.formats.facts import read_facts
 
-    facts = json.loads((sfm / "sfm.json").read_text())
+    facts = read_facts(sfm / "sfm.json", {"verdict": str, "distortion": {"max_shift_px": float}})
     clip = load_clip(sfm, smpl)
     job.progress(0, 3)
     measures = camera_measures(facts, clip)

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import pickle
 import sys
 import time
 from pathlib import Path
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 RESUMES = True
 CHECKPOINT_SECONDS = 60
+BROKEN = (OSError, RuntimeError, LookupError, ValueError, TypeError, EOFError, AttributeError, pickle.UnpicklingError)
+"""What torch raises on a checkpoint that is damaged, of another model, or asks for code."""
 PAINTED = 24  # frames from which the person's first colours are read
 FILLED = 16  # frames from which points of the scene are filled in
 JUDGED = 6  # held-out frames on the accuracy curve
@@ -110,8 +113,9 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
 def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
     from stages.formats.clip import load_clip
+    from stages.formats.facts import read_facts
 
-    decisions = json.loads((survey / "survey.json").read_text())["decisions"]
+    decisions = read_facts(survey / "survey.json", {"decisions": {str: bool}})["decisions"]
     clip = load_clip(sfm, smpl)
     train = [i for i in range(len(clip.names)) if clip.training[i]]
     if not train:
@@ -308,8 +312,14 @@ def _resume(fit: Fit, job: Job) -> dict[str, Any]:
     path.with_suffix(".part").unlink(missing_ok=True)
     if not path.exists():
         return {"curve": [], "seconds": 0.0}
-    saved = torch.load(path, map_location=job.device, weights_only=True)
-    fit.load(saved["fit"])
+    try:
+        saved = torch.load(path, map_location=job.device, weights_only=True)
+        fit.load(saved["fit"])
+        saved["threads"], saved["curve"], saved["seconds"]
+    except BROKEN as error:
+        said = str(error).strip().partition("\n")[0] or type(error).__name__
+        hint = "begin again: `hugs run VIDEO train --force`"
+        raise StageError("the checkpoint of the stopped training cannot be used", hint, [f"{path}: {said}"]) from error
     job.note(f"goes on after step {fit.step}")
     if saved["threads"] != torch.get_num_threads():
         job.warn(f"{saved['threads']} threads before, {torch.get_num_threads()} now: sums differ in their last digits")

@@ -37,3 +37,11 @@ def held(record_property: Callable[[str, object], None]) -> Callable[..., None]:
         assert measured <= bound, f"{what or 'measured'} {measured:.3g} is over {bound:.3g}"
 
     return check
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory) -> Path:
+    """The folder of small whole files of every kind that we read; a test that damages one puts it back."""
+    from tests import corpus
+
+    return corpus.make(tmp_path_factory.mktemp("corpus"))

@@ -1,31 +1,92 @@
-"""Named arrays from .npz files, and the checks every reader makes on them."""
+"""Named arrays from .npz files, single ones from .npy, and the checks every reader makes on them."""
 
 from __future__ import annotations
 
+import io
+import math
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stages.contract import StageError
 
+BROKEN = (
+    *(OSError, ValueError, TypeError, KeyError, EOFError, RuntimeError, OverflowError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError, SyntaxError),
+)
+"""What Python's zipfile and numpy raise on damaged archives and headers."""
+PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
 
 def read_npz(path: Path, hint: str = "", only: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """All arrays of an .npz file, or those named in `only`; StageError for a missing, broken or pickled one, with the key."""
+    """All arrays of an .npz file, or those named in `only`; StageError for a missing, broken or pickled one, with the key.
+
+    Memory is taken for bytes that are there, never for what a header promises.
+    """
     arrays = {}
     key = ""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            for key in data.files:
-                if not only or key in only:
-                    arrays[key] = data[key]
+        with zipfile.ZipFile(io.BytesIO(Path(path).read_bytes())) as archive:  # of a file it reads what headers promise
+            for member in archive.infolist():
+                key = member.filename.removesuffix(".npy")
+                if only and key not in only:
+                    continue
+                if member.compress_type not in PLAIN:
+                    raise ValueError(f"it is packed by method {member.compress_type}, which numpy does not write")
+                arrays[key] = array_of(archive.read(member))
     except FileNotFoundError as error:
         raise StageError(f"no file {path}", hint) from error
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except BROKEN as error:
         where = f"array {key!r} of {path}" if key else f"{path}"
-        raise StageError(f"cannot read {where} without running pickled code", hint, [str(error)]) from error
+        raise StageError(f"cannot read {where}", hint, [str(error) or type(error).__name__]) from error
     return arrays
+
+
+def read_npy(path: Path, hint: str = "") -> np.ndarray:
+    """The array of an .npy file; StageError for a missing, broken or pickled one."""
+    try:
+        return array_of(Path(path).read_bytes())
+    except BROKEN as error:
+        raise StageError(f"{path} is not a plain .npy array", hint, [str(error) or type(error).__name__]) from error
+
+
+def array_of(data: bytes) -> np.ndarray:
+    """The array in the bytes of an .npy file; ValueError (or one of BROKEN) where header and content do not fit."""
+    shape, fortran, dtype, start = npy_header(data)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which only running pickled code could make")
+    if dtype.itemsize * math.prod(shape) != len(data) - start:
+        raise ValueError(
+            f"{dtype.itemsize * math.prod(shape)} bytes of {dtype} {shape} promised, {len(data) - start} found"
+        )
+    array = np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C").copy()
+    check_letters(array)
+    return array
+
+
+def check_letters(array: np.ndarray) -> None:
+    """ValueError for texts of numbers that are no letters in Unicode: numpy makes broken Python texts of them."""
+    if array.dtype.kind == "U" and array.size:
+        codes = np.frombuffer(array.tobytes(), np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+        wrong = codes[(codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))]
+        if len(wrong):
+            raise ValueError(f"a text has the letter {int(wrong[0]):#x}, which Unicode has not")
+
+
+def npy_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
+    """Shape, column order, type, and where the content begins."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(file)
+    if min(shape, default=0) < 0:
+        raise ValueError(f"its shape is {shape}")
+    return shape, fortran, dtype, file.tell()
 
 
 def take(arrays: Mapping[str, np.ndarray], key: str, path: Path | str, hint: str = "") -> np.ndarray:
@@ -35,9 +96,10 @@ def take(arrays: Mapping[str, np.ndarray], key: str, path: Path | str, hint: str
     return arrays[key]
 
 
-def checked(array: np.ndarray, shape: tuple[int | None, ...], key: str, path: Path | str, hint: str = "") -> np.ndarray:
+def checked(value: Any, shape: tuple[int | None, ...], key: str, path: Path | str, hint: str = "") -> np.ndarray:
     """The array if it has `shape` (None: any length) and finite numbers, else StageError with key, shape, index."""
-    found = np.shape(array)
+    array = as_array(value, key, path, hint)
+    found = array.shape
     if len(found) != len(shape) or any(
         want is not None and want != have for want, have in zip(shape, found, strict=True)
     ):
@@ -52,3 +114,11 @@ def checked(array: np.ndarray, shape: tuple[int | None, ...], key: str, path: Pa
         facts = [f"the first of {(~finite).sum()} stands at {list(map(int, index))}: {array[index]}"]
         raise StageError(f"{key} in {path} has numbers that are not finite", hint, facts)
     return array
+
+
+def as_array(value: Any, key: str, path: Path | str, hint: str = "") -> np.ndarray:
+    """An array, or nested lists made one; StageError for lists of unequal length."""
+    try:
+        return np.asarray(value)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise StageError(f"{key} in {path} is not an array", hint, [str(error)]) from error

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, read_npz, take
+from stages.formats.arrays import as_array, checked, read_npz, take
 from stages.formats.safe_pickle import read_pickle
 
 FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"
@@ -96,9 +96,9 @@ def write_body_model(path: Path, model: BodyModel) -> None:
 def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
     def get(key: str, *shape: int | None) -> np.ndarray:
         stored = key if key in arrays else _OTHER_NAMES.get(key, key)
-        return checked(np.asarray(take(arrays, stored, path, HINT)), shape, stored, path, HINT)
+        return checked(take(arrays, stored, path, HINT), shape, stored, path, HINT)
 
-    joints = len(np.atleast_1d(np.asarray(take(arrays, "J_regressor", path, HINT))))
+    joints = len(np.atleast_1d(as_array(take(arrays, "J_regressor", path, HINT), "J_regressor", path, HINT)))
     if joints in _SIBLINGS:
         raise StageError(f"{path} is {_SIBLINGS[joints]} model", HINT, [f"it has {joints} joints, not {JOINTS}"])
     v_template = get("v_template", None, 3)
@@ -134,7 +134,7 @@ def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
 
 
 def _parents(arrays: Mapping[str, Any], path: Path) -> np.ndarray:
-    table = checked(np.asarray(take(arrays, "kintree_table", path, HINT)), (2, JOINTS), "kintree_table", path, HINT)
+    table = checked(take(arrays, "kintree_table", path, HINT), (2, JOINTS), "kintree_table", path, HINT)
     parents = table[0].astype(np.int64)
     parents[parents == 2**32 - 1] = -1  # the root, kept unsigned
     joint = np.arange(JOINTS)

@@ -8,6 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.arrays import checked, read_npz
+from stages.formats.facts import is_file_name
+
+LARGEST_SIDE = 1 << 16  # px
 
 
 @dataclass(frozen=True)
@@ -53,32 +57,33 @@ def read_cameras(path: Path) -> Cameras:
     Raises StageError with the offending key, shape or camera.
     """
     hint = "cameras need viewmats [C,4,4] (camera from world, OpenCV axes), Ks [C,3,3] in px, width and height"
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = dict(data)
-    except (OSError, ValueError) as error:
-        raise StageError(f"cannot read the cameras in {path}", hint, [str(error)]) from error
+    arrays = read_npz(path, hint)
     missing = sorted({"viewmats", "Ks", "width", "height"} - arrays.keys())
     if missing:
         raise StageError(f"{path} has no {', '.join(missing)}", hint, [f"it holds {', '.join(sorted(arrays))}"])
-    viewmats = arrays["viewmats"].astype(np.float64)
-    Ks = arrays["Ks"].astype(np.float64)
-    count = len(viewmats)
+    viewmats, Ks = arrays["viewmats"], arrays["Ks"]
+    count = len(np.atleast_1d(viewmats))
     if viewmats.shape != (count, 4, 4) or Ks.shape != (count, 3, 3) or count == 0:
         raise StageError(f"wrong shapes in {path}", hint, [f"viewmats {viewmats.shape}, Ks {Ks.shape}"])
+    if not {viewmats.dtype.kind, Ks.dtype.kind} <= set("fiu"):
+        raise StageError(f"{path} does not hold numbers", hint, [f"viewmats {viewmats.dtype}, Ks {Ks.dtype}"])
+    viewmats, Ks = viewmats.astype(np.float64), Ks.astype(np.float64)
     names = arrays.get("names", np.array([f"{i:06d}" for i in range(count)]))
-    if len(names) != count or len(set(names.tolist())) != count:
-        raise StageError(f"the {len(names)} names in {path} do not name its {count} cameras one by one", hint)
-    unfit = [str(name) for name in names if str(name) in ("", ".", "..") or set(str(name)) & set("/\\\0")]
+    if names.shape != (count,) or len(set(names.tolist())) != count:
+        raise StageError(f"the {names.size} names in {path} do not name its {count} cameras one by one", hint)
+    unfit = [str(name) for name in names if not is_file_name(str(name))]
     if unfit:
         raise StageError(f"a camera name in {path} cannot be a file name", hint, [f"found {unfit[0]!r}"])
     _check_values(path, viewmats, Ks, hint)
+    width, height = (int(checked(arrays[key], (), key, path, hint)) for key in ("width", "height"))
+    if not 0 < min(width, height) <= max(width, height) <= LARGEST_SIDE:
+        raise StageError(f"{path} has a size that no picture has", hint, [f"{width}x{height} px"])
     return Cameras(
         names=tuple(str(name) for name in names),
         viewmats=viewmats,
         Ks=Ks,
-        width=int(arrays["width"]),
-        height=int(arrays["height"]),
+        width=width,
+        height=height,
     )
 
 

@@ -8,9 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from stages.contract import StageError
 from stages.formats.arrays import read_npz, take
+from stages.formats.facts import mismatch
 
 HINT = "give the failure.npz that the train stage wrote when it broke down"
+FACTS = {"error": str, "step": int, "seed": int, "device": str, "threads": int, "params": {}}
+FACTS |= dict.fromkeys(("sfm", "smpl", "survey"), str)
+"""What is taken from the facts."""
 
 
 def write_failure(path: Path, state: bytes, facts: dict[str, Any]) -> None:
@@ -22,4 +27,11 @@ def read_failure(path: Path) -> tuple[bytes, dict[str, Any]]:
     """The state and the facts that `write_failure` wrote; StageError for another kind of file."""
     arrays = read_npz(path, HINT)
     state, facts = (take(arrays, key, path, HINT) for key in ("state", "facts"))
-    return state.tobytes(), json.loads(facts.item())
+    try:
+        found = json.loads(str(facts))
+    except (ValueError, RecursionError) as error:
+        raise StageError(f"facts in {path} are no JSON", HINT, [str(error)]) from error
+    wrong = mismatch(found, FACTS, "") or ("" if state.dtype == np.uint8 else f"state is {state.dtype}, not bytes")
+    if wrong:
+        raise StageError(f"{path} is not what training leaves", HINT, [wrong])
+    return state.tobytes(), found

@@ -88,7 +88,7 @@ def _names(file: Fields, count: int) -> tuple[str, ...] | None:
     if array.shape != (count,) or array.dtype.kind not in "USiu":
         facts = [f"found {array.shape} of {array.dtype}, wanted {count} texts or whole numbers"]
         raise StageError(f"{key} in {file.where} does not name its rows", HINT, facts)
-    return tuple(name.decode() if isinstance(name, bytes) else str(name) for name in array.tolist())
+    return tuple(name.decode(errors="replace") if isinstance(name, bytes) else str(name) for name in array.tolist())
 
 
 def _times(file: Fields, count: int) -> np.ndarray | None:

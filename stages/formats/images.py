@@ -90,18 +90,17 @@ def write_mask(path: Path, mask: np.ndarray) -> None:
 
 
 def write_uint8(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 [H,W,channels]; raises StageError with OpenImageIO's reason if the file cannot be written."""
-    height, width, channels = pixels.shape
-    spec = oiio.ImageSpec(width, height, channels, "uint8")
-    spec["oiio:UnassociatedAlpha"] = 1
-    spec["png:compressionLevel"] = PNG_LEVEL
-    target = oiio.ImageOutput.create(str(path))
-    done = target is not None and target.open(str(path), spec) and target.write_image(np.ascontiguousarray(pixels))
-    trouble = oiio.geterror() if target is None else target.geterror()
-    if target is not None:
-        done = target.close() and done
-    if not done:
-        raise StageError(f"cannot write {path}", "check the disk and the folder", [first_line(trouble)])
+    """Write uint8 [H,W,channels]; raises StageError with the reason if the file cannot be written.
+
+    Encoded in memory by OpenCV: OpenImageIO cuts files short on a full disk and reports success.
+    """
+    stored = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]] if pixels.shape[2] > 1 else pixels
+    suffix = Path(path).suffix
+    try:
+        _, data = cv2.imencode(suffix, stored, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL] if suffix == ".png" else [])
+        Path(path).write_bytes(data)
+    except (cv2.error, OSError) as error:
+        raise StageError(f"cannot write {path}", "check the disk and the folder", [first_line(str(error))]) from error
 
 
 def first_line(text: str) -> str:

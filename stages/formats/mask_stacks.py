@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import read_npz
+from stages.formats.arrays import BROKEN, read_npz
 from stages.formats.frame_names import stem
 from stages.formats.mask_sets import MaskSet, Values, in_order
 from stages.formats.masks import checked_values
@@ -25,7 +25,7 @@ def read_stack(path: Path, frames: int) -> MaskSet:
     if path.suffix.lower() == ".npy":
         try:
             arrays = {"array": np.load(path, mmap_mode="r", allow_pickle=False)}
-        except (OSError, ValueError, EOFError) as error:
+        except BROKEN as error:
             raise StageError(f"{path} is not a plain .npy array", "save it by numpy.save", [str(error)]) from error
     else:
         arrays = read_npz(path, HINT)
@@ -63,7 +63,9 @@ def one_stack(path: Path, key: str, stack: np.ndarray, arrays: dict[str, np.ndar
         if given.shape != (len(stack),) or given.dtype.kind not in "USiu":
             facts = [f"found {given.dtype} {given.shape}, wanted {len(stack)} texts or whole numbers"]
             raise StageError(f"{found} in {path} does not name its masks", HINT, facts)
-        names = tuple(stem(name.decode() if isinstance(name, bytes) else str(name)) for name in given.tolist())
+        names = tuple(
+            stem(name.decode(errors="replace") if isinstance(name, bytes) else str(name)) for name in given.tolist()
+        )
 
     def read(_: str, i: int) -> Values:
         values = checked_values(np.asarray(stack[i]), f"mask {i} of {key} in {path}")

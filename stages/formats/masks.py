@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.arrays import read_npy
 from stages.formats.frame_names import ENDINGS
 from stages.formats.images import read_pixels
 from stages.formats.video import natural
@@ -84,11 +85,8 @@ def palette(path: Path) -> np.ndarray | None:
 
 def read_array(path: Path) -> np.ndarray:
     """Read a .npy mask [H,W] (axes of length 1 are dropped) of bool, integers or finite floats."""
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise StageError(f"{path} is not a plain .npy array", "save it by numpy.save", [str(error)]) from error
-    return checked_values(np.squeeze(array), str(path))
+    array = np.squeeze(read_npy(path, "save it by numpy.save"))
+    return checked_values(array, str(path))
 
 
 def checked_values(array: np.ndarray, what: str) -> np.ndarray:

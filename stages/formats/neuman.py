@@ -102,7 +102,11 @@ def _listed(path: Path, by_stem: dict[str, str]) -> list[str] | None:
     """The registered pictures that a file names, or None without the file."""
     if not path.is_file():
         return None
-    stems = [Path(line.strip()).stem for line in path.read_text().splitlines() if line.strip()]
+    try:
+        names = path.read_text(encoding="utf-8").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise StageError(f"cannot read {path}", HINT, [str(error)]) from error
+    stems = [Path(name.strip()).stem for name in names if name.strip()]
     unknown = [name for name in stems if name not in by_stem]
     if unknown:
         facts = [f"{len(unknown)} of {len(stems)}, first {unknown[0]}"]

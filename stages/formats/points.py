@@ -44,20 +44,34 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
     if not mark or lines[:1] != [["ply"]] or ["format", "binary_little_endian", "1.0"] not in lines:
         raise StageError(f"{path} is not a binary little-endian PLY", hint)
-    elements = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
-    if not elements or lines[elements[0]][1] != "vertex":
-        raise StageError(f"{path} does not begin with vertices", hint)
-    end = elements[1] if len(elements) > 1 else len(lines)
-    properties = [line for line in lines[elements[0] : end] if line[0] == "property"]
-    names = [line[-1] for line in properties]
-    if any(line[1] not in TYPES for line in properties) or not {name for name, _ in FIELDS} <= set(names):
+    try:
+        dtype, count = _vertices(lines)
+    except (ValueError, IndexError) as error:
+        raise StageError(f"the header of {path} cannot be read", hint, [str(error)]) from error
+    names = dtype.names or ()
+    if not {name for name, _ in FIELDS} <= set(names):
         raise StageError(f"{path} lacks x y z red green blue", hint, [f"it has {', '.join(names)}"])
-    dtype = np.dtype([(line[2], TYPES[line[1]]) for line in properties])
-    count = int(lines[elements[0]][2])
     if len(body) < count * dtype.itemsize:
         raise StageError(f"{path} is cut short", hint, [f"{len(body)} of {count * dtype.itemsize} bytes"])
     table = np.frombuffer(body, dtype, count)
-    xyz = np.stack([table[name].astype(np.float32) for name in ("x", "y", "z")], 1)
+    with np.errstate(over="ignore"):  # a double too large for a float is refused below
+        xyz = np.stack([table[name].astype(np.float32) for name in ("x", "y", "z")], 1)
     if not np.isfinite(xyz).all():
         raise StageError(f"{path} has points that are not finite", hint, [f"{(~np.isfinite(xyz).all(1)).sum()} points"])
     return xyz, np.stack([table[name].astype(np.uint8) for name in ("red", "green", "blue")], 1)
+
+
+def _vertices(lines: list[list[str]]) -> tuple[np.dtype, int]:
+    """Layout and number of the vertices, the first element of a PLY; ValueError or IndexError for any other header."""
+    starts = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
+    if not starts or lines[starts[0]][1:2] != ["vertex"]:
+        raise ValueError("it does not begin with vertices")
+    end = starts[1] if len(starts) > 1 else len(lines)
+    properties = [line for line in lines[starts[0] : end] if line[:1] == ["property"]]
+    unknown = [line for line in properties if len(line) != 3 or line[1] not in TYPES]
+    if unknown:
+        raise ValueError(f"it has a {' '.join(unknown[0])}")
+    count = int(lines[starts[0]][2])
+    if count < 0:
+        raise ValueError(f"it has {count} vertices")
+    return np.dtype([(name, TYPES[kind]) for _, kind, name in properties]), count

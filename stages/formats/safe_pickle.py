@@ -1,23 +1,33 @@
 """Arrays out of pickles, without running what the pickle asks for.
 
-Pickles name functions to call. This reader knows arrays only: numpy's own rebuilding, and inert stand-ins for the
-chumpy and scipy.sparse objects found in SMPL files (neither package is needed). Every other name is refused.
+Pickles name functions to call. This reader knows arrays only: stand-ins of our own for what numpy rebuilds them by, and
+inert ones for the chumpy and scipy.sparse objects found in SMPL files (neither package is needed). Every other name is
+refused, and so is a size that the file itself does not hold: numpy's own classes and the unpickler in C trust both.
 """
 
 from __future__ import annotations
 
+import io
+import math
 import pickle
-import tokenize
+import re
+import struct
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy._core.multiarray import _reconstruct, scalar
 
 from stages.contract import StageError
+from stages.formats.arrays import BROKEN, check_letters, npy_header
 
 _MODULES = ("numpy.core.multiarray", "numpy._core.multiarray")
-_BROKEN = (pickle.UnpicklingError, EOFError, AttributeError, ImportError, IndexError, KeyError, TypeError, ValueError)
+_BROKEN = (*BROKEN, pickle.UnpicklingError, AttributeError, ImportError, IndexError, AssertionError, struct.error)
+_ELSEWHERE = (pickle.NEXT_BUFFER, pickle.READONLY_BUFFER)
+"""Opcodes for content outside of the pickle."""
+_TYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}|O8?")
+_DENSE = 1 << 24
+"""Most numbers of a sparse matrix made dense; SMPL-X's largest has half a million."""
 
 
 class _Inert:
@@ -34,50 +44,57 @@ class _Inert:
 
 def read_pickle(path: Path, hint: str = "") -> dict[str, Any]:
     """The pickled dictionary in `path`, arrays made plain numpy; StageError if it is broken or asks for code."""
+    return _named(path, hint, "a pickle", _load)
+
+
+def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
+    """The dictionary that numpy.save put into `path`; StageError if there is none, or if it holds more than arrays."""
+
+    def load(data: bytes) -> Any:
+        _, _, dtype, start = npy_header(data)
+        content = _load(data[start:]) if dtype.hasobject else None
+        return content.item() if isinstance(content, np.ndarray) and content.size == 1 else content
+
+    return _named(path, hint, "a .npy file", load)
+
+
+def _named(path: Path, hint: str, kind: str, load: Callable[[bytes], Any]) -> dict[str, Any]:
     try:
-        with open(path, "rb") as file:
-            content = ArraysOnly(file, encoding="latin1").load()
+        data = Path(path).read_bytes()
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
+    try:
+        content = load(data)
     except _BROKEN as error:
-        raise StageError(f"{path} is not a pickle of plain arrays", hint, [f"{error}"]) from error
+        raise StageError(f"{path} is not {kind} of plain arrays", hint, [f"{error}"]) from error
     if not isinstance(content, dict):
         raise StageError(f"{path} holds a {type(content).__name__}, not named arrays", hint)
     return {str(key): plain(value, f"{key} in {path}") for key, value in content.items()}
 
 
-def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
-    """The dictionary that numpy.save put into `path`; StageError if there is none, or if it holds more than arrays."""
-    try:
-        with open(path, "rb") as file:
-            content = read_npy(file, ArraysOnly)
-    except OSError as error:
-        raise StageError(f"cannot open {path}", hint, [str(error)]) from error
-    except _BROKEN as error:
-        raise StageError(f"{path} is not a .npy file of plain arrays", hint, [f"{error}"]) from error
-    content = content.item() if isinstance(content, np.ndarray) and content.size == 1 else content
-    if not isinstance(content, dict):
-        raise StageError(f"{path} holds no named arrays", hint)
-    return {str(key): plain(value, f"{key} in {path}") for key, value in content.items()}
-
-
-def read_npy(file: BinaryIO, unpickler: type[ArraysOnly]) -> Any:
-    """The array of an open .npy file; objects in it by `unpickler`. Raises ValueError or EOFError if it is broken."""
-    start = file.tell()
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    try:
-        dtype = read(file)[2]
-    except (SyntaxError, tokenize.TokenError) as error:
-        raise ValueError(f"its header is damaged: {error}") from error
-    if dtype.hasobject:
-        return unpickler(file, encoding="latin1").load()
-    file.seek(start)
-    return np.lib.format.read_array(file, allow_pickle=False)
+def _load(data: bytes) -> Any:
+    content = ArraysOnly(io.BytesIO(data), encoding="latin1").load()
+    open_, seen = [content], 0
+    while open_:  # lists that hold each other stand for more than any memory has
+        value = open_.pop()
+        seen += 1
+        if seen > len(data):
+            raise pickle.UnpicklingError("it repeats itself endlessly")
+        if isinstance(value, (list, tuple, set, frozenset)):
+            open_ += value
+        elif isinstance(value, dict):
+            open_ += value.values()
+        elif isinstance(value, _Inert):
+            open_.append(getattr(value, "state", {}))
+        elif isinstance(value, np.ndarray) and value.dtype.hasobject:
+            open_ += value.ravel().tolist()
+    return content
 
 
 def plain(value: Any, name: str) -> Any:
     """`value` with stand-ins turned into the arrays they hold; StageError naming `name` if that is not possible."""
+    if isinstance(value, _Array):
+        return value.view(np.ndarray)
     if not isinstance(value, _Inert):
         return value
     state = getattr(value, "state", {})
@@ -90,22 +107,70 @@ def plain(value: Any, name: str) -> Any:
         if value.kind == "chumpy.reordering.Reshape":
             return np.asarray(plain(state["a"], name)).reshape(state["newshape"])
         return np.asarray(plain(state["x"], name))
-    except (KeyError, IndexError, ValueError, TypeError) as error:
+    except (KeyError, IndexError, ValueError, TypeError, RecursionError) as error:
         facts = [f"it is a {value.kind} with {', '.join(sorted(map(str, state))) or 'no state'}: {error!r}"]
         raise StageError(f"{name} is an object whose numbers cannot be read", "", facts) from error
 
 
 def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
     shape = tuple(int(n) for n in state.get("_shape", state.get("shape")))
+    if math.prod(shape) > _DENSE:
+        raise ValueError(f"its shape is {shape}")
     dense = np.zeros(shape, np.asarray(state["data"]).dtype)
     if "indptr" in state:
         lengths = np.diff(state["indptr"])
+        if lengths.min() < 0 or lengths.sum() != len(state["data"]):
+            raise ValueError(f"its rows have {lengths.sum()} numbers of {len(state['data'])}")
         outer = np.repeat(np.arange(len(lengths)), lengths)
         index = (outer, state["indices"]) if "csr" in kind else (state["indices"], outer)
     else:
         index = state["coords"] if "coords" in state else (state["row"], state["col"])
     np.add.at(dense, tuple(index), state["data"])
     return dense
+
+
+class Type:
+    """What stands in for numpy.dtype: plain numbers, texts and objects, in either byte order."""
+
+    def __init__(self, code: str, *_: Any):
+        self.code, self.order = str(code), "="
+
+    def __setstate__(self, state: Any) -> None:
+        self.order = str(state[1])
+
+    def dtype(self) -> np.dtype:
+        """The type; UnpicklingError for any other than those above."""
+        if not _TYPE.fullmatch(self.code) or self.order not in ("<", ">", "=", "|"):
+            raise pickle.UnpicklingError(f"it has an array of type {self.order}{self.code}")
+        return np.dtype(self.code).newbyteorder(self.order)
+
+
+class _Array(np.ndarray):
+    """What stands in for numpy.ndarray: takes content that is as long as its shape says, and no other."""
+
+    def __setstate__(self, state: Any) -> None:
+        *_, shape, kind, fortran, content = state
+        shape, dtype = tuple(int(n) for n in shape), kind.dtype()
+        content = content.encode("latin1") if isinstance(content, str) else content
+        length = math.prod(shape) * (1 if dtype.hasobject else dtype.itemsize)
+        if min(shape, default=0) < 0 or len(content) != length or isinstance(content, list) != dtype.hasobject:
+            raise pickle.UnpicklingError(f"{length} long content of {dtype} {shape} promised, {len(content)} found")
+        super().__setstate__((1, shape, dtype, bool(fortran), content))
+        check_letters(self)
+
+
+def _empty_array(*_: Any) -> _Array:
+    """What pickles call numpy's _reconstruct for: an array whose content follows."""
+    return _Array(0, np.uint8)
+
+
+def _scalar(kind: Type, content: bytes | str) -> Any:
+    """What pickles call numpy's scalar for: one number."""
+    return np.frombuffer(content.encode("latin1") if isinstance(content, str) else content, kind.dtype())[0]
+
+
+def _from_buffer(content: bytes, kind: Type, shape: tuple[int, ...], order: str, *_: Any) -> np.ndarray:
+    return np.frombuffer(content, kind.dtype()).reshape(shape, order=order)
 
 
 def _bare_object(cls: type, base: type, state: Any) -> Any:
@@ -119,20 +184,27 @@ def _latin1(text: str, encoding: str = "latin1") -> bytes:
     return text.encode("latin1")
 
 
-def _from_buffer(buffer: Any, dtype: np.dtype, shape: tuple[int, ...], order: str, *rest: Any) -> np.ndarray:
-    return np.frombuffer(buffer, dtype).reshape(shape, order=order)
+class ArraysOnly(pickle._Unpickler):
+    """The unpickler in Python: it keeps what it has seen by number in a dictionary, the one in C in a table of any size."""
 
+    dispatch: ClassVar = {
+        code: load for code, load in pickle._Unpickler.dispatch.items() if bytes([code]) not in _ELSEWHERE
+    }
 
-class ArraysOnly(pickle.Unpickler):
-    """Builds numbers, texts, containers, arrays and inert stand-ins; any other name is an UnpicklingError."""
+    def load_bytearray8(self) -> None:
+        """As the base class does, but for memory: it is taken for bytes that are there."""
+        (length,) = struct.unpack("<Q", self.read(8))
+        self.append(bytes(self.read(length)))
+
+    dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
 
     def find_class(self, module: str, name: str) -> Any:
         if module in _MODULES and name in ("_reconstruct", "scalar"):
-            return {"_reconstruct": _reconstruct, "scalar": scalar}[name]
+            return {"_reconstruct": _empty_array, "scalar": _scalar}[name]
         if module in ("numpy.core.numeric", "numpy._core.numeric") and name == "_frombuffer":
             return _from_buffer  # pickle protocol 5
         if module == "numpy" and name in ("ndarray", "dtype"):
-            return getattr(np, name)
+            return {"ndarray": None, "dtype": Type}[name]
         if module in ("__builtin__", "builtins") and name in ("object", "set", "frozenset"):
             return {"object": object, "set": set, "frozenset": frozenset}[name]
         if module in ("copy_reg", "copyreg") and name == "_reconstructor":

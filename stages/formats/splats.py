@@ -8,8 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.arrays import checked, read_npz
 
-_ROWS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+HINT = "train again: `hugs run VIDEO train --force`"
+_ROWS = {
+    "means": (3,),
+    "quats": (4,),
+    "scales": (3,),
+    "opacities": (),
+    "sh0": (3,),
+    "shN": (None, 3),
+    "lbs_weights": (24,),
+}
+_REST = {"joints": (24, 3), "parents": (24,), "betas": (10,), "canonical_pose": (69,)}
 
 
 @dataclass(frozen=True)
@@ -65,25 +76,24 @@ def read_avatar(path: Path) -> Avatar:
         raise StageError(
             "the avatar's skinning weights do not sum to one",
             facts=[f"{path.name}: row {int(off.argmax())} sums to {1 + off.max():.4f}"],
-            hint="train again: `hugs run VIDEO train --force`",
+            hint=HINT,
         )
     return avatar
 
 
 def _read(path: Path, kind: type) -> Scene | Avatar:
     names = [f.name for f in fields(kind)]
-    with np.load(path, allow_pickle=False) as data:
-        missing = [n for n in names if n not in data]
-        if missing:
-            raise StageError(
-                f"{path.name} does not hold the Gaussians of the {kind.__name__.lower()}",
-                facts=[f"missing arrays: {', '.join(missing)}"],
-                hint="give the file that the train stage wrote",
-            )
-        arrays = {n: data[n] for n in names}
-    lengths = {n: len(arrays[n]) for n in names if n in _ROWS or n == "lbs_weights"}
-    bad = [n for n in names if arrays[n].dtype.kind == "f" and not np.isfinite(arrays[n]).all()]
-    zero = np.flatnonzero(~arrays["quats"].any(-1))
+    data = read_npz(path, HINT)
+    missing = [n for n in names if n not in data]
+    if missing:
+        raise StageError(
+            f"{path.name} does not hold the Gaussians of the {kind.__name__.lower()}",
+            facts=[f"missing arrays: {', '.join(missing)}"],
+            hint="give the file that the train stage wrote",
+        )
+    lengths = {n: len(np.atleast_1d(data[n])) for n in names if n in _ROWS}
+    bad = [n for n in names if data[n].dtype.kind == "f" and not np.isfinite(data[n]).all()]
+    zero = np.flatnonzero(~data["quats"].any(-1)) if data["quats"].ndim == 2 else []
     if len(set(lengths.values())) != 1 or bad or len(zero):
         raise StageError(
             f"{path.name} is damaged",
@@ -92,6 +102,7 @@ def _read(path: Path, kind: type) -> Scene | Avatar:
                 f"arrays with values that are not finite: {', '.join(bad) or 'none'}",
                 f"rows whose quaternion is zero: {', '.join(map(str, zero[:5])) or 'none'}",
             ],
-            hint="train again: `hugs run VIDEO train --force`",
+            hint=HINT,
         )
-    return kind(**arrays)
+    shapes = {n: (lengths["means"], *shape) for n, shape in _ROWS.items()} | _REST
+    return kind(**{n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.formats.facts import read_facts
+
 EVERY_FIFTH = "Every 5th registered frame is held out."
 HELD_OUT_EVERY, HELD_OUT_FIRST = 5, 2
 
@@ -37,7 +39,8 @@ def read_split(path: Path, names: tuple[str, ...]) -> Split:
         at = np.arange(len(names))
         heldout = at % HELD_OUT_EVERY == HELD_OUT_FIRST
         return Split(~heldout, heldout, at, EVERY_FIFTH)
-    found = json.loads(path.read_text())
+    row = {"split": str, "moment": int}
+    found = read_facts(path, {"rule": str, "frames": dict.fromkeys(names, row)})
     rows = [found["frames"][name] for name in names]
     kind = np.array([row["split"] for row in rows], np.str_)
     moments = np.array([row["moment"] for row in rows], np.int64)

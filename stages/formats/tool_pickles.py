@@ -18,14 +18,15 @@ import struct
 import zipfile
 import zlib
 from collections import OrderedDict, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.safe_pickle import ArraysOnly, plain, read_npy
+from stages.formats.arrays import BROKEN, array_of, npy_header
+from stages.formats.safe_pickle import ArraysOnly, plain
 
 OLD_TORCH = 0x1950A86A20F9469CFC6C  # the first of the pickles in a file of old torch.save
 _STORAGES = {
@@ -47,22 +48,12 @@ _PLAIN = {
     ("torch", "Size"): tuple,
 }
 _BROKEN = (
-    pickle.UnpicklingError,
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    ArithmeticError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    MemoryError,
-    NotImplementedError,
-    RecursionError,
-    RuntimeError,
-    TypeError,
-    ValueError,
+    *BROKEN,
+    *(pickle.UnpicklingError, struct.error, ArithmeticError, AssertionError, AttributeError, ImportError, LookupError),
+    *(MemoryError, NotImplementedError, RecursionError),
 )
+LARGEST = 1 << 32
+"""Most bytes that a compressed file may unpack to."""
 
 
 def read_tool_file(path: Path, hint: str = "") -> Any:
@@ -71,30 +62,42 @@ def read_tool_file(path: Path, hint: str = "") -> Any:
     Raises StageError for a file that is broken, or that asks for anything else than these.
     """
     try:
-        return _plain(_load(Path(path).read_bytes()))
+        content, length = _load(Path(path).read_bytes())
+        return _plain(content, iter(range(length)))
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
     except _BROKEN as error:
         raise StageError(f"{path} cannot be read without running what it holds", hint, [f"{error}"[:300]]) from error
 
 
-def _load(data: bytes) -> Any:
+def _load(data: bytes) -> tuple[Any, int]:
+    """What is in a file, and how long it is unpacked."""
     if data[:2] == b"PK":
-        return _unzip(zipfile.ZipFile(io.BytesIO(data)))
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        return _unzip(archive), len(data) + sum(min(one.file_size, LARGEST) for one in archive.infolist())
     if data[:6] == b"\x93NUMPY":
-        return read_npy(io.BytesIO(data), ToolObjects)
+        return _npy(data), len(data)
     if data[:1] == b"x":
-        data = zlib.decompress(data)
+        unpacker = zlib.decompressobj()
+        data = unpacker.decompress(data, LARGEST)
+        if unpacker.unconsumed_tail:
+            raise ValueError(f"it unpacks to more than {LARGEST} bytes")
     file = io.BytesIO(data)
     first = ToolObjects(file).load()
-    return _old_torch(file) if first == OLD_TORCH and isinstance(first, int) else first
+    return _old_torch(file) if first == OLD_TORCH and isinstance(first, int) else first, len(data)
+
+
+def _npy(data: bytes) -> Any:
+    """The array in the bytes of an .npy file, or the objects."""
+    _, _, dtype, start = npy_header(data)
+    return ToolObjects(io.BytesIO(data[start:])).load() if dtype.hasobject else array_of(data)
 
 
 def _unzip(archive: zipfile.ZipFile) -> Any:
     names = archive.namelist()
     pickled = [name for name in names if name.rpartition("/")[2] == "data.pkl"]
     if not pickled:
-        return {name.removesuffix(".npy"): read_npy(io.BytesIO(archive.read(name)), ToolObjects) for name in names}
+        return {name.removesuffix(".npy"): _npy(archive.read(name)) for name in names}
     folder = pickled[0].removesuffix("data.pkl")
     order = f"{folder}byteorder"
     if order in names and archive.read(order).strip() != b"little":
@@ -156,7 +159,7 @@ class ToolObjects(ArraysOnly):
         if module == "torch._utils" and name == "_rebuild_parameter":
             return lambda tensor, *rest: tensor
         if module == "torch.storage" and name == "_load_from_bytes":
-            return _load
+            return _loaded
         if (module, name) == ("joblib.numpy_pickle", "NumpyArrayWrapper"):
             return type(name, (_JoblibArray,), {"file": self.file})
         return super().find_class(module, name)
@@ -169,7 +172,7 @@ class _JoblibArray:
     array: np.ndarray | None = None
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        dtype, shape = state["dtype"], tuple(int(n) for n in state["shape"])
+        dtype, shape = state["dtype"].dtype(), tuple(int(n) for n in state["shape"])
         if dtype.hasobject:
             self.array = ToolObjects(self.file).load()
             return
@@ -195,14 +198,24 @@ def _tensor(storage: np.ndarray, offset: int, shape: tuple, stride: tuple, *rest
     return np.lib.stride_tricks.as_strided(storage[offset:], shape, steps, writeable=False)
 
 
-def _plain(value: Any) -> Any:
-    """`value` with stand-ins turned into arrays, all the way down; arrays of objects become lists."""
+def _loaded(data: bytes) -> Any:
+    """A tensor's storage that is a torch file of its own."""
+    return _load(data)[0]
+
+
+def _plain(value: Any, left: Iterator[int]) -> Any:
+    """`value` with stand-ins turned into arrays, all the way down; arrays of objects become lists.
+
+    `left` runs out where lists that hold each other stand for more than the file has.
+    """
+    if next(left, None) is None:
+        raise pickle.UnpicklingError("it repeats itself endlessly")
     if isinstance(value, _JoblibArray):
-        return _plain(value.array)
+        return _plain(value.array, left)
     if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(one, left) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return type(value)(_plain(one) for one in value)
+        return type(value)(_plain(one, left) for one in value)
     if isinstance(value, np.ndarray) and value.dtype.hasobject:
-        return _plain(value.item()) if value.ndim == 0 else [_plain(one) for one in value]
+        return _plain(value.item(), left) if value.ndim == 0 else [_plain(one, left) for one in value]
     return plain(value, "an object")

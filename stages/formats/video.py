@@ -19,6 +19,7 @@ HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # ITU-T H.273 transfer characteristi
 BT709 = 1  # H.273 number of BT.709 for matrix, primaries and transfer
 QUARTER = 90  # degrees
 THREADS = 2
+AGAIN = "the file is damaged or its codec unknown; export it again as H.264"
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream
     if path.stat().st_size == 0:
         raise StageError(f"{path} is empty", "copy the video again")
     try:
-        container = av.open(str(path))
+        container = av.open(str(path), metadata_errors="replace")
     except av.error.FFmpegError as error:
         size = f"{path.stat().st_size} bytes; {first_line(error.strerror or str(error))}"
         cause = "cut short (its index stands at the end and is missing)" if is_mp4(path) else "not a video"
@@ -101,12 +102,14 @@ def probe(path: Path) -> VideoInfo:
     container, stream = open_video(path)
     with container:
         base, average, declared = stream.time_base, stream.average_rate, stream.frames
-        times = [p.pts for p in container.demux(stream) if p.pts is not None and p.size]
+        try:
+            times = [p.pts for p in container.demux(stream) if p.pts is not None and p.size]
+        except av.error.FFmpegError as error:
+            raise StageError(f"{path} cannot be read to its end", AGAIN, [first_line(str(error))]) from error
     first = next(decode_frames(path), None)
     if first is None:
         facts = [f"{len(times)} packets, {declared or 'unknown'} frames declared"]
-        hint = "the file is damaged or its codec unknown; export it again as H.264"
-        raise StageError(f"no frame of {path} can be decoded", hint, facts)
+        raise StageError(f"no frame of {path} can be decoded", AGAIN, facts)
     rotation = round(first.rotation / QUARTER) % 4
     width, height = (first.width, first.height) if rotation % 2 == 0 else (first.height, first.width)
     span = float((max(times) - min(times)) * base) if times else 0.0
@@ -128,6 +131,8 @@ def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
                 frames = [] if packet is None else packet.decode()
             except (av.error.InvalidDataError, av.error.EOFError):
                 continue
+            except av.error.FFmpegError as error:
+                raise StageError(f"{path} cannot be decoded", AGAIN, [first_line(str(error))]) from error
             if packet is None:
                 return
             yield from (frame for frame in frames if not frame.is_corrupt)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, take
+from stages.formats.arrays import as_array, checked, take
 from stages.formats.capture import Capture, Shot, require
 from stages.formats.images import read_pixels
 from stages.formats.masks import read_values
@@ -152,7 +152,7 @@ def _fit(folder: Path, numbers: list[int]) -> dict[str, np.ndarray]:
         values = read_object_npy(path, HINT)
         rows[n] = {}
         for key, size in (("Rh", 3), ("Th", 3), ("poses", 72), ("shapes", 10)):
-            array = np.asarray(take(values, key, path, HINT))
+            array = as_array(take(values, key, path, HINT), key, path, HINT)
             rows[n][key] = checked(array.reshape(-1), (size,), key, path, HINT).astype(np.float64)
     named = (("Rh", "Rh"), ("Th", "Th"), ("poses", "poses"), ("shapes", "betas"))
     return {to: np.stack([rows[n][key] for n in numbers]) for key, to in named}

@@ -2,7 +2,7 @@
 
 import shutil
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +35,10 @@ def trained(tmp_path_factory):
     for name in ("sfm", "smpl", "train"):
         shutil.copytree(made[name], store / f"{name}-01234567")
         (links / name).symlink_to(f"../store/{name}-01234567")
-        values = {field.name: "" for field in fields(Stamp)}
-        Stamp(**values | {"stage": name}).write(store / f"{name}-01234567")
+        made_of = {"seed": 0, "code": {}, "params": {}, "inputs": {}, "content": "", "files": {}, "seconds": 1.0}
+        machine = {"host": "h", "device": "cpu", "system": "s", "processors": 1, "versions": {}}
+        made_by = {"made": "2026-01-01T00:00:00+00:00", "peak_memory_bytes": 0, "machine": machine}
+        Stamp(name, "", **made_of, **made_by).write(store / f"{name}-01234567")
     (folder / "clip.mp4").write_text("pixels")
     orient, pose, transl = (t.numpy().astype(float) for t in MOTIONS["wave"](2.0, 25))
     turn = Rotation.from_euler("x", 90, degrees=True)  # AMASS: z up; and turned from where the person looks

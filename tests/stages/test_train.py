@@ -1,5 +1,7 @@
 import csv
 import json
+import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -325,3 +327,31 @@ def test_a_person_that_needs_a_scene_to_learn_says_so(tmp_path, inputs, setting)
     decide(inputs["survey"], scene=False)
     with pytest.raises(StageError, match="no scene to train the person with"):
         train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={setting: False}), **inputs)
+
+
+class Refuses:
+    """A fit of another shape than the checkpoint's."""
+
+    def load(self, state):
+        raise RuntimeError("size mismatch for means: [5, 3] and [4, 3]\nmore")
+
+
+class Touches:
+    def __init__(self, sign):
+        self.sign = sign
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.sign}",)
+
+
+def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path):
+    path, sign = tmp_path / "checkpoint.pt", tmp_path / "ran"
+    torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0}, path)
+    whole = path.read_bytes()
+    torch.save({"fit": Touches(sign)}, path)
+    for data, said in ((whole, "size mismatch"), (whole[:-50], "checkpoint.pt: "), (b"", "checkpoint.pt: "),
+                       (path.read_bytes(), "checkpoint.pt: "), (pickle.dumps(Touches(sign)), "checkpoint.pt: ")):  # fmt: skip
+        path.write_bytes(data)
+        with pytest.raises(StageError, match="checkpoint of the stopped training cannot be used") as error:
+            train._resume(Refuses(), Job(tmp_path))
+        assert said in error.value.facts[0] and "--force" in error.value.hint and not sign.exists()

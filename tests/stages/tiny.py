@@ -129,6 +129,7 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
     measures = {"points": {"value": 63, "unit": "", "threshold": 100, "verdict": "few", "frames": []}}
     facts = {
         "frames/frames.json": {"video": video},
+        "sfm/sfm.json": {"verdict": "moving"},
         "survey/survey.json": {"measures": measures, "decisions": {"scene": scene, "exposure": False}},
         "train/train.json": {"steps": 2, "exposure": {}},
     }

@@ -1,3 +1,5 @@
+import resource
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -87,3 +89,17 @@ def test_l12_writing_fails_loudly(tmp_path):
         write_image(tmp_path / "a.png", picture().astype(np.float32))
     with pytest.raises(ValueError, match="uint8"):
         write_mask(tmp_path / "a.png", picture())
+
+
+def test_a_full_disk_is_told_and_leaves_no_picture_that_looks_whole(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        with pytest.raises(StageError, match="cannot write") as error:
+            write_image(tmp_path / "a.png", noise)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "large" in error.value.facts[0]
+    with pytest.raises(StageError, match="cut short"):
+        read_image(tmp_path / "a.png")

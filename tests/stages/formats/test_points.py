@@ -41,3 +41,23 @@ def test_l08_broken_files_are_refused(tmp_path):
         read_points(path)
     with pytest.raises(ValueError, match="uint8"):
         write_points(path, np.ones((4, 3)), np.ones((4, 3)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fact"),
+    [
+        (b"vertex 4", b"vertex -4", "-4 vertices"),
+        (b"vertex 4", b"vertex many", "invalid literal"),
+        (b"vertex 4", b"vertex", "out of range"),
+        (b"float x", b"list uchar int x", "it has a property list uchar int x"),
+        (b"float y", b"float x", "field 'x' occurs more than once"),
+        (b"element vertex 4\n", b"", "does not begin with vertices"),
+    ],
+)
+def test_headers_that_mean_nothing_are_refused(tmp_path, old, new, fact):
+    path = tmp_path / "points.ply"
+    write_points(path, np.ones((4, 3)), np.ones((4, 3), np.uint8))
+    path.write_bytes(path.read_bytes().replace(old, new))
+    with pytest.raises(StageError, match="the header of") as error:
+        read_points(path)
+    assert fact in error.value.facts[0]
