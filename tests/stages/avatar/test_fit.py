@@ -317,7 +317,9 @@ def test_b10_g04_pictures_of_a_few_pixels_train(clip, size):
 def test_h19_one_frame_trains(clip):
     views, person = clip
     one = Views(*(part[:1] for part in views[:4]))
-    alone = person._replace(**{n: getattr(person, n)[:1] for n in ("global_orient", "body_pose", "transl", "confidence")})
+    alone = person._replace(
+        **{n: getattr(person, n)[:1] for n in ("global_orient", "body_pose", "transl", "confidence")}
+    )
     human, wall, generator = models()
     fit = Fit(one, [0], alone, human, wall, Options(60, 2, 300, 260, 1.0), generator)
     numbers = run(fit, 60)
@@ -343,7 +345,9 @@ def test_a_clip_of_1300_frames_is_halved_frame_by_frame_and_trains(clip, held):
     (views, person), many = clip, 1300
     of = torch.arange(many) % FRAMES
     long = Views(*(part[of] for part in views[:4]))
-    moved = person._replace(**{n: getattr(person, n)[of] for n in ("global_orient", "body_pose", "transl", "confidence")})
+    moved = person._replace(
+        **{n: getattr(person, n)[of] for n in ("global_orient", "body_pose", "transl", "confidence")}
+    )
     human, wall, generator = models()
     fit = Fit(long, list(range(many)), moved, human, wall, Options(6, 2, 300, 260, 1.0), generator)
     run(fit, 6)
