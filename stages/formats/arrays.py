@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import sys
 import tokenize
 import zipfile
 import zlib
@@ -62,7 +63,14 @@ def array_of(data: bytes) -> np.ndarray:
         raise ValueError(
             f"{dtype.itemsize * math.prod(shape)} bytes of {dtype} {shape} promised, {len(data) - start} found"
         )
+    check_letters(data[start:], dtype)
     return np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C").copy()
+
+
+def check_letters(content: bytes, dtype: np.dtype) -> None:
+    """Raise ValueError where bytes of a text type hold numbers that are no letters; Python breaks down on these."""
+    if dtype.kind == "U" and content and np.frombuffer(content, f"{dtype.byteorder}u4").max() > sys.maxunicode:
+        raise ValueError("it has letters that do not exist")
 
 
 def npy_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:

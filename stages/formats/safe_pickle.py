@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import BROKEN, npy_header
+from stages.formats.arrays import BROKEN, check_letters, npy_header
 
 _MODULES = ("numpy.core.multiarray", "numpy._core.multiarray")
 _BROKEN = (*BROKEN, pickle.UnpicklingError, AttributeError, ImportError, IndexError, AssertionError, struct.error)
@@ -155,6 +155,8 @@ class _Array(np.ndarray):
         length = math.prod(shape) * (1 if dtype.hasobject else dtype.itemsize)
         if min(shape, default=0) < 0 or len(content) != length or isinstance(content, list) != dtype.hasobject:
             raise pickle.UnpicklingError(f"{length} long content of {dtype} {shape} promised, {len(content)} found")
+        if isinstance(content, bytes):
+            check_letters(content, dtype)
         super().__setstate__((1, shape, dtype, bool(fortran), content))
 
 
