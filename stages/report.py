@@ -165,6 +165,7 @@ def _beside_the_paper(dataset: dict[str, str] | None, metrics: dict[str, Any]) -
 
 def _curve(train: Path) -> str:
     import csv
+    import math
 
     from stages.formats import page
 
@@ -174,6 +175,8 @@ def _curve(train: Path) -> str:
             rows = list(csv.DictReader(file))
         for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
             known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
+            if not all(math.isfinite(number) for point in known for number in point):
+                raise ValueError(f"{column} is not finite")
             lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise StageError(f"cannot read {train / 'curve.csv'}", AGAIN, [repr(error)]) from error

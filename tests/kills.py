@@ -105,7 +105,8 @@ def harass(flow: StandIns | Training, times: int, rng: np.random.Generator) -> C
             calm = sum(found[f"killed {number.name}"] for number in SIGNALS) >= times or rng.random() < 0.25
             process = flow.start(*flow.args)
             if not calm:
-                strike(process, length * rng.random(), rng, found)
+                hit = strike(process, length * rng.random(), rng, found)
+                length *= 1.03 if hit else 0.8  # a machine with much else to do is not always as slow
             _, said = process.communicate(timeout=LONGEST)
             ended = process.returncode == 0
             if "Traceback" in said and "KeyboardInterrupt" not in said:  # Ctrl-C before the command has begun
@@ -133,11 +134,11 @@ def in_peace(flow: StandIns | Training) -> tuple[float, dict[str, str]]:
     return time.monotonic() - began, bytes_of(flow)
 
 
-def strike(process: subprocess.Popen, after: float, rng: np.random.Generator, found: Counter) -> None:
-    """Send a signal to a run, or to the stage that it runs, after some seconds; counted if it was still there."""
+def strike(process: subprocess.Popen, after: float, rng: np.random.Generator, found: Counter) -> bool:
+    """Send a signal to a run, or to the stage that it runs, after some seconds; True, and counted, if it was still there."""
     try:
         process.wait(after)
-        return
+        return False
     except subprocess.TimeoutExpired:
         pass
     number = SIGNALS[int(rng.integers(len(SIGNALS)))]
@@ -146,9 +147,10 @@ def strike(process: subprocess.Popen, after: float, rng: np.random.Generator, fo
     try:
         os.kill(target, number)
     except ProcessLookupError:
-        return
+        return False
     found[f"killed {number.name}"] += 1
     found["of these, the stage alone"] += target != process.pid
+    return True
 
 
 def examine(flow: StandIns | Training, kept: dict[str, str], found: Counter) -> None:

@@ -68,8 +68,10 @@ def mismatch(value: Any, wanted: Any, place: str) -> str:
         fits = isinstance(value, str) and is_file_name(value)
     elif wanted is float:
         fits = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    elif wanted is int:
+        fits = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 63
     else:
-        fits = isinstance(value, wanted) and (wanted is bool or not isinstance(value, bool))
+        fits = isinstance(value, wanted)
     return "" if fits else f"{place or 'it'} is {short(value)}, not {WORDS[wanted]}"
 
 

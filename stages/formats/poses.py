@@ -57,7 +57,12 @@ def read_poses(path: Path) -> BodyPoses:
 
 def poses_from_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> BodyPoses:
     """The same from arrays in memory; `confidence` may be absent and is then 1."""
-    names = tuple(map(str, take(arrays, "names", path, HINT)))
+    listed = np.asarray(take(arrays, "names", path, HINT))
+    if listed.ndim != 1:
+        raise StageError(
+            f"names in {path} has the wrong shape", HINT, [f"found {listed.shape}, wanted one for each frame"]
+        )
+    names = tuple(map(str, listed))
     count = len(names)
     if len(set(names)) != count:
         twice = sorted({name for name in names if names.count(name) > 1})

@@ -138,7 +138,11 @@ def _check_files(folder: Path, shots: tuple[Shot, ...], masks: list[str]) -> Non
 
 def _person(shot: Shot) -> np.ndarray:
     """All masks of a picture in one: what any of them marks is the person."""
-    return np.where(np.any([read_values(p)[0] > 0 for p in shot.masks if p.is_file()], 0), 255, 0).astype(np.uint8)
+    found = [read_values(path)[0] > 0 for path in shot.masks if path.is_file()]
+    if len({mask.shape for mask in found}) > 1:
+        sizes = " and ".join(f"{mask.shape[1]}x{mask.shape[0]}" for mask in found)
+        raise StageError(f"the masks of {shot.image} have different sizes", HINT, [sizes])
+    return np.where(np.any(found, 0), 255, 0).astype(np.uint8)
 
 
 def _fit(folder: Path, numbers: list[int]) -> dict[str, np.ndarray]:

@@ -82,6 +82,8 @@ def test_a_folder_that_may_only_be_read(flow, number, monkeypatch, capsys):
     monkeypatch.chdir(flow.folder)
     monkeypatch.syspath_prepend(str(flow.folder))
     monkeypatch.setattr(engine, "make", forbidden)
+    monkeypatch.setattr(app.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(child, "prepare", lambda: None)
     monkeypatch.setattr("sys.argv", ["hugs", "run", "clip.mp4", "--pipelines-file", "pipelines.yaml"])
     with pytest.raises(SystemExit) as end:
         app.main()

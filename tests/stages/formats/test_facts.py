@@ -26,6 +26,7 @@ def test_what_fits_is_read_with_all_its_keys(tmp_path):
     [
         ({"width": 3.0}, "width is 3.0, not a whole number"),
         ({"width": True}, "width is true, not a whole number"),
+        ({"width": 10**30}, "width is 1000000000000000000000000000000, not a whole number"),
         ({"time": "2"}, 'time is "2", not a number'),
         ({"time": float("nan")}, "time is NaN, not a number"),
         ({"on": 1}, "on is 1, not true or false"),
