@@ -17,14 +17,10 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from functools import cache
 from pathlib import Path
-from typing import (
-    Annotated,
-    Any,
-    NotRequired,  # pydantic's own; it needs these before Python 3.12
-)
+from typing import Annotated, Any, NotRequired
 
 from pydantic import AfterValidator, TypeAdapter
-from typing_extensions import TypedDict
+from typing_extensions import TypedDict  # as pydantic checks it, before Python 3.12
 
 from hugs_cli import fingerprint
 from hugs_cli.pipelines import UsageError
