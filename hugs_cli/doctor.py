@@ -16,7 +16,11 @@ from hugs_cli import child
 from hugs_cli.engine import find_device
 from hugs_cli.words import size
 
-DISTRIBUTIONS = {**child.LIBRARIES, "typer": "typer", "rich": "rich", "pydantic": "pydantic", "yaml": "PyYAML"}
+DISTRIBUTIONS = {
+    **child.LIBRARIES,
+    **{name: name for name in ("typer", "rich", "pydantic", "typing_extensions")},
+    "yaml": "PyYAML",
+}
 MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # the bar of the whole flow; results of one clip and its copies
 
 
