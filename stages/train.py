@@ -332,10 +332,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     import torch
 
-    from stages.avatar.bake import lean, lined
-    from stages.avatar.densify import strays
+    from stages.avatar.bake import finished
     from stages.avatar.gaussians import finite_rows
-    from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
     from stages.formats.poses import write_poses
     from stages.formats.splats import Avatar, Scene, write_splats
@@ -343,16 +341,12 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     def array(tensor: torch.Tensor):
         return tensor.detach().cpu().numpy()
 
-    (c, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
-    broken, lost = ~finite_rows(c), fit.human.defectors(c.weights)
-    c, lost = Canonical(*(part[~broken] for part in c)), lost[~broken]
+    (baked, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
     p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
-    stray = strays(c.means, p.vertices) | lost
-    c = Canonical(*(part[~stray] for part in c))
-    if stray.any():
-        job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
-    c = lined(learned := lean(c, p, fit.full, fit.train), p, fit.full, fit.train)
-    job.note(f"{len(c.means) - len(learned.means):,} Gaussians put under the skin, so that no pose tears holes")
+    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, fit.full, fit.train)
+    if strays:
+        job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
+    job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
         lbs_weights=array(c.weights),
@@ -367,10 +361,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         quats = s.quats / s.quats.norm(dim=1, keepdim=True)
         parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
         finite = finite_rows(parts)
-        broken = torch.cat([broken, ~finite])
+        broken += int((~finite).sum())
         write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts)))
-    if broken.any():
-        job.warn(f"{int(broken.sum())} Gaussians left out of the result because they are not finite")
+    if broken:
+        job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
     write_poses(job.out / "body.npz", replace(clip.body, **poses))
     with (job.out / "curve.csv").open("w", newline="") as file:
@@ -382,9 +376,9 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "seconds": curve[-1]["seconds"],
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar)},
-        "broken": int(broken.sum()),
-        "strays": int(stray.sum()),
-        "lining": len(c.means) - len(learned.means),
+        "broken": broken,
+        "strays": strays,
+        "lining": lining,
         "left_out": fit.guard.left_out,
         "not_drawn": fit.undrawn,
         "train_frames": [clip.names[i] for i in fit.train],
