@@ -18,6 +18,7 @@ from hugs_cli.workspace import Workspace, read_json, write_json
 
 TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
 CHOSEN = "within.json"  # in the pipeline's folder: what train was given, so that a run cut short goes on
+GIVEN = {"seconds", "reserve"}
 START = 2.0  # seconds until a stage's process works
 
 # What follows the last step of training, in steps of full size: measured on the kitchen clip, 2 cores.
@@ -62,24 +63,18 @@ class Promise:
             console.say(f"{duration(chosen['seconds'])} are left for training and what follows")
         else:
             console.say("goes on with the training that was begun for this time")
-        ran = engine.run(self._timed(chosen), self.wanted, forced - set(before), device, Quiet())
+        ran = engine.run(timed(self.judge, chosen), self.wanted, forced - set(before), device, Quiet())
         ran = [*made, *(one for one in ran if one.stage not in before)]
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
         console.say(f"promised {duration(self.seconds)}, took {duration(took)} ({off:+.0f} %)")
         return ran, {"promised": self.seconds, "took": round(took, 1), **chosen}
 
-    def _timed(self, chosen: dict[str, float]) -> Judge:
-        train = self.judge.pipeline.stages["train"]
-        timed = replace(train, params=train.params.model_copy(update=chosen))
-        stages = {**self.judge.pipeline.stages, "train": timed}
-        return replace(self.judge, pipeline=replace(self.judge.pipeline, stages=stages))
-
     def _begun(self, chosen: dict[str, Any]) -> bool:
         """Whether training with the settings chosen before is finished, or was cut short."""
-        if set(chosen) != {"seconds", "reserve"}:
+        if set(chosen) != GIVEN:
             return False
-        judge = self._timed(chosen)
+        judge = timed(self.judge, chosen)
         verdict = judge.all(judge.pipeline.upstream(["train"]))["train"]
         return verdict.fresh or (
             verdict.recipe is not None and judge.workspace.part("train", verdict.recipe.key).is_dir()
@@ -111,6 +106,35 @@ def promise(judge: Judge, stages: list[str] | None, text: str) -> Promise:
     wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
     if "train" not in wanted or "seconds" not in type(judge.pipeline.stages["train"].params).model_fields:
         raise UsageError("--within is for runs that train", "leave it out, or name train or a stage after it")
-    name = f"{judge.pipeline.name}.{text.strip()}"
+    return Promise(named(judge, text.strip()), wanted, seconds)
+
+
+def named(judge: Judge, text: str) -> Judge:
+    """The judge of a pipeline's results within a time."""
+    name = f"{judge.pipeline.name}.{text}"
     place = Workspace(judge.sources["video"], judge.workspace.work, name)
-    return Promise(replace(judge, workspace=place, pipeline=replace(judge.pipeline, name=name)), wanted, seconds)
+    return replace(judge, workspace=place, pipeline=replace(judge.pipeline, name=name))
+
+
+def timed(judge: Judge, chosen: dict[str, float]) -> Judge:
+    """The judge with what training was given."""
+    train = judge.pipeline.stages["train"]
+    stages = {**judge.pipeline.stages, "train": replace(train, params=train.params.model_copy(update=chosen))}
+    return replace(judge, pipeline=replace(judge.pipeline, stages=stages))
+
+
+def remembered(judge: Judge, text: str) -> Judge:
+    """The judge of `--pipeline default.10m`: what `--within 10m` was given; UsageError if there was no such run."""
+    judge = named(judge, text)
+    chosen = read_json(judge.workspace.links / CHOSEN)
+    if set(chosen) != GIVEN:
+        base = judge.pipeline.name.partition(".")[0]
+        raise UsageError(
+            f"no run of pipeline {base} within {text}", f"`hugs run VIDEO --pipeline {base} --within {text}`"
+        )
+    return timed(judge, chosen)
+
+
+def is_time(text: str) -> bool:
+    """Whether `text` is a time, as in '10m'."""
+    return bool(text and TIME.fullmatch(text))

@@ -119,3 +119,11 @@ def test_a_run_that_does_not_train_is_refused(clip):
     assert "--within is for runs that train" in err
     _, err = clip.hugs("--within", "60s", code=2)
     assert "--within is for runs that train" in err
+
+
+def test_its_results_have_a_name_for_other_commands(clip):
+    run(clip, "--within", "60s")
+    states = json.loads(clip.hugs("--pipeline", "tiny.60s", "--json", command="status")[0])
+    assert [row["state"] for row in states] == ["fresh"] * 3
+    _, err = clip.hugs("--pipeline", "tiny.5m", command="status", code=2)
+    assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
