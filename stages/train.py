@@ -34,6 +34,10 @@ COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "hum
 class Params(contract.Params):
     steps: int = Field(4000, gt=0)
     """Training frames looked at. Time grows linearly."""
+    half_until: float = Field(0.4, ge=0, le=1)
+    """Share of the steps, the first ones, that look at pictures of half the size."""
+    frames_used: int = Field(0, ge=0)
+    """Most training frames to learn from, spread evenly; 0 = all."""
     rounds: int = Field(1, ge=0, le=3)
     """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
     human_cap: int = Field(40_000, gt=0)
@@ -102,7 +106,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
             job.progress(fit.step, params.steps, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
         if job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS:
             total = seconds + time.perf_counter() - mark
-            _save(fit, job.out / "checkpoint.pt", {"curve": curve, "seconds": total})
+            _save(fit, job.out / "checkpoint.pt", {"curve": curve, "seconds": total, "parts": fit.clock.seconds})
             saved = time.perf_counter()
             if job.stop_asked:
                 raise Stopped(f"stopped after step {fit.step} of {params.steps}; the next run goes on from there")
@@ -112,12 +116,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
 
 def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
+    from stages.avatar.neighbours import evenly
     from stages.formats.clip import load_clip
     from stages.formats.facts import read_facts
 
     decisions = read_facts(survey / "survey.json", {"decisions": {str: bool}})["decisions"]
     clip = load_clip(sfm, smpl)
     train = [i for i in range(len(clip.names)) if clip.training[i]]
+    train = evenly(train, params.frames_used or len(train))
     if not train:
         raise StageError(
             "no frame is left to train on",
@@ -224,6 +230,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         refine_pose=decisions.get("pose_refinement", True),
         exposure=decisions.get("exposure", False),
         perceptual_every=params.perceptual_every,
+        half_until=params.half_until,
         human_densify=params.human_densify,
         human_loss=params.human_loss,
         joint=params.joint,
@@ -315,6 +322,7 @@ def _resume(fit: Fit, job: Job) -> dict[str, Any]:
     try:
         saved = torch.load(path, map_location=job.device, weights_only=True)
         fit.load(saved["fit"])
+        fit.clock.seconds = dict(saved["parts"])
         saved["threads"], saved["curve"], saved["seconds"]
     except BROKEN as error:
         said = str(error).strip().partition("\n")[0] or type(error).__name__
@@ -380,6 +388,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     facts = {
         "steps": fit.step,
         "seconds": curve[-1]["seconds"],
+        "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar)},
         "broken": int(broken.sum()),
@@ -398,6 +407,12 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         job.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
     if fit.undrawn:
         job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
+
+
+def _by_part(parts: dict[str, float], total: float) -> dict[str, float]:
+    """Seconds of each part of training, the most first, and what is left of `total` as 'other'; sums to `total`."""
+    longest = dict(sorted(parts.items(), key=lambda part: -part[1]))
+    return {name: round(s, 3) for name, s in (longest | {"other": total - sum(parts.values())}).items()}
 
 
 if __name__ == "__main__":
