@@ -7,7 +7,8 @@ import json
 import pytest
 
 from hugs_cli import ablate
-from hugs_cli.pipelines import ABLATIONS
+from hugs_cli.comparison import cell
+from hugs_cli.variants import ABLATIONS
 
 TRAIN = """
 '''Writes what it was told.'''
@@ -112,15 +113,15 @@ def test_without_a_scene_the_person_over_white_is_compared(clip):
 
 
 def test_one_seed_has_no_spread_and_what_was_not_measured_no_number():
-    assert ablate.cell({"mean": 28.914, "spread": None, "difference": -0.3}, 2) == "28.91  -0.30"
-    assert ablate.cell({"mean": None, "spread": None, "difference": None}, 2) == "-"
+    assert cell({"mean": 28.914, "spread": None, "difference": -0.3}, 2) == "28.91  -0.30"
+    assert cell({"mean": None, "spread": None, "difference": None}, 2) == "-"
 
 
 @pytest.mark.parametrize(
     ("pipeline", "problem", "hint"),
     [
         ("default", "pipeline default: no stage 'train'", "one of: one, two, three, four"),
-        ("tiny.no_lbs", "tiny.no_lbs lacks a part already", "`--pipeline tiny`"),
+        ("tiny.no_lbs", "tiny.no_lbs is a variant already", "`--pipeline tiny`"),
         ("tiny.no_lsb", "pipeline tiny: no variant 'no_lsb'", "did you mean `no_lbs`?"),
     ],
 )
