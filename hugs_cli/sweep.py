@@ -56,11 +56,11 @@ class Forecast:
 
     def of(self, case: Case, verdicts: dict[str, Verdict]) -> dict[str, float] | None:
         """Seconds of each stage that would run, or None while the pipeline itself was never finished."""
+        open_ = [name for name, verdict in verdicts.items() if not verdict.fresh]
         known = self.seconds.get(case.variant) or self.seconds.get("")
-        if known is None:
+        if known is None and open_:
             return None
         level = None if case.variant in self.seconds else self.levels.get(case.variant)
-        open_ = [name for name, verdict in verdicts.items() if not verdict.fresh]
         return {name: known[name] * (level.times if level and level.stage == name else 1.0) for name in open_}
 
 

@@ -10,52 +10,7 @@ from hugs_cli import ablate
 from hugs_cli.comparison import cell
 from hugs_cli.variants import ABLATIONS
 
-TRAIN = """
-'''Writes what it was told.'''
-import json
-from stages.contract import Params as Base
-
-class Params(Base):
-    lbs_learning: bool = True
-    human_densify: bool = True
-    human_loss: bool = True
-    triplane: bool = True
-    joint: bool = True
-
-def run(job, params, *, one):
-    '''Write one file.'''
-    off = [name for name, value in params.model_dump().items() if not value]
-    (job.out / "out.txt").write_text(json.dumps([job.seed, off]))
-"""
-EVALUATE = """
-'''Makes up numbers: 30 dB, 1 more a seed, 5 fewer a missing part.'''
-import json
-from stages.contract import Params as Base
-
-class Params(Base):
-    scene: bool = True
-
-def run(job, params, *, train):
-    '''Write metrics.json.'''
-    seed, off = json.loads((train / "out.txt").read_text())
-    psnr = 30.0 + seed - 5 * len(off)
-    some, none = {"psnr": psnr, "ssim": 0.9, "lpips": 0.1}, dict.fromkeys(("psnr", "ssim", "lpips"))
-    apart = {"full": some, "person_crop": some} if params.scene else {"full": none, "person_crop": none}
-    (job.out / "metrics.json").write_text(json.dumps({"heldout": {**apart, "person_white": some}}))
-"""
 PARTS = ["", *(f".{part}" for part in ABLATIONS)]
-
-
-@pytest.fixture
-def clip(flow):
-    """The flow, and a pipeline `tiny` of it that has a train and an evaluate stage."""
-    flow.write("train", TRAIN)
-    flow.write("evaluate", EVALUATE)
-    stages = {"one": "video", "train": "one", "evaluate": "train"}
-    lines = "".join(f"    {n}: {{needs: [{need}], module: flow.{n}}}\n" for n, need in stages.items())
-    file = flow.folder / "pipelines.yaml"
-    file.write_text(f"{file.read_text()}tiny:\n  doc: Tiny.\n  stages:\n{lines}")
-    return flow
 
 
 def ablate_(clip, *args: str, code: int = 0) -> tuple[str, str]:
