@@ -182,7 +182,13 @@ def table(result: dict[str, Any]) -> list[str]:
     def line(*cells: str) -> str:
         return "".join(f"{text:<{width}}" for text, width in zip(cells, (wide, 22, 22, 22, 22))).rstrip()
 
-    lines = [line("video to avatar", "time", "of it training", "peak memory", "Gaussians, person + scene")]
+    lines = []
+    if "pipeline" in result:
+        lines = [
+            f"around {result['pipeline']}: mean, standard deviation over seeds, difference to it; ~ is no difference",
+            "",
+        ]
+    lines.append(line("video to avatar", "time", "of it training", "peak memory", "Gaussians, person + scene"))
     for row in rows:
         times = factor(row, "total"), factor(row, "train")
         made = f"{row['gaussians']['human']:,} + {row['gaussians']['scene']:,}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -37,16 +38,16 @@ def panels(result: dict[str, Any]) -> tuple[list[plot.Panel], int]:
 
 def alone(result: dict[str, Any], dots: dict[str, plot.Dot], front: str | None) -> list[plot.Line]:
     """Every pipeline a point, the front of a region joined, its knee in a colour of its own."""
-    lines = [plot.Line("", tuple(dots.values()), joined=False, ink="soft")]
+    lines = [plot.Line("", tuple(dots.values()), joined=False, ink="ink")]
     if front:
-        best = [dots[row["pipeline"]]._replace(label="", spread=0.0) for row in result["rows"] if front in row["front"]]
-        lines.append(plot.Line("nothing as quick is better", tuple(best), ink="blue"))
+        best = [bare(dots, row["pipeline"]) for row in result["rows"] if front in row["front"]]
+        lines.append(plot.Line("Pareto front", tuple(best), ink="blue"))
         if front in result["knee"]:
-            lines.append(plot.Line("knee", (best_of(dots, result["knee"][front]),), ink="mark"))
+            lines.append(plot.Line("knee", (bare(dots, result["knee"][front]),), ink="mark"))
     return lines
 
 
-def best_of(dots: dict[str, plot.Dot], name: str) -> plot.Dot:
+def bare(dots: dict[str, plot.Dot], name: str) -> plot.Dot:
     """The point of one pipeline, without its label."""
     return dots[name]._replace(label="", spread=0.0)
 
@@ -57,9 +58,14 @@ def swept(result: dict[str, Any], dots: dict[str, plot.Dot]) -> list[plot.Line]:
     lines = []
     for axis in axes:
         own = [row["pipeline"] for row in result["rows"] if row["axis"] == axis and row["pipeline"] in dots]
-        levels = [dots[one]._replace(label=one.partition("_")[2]) for one in own]
-        lines.append(plot.Line(axis, tuple(sorted([*levels, best_of(dots, name)]))))
+        levels = [dots[one]._replace(label=level_of(one)) for one in own]
+        lines.append(plot.Line(axis, tuple(sorted([*levels, bare(dots, name)]))))
     return [*lines, plot.Line(name, (dots[name]._replace(label=""),), joined=False, ink="ink")]
+
+
+def level_of(variant: str) -> str:
+    """'default.caps_20000_40000' -> '20k 40k'."""
+    return re.sub(r"000\b", "k", variant.partition("_")[2].replace("_", " "))
 
 
 def write(folder: Path, name: str, title: str, result: dict[str, Any]) -> Path:

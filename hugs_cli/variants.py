@@ -39,15 +39,15 @@ class Axis(NamedTuple):
 
 AXES = {
     "steps": Axis("train", ("steps",), {(0.25,): 0.25, (0.5,): 0.5, (2,): 2.0}, relative=True),
-    "half": Axis("train", ("half_until",), {(0.0,): 1.3, (0.4,): 1.0, (1.0,): 0.6}),
+    "half": Axis("train", ("half_until",), {(0.0,): 1.1, (0.4,): 1.0, (1.0,): 0.8}),
     "frames": Axis("train", ("frames_used",), {(8,): 1.0, (16,): 1.0, (32,): 1.0, (0,): 1.0}),
-    "points": Axis("train", ("rounds",), {(0,): 0.8, (1,): 1.0, (2,): 2.6}),
+    "points": Axis("train", ("rounds",), {(0,): 0.6, (1,): 1.0, (2,): 2.7}),
     "caps": Axis("train", ("human_cap", "scene_cap"), {(0.5, 0.5): 0.8, (2, 2): 1.4}, relative=True),
-    "sh": Axis("train", ("scene_sh",), {(0,): 0.95, (1,): 1.0, (2,): 1.1, (3,): 1.2}),
+    "sh": Axis("train", ("scene_sh",), {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2}),
     "perceptual": Axis(
         "train",
         ("perceptual_net", "perceptual_every"),
-        {("alex", 0): 1.0, ("alex", 4): 1.1, ("alex", 1): 1.4, ("vgg", 4): 1.7},
+        {("alex", 0): 1.0, ("alex", 4): 1.1, ("alex", 1): 1.3, ("vgg", 4): 1.5, ("vgg", 1): 3.2},
     ),
     "features": Axis("sfm", ("features",), {(1024,): 0.5, (2048,): 1.0, (4096,): 3.0}),
     "overlap": Axis("sfm", ("overlap",), {(1,): 0.8, (2,): 1.0, (5,): 1.8}),

@@ -23,6 +23,7 @@ WIDTH, HEIGHT = 720, 266  # px of a panel that stands alone
 LEFT, RIGHT, TOP, LOW = 52, 20, 26, 44  # px around its axes
 ROW = 22  # px of a line of the legend
 LETTER = 7  # px, about
+PAD = 1.08  # by which a logarithmic axis is longer than its points, at both ends
 NEAR = 20  # px within which a label needs no line to its point
 SHARP = 2  # pixels a px
 
@@ -167,7 +168,7 @@ def _panel(panel: Panel, inks: dict[str, str], left: int, top: int, wide: int) -
     xs = [dot.x for dot in dots]
     up = ticks(min(dot.y - dot.spread for dot in dots), max(dot.y + dot.spread for dot in dots))
     across = log_ticks(min(xs), max(xs)) if panel.log else ticks(0.0, max(xs))
-    first, last = (min(xs) / 1.08, max(xs) * 1.08) if panel.log else (0.0, max(xs) or 1.0)
+    first, last = (min(xs) / PAD, max(xs) * PAD) if panel.log else (0.0, max(xs) or 1.0)
     x0, x1, y0, y1 = left + LEFT, left + wide - RIGHT, top + HEIGHT - LOW, top + TOP
 
     def at(x: float, y: float) -> tuple[float, float]:
@@ -193,18 +194,20 @@ def _panel(panel: Panel, inks: dict[str, str], left: int, top: int, wide: int) -
         for dot in line.dots:
             px, py = at(dot.x, dot.y)
             yield Disc(px, py, 3.5, inks[line.name], f"{dot.label or line.name}: {dot.x:.3g}, {dot.y:.4g}")
-            if dot.label and (words := _beside(px, py, dot.label, taken, (x0, y1 - 8, x1 + RIGHT, y0))):
+            if dot.label and (
+                words := _beside(px, py, dot.label, inks[line.name], taken, (x0, y1 - 8, x1 + RIGHT, y0))
+            ):
                 taken.append(words.box())
                 if abs(words.y - py) > NEAR:
-                    yield Stroke(((px, py), (words.x, words.y - 4)), "soft", 0.7)
+                    yield Stroke(((px, py), (words.x, words.y - 4)), inks[line.name], 0.7)
                 yield words
 
 
-def _beside(x: float, y: float, text: str, taken: list[tuple], limits: tuple) -> Text | None:
+def _beside(x: float, y: float, text: str, ink: str, taken: list[tuple], limits: tuple) -> Text | None:
     """The label of a point where nothing else is, as near as can be; None where there is no room within `limits`."""
     for away in (4, -9, 18, -20, 30, -32, 44, -46, 58, -60):
         for side, anchor in ((8, "start"), (-8, "end")):
-            words = Text(x + side, y + away, text, anchor, "ink")
+            words = Text(x + side, y + away, text, anchor, ink)
             box = words.box()
             inside = limits[0] <= box[0] and limits[1] <= box[1] and box[2] <= limits[2] and box[3] <= limits[3]
             if inside and not any(_overlap(box, other) for other in taken):
@@ -245,5 +248,5 @@ def log_ticks(low: float, high: float) -> np.ndarray:
     """Round numbers about `low` to `high`, both above 0: 1, 2, 5, 10 ... where they lie far enough apart, else even steps."""
     whole = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     found = np.array([round(s * 10.0**k, 9) for k in whole for s in (1, 2, 5)])
-    within = found[(found >= low / 1.08) & (found <= high * 1.08)]
-    return within if len(within) > 2 else ticks(low, high, 4)
+    within = found[(found >= low / PAD) & (found <= high * PAD)]
+    return within if len(within) > 2 else ticks(low / PAD, high * PAD, 4)
