@@ -18,21 +18,21 @@ NOTE = "Frames never trained on. Both scales of time and memory are logarithmic;
 
 
 def panels(result: dict[str, Any]) -> tuple[list[plot.Panel], int]:
-    """What is drawn, row by row, and how many columns: one for each region that was measured."""
+    """What is drawn, row by row, and how many columns: one for each region. A metric that some row lacks is not drawn."""
     rows, regions = result["rows"], measured([row["scores"] for row in result["rows"]])
     found = []
     for metric, said, (across, x_of) in PLOTS:
+        if any(row["scores"][region][metric]["mean"] is None for row in rows for region in regions):
+            continue
         for region in regions:
             dots = {}
             for row in rows:
-                numbers = row["scores"][region][metric]
-                if numbers["mean"] is not None:
-                    spread = numbers.get("noise", numbers["spread"]) or 0.0
-                    dots[row["pipeline"]] = plot.Dot(x_of(row), numbers["mean"], spread, row["pipeline"])
+                numbers, name = row["scores"][region][metric], row["pipeline"]
+                spread = numbers.get("noise", numbers["spread"]) or 0.0
+                dots[name] = plot.Dot(x_of(row), numbers["mean"], spread, name)
             front = region if metric == "psnr" and x_of is MINUTES[1] else None
             lines = swept(result, dots) if "pipeline" in result else alone(result, dots, front)
-            if dots:
-                found.append(plot.Panel(across, f"{said}, {REGIONS[region]}", tuple(lines), log=True))
+            found.append(plot.Panel(across, f"{said}, {REGIONS[region]}", tuple(lines), log=True))
     return found, len(regions)
 
 

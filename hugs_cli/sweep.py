@@ -144,7 +144,8 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
     for i, case in enumerate(sweep.cases):
         known = forecast.of(case, case.judge.all(case.stages))
         left = max(0.0, budget - (time.monotonic() - began))
-        if sum(known.values()) > left if known is not None else not left:
+        fits = left > 0 if known is None else sum(known.values()) <= left
+        if not fits:
             continue
         console.say(f"{case.judge.pipeline.name}  seed {case.seed}   {i + 1} of {len(sweep.cases)}")
         try:

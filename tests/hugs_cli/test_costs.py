@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hugs_cli import costs
+from hugs_cli import costs, costs_page
 from hugs_cli.comparison import METRICS, REGIONS
 from stages.formats.images import read_image
+from tests.browser import probe
 
 
 def run_(name: str, seconds: float, psnr: float, **changed) -> costs.Run:
@@ -91,6 +92,19 @@ def test_without_a_scene_the_person_over_white_is_compared():
     result = costs.compared(found)
     assert result["knee"] == {"person_white": "b"}
     assert "person over white" in "\n".join(costs.table(result))
+
+
+@pytest.mark.parametrize("width", [1280, 500])
+def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
+    found = [run_("a<b", 70, 28.0), run_("a<b", 75, 28.4, seed=1), run_("b", 130, 30.0), run_("c", 500, 30.1)]
+    found[-1].scores["person_crop"]["lpips"] = None
+    result = costs.compared(found)
+    panels, columns = costs_page.panels(result)
+    assert [panel.y_name for panel in panels] == ["PSNR dB, whole picture", "PSNR dB, person"] * 2 and columns == 2
+    text = (page := costs_page.write(tmp_path, "costs", "<clip>", result)).read_text()
+    assert text.count("<polyline") == 2 and "<h1>&lt;clip&gt;</h1>" in text and "a<b" not in text
+    seen, logged = probe(page, tmp_path, width)
+    assert logged == [] and not seen["wide"]
 
 
 def test_fewer_than_two_pipelines_are_nothing_to_compare(clip):
