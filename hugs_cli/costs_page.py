@@ -53,14 +53,16 @@ def bare(dots: dict[str, plot.Dot], name: str) -> plot.Dot:
 
 
 def swept(result: dict[str, Any], dots: dict[str, plot.Dot]) -> list[plot.Line]:
-    """A line an axis through its levels and the pipeline, by rising cost; then the pipeline."""
-    name, axes = result["pipeline"], dict.fromkeys(row["axis"] for row in result["rows"][1:])
-    lines = []
-    for axis in axes:
-        own = [row["pipeline"] for row in result["rows"] if row["axis"] == axis and row["pipeline"] in dots]
-        levels = [dots[one]._replace(label=level_of(one)) for one in own]
-        lines.append(plot.Line(axis, tuple(sorted([*levels, bare(dots, name)]))))
-    return [*lines, plot.Line(name, (dots[name]._replace(label=""),), joined=False, ink="ink")]
+    """A line an axis through its levels and the pipeline, from the cheapest level on; then the pipeline."""
+    base, *levels = result["rows"]
+    middle, lines = dots[base["pipeline"]]._replace(label=""), []
+    for axis in dict.fromkeys(row["axis"] for row in levels):
+        own = sorted([*(row for row in levels if row["axis"] == axis), base], key=lambda row: row["expected_times"])
+        through = [
+            middle if row is base else dots[row["pipeline"]]._replace(label=level_of(row["pipeline"])) for row in own
+        ]
+        lines.append(plot.Line(axis, tuple(through)))
+    return [*lines, plot.Line(base["pipeline"], (middle,), joined=False, ink="ink")]
 
 
 def level_of(variant: str) -> str:

@@ -169,8 +169,9 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
 def result(sweep: Sweep, done: Sequence[Case], failed: dict[str, str]) -> dict[str, Any]:
     """`costs.compared` of what is done, the pipeline first, then axis by axis; `left`, how many cases wait; `failed`.
 
-    Each row has its `axis` ('' for the pipeline), `times` the pipeline's seconds, and in its scores the `difference` to
-    the pipeline's and the `noise`: the standard deviation over its own seeds, or else over the pipeline's.
+    Each row has its `axis` ('' for the pipeline), `times` the pipeline's seconds (and `expected_times`, which puts levels
+    in order), and in its scores the `difference` to the pipeline's and the `noise`: the standard deviation over its own
+    seeds, or else over the pipeline's.
     """
     found = costs.compared([costs.run_of(case.judge.workspace.links) for case in done])
     name = sweep.cases[0].judge.pipeline.name
@@ -179,8 +180,9 @@ def result(sweep: Sweep, done: Sequence[Case], failed: dict[str, str]) -> dict[s
     base = found["rows"][0]
     for row in found["rows"]:
         variant = order[row["pipeline"]]
-        row["axis"] = sweep.levels[variant].axis if variant else ""
+        row["axis"], row["expected_times"] = "", 1.0
         if variant:
+            row["axis"], row["expected_times"] = sweep.levels[variant].axis, sweep.levels[variant].times
             row["times"] = {part: row["seconds"][part] / base["seconds"][part] for part in ("total", "train")}
         for region, metric in product(REGIONS, METRICS):
             set_beside(row["scores"][region][metric], base["scores"][region][metric] if variant else None)

@@ -6,7 +6,9 @@ import json
 
 import pytest
 
+from hugs_cli import costs_page
 from hugs_cli import sweep as sweeps
+from stages.formats.plot import Dot
 
 MADE = (("train", "train.json"), ("evaluate", "metrics.json"))
 LEVELS = ["steps_100", "steps_200", "steps_800", "caps_20_40", "caps_80_160", "sh_0", "sh_2", "sh_3"]
@@ -62,6 +64,15 @@ def test_a_budget_is_spent_in_order_on_what_fits_and_the_next_one_goes_on(clip):
     quick = result["rows"][1]["scores"]["full"]["psnr"]
     assert quick["difference"] == -4.0 and quick["noise"] is None and "within_noise" not in quick
     assert result["rows"][1]["times"]["train"] == pytest.approx(10 / 600)
+
+
+def test_a_line_goes_through_the_levels_of_an_axis_in_their_order_whatever_the_clock_said():
+    steps = [("tiny", "", 1.0, 3.0), ("tiny.steps_800", "steps", 2.0, 2.5), ("tiny.steps_10000", "steps", 0.5, 2.7)]
+    rows = [{"pipeline": name, "axis": axis, "expected_times": times} for name, axis, times, _ in steps]
+    dots = {name: Dot(minutes, 20.0, 0.1, name) for name, _, _, minutes in steps}
+    line, middle = costs_page.swept({"rows": rows}, dots)
+    assert (line.name, [dot.label for dot in line.dots]) == ("steps", ["10k", "", "800"])
+    assert [dot.x for dot in line.dots] == [2.7, 3.0, 2.5] and middle.name == "tiny" and middle.dots[0].spread == 0.1
 
 
 @pytest.mark.parametrize(
