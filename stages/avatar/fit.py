@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
+from stages.avatar.clock import Clock
 from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.gaussians import Splats
@@ -22,7 +23,7 @@ from stages.avatar.optimizers import optimizers
 from stages.avatar.perceptual import Lpips
 from stages.avatar.refine import FrameCorrections, spread
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import HALF_UNTIL, HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Phase, phases, rate
+from stages.avatar.schedule import HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Phase, phases, rate
 from stages.avatar.skinning import knn_weights
 from stages.avatar.views import Person, Views
 
@@ -52,7 +53,7 @@ class Fit:
         self.phases = phases(options.steps, options.joint)
         self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
         self.step, self.frame, self.undrawn = 0, train[0], 0
-        self.guard = Guard()
+        self.guard, self.clock = Guard(), Clock()
         self.order = torch.empty(0, dtype=torch.long)
         self.before: dict[str, Any] | None = None
         self.leaves: Resting | None = None
@@ -99,15 +100,18 @@ class Fit:
         FloatingPointError after too many bad steps in a row, ValueError when no Gaussian is left; `before` is then the
         state from which this step fails again.
         """
+        self.clock.start()
         self.before = copy.deepcopy(self.state()) if self.guard.alarmed else None
         self._grow()
+        self.clock.lap("growth")
         self.frame = self._next_frame()
         self._rates()
-        views = self.small if self.done < HALF_UNTIL else self.full
+        views = self.small if self.done < self.options.half_until else self.full
         numbers = self._learn(self.frame, views)
         self.step += 1
         if self.human is not None and self.step % self.options.views_per_decode == 0:
             self._learn_human()
+            self.clock.lap("person's networks")
         return numbers
 
     def _next_frame(self) -> int:
@@ -151,7 +155,10 @@ class Fit:
             body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
             if self.options.refine_pose:
                 body = self.frames.body(frame, *body)
-            human = self.posed(self.resting(), *body)
+            self.clock.start()
+            resting = self.resting()
+            self.clock.lap("person's networks")
+            human = self.posed(resting, *body)
         if self.scene is not None and (phase.scene or human is not None):
             scene = self.scene.splats()
             if not phase.scene:
@@ -160,6 +167,7 @@ class Fit:
         if not layers:
             return numbers
         drawn = dict(zip(layers, compose_layers(human, scene, viewmat, K, width, height, list(layers.values()))))
+        self.clock.lap("drawing")
         if scene is not None:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             if self.options.human_loss or human is None:
@@ -178,11 +186,13 @@ class Fit:
         if "veil" in layers:
             left, top, right, bottom = layers["veil"].window
             loss = loss + losses.VEIL * (drawn["veil"].alpha * mask[top:bottom, left:right]).mean()
+        self.clock.lap("losses")
         if "person" in layers and self.perceptual and self.step % self.options.perceptual_every == 0:
             window = losses.patch(mask[crop], losses.PATCH, self.generator)
             target = losses.over_background(image[crop], mask[crop], background)[window]
             if min(target.shape[:2]) >= self.perceptual.smallest:
                 loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], target)
+            self.clock.lap("perceptual loss")
         self.undrawn += next(iter(drawn.values())).dropped
         finite = math.isfinite(loss.item())
         self.guard.left_out += not finite
@@ -190,6 +200,7 @@ class Fit:
         if not finite:
             return numbers
         loss.backward()
+        self.clock.lap("backward")
         rows = 0 if human is None else len(human.means)
         if scene is not None and phase.scene:
             self.growth["scene"].add(drawn["all"].screen_grad_abs[rows:], drawn["all"].radii[rows:], width, height)
@@ -200,6 +211,7 @@ class Fit:
         elif human is not None:
             self.growth["human"].add(drawn["all"].screen_grad_abs[:rows], drawn["all"].radii[:rows], width, height)
         self._apply("frames")
+        self.clock.lap("optimiser")
         return numbers
 
     def _apply(self, name: str) -> None:

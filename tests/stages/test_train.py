@@ -12,6 +12,7 @@ import torch
 
 from stages import train
 from stages.avatar import losses
+from stages.avatar.fit import Fit
 from stages.avatar.human import load_avatar, pose_avatar
 from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
@@ -115,6 +116,9 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
     rows = list(csv.DictReader((job.out / "curve.csv").open()))
     assert [int(r["step"]) for r in rows] == [4, 8] and float(rows[1]["psnr"]) > 0
     assert 0 < float(rows[0]["seconds"]) < float(rows[1]["seconds"])
+    spent = facts["seconds_by_part"]
+    assert set(spent) == {"growth", "person's networks", "drawing", "losses", "backward", "optimiser", "other"}
+    assert sum(spent.values()) == pytest.approx(facts["seconds"], abs=0.01) and min(spent.values()) >= 0
     assert json.loads((job.out / "train.json").read_text())["train_frames"] == [
         clip.names[i] for i in (0, 1, 3, 4, 5, 6)
     ]
@@ -178,6 +182,10 @@ def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_pat
     assert (job.out / "checkpoint.pt").exists() and not (job.out / "avatar.npz").exists()
     train.run(Job(out=job.out), PARAMS, **inputs)
     assert not list(job.out.glob("checkpoint*")) and same_results(straight.out, job.out)
+    facts = json.loads((job.out / "train.json").read_text())
+    assert sum(facts["seconds_by_part"].values()) == pytest.approx(facts["seconds"], abs=0.01), (
+        "before and after the stop"
+    )
 
 
 def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_again(tmp_path, inputs, monkeypatch):
@@ -274,6 +282,23 @@ def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkey
     assert (job.out / "checkpoint.pt").read_bytes() == before
 
 
+def test_fewer_frames_are_spread_evenly(tmp_path, inputs):
+    job, params = fresh(tmp_path, "out"), PARAMS.model_copy(update={"steps": 2, "frames_used": 3})
+    train.run(job, params, **inputs)
+    facts = json.loads((job.out / "train.json").read_text())
+    assert facts["train_frames"] == ["000000", "000003", "000005"], "of 0, 1, 3, 4, 5, 6"
+
+
+@pytest.mark.parametrize(("share", "halves"), [(0.0, 0), (0.5, 4)])
+def test_the_first_steps_look_at_half_the_size(tmp_path, inputs, monkeypatch, share, halves):
+    seen, real = [], Fit._learn
+    monkeypatch.setattr(
+        Fit, "_learn", lambda self, i, views: (seen.append(views.images.shape[1]), real(self, i, views))[1]
+    )
+    train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={"half_until": share}), **inputs)
+    assert seen == [HEIGHT // 2] * halves + [HEIGHT] * (8 - halves)
+
+
 def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
     decide(inputs["survey"], scene=False)
     job = fresh(tmp_path, "out")
@@ -347,7 +372,7 @@ class Touches:
 def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(train, "_start", lambda *args: (Refuses(), None))
     path, sign = tmp_path / "checkpoint.pt", tmp_path / "ran"
-    torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0, "sizes": {}, "clock": None}, path)
+    torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0, "parts": {}, "sizes": {}, "deadline": None}, path)
     whole = path.read_bytes()
     torch.save({"fit": Touches(sign)}, path)
     for data, said in ((whole, "size mismatch"), (whole[:-50], "checkpoint.pt: "), (b"", "checkpoint.pt: "),
