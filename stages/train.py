@@ -92,6 +92,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
     fit, clip, told = _begun(job, params, (sfm, smpl, survey), deadline)
+    params = params.model_copy(update=told["sizes"])
     curve, seconds = told["curve"], told["seconds"]
     sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
     job.note(f"{len(fit.train)} training frames; starts with {sizes}")

@@ -14,6 +14,7 @@ from stages import train
 from stages.avatar import losses
 from stages.avatar.fit import Fit
 from stages.avatar.human import load_avatar, pose_avatar
+from stages.avatar.pace import Pace
 from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
 from stages.formats.body_model import read_body_model, write_body_model
@@ -381,3 +382,35 @@ def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path
         with pytest.raises(StageError, match="checkpoint of the stopped training cannot be used") as error:
             train._begun(Job(tmp_path), train.Params(), (tmp_path, tmp_path, tmp_path), None)
         assert said in error.value.facts[0] and "--force" in error.value.hint and not sign.exists()
+
+
+def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):
+    """A made-up clock: a step takes a second, whatever this machine is doing."""
+    now = [0.0]
+    monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr(train, "FEWEST", 10)
+    advance = Fit.advance
+    monkeypatch.setattr(Fit, "advance", lambda fit: (now.__setitem__(0, now[0] + 1), advance(fit))[1])
+    params = PARAMS.model_copy(update={"seconds": 20.0, "reserve": 5.0, "human_cap": 30_000})
+    said = []
+    job = stopping(tmp_path, "job", after=8)
+    stop = job.emit
+    job.emit = lambda event: (said.append(event.get("text", "")), stop(event))
+    with pytest.raises(Stopped):
+        train.run(job, params, **inputs)
+    assert any("15 steps of 1000 ms fit into the time, with at most 20,000 Gaussians" in text for text in said)
+    begun = now[0]
+    train.run(Job(out=job.out), params, **inputs)
+    facts = json.loads((job.out / "train.json").read_text())
+    assert facts["steps"] == 15 and facts["sizes"] == {"human_cap": 20_000, "scene_cap": 60} and now[0] == 15
+    assert begun in (8.0, 9.0)
+
+
+def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, monkeypatch):
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: 0.0)
+    with pytest.raises(StageError, match="too short to train") as error:
+        train.run(fresh(tmp_path, "job"), PARAMS.model_copy(update={"seconds": 50.0}), **inputs)
+    assert "50 steps would fit into 50 s, 200 are the least" in error.value.facts[0]
+    assert error.value.hint == "give 150 s more"
