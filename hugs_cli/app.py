@@ -198,6 +198,8 @@ def costs(
     from hugs_cli import costs as accounts
 
     console, clip, root = Console(), judge.sources["video"].name, judge.workspace.root
+    if axis and not sweep:
+        raise UsageError("only a sweep has axes", "add `--sweep`")
     if sweep:
         from hugs_cli import sweep as sweeps
 

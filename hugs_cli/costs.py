@@ -21,7 +21,8 @@ from stages.formats.facts import read_facts
 WORTH = 0.1  # dB that a doubling of the time must buy
 METRIC = "psnr"  # by which results are set against each other
 SEED = re.compile(r"\.seed\d+$")
-METRICS_FILE = {"heldout": {str: {str: (float, None)}}, "gaussians": {"human": int, "scene": int}}
+SCORES = {region: dict.fromkeys(METRICS, (float, None)) for region in REGIONS}
+METRICS_FILE = {"heldout": SCORES, "gaussians": {"human": int, "scene": int}}
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,8 @@ def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
 
 
 def test_fewer_than_two_pipelines_are_nothing_to_compare(clip):
+    _, err = clip.hugs("--axis", "sh", command="costs", code=2)
+    assert err == "error: only a sweep has axes\n\nhint: add `--sweep`\n"
     _, err = clip.hugs(command="costs", code=2)
     assert (
         "fewer than two pipelines of work/clip can be compared\n  finished: none" in err and "hint: run another" in err
