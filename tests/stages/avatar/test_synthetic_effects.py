@@ -129,7 +129,7 @@ def test_a_shadow_falls_on_the_floor_begins_at_the_feet_and_spares_the_person(sh
         rows, columns = np.nonzero(background & (ratio < 0.7))
         places = unproject(np.stack([columns, rows], 1) + 0.5, plain.depths[i][rows, columns].astype(float),
                            plain.viewmats[i], plain.Ks[i])  # fmt: skip
-        assert np.abs(places[:, 1]).max() < 0.1 and len(places) > 60, "on the floor"
+        assert np.abs(places[:, 1]).max() < 0.1 and len(places) > 20, "on the floor"
         feet = plain.joints[i, [7, 8, 10, 11]]
         lowest = feet[feet[:, 1].argmin()]
         assert np.linalg.norm((places - lowest)[:, [0, 2]], axis=1).min() < 0.12, "it touches the foot that stands"
