@@ -48,7 +48,7 @@ def test_it_falls_away_from_the_light_and_with_the_person_in_the_air_farther(hel
             lost = 1 - shadow.shares(points, body(lift))
             middle = (lost[:, None] * points).sum(0) / lost.sum()
             heights = body(lift).middles[:, 1].mean()
-            held((middle[[0, 2]] + heights * light[[0, 2]] / light[1]).norm(), 0.05)
+            held((middle[[0, 2]] + heights * light[[0, 2]] / light[1]).norm().item(), 0.05)
             assert 0.4 < lost.max() < 0.6 and lost.min() < 1e-6
 
 
@@ -111,12 +111,12 @@ def test_the_direction_of_the_light_is_learned_from_straight_down(held):
         adam.zero_grad()
         (shadow.shares(points, body()) - wanted).square().mean().backward()
         adam.step()
-    held((shadow.light() - truth.light()).norm(), 0.02)
-    held((shadow.shares(points, body()) - wanted).abs().max(), 0.1)
+    held((shadow.light() - truth.light()).norm().item(), 0.02)
+    held((shadow.shares(points, body()) - wanted).abs().max().item(), 0.1)
 
 
 def test_what_is_said_of_it_makes_it_again(held):
     shadow = leaning([0.4, -0.25])
     said = shadow.known()
     again = Shadow(torch.as_tensor(said["light"]), said["darkness"], said["softness"], said["density"])
-    held((again.shares(floor(), body()) - shadow.shares(floor(), body())).abs().max(), 1e-6)
+    held((again.shares(floor(), body()) - shadow.shares(floor(), body())).abs().max().item(), 1e-6)

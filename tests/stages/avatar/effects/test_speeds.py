@@ -78,7 +78,9 @@ def read_rows(splats: Splats, readout: float) -> torch.Tensor:
     share = torch.full((len(splats.means),), 0.5, dtype=torch.float64)
     for _ in range(30):
         times = readout * (share - 0.5)
-        pixels = torch.stack([seen(m[None], expm((2 + t) * TWIST) @ START)[0] for m, t in zip(splats.means, times)])
+        pixels = torch.stack(
+            [seen(m[None], expm((2 + t) * TWIST) @ START)[0] for m, t in zip(splats.means, times.tolist())]
+        )
         share = pixels[:, 1] / HEIGHT
     return pixels
 
