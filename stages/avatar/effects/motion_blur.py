@@ -20,6 +20,7 @@ class Exposed:
         self.draws = draws
         self.image = from_linear(torch.stack([to_linear(one.image) for one in draws]).mean(0))
         self.alpha = torch.stack([one.alpha for one in draws]).mean(0)
+        self.depth = torch.stack([one.depth for one in draws]).mean(0)
         self.radii = torch.stack([one.radii for one in draws]).amax(0)
         self.dropped = draws[0].dropped
 
