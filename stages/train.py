@@ -387,7 +387,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     (baked, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
     p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
-    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, fit.full, fit.train)
+    seen = fit.full._replace(viewmats=fit.cameras())
+    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, seen, fit.train)
     if strays:
         job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
     job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
