@@ -412,6 +412,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     if known := fit.effects.known():
         write_effects(job.out / "effects.npz", Effects(**known))
+        numbers = (f"{name} {value:.2f}" for name, value in known.items() if name != "light")
+        job.note(f"learned of how the clip was taken: {', '.join(numbers)}")
     if fit.options.refine_camera:
         viewmats = array(fit.cameras()).astype(np.float64)
         viewmats[:, :3, 3] /= clip.body.world_from_sfm

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import torch
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
+from stages.avatar.cameras import pinhole
 from stages.avatar.compose import compose_layers
+from stages.avatar.drawing import draw, load_learned, perform
 from stages.avatar.effects.camera_refinement import corrected
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Shadow
@@ -16,7 +19,9 @@ from stages.avatar.judge import judge
 from stages.avatar.rasterize import Layer
 from stages.avatar.refine import FrameCorrections, agreement
 from stages.avatar.schedule import Options
+from stages.formats.body_model import read_body_model
 from stages.formats.effects import Effects
+from tests.stages import tiny
 from tests.stages.avatar.test_fit import HEIGHT, WIDTH, fit_of, make_clip, models, run, same, stored
 
 UP = torch.tensor([0.0, -0.6, -0.8])  # the wall is behind the person, and takes the shadow
@@ -165,6 +170,28 @@ def test_wrong_cameras_are_corrected(clip):
         return float((away - away.mean()).abs().mean())
 
     assert error(True) < 0.6 * error(False)
+
+
+def test_a_person_who_performs_takes_the_shadow_along(held):
+    avatar, wall, to = tiny.make_avatar(read_body_model()), tiny.make_scene(), np.array([0.5, 0, 0])
+    light = torch.nn.functional.normalize(torch.tensor([-1.0, 0.0, -1.5]), dim=0)
+    plain, lit = (load_learned(avatar, wall, Effects()) for _ in range(2))
+    lit = lit._replace(effects=FrameEffects(Shadow(light, darkness=0.8)))
+    poses, views = tiny.make_poses(), tiny.make_viewmats()
+    moves = (poses.global_orient[:2] * 0, poses.body_pose[:2], np.stack([0 * to, to]))
+    stand, size = np.diag([1.0, -1, -1]), (tiny.WIDTH, tiny.HEIGHT)
+    view = (views[3], pinhole(tiny.FOCAL, *size))
+    shown = [perform(one, one.scene, moves, stand, poses.transl[3], [view] * 2, size) for one in (plain, lit)]
+    lost = [a.astype(float) - b for a, b in zip(*shown)]
+    middles = []
+    for i, dark in enumerate(lost):
+        human = plain.person(
+            (Rotation.from_matrix(stand).as_rotvec(), moves[1][i], poses.transl[3] + stand @ moves[2][i])
+        )
+        covered = draw(human, None, *view, size)[1]
+        assert dark.min() >= -1 and dark.max() > 20 and dark[covered > 0.99].max() <= 1
+        middles.append((dark.sum((0, 2)) * np.arange(tiny.WIDTH)).sum() / dark.sum())
+    assert 5 < middles[1] - middles[0] < 17  # of 100 px * 0.5 m / 4.5 m = 11
 
 
 def test_a_shadow_needs_a_person_and_a_scene():
