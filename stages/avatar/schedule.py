@@ -52,6 +52,7 @@ class Options(NamedTuple):
     exposure: bool = False
     growth_rounds: int = 20
     perceptual_every: int = 0
+    half_until: float = HALF_UNTIL
     human_densify: bool = True
     human_loss: bool = True
     joint: bool = True

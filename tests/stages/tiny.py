@@ -132,7 +132,7 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
         "frames/frames.json": {"video": video},
         "sfm/sfm.json": {"verdict": "moving"},
         "survey/survey.json": {"measures": measures, "decisions": {"scene": scene, "exposure": False}},
-        "train/train.json": {"steps": 2, "exposure": {}},
+        "train/train.json": {"steps": 2, "exposure": {}, "seconds_by_part": {"drawing": 9.0, "other": 3.0}},
     }
     for path, value in facts.items():
         (folders["frames"].parent / path).write_text(json.dumps(value))
