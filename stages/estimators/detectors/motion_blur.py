@@ -18,7 +18,8 @@ BLUR_PX = 0.9  # as measured: about half the length of a box blur, since edges a
 SHARE = 0.2  # of the frames that must be blurred by as much
 UNIT = "px on a fifth of the frames"
 REACH = 10  # px on either side of an edge in which its foot and top are looked for
-EDGES, LEAST = 3000, 40  # looked at in a frame, and needed of each kind
+EDGES, LEAST = 1500, 40  # of each kind, looked at in a frame and needed
+SLOWEST = 0.5  # px a frame: the direction of less is not known
 ALONG, ACROSS = 0.85, 0.35  # |cosine| of an edge's normal and the motion
 SHARPEST = 0.25  # quantile of the widths: what is soft by itself says nothing
 
@@ -52,22 +53,22 @@ def blur_length(image: np.ndarray, allowed: np.ndarray, places: np.ndarray, flow
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     gx, gy = cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=0.125)
     at, normal = _edges(gx, gy, allowed)
-    if len(at) < 2 * LEAST:
-        return np.nan
     moving = flow[cKDTree(places).query(at + 0.5)[1]]
     speed = np.linalg.norm(moving, axis=1)
     cosine = np.abs((normal * moving).sum(1)) / np.maximum(speed, 1e-6)
-    widths = _widths(grey, at, normal)
-    usable = np.isfinite(widths) & (speed > 0.5)
-    along, across = widths[usable & (cosine > ALONG)], widths[usable & (cosine < ACROSS)]
-    if min(len(along), len(across)) < LEAST:
-        return np.nan
-    wide, narrow = np.quantile(along, SHARPEST), np.quantile(across, SHARPEST)
+    sharpest = []
+    for kind in (cosine > ALONG, cosine < ACROSS):  # each by itself: blurred edges are weaker
+        chosen = np.flatnonzero(kind & (speed > SLOWEST))[:EDGES]
+        widths = _widths(grey, at[chosen], normal[chosen])
+        if np.isfinite(widths).sum() < LEAST:
+            return np.nan
+        sharpest.append(np.nanquantile(widths, SHARPEST))
+    wide, narrow = sharpest
     return float(np.sqrt(max(wide**2 - narrow**2, 0)))
 
 
 def _edges(gx: np.ndarray, gy: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels [N,2] where the slope is steepest along its own direction, and that direction [N,2]."""
+    """Pixels [N,2] where the slope is steepest along its own direction, and that direction [N,2]; strongest first."""
     size = np.hypot(gx, gy)
     inner = np.zeros_like(allowed)
     inner[REACH + 2 : -REACH - 2, REACH + 2 : -REACH - 2] = True
@@ -76,9 +77,8 @@ def _edges(gx: np.ndarray, gy: np.ndarray, allowed: np.ndarray) -> tuple[np.ndar
     normal = np.stack([gx[rows, columns], gy[rows, columns]], 1) / size[rows, columns][:, None]
     beside = [sample(size, at + 0.5 + sign * normal) for sign in (1, -1)]
     peak = (size[rows, columns] >= beside[0]) & (size[rows, columns] > beside[1])
-    at, normal, size = at[peak], normal[peak], size[rows, columns][peak]
-    strongest_first = np.argsort(-size, kind="stable")[:EDGES]
-    return at[strongest_first], normal[strongest_first]
+    order = np.argsort(-size[rows, columns][peak], kind="stable")
+    return at[peak][order], normal[peak][order]
 
 
 def _widths(grey: np.ndarray, at: np.ndarray, normal: np.ndarray) -> np.ndarray:
