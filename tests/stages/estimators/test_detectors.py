@@ -1,5 +1,6 @@
 """The detectors on made evidence: each finds what is there, measures how much, and is quiet about the rest."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -16,7 +17,8 @@ from stages.avatar.synthetic_room import make_room
 from stages.estimators.detectors import exposure, motion_blur, shadow, tracks
 from stages.estimators.detectors.bundle import leftover
 from stages.estimators.detectors.every import DETECTORS
-from stages.estimators.detectors.evidence import Evidence, sample
+from stages.estimators.detectors.evidence import Evidence
+from stages.estimators.detectors.pictures import sample
 from stages.formats.body_model import read_body_model
 from tests.datasets import points_of
 
@@ -188,7 +190,7 @@ def filmed():
     def film(passers=(), **strengths):
         key = (len(passers), *strengths.items())
         if key not in known:
-            drawn = synthetic.replace(stage, effects=Effects(**strengths))
+            drawn = replace(stage, effects=Effects(**strengths))
             views = drawn.views(viewmats, orient, pose, width, height, lambda n: None, passers)
             points = []
             for i, x, y in points_of(views, 600):
