@@ -105,6 +105,16 @@ def test_true_cameras_leave_nothing(seen):
     assert abs(left.readout) < 0.02 and abs(left.k) < 0.003 and np.median(left.mended_px) < 0.1
 
 
+def test_points_behind_a_camera_that_does_not_see_them_do_no_harm(seen):
+    viewmats, Ks, _, pixels = seen
+    viewmats, pixels = viewmats.copy(), pixels.copy()
+    viewmats[-1, :3, :3] = np.diag([-1, 1, -1]) @ viewmats[-1, :3, :3]
+    viewmats[-1, :3, 3] = np.diag([-1, 1, -1]) @ viewmats[-1, :3, 3]
+    pixels[-1] = np.nan
+    left = told(pixels, viewmats, Ks)
+    assert abs(left.readout) < 0.02 and np.isfinite([*left.mended_px, *left.speed_px, left.k, left.readout_std]).all()
+
+
 def test_a_readout_time_is_found_and_blamed_on_nothing_else(seen):
     viewmats, Ks, _, pixels = seen
     speed = np.gradient(np.nan_to_num(np.stack([project(seen[2], v, k)[0] for v, k in zip(viewmats, Ks)])), axis=0)
