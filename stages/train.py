@@ -210,8 +210,10 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     import torch
 
     from stages.avatar.body import DA_POSE, Body
+    from stages.avatar.effects.frames import FrameEffects
     from stages.avatar.fit import Fit
     from stages.avatar.human import HumanModel
+    from stages.avatar.motion import upright
     from stages.avatar.neighbours import evenly
     from stages.avatar.paint import seen_colors
     from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
@@ -305,8 +307,12 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         human_densify=params.human_densify,
         human_loss=params.human_loss,
         joint=params.joint,
+        refine_camera=decisions.get("camera_refinement", False),
     )
-    return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device))
+    up = torch.as_tensor(upright(clip.body.global_orient, clip.body.global_orient[0])[:, 1]).to(person.joints)
+    takes = {name: decisions.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
+    effects = FrameEffects.starting(up, **takes)
+    return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device), effects)
 
 
 def _perceptual(params: Params, device: str):
@@ -372,14 +378,17 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
 
 
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: Params) -> None:
-    """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json."""
+    """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
     from dataclasses import replace
 
+    import numpy as np
     import torch
 
     from stages.avatar.bake import finished
     from stages.avatar.gaussians import finite_rows
     from stages.avatar.rotations import quat_from_matrix
+    from stages.formats.cameras import write_cameras
+    from stages.formats.effects import Effects, write_effects
     from stages.formats.poses import write_poses
     from stages.formats.splats import Avatar, Scene, write_splats
 
@@ -388,7 +397,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
 
     (baked, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
     p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
-    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, fit.full, fit.train)
+    seen = fit.full._replace(viewmats=fit.cameras())
+    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, seen, fit.train)
     if strays:
         job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
     job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
@@ -410,6 +420,14 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts)))
     if broken:
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
+    if known := fit.effects.known():
+        write_effects(job.out / "effects.npz", Effects(**known))
+        numbers = (f"{name} {value:.2f}" for name, value in known.items() if name != "light")
+        job.note(f"learned of how the clip was taken: {', '.join(numbers)}")
+    if fit.options.refine_camera:
+        viewmats = array(fit.cameras()).astype(np.float64)
+        viewmats[:, :3, 3] /= clip.body.world_from_sfm
+        write_cameras(job.out / "cameras.npz", replace(clip.cameras, viewmats=viewmats))
     poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
     write_poses(job.out / "body.npz", replace(clip.body, **poses))
     with (job.out / "curve.csv").open("w", newline="") as file:

@@ -191,6 +191,7 @@ KINDS = [
     one("body.npz", "poses", "read_poses"),
     one("avatar.npz", "splats", "read_avatar"),
     one("scene.npz", "splats", "read_scene"),
+    one("effects.npz", "effects", "read_effects"),
     one("body_model.npz", "body_model", "read_body_model"),
     one("body_model.pkl", "body_model", "read_body_model"),
     fit("fit_named.npz"),
@@ -286,6 +287,8 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         np.zeros((rows, 3, 3)),
     )
     splats.write_splats(root / "scene.npz", splats.Scene(*look))
+    effects = formats("effects")
+    effects.write_effects(root / "effects.npz", effects.Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, 0.5, -0.3))
     weights = np.eye(24)[rng.integers(0, 24, rows)]
     rest = (weights, rng.normal(size=(24, 3)), np.arange(-1, 23), np.zeros(10), np.zeros(69))
     splats.write_splats(root / "avatar.npz", splats.Avatar(*look, *rest))
@@ -322,7 +325,12 @@ def write_facts(root: Path) -> None:
     metrics = {"heldout": scores, "heldout_fitted": scores, "gaussians": {"human": 3, "scene": 4}, "protocol": "ours"}
     metrics |= {"seconds": {"total": 3.5}, "peak_memory_bytes": 5}
     measure = {"value": 0.5, "unit": "px", "verdict": "good"}
-    survey = {"measures": {"parallax": measure, "points": measure}, "decisions": {"scene": True}}
+    effect = measure | {"threshold": 0.1, "confidence": 0.5, "frames": ["000003"], "on": True}
+    survey = {
+        "measures": {"parallax": measure, "points": measure},
+        "effects": {"shadow": effect},
+        "decisions": {"scene": True},
+    }
     (root / "metrics.json").write_text(json.dumps(metrics))
     (root / "survey.json").write_text(json.dumps(survey, indent=1))
     (root / "curve.csv").write_text("step,seconds,psnr,psnr_person\n1,3.5,20.1,18.2\n2,6.5,21.1,\n4,12.5,22.5,20.0\n")

@@ -18,6 +18,7 @@ from stages.avatar.cameras import look_at, pinhole
 from stages.avatar.drawing import draw, load_learned, to_uint8
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.effects import Effects
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import BodyPoses, write_poses
@@ -112,7 +113,7 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     write_splats(train / "avatar.npz", avatar)
     if scene:
         write_splats(train / "scene.npz", wall)
-    learned = load_learned(avatar, wall)
+    learned = load_learned(avatar, wall, Effects())
     for i, name in enumerate(NAMES):
         human = learned.person((poses.global_orient[i], poses.body_pose[i], poses.transl[i])) if i != EMPTY else None
         image, _ = draw(human, learned.scene, viewmats[i], K, (WIDTH, HEIGHT))
@@ -127,10 +128,19 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
     """The JSON files and the stamps."""
     video = {"path": "/clips/dance <1>.mp4", "width": WIDTH, "height": HEIGHT, "fps": 30, "frames": 24}
     measures = {"points": {"value": 63, "unit": "", "threshold": 100, "verdict": "few", "frames": []}}
+    effect = {"value": 0.21, "unit": "of the light", "threshold": 0.08, "verdict": "darkens", "confidence": 0.5}
+    effects = {
+        "shadow": effect | {"frames": ["000003"], "on": True},
+        "sky": effect | {"value": None, "frames": [], "on": False},
+    }
     facts = {
         "frames/frames.json": {"video": video},
         "sfm/sfm.json": {"verdict": "moving"},
-        "survey/survey.json": {"measures": measures, "decisions": {"scene": scene, "exposure": False}},
+        "survey/survey.json": {
+            "measures": measures,
+            "effects": effects,
+            "decisions": {"scene": scene, "exposure": False},
+        },
         "train/train.json": {"steps": 2, "exposure": {}, "seconds_by_part": {"drawing": 9.0, "other": 3.0}},
     }
     for path, value in facts.items():
