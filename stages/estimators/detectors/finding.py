@@ -41,7 +41,13 @@ def above(value: float, unit: str, threshold: float, words: tuple[str, str], fra
     called = bool(value > threshold and also)
     doubt = 0.25 ** abs(np.log2(max(value, 1e-9) / threshold)) if called or value <= threshold else 0.5
     return Finding(
-        float(value), unit, threshold, words[0] if called else words[1], called, round(1 - doubt, 2), tuple(frames)
+        float(value),
+        unit,
+        threshold,
+        words[0] if called else words[1],
+        called,
+        round(float(1 - doubt), 2),
+        tuple(frames),
     )
 
 
