@@ -227,6 +227,8 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         human_densify=params.human_densify,
         human_loss=params.human_loss,
         joint=params.joint,
+        antialias=decisions.get("antialias", False),
+        transients=decisions.get("transients", False),
     )
     return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device))
 

@@ -13,6 +13,7 @@ from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
 from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
+from stages.avatar.effects.transients import WARM_UP, Transients
 from stages.avatar.gaussians import Splats
 from stages.avatar.guard import Guard
 from stages.avatar.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
@@ -51,6 +52,7 @@ class Fit:
         self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
         self.step, self.frame, self.undrawn = 0, train[0], 0
         self.guard = Guard()
+        self.transients = Transients(views, train) if options.transients and scene is not None else None
         self.order = torch.empty(0, dtype=torch.long)
         self.before: dict[str, Any] | None = None
         self.leaves: Resting | None = None
@@ -125,7 +127,8 @@ class Fit:
     def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
         """The person in the world at one pose."""
         p = self.person
-        return pose(resting, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
+        splats = pose(resting, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
+        return splats._replace(antialias=self.options.antialias)
 
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
         image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
@@ -143,7 +146,7 @@ class Fit:
         if self.scene is not None and (phase.scene or human is not None):
             scene = self.scene.splats()
             if not phase.scene:
-                scene = Splats(*(t if t is None else t.detach() for t in scene))
+                scene = scene.detach()
         layers = layers_of(human, scene, mask, viewmat, K, self.options, self.generator)
         if not layers:
             return numbers
@@ -152,6 +155,10 @@ class Fit:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             if self.options.human_loss or human is None:
                 rendered = losses.outside_person(rendered, image, mask)
+            if self.transients is not None and self.done >= WARM_UP:
+                whole = drawn["all"]
+                passing = self.transients(rendered, whole.depth, whole.alpha, image, frame)
+                rendered = torch.where(passing[..., None], image, rendered)
             joint = losses.photometric(rendered, image)
             loss = loss + joint
             numbers["image"] = joint.item()
@@ -335,4 +342,5 @@ class Fit:
             getattr(self.resting(), name).grad = grad.clone()
 
     def _modules(self) -> dict[str, torch.nn.Module]:
-        return self._sets() | {"frames": self.frames}
+        more = {} if self.transients is None else {"transients": self.transients}
+        return self._sets() | {"frames": self.frames} | more

@@ -92,6 +92,7 @@ class Baked(NamedTuple):
     resting: Resting
     joints: Tensor
     parents: list[int]
+    antialias: bool = False
 
 
 def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
@@ -105,12 +106,13 @@ def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
     person = Canonical(to("means"), frames, to("scales"), to("opacities"), sh, to("lbs_weights"))
     joints, parents = to("joints"), [int(p) for p in arrays.parents]
     bones = bone_transforms(joints, parents, torch.zeros(3, device=device), to("canonical_pose"))
-    return Baked(rest(person, bones), joints, parents)
+    return Baked(rest(person, bones), joints, parents, arrays.antialias)
 
 
 def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
     """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
-    return pose(avatar.resting, bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose), transl)
+    bones = bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose)
+    return pose(avatar.resting, bones, transl)._replace(antialias=avatar.antialias)
 
 
 class HumanModel(nn.Module):

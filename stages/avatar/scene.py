@@ -94,9 +94,10 @@ class SceneModel(nn.Module):
 
     ROWS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")
 
-    def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float):
+    def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float, antialias: bool = False):
         """points[P,3] m, rgb[P,3] in 0..1; raises ValueError when there is none."""
         super().__init__()
+        self.antialias = antialias
         if len(points) == 0:
             raise ValueError("a scene needs at least one point")
         n = len(points)
@@ -121,7 +122,7 @@ class SceneModel(nn.Module):
         """The scene as drawn."""
         sh = self.sh0[:, None] if self.shN.shape[1] == 0 else torch.cat([self.sh0[:, None], self.shN], 1)
         axes = gaussian_axes(self.quats, self.log_scales.exp())
-        return Splats(self.means, axes, self.logit_opacities.sigmoid(), sh)
+        return Splats(self.means, axes, self.logit_opacities.sigmoid(), sh, antialias=self.antialias)
 
 
 def load_scene(arrays, device: str | torch.device = "cpu") -> Splats:
@@ -130,4 +131,5 @@ def load_scene(arrays, device: str | torch.device = "cpu") -> Splats:
         torch.as_tensor(getattr(arrays, name), dtype=torch.float32, device=device)
         for name in ("means", "quats", "scales", "opacities", "sh0", "shN")
     )
-    return Splats(means, gaussian_axes(quats, scales), opacities, torch.cat([sh0[:, None], shN], 1))
+    sh = torch.cat([sh0[:, None], shN], 1)
+    return Splats(means, gaussian_axes(quats, scales), opacities, sh, antialias=arrays.antialias)

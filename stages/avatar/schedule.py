@@ -46,6 +46,8 @@ class Options(NamedTuple):
     human_densify: bool = True
     human_loss: bool = True
     joint: bool = True
+    antialias: bool = False
+    transients: bool = False
 
 
 class Phase(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,8 @@ class Scene:
     """N Gaussians in the world frame, metres.
 
     means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
-    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms.
+    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms. `antialias`: they were learned with opacities
+    lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493), and want to be drawn so.
     """
 
     means: np.ndarray
@@ -37,6 +38,7 @@ class Scene:
     opacities: np.ndarray
     sh0: np.ndarray
     shN: np.ndarray
+    antialias: bool = field(default=False, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -58,8 +60,10 @@ class Avatar(Scene):
 
 
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
-    """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles."""
+    """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles; `antialias` if it is on."""
     arrays = {f.name: np.asarray(getattr(splats, f.name)) for f in fields(splats)}
+    if not splats.antialias:
+        del arrays["antialias"]
     np.savez(path, **{k: v.astype(np.int32 if k == "parents" else np.float32) for k, v in arrays.items()})
 
 
@@ -82,8 +86,9 @@ def read_avatar(path: Path) -> Avatar:
 
 
 def _read(path: Path, kind: type) -> Scene | Avatar:
-    names = [f.name for f in fields(kind)]
+    names = [f.name for f in fields(kind) if f.name != "antialias"]
     data = read_npz(path, HINT)
+    antialias = bool(checked(data.pop("antialias", np.False_), (), "antialias", path.name, HINT))
     missing = [n for n in names if n not in data]
     if missing:
         raise StageError(
@@ -105,4 +110,4 @@ def _read(path: Path, kind: type) -> Scene | Avatar:
             hint=HINT,
         )
     shapes = {n: (lengths["means"], *shape) for n, shape in _ROWS.items()} | _REST
-    return kind(**{n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})
+    return kind(**{n: checked(data[n], shapes[n], n, path.name, HINT) for n in names}, antialias=antialias)
