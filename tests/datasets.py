@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from stages.avatar import synthetic
 from stages.avatar import synthetic_person as person
 from stages.avatar.cameras import align_viewmats, look_at, pinhole
+from stages.avatar.synthetic_effects import NO_EFFECTS, Effects
 from stages.avatar.synthetic_room import make_room
 from stages.formats.body_model import read_body_model
 from stages.formats.images import write_image, write_mask
@@ -43,14 +44,18 @@ def neuman(
     k: float = 0.0,
     points: int = 400,
     noise: float = 0.0,
+    camera_noise: float = 0.0,
+    effects: Effects = NO_EFFECTS,
+    seed: int = 0,
 ) -> Made:
     """A NeuMan sequence called bike; poses have scales that differ by up to 8 % and look right from their own camera.
 
     `noise` is the standard deviation of what is added to the poses: in radians to joint angles, and of the mean
-    distance to the camera to places.
+    distance to the camera to places. `camera_noise` is the same for the cameras: radians, and of the mean distance from
+    the person.
     """
     model = read_body_model()
-    clip = synthetic.make_clip(model, frames=frames, width=width, height=height)
+    clip = synthetic.make_clip(model, seed=seed, frames=frames, width=width, height=height, effects=effects)
     views = clip.frames
     made = Made(folder / "bike", folder / "truth")
     write_views(made.truth, views, clip.betas)
@@ -63,7 +68,9 @@ def neuman(
         write_mask(four / f"mask_{i:04d}.png", views.masks[i])
         write_mask(made.folder / "segmentations" / f"{i:05d}.png.png", 255 - views.masks[i])
     viewmats = align_viewmats(views.viewmats, UNITS, TURN.as_matrix(), SHIFT)
-    write_sparse(made.folder / "sparse", viewmats, views, k, points)
+    write_sparse(
+        made.folder / "sparse", disturbed(viewmats, camera_noise, UNITS * synthetic.DISTANCE), views, k, points
+    )
     pelvis = model.J_regressor[0] @ (model.v_template + model.shapedirs @ clip.betas)
     centres = -(viewmats[:, :3, :3].mT @ viewmats[:, :3, 3:])[..., 0]
     orient = (TURN * Rotation.from_rotvec(views.global_orient)).as_rotvec()
@@ -85,6 +92,16 @@ def neuman(
         bbox=np.zeros((frames, 4), np.float32),
     )
     return made
+
+
+def disturbed(viewmats: np.ndarray, noise: float, distance: float) -> np.ndarray:
+    """`viewmats` [C,4,4] turned by `noise` rad and moved by `noise` times `distance`, as standard deviations."""
+    rng = np.random.default_rng(4)
+    turns, moves = rng.normal(size=(2, len(viewmats), 3)) * noise
+    there = viewmats.copy()
+    there[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix() @ viewmats[:, :3, :3]
+    there[:, :3, 3] = (Rotation.from_rotvec(turns).as_matrix() @ viewmats[:, :3, 3:])[..., 0] + moves * distance
+    return there
 
 
 def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: float, points: int) -> None:
@@ -114,9 +131,9 @@ def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: 
 
 
 def points_of(views: synthetic.Views, count: int) -> list[tuple[int, int, int]]:
-    """(view, x, y) of `count` background pixels."""
+    """(view, x, y) of `count` background pixels, none of them in the sky."""
     rng = np.random.default_rng(1)
-    view, row, column = np.nonzero(views.masks == 0)
+    view, row, column = np.nonzero((views.masks == 0) & np.isfinite(views.depths))
     return [(int(view[i]), int(column[i]), int(row[i])) for i in rng.choice(len(view), count, replace=False)]
 
 

@@ -10,6 +10,8 @@ import numba
 import numpy as np
 
 NEAR = 0.05
+SHININESS = 20.0
+NO_LAMPS = np.zeros((0, 3))
 
 
 @numba.njit(cache=True)
@@ -56,19 +58,23 @@ def fill(points: np.ndarray, faces: np.ndarray, K: np.ndarray, width: int, heigh
 
 
 @numba.njit(cache=True, parallel=True)
-def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mips, per_metre: float, light):
+def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mips, per_metre: float, light,
+         gloss: float = 0.0, lamps=NO_LAMPS, open_air: bool = False):  # fmt: skip
     """Colour [H,W,3] and depth [H,W] of boxes seen along the rays through the pixel centres.
 
+    `world_from_camera` [R,4,4] is one camera for the picture (R = 1) or one for each of its rows (R = H).
     `boxes` [B,8]: centre, half sizes (m), cosine and sine of a turn about y; box 0 is the room and is seen from inside.
     `paint` [B,6] is the texture of the faces -x +x -y +y -z +z, `tints` [B,3] multiplies it. `mips` is a tuple of
     texture stacks [T,S,S,3], each half the size before; they repeat, with `per_metre` texels a metre. `light` is the
-    unit direction towards the lamp. Colour is zero and depth infinite where a ray leaves the room.
+    unit direction towards the lamp. Surfaces mirror `lamps` [L,3] (places in m) by `gloss`, blurred (Phong 1975).
+    Colour is zero and depth infinite where a ray leaves the room; with `open_air` it has neither ceiling nor -z wall.
     """
     image = np.zeros((height, width, 3))
     depth = np.full((height, width), np.inf)
-    m, lamp = world_from_camera, (light[0], light[1], light[2])
-    eye = (m[0, 3], m[1, 3], m[2, 3])
+    lamp = (light[0], light[1], light[2])
     for row in numba.prange(height):
+        m = world_from_camera[min(np.int64(row), len(world_from_camera) - 1)]
+        eye = (m[0, 3], m[1, 3], m[2, 3])
         for column in range(width):
             u, v = (column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1]
             ray = (m[0, 0] * u + m[0, 1] * v + m[0, 2], m[1, 0] * u + m[1, 1] * v + m[1, 2],
@@ -78,7 +84,7 @@ def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mip
                 t, side = _meet(eye, ray, boxes, i)
                 if t < best:
                     best, which, face = t, i, side
-            if which < 0:
+            if which < 0 or (open_air and which == 0 and (face == 3 or face == 4)):
                 continue
             depth[row, column] = best
             hit = (eye[0] + best * ray[0], eye[1] + best * ray[1], eye[2] + best * ray[2])
@@ -91,6 +97,8 @@ def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mip
                 b = _texel(mips[fine + 1], paint[which, face], x * per_metre / 2 ** (fine + 1),
                            y * per_metre / 2 ** (fine + 1), c)  # fmt: skip
                 image[row, column, c] = (a + (b - a) * (level - fine)) * value * tints[which, c]
+            if gloss > 0:
+                image[row, column] += gloss * _mirrored(hit, ray, lamps, boxes[which], face)
     return image, depth
 
 
@@ -145,6 +153,24 @@ def _light(point, ray, light, boxes, i, face):
             for other in range(1, len(boxes)):
                 value *= 1 - 0.35 * np.exp(-_distance(point, boxes[other]) / 0.12)
     return value, hit[across] + 1.37 * i, hit[along] + 0.71 * i, facing
+
+
+@numba.njit(cache=True)
+def _mirrored(point, ray, lamps, box, face):
+    """How much of the lamps a blurred mirror in place of a box's face shows, 0 to 1 for each lamp."""
+    hit = _turned(point[0], point[1], point[2], box)
+    d = _turned(ray[0], ray[1], ray[2], box)
+    shown = 0.0
+    for lamp in lamps:
+        to = _turned(lamp[0], lamp[1], lamp[2], box)
+        across = along = away = 0.0
+        for k in range(3):
+            mirrored = -d[k] if k == face // 2 else d[k]
+            across += mirrored * (to[k] - hit[k])
+            along += d[k] ** 2
+            away += (to[k] - hit[k]) ** 2
+        shown += max(across / np.sqrt(along * away), 0.0) ** SHININESS
+    return shown
 
 
 @numba.njit(cache=True)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.body import Body
+from stages.avatar.body import Body, vertex_normals
 from stages.avatar.motion import MOTIONS
 
 TURN = 4.6
@@ -144,6 +144,36 @@ def pose_body(
     transl = -joints[:, 0]
     transl[:, 1] = -vertices[..., 1].min(1)
     return transl, vertices + transl[:, None], joints + transl[:, None]
+
+
+def swing(model: Any, faces: np.ndarray, vertices: np.ndarray, pose: np.ndarray, width: float) -> np.ndarray:
+    """What loose clothes add to `vertices` [F,V,3] in m: a skirt and sleeves `width` m wide that swing with `pose` [F,69].
+
+    The skirt stands off by half its width and flies forward and to the side with the thighs; sleeves hang from raised arms.
+    """
+    places = dict(zip(model.keypoint_names, model.keypoint_regressor @ model.v_template))
+    x, y, _ = model.v_template.T
+    hip, knee = places["left_hip"][1] + 0.05, places["left_knee"][1] + 0.02
+    down = ((hip - y) / (hip - knee)).clip(0, 1)
+    skirt = width * down * _fade(knee - 0.03, y, 0.04) * (abs(x) < 0.4)
+    along = (abs(x) - places["left_shoulder"][0]) / (places["left_elbow"][0] - places["left_shoulder"][0])
+    sleeve = width * along.clip(0, 1) * (along < 1) * (y > hip)
+    thighs = pose.reshape(len(pose), 23, 3)[:, :2, 0]  # about x; negative forward
+    added = np.zeros_like(vertices)
+    for i, posed in enumerate(vertices):
+        normals = vertex_normals(torch.from_numpy(posed), torch.from_numpy(faces)).numpy()
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        level = normals * [1, 0, 1]
+        flying = 0.5 + 1.5 * np.where(x > 0, -thighs[i, 0], -thighs[i, 1])
+        added[i] = level * (skirt * flying)[:, None]
+        under = (-normals[:, 1]).clip(0, 1) * sleeve
+        added[i, :, 1] -= under
+    return added
+
+
+def _fade(edge: float, values: np.ndarray, width: float) -> np.ndarray:
+    """0 below `edge`, 1 above, over that width."""
+    return ((values - edge) / width + 0.5).clip(0, 1)
 
 
 def _euler(axes: str, *angles: np.ndarray) -> np.ndarray:

@@ -28,6 +28,10 @@ FURNITURE = (
 )
 ROOM = ((0.0, 1.292, 0.75), (3.0, 1.3, 2.85), (LEFT, RIGHT, PLANKS, CEILING, BACK, BACK))
 
+LAMPS = np.array([[0.4, 2.4, -1.7], [-1.2, 1.9, 3.2]])
+"""What glossy surfaces mirror: a lamp under the ceiling and a window behind the camera, m."""
+ZENITH, HAZE, CLOUD, HILL = (0.42, 0.62, 0.9), (0.8, 0.88, 0.95), (0.95, 0.95, 0.96), (0.33, 0.44, 0.3)
+
 
 @dataclass(frozen=True)
 class Room:
@@ -53,6 +57,21 @@ def make_room(rng: np.random.Generator) -> Room:
         count, size = mips[-1].shape[:2]
         mips.append(mips[-1].reshape(count, size // 2, 2, size // 2, 2, 3).mean((2, 4)))
     return Room(np.array(boxes), np.array(paint), np.array(tints), tuple(mips))
+
+
+def sky(rays: np.ndarray) -> np.ndarray:
+    """Colours [...,3] of sky, clouds and far hills along the directions `rays` [...,3], y up; all is infinitely far."""
+    azimuth = np.arctan2(rays[..., 0], -rays[..., 2])
+    rise = np.arctan2(rays[..., 1], np.hypot(rays[..., 0], rays[..., 2]))
+    cloud = np.sin(3.1 * azimuth + 1.0) * np.sin(7.0 * rise) + 0.6 * np.sin(7.7 * azimuth - 9.0 * rise)
+    height = (rise / 0.6).clip(0, 1)[..., None]
+    above = np.array(HAZE) * (1 - height) + np.array(ZENITH) * height
+    above = above + (np.array(CLOUD) - above) * 0.6 * _step(cloud - 0.3, 1.2)[..., None]
+    ridge = 0.07 + 0.03 * np.sin(4.3 * azimuth) + 0.015 * np.sin(17 * azimuth + 0.7)
+    trees = np.sin(61 * azimuth + 3 * np.sin(43 * rise)) * np.sin(83 * rise + 2 * np.sin(29 * azimuth))
+    hills = np.array(HILL) * (1 + 0.35 * trees)[..., None]
+    cover = _step(ridge - rise, 0.006)[..., None]
+    return above * (1 - cover) + hills * cover
 
 
 def _noise(

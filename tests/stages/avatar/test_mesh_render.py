@@ -50,7 +50,7 @@ def test_fill_refuses_what_is_behind_the_camera():
 def test_cast_sees_the_wall_through_the_room_and_the_box_before_it():
     boxes = np.array([[0, 0, 0, 3, 2, 4, 1, 0], [0, 0, 2, 0.2, 5, 0.1, np.cos(0.3), np.sin(0.3)]], dtype=float)
     mips = tuple(np.full((1, s, s, 3), 0.5, np.float32) for s in (8, 4))
-    pose = np.linalg.inv(look_at(np.zeros(3), np.array([0, 0, 1.0]), DOWN))
+    pose = np.linalg.inv(look_at(np.zeros(3), np.array([0, 0, 1.0]), DOWN))[None]
     arguments = np.zeros((2, 6), int), np.ones((2, 3)), mips, 4.0, DOWN
     image, depth = cast(pose, K, 40, 30, boxes[:1], *arguments)
     assert depth == pytest.approx(4.0, rel=1e-12), "the far wall fills the view"
@@ -67,7 +67,7 @@ def test_a_point_of_the_texture_is_one_colour_near_and_far():
     coarse = fine.reshape(1, 8, 2, 8, 2, 3).mean((2, 4))
     coarser = coarse.reshape(1, 4, 2, 4, 2, 3).mean((2, 4))
     room = np.array([[0, 0, 0, 50, 50, 4, 1, 0]], dtype=float)
-    pose = np.linalg.inv(look_at(np.zeros(3), np.array([0, 0, 1.0]), DOWN))
+    pose = np.linalg.inv(look_at(np.zeros(3), np.array([0, 0, 1.0]), DOWN))[None]
     for focal in (64.0, 640.0):
         size = 32
         close = pinhole(focal, size, size)
