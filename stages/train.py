@@ -133,6 +133,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     import torch
 
     from stages.avatar.body import DA_POSE, Body
+    from stages.avatar.effects.sky import RADIUS, open_sky, shell
     from stages.avatar.fit import Fit
     from stages.avatar.human import HumanModel
     from stages.avatar.neighbours import evenly
@@ -193,22 +194,24 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     if decisions.get("scene", True) and len(clip.points):
         rng = np.random.default_rng(job.seed)
         chosen = evenly(train, FILLED)
-        xyz, rgb = fill_points(
-            clip.points,
-            [clip.images(i) for i in chosen],
-            [clip.mask(i) for i in chosen],
-            clip.viewmats[chosen],
-            clip.Ks[chosen],
-            clip.body.transl[chosen] + person.joints[0].cpu().numpy(),
-            params.scene_fill,
-            rng,
-        )
+        images, masks = [clip.images(i) for i in chosen], [clip.mask(i) for i in chosen]
+        cameras = clip.viewmats[chosen], clip.Ks[chosen]
+        skies = None
+        if decisions.get("sky", False):
+            skies = [open_sky(clip.points, mask, *camera) for mask, *camera in zip(masks, *cameras, strict=True)]
+        places = clip.body.transl[chosen] + person.joints[0].cpu().numpy()
+        xyz, rgb = fill_points(clip.points, images, masks, *cameras, places, params.scene_fill, rng, skies)
         points, colors = np.concatenate([clip.points, xyz]), np.concatenate([clip.colors, rgb])
         clear = clear_of_cameras(tensor(points), tensor(clip.viewmats), extent)
         if not clear.all():
             job.note(f"{int((~clear).sum())} points left out that lie on a camera")
         if clear.any():
-            scene = SceneModel(tensor(points)[clear], tensor(colors)[clear] / 255, params.scene_sh, extent)
+            start = tensor(points)[clear], tensor(colors)[clear] / 255
+            scene = SceneModel(*start, params.scene_sh, extent, decisions.get("antialias", False))
+        if scene and skies:
+            far, tints = shell(skies, images, *cameras, extent)
+            scene.surround(tensor(far), tensor(tints), RADIUS * extent)
+            job.note(f"{len(far):,} Gaussians of the sky {RADIUS * extent:.0f} m away")
     if scene is None and not (params.human_loss and params.joint):
         raise StageError(
             "there is no scene to train the person with",
@@ -229,6 +232,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         joint=params.joint,
         antialias=decisions.get("antialias", False),
         transients=decisions.get("transients", False),
+        clothing=decisions.get("clothing", False),
     )
     return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device))
 

@@ -13,6 +13,7 @@ from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
 from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
+from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.transients import WARM_UP, Transients
 from stages.avatar.gaussians import Splats
 from stages.avatar.guard import Guard
@@ -57,11 +58,15 @@ class Fit:
         self.before: dict[str, Any] | None = None
         self.leaves: Resting | None = None
         self.near: Tensor | None = None
+        self.clothing = None
         if person is not None:
             self.canonical_bones = person.canonical_bones()
+        if options.clothing and human is not None:
+            bare = rest(human.untaught(), self.canonical_bones).means
+            self.clothing = Clothing.start(bare, person.body_pose[train])
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self.taught = torch.zeros(0 if human is None else len(human)).to(views.viewmats)
-        self.adam = optimizers(self.frames, human, scene, options.extent)
+        self.adam = optimizers(self.frames, human, scene, options.extent, self.clothing)
         self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
 
     def sizes(self) -> dict[str, int]:
@@ -127,6 +132,8 @@ class Fit:
     def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
         """The person in the world at one pose."""
         p = self.person
+        if self.clothing is not None:
+            resting = self.clothing(resting, body_pose)
         splats = pose(resting, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
         return splats._replace(antialias=self.options.antialias)
 
@@ -195,6 +202,9 @@ class Fit:
         elif human is not None:
             self.growth["human"].add(drawn["all"].screen_grad_abs[:rows], drawn["all"].radii[:rows], width, height)
         self._apply("frames")
+        if self.clothing is not None:
+            self.clothing.prior().backward()
+            self._apply("clothing")
         return numbers
 
     def _apply(self, name: str) -> None:
@@ -326,7 +336,7 @@ class Fit:
                 old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"free.{row}"])
                 setattr(owner, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
             module.load_state_dict(saved)
-        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent)
+        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent, self.clothing)
         for name, optimizer in self.adam.items():
             optimizer.load_state_dict(state["adam"][name])
         for name, growth in self.growth.items():
@@ -342,5 +352,5 @@ class Fit:
             getattr(self.resting(), name).grad = grad.clone()
 
     def _modules(self) -> dict[str, torch.nn.Module]:
-        more = {} if self.transients is None else {"transients": self.transients}
-        return self._sets() | {"frames": self.frames} | more
+        more = {"frames": self.frames, "transients": self.transients, "clothing": self.clothing}
+        return self._sets() | {name: module for name, module in more.items() if module is not None}

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from torch.optim import Adam, Optimizer, SparseAdam
 
+from stages.avatar.effects.clothing import Clothing
 from stages.avatar.human import HumanModel
 from stages.avatar.refine import FrameCorrections
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE
+from stages.avatar.schedule import LR_CLOTHING, LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE
 
 
 def optimizers(
-    frames: FrameCorrections, human: HumanModel | None, scene: SceneModel | None, extent: float
+    frames: FrameCorrections,
+    human: HumanModel | None,
+    scene: SceneModel | None,
+    extent: float,
+    clothing: Clothing | None = None,
 ) -> dict[str, Optimizer]:
-    """The optimisers of `frames`, `human` and `scene`; each group has its `name` and `base` rate, lengths by `extent` m."""
+    """The optimisers of what is given, by name; each group has its `name` and `base` rate, lengths by `extent` m."""
     groups = {"frames": [([getattr(frames, n).weight], n, rate) for n, rate in LR_FRAMES.items()]}
+    if clothing is not None:
+        groups["clothing"] = [([clothing.offsets], "offsets", LR_CLOTHING)]
     if human is not None:
         rates = LR_HUMAN | LR_FREE
         parts = {name: [getattr(owner, name)] for owner, name in human.rows()}

@@ -56,17 +56,19 @@ def fill_points(
     person: np.ndarray,
     count: int,
     rng: np.random.Generator,
+    skies: list[np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [<=count,3] m and colours [.,3] uint8 of background at random pixels, as deep as the SfM points around.
 
     points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3] and the place of the
     person[3] m. Inverse depth is linear between the SfM points of a view and that of the nearest one beyond them. On
     person pixels the colour is that of the nearest background pixel, and the depth lies beyond the person. Views with
-    under 8 points are skipped.
+    under 8 points are skipped, and pixels bool[H,W] of `skies`.
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))
-    for image, mask, viewmat, K, place in zip(images, masks, viewmats, Ks, person, strict=True):
+    skies = skies or [np.zeros_like(mask, bool) for mask in masks]
+    for image, mask, viewmat, K, place, sky in zip(images, masks, viewmats, Ks, person, skies, strict=True):
         height, width = mask.shape
         local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
         local = local[local[:, 2] > 1e-6]
@@ -77,6 +79,8 @@ def fill_points(
             continue
         at = rng.random((share, 2)) * [width, height]
         column, row = at.astype(int).T
+        below = ~sky[row, column]
+        at, column, row = at[below], column[below], row[below]
         free_row, free_column = distance_transform_edt(mask >= 128, return_distances=False, return_indices=True)
         w = LinearNDInterpolator(pixels, inverse)(at)
         beyond = ~np.isfinite(w)
@@ -97,7 +101,7 @@ class SceneModel(nn.Module):
     def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float, antialias: bool = False):
         """points[P,3] m, rgb[P,3] in 0..1; raises ValueError when there is none."""
         super().__init__()
-        self.antialias = antialias
+        self.antialias, self.extent, self.shell = antialias, extent, math.inf
         if len(points) == 0:
             raise ValueError("a scene needs at least one point")
         n = len(points)
@@ -112,6 +116,23 @@ class SceneModel(nn.Module):
 
     def __len__(self) -> int:
         return len(self.means)
+
+    @torch.no_grad()
+    def surround(self, points: Tensor, rgb: Tensor, radius: float) -> None:
+        """Add the shell of `effects.sky`: points[P,3] m about `radius` m away, with rgb[P,3] in 0..1."""
+        sky = SceneModel(points, rgb, math.isqrt(self.shN.shape[1]), radius)
+        for name in self.ROWS:
+            setattr(self, name, nn.Parameter(torch.cat([getattr(self, name), getattr(sky, name)])))
+        self.shell = radius
+
+    @torch.no_grad()
+    def sizes(self) -> Tensor:
+        """Largest scale [N] in m by which growth judges each Gaussian; on the shell as if it stood one extent away."""
+        largest = self.log_scales.exp().amax(1)
+        if math.isinf(self.shell):
+            return largest
+        away = self.means.norm(dim=1)
+        return torch.where(away > 0.5 * self.shell, largest * self.extent / away, largest)
 
     @torch.no_grad()
     def keep_movable(self) -> None:

@@ -21,6 +21,7 @@ LR_SCENE = {  # `means` in units of the scene's extent
     "sh0": 5e-3,
     "shN": 2.5e-4,
 }
+LR_CLOTHING = 1e-3  # metres
 LR_FRAMES = {"pose": 1e-3, "place": 1e-3, "gain": 1e-3}
 LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
@@ -48,6 +49,7 @@ class Options(NamedTuple):
     joint: bool = True
     antialias: bool = False
     transients: bool = False
+    clothing: bool = False
 
 
 class Phase(NamedTuple):
