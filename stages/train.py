@@ -133,9 +133,11 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     import torch
 
     from stages.avatar.body import DA_POSE, Body
+    from stages.avatar.effects.frames import FrameEffects
     from stages.avatar.effects.sky import RADIUS, open_sky, shell
     from stages.avatar.fit import Fit
     from stages.avatar.human import HumanModel
+    from stages.avatar.motion import upright
     from stages.avatar.neighbours import evenly
     from stages.avatar.paint import seen_colors
     from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
@@ -233,8 +235,12 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         antialias=decisions.get("antialias", False),
         transients=decisions.get("transients", False),
         clothing=decisions.get("clothing", False),
+        refine_camera=decisions.get("camera_refinement", False),
     )
-    return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device))
+    up = torch.as_tensor(upright(clip.body.global_orient, clip.body.global_orient[0])[:, 1]).to(person.joints)
+    takes = {name: decisions.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
+    effects = FrameEffects.starting(up, **takes)
+    return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device), effects)
 
 
 def _perceptual(params: Params, device: str):

@@ -6,14 +6,16 @@ import copy
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
-from stages.avatar.compose import compose_layers
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.effects.clothing import Clothing
+from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.effects.speeds import Motion, Speeds
 from stages.avatar.effects.transients import WARM_UP, Transients
 from stages.avatar.gaussians import Splats
 from stages.avatar.guard import Guard
@@ -22,7 +24,7 @@ from stages.avatar.layers import layers_of
 from stages.avatar.neighbours import nearest
 from stages.avatar.optimizers import optimizers
 from stages.avatar.perceptual import Lpips
-from stages.avatar.refine import FrameCorrections, spread
+from stages.avatar.refine import FrameCorrections
 from stages.avatar.scene import SceneModel
 from stages.avatar.schedule import HALF_UNTIL, HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Phase, phases, rate
 from stages.avatar.skinning import knn_weights
@@ -45,12 +47,17 @@ class Fit:
         options: Options,
         generator: torch.Generator,
         perceptual: Lpips | None = None,
+        effects: FrameEffects | None = None,
     ):
         self.full, self.small = views, views.half()
         self.train, self.person, self.human, self.scene = train, person, human, scene
         self.options, self.generator, self.perceptual = options, generator, perceptual
         self.phases = phases(options.steps, options.joint)
         self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
+        self.trained = torch.zeros(len(views.images), dtype=torch.bool)
+        self.trained[train] = True
+        self.effects = (effects or FrameEffects()).to(views.viewmats)
+        self.speeds = self._speeds() if self.effects.takes_time else None
         self.step, self.frame, self.undrawn = 0, train[0], 0
         self.guard = Guard()
         self.transients = Transients(views, train) if options.transients and scene is not None else None
@@ -66,7 +73,7 @@ class Fit:
             self.clothing = Clothing.start(bare, person.body_pose[train])
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self.taught = torch.zeros(0 if human is None else len(human)).to(views.viewmats)
-        self.adam = optimizers(self.frames, human, scene, options.extent, self.clothing)
+        self.adam = optimizers(self.frames, human, scene, options.extent, self.effects, self.clothing)
         self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
 
     def sizes(self) -> dict[str, int]:
@@ -75,6 +82,12 @@ class Fit:
 
     def _sets(self) -> dict[str, Any]:
         return {n: m for n, m in (("human", self.human), ("scene", self.scene)) if m is not None}
+
+    def _speeds(self) -> Speeds:
+        views, count = self.full, len(self.full.images)
+        moments = np.arange(count) if views.moments is None else views.moments.cpu().numpy()
+        known = np.ones(count, bool) if self.person is None else (self.person.confidence > 0).cpu().numpy()
+        return Speeds(views.viewmats.cpu().numpy(), views.Ks, views.images.shape[1], moments, known)
 
     # ---- one step ----
 
@@ -139,17 +152,14 @@ class Fit:
 
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
         image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
-        viewmat, K = views.viewmats[frame], views.Ks[frame]
+        viewmat, K = self._camera(frame), views.Ks[frame]
         height, width = mask.shape
         gains = self.frames.gains(frame) if self.options.exposure else None
         human, scene, numbers, loss = None, None, {}, 0.0
         p, phase = self.person, self.phase
         trust = 0.0 if p is None else p.confidence[frame]  # a doubtful pose teaches little
         if self.human is not None and phase.human and bool(p.confidence[frame] > 0) and bool((mask > 0.5).any()):
-            body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
-            if self.options.refine_pose:
-                body = self.frames.body(frame, *body)
-            human = self.posed(self.resting(), *body)
+            human = self.posed(self.resting(), *self.body(frame))
         if self.scene is not None and (phase.scene or human is not None):
             scene = self.scene.splats()
             if not phase.scene:
@@ -157,7 +167,10 @@ class Fit:
         layers = layers_of(human, scene, mask, viewmat, K, self.options, self.generator)
         if not layers:
             return numbers
-        drawn = dict(zip(layers, compose_layers(human, scene, viewmat, K, width, height, list(layers.values()))))
+        motion = self.motion(frame, None if human is None else self.resting())
+        lit = self.effects.lit(scene, human, None if human is None else self.resting().weights)
+        pictures = self.effects.draw(human, lit, motion, viewmat, K, width, height, list(layers.values()))
+        drawn = dict(zip(layers, pictures))
         if scene is not None:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             if self.options.human_loss or human is None:
@@ -205,7 +218,32 @@ class Fit:
         if self.clothing is not None:
             self.clothing.prior().backward()
             self._apply("clothing")
+        self._learn_effects()
         return numbers
+
+    def _camera(self, frame: int) -> Tensor:
+        viewmat = self.full.viewmats[frame]
+        return self.frames.camera(frame, viewmat, self.trained) if self.options.refine_camera else viewmat
+
+    def motion(self, frame: int, resting: Resting | None) -> Motion | None:
+        """How everything moves at a frame, where an effect needs to know it; None for `resting`: nobody is drawn."""
+        if self.speeds is None:
+            return None
+        return self.speeds.at(frame, resting and (lambda i: self.posed(resting, *self.body(i)).means))
+
+    def body(self, frame: int) -> tuple[Tensor, Tensor, Tensor]:
+        """global_orient[3], body_pose[69] and transl[3] of a frame, corrected where poses are refined."""
+        p = self.person
+        body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
+        return self.frames.body(frame, *body) if self.options.refine_pose else body
+
+    def _learn_effects(self) -> None:
+        if "effects" in self.adam:
+            grads = [p.grad for p in self.effects.parameters() if p.grad is not None]
+            if grads and self.guard.clip("effects", grads):
+                self.adam["effects"].step()
+                self.effects.keep_possible()
+            self.adam["effects"].zero_grad(set_to_none=True)
 
     def _apply(self, name: str) -> None:
         """One step of an optimiser whose parameters have one row a Gaussian, or sparse ones of one row a frame."""
@@ -291,23 +329,19 @@ class Fit:
         canonical = as_body_where_unseen(self._decode()[0], self.human.untaught(), self.taught)
         return canonical, rest(canonical, self.canonical_bones)
 
-    @torch.no_grad()
     def bodies(self) -> tuple[Tensor, Tensor, Tensor]:
         """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; untrained frames take their neighbours' correction."""
-        trained = torch.zeros(len(self.full.images), dtype=torch.bool)
-        trained[self.train] = True
-        frames, moments = self.frames, self.full.moments
-        turn, place = (spread(t.weight, trained, moments) for t in (frames.pose, frames.place))
-        p = self.person
-        return p.global_orient + turn[:, :3], p.body_pose + turn[:, 3:], p.transl + place
+        return self.frames.bodies(self.person, self.trained, self.full.moments)
 
-    @torch.no_grad()
     def gains(self) -> Tensor:
         """Exposure factors [F,3], of geometric mean 1 over the training frames."""
-        trained = torch.zeros(len(self.full.images), dtype=torch.bool)
-        trained[self.train] = True
-        table = self.frames.gain.weight
-        return spread(table - table[trained].mean(0), trained, self.full.moments).exp()
+        return self.frames.all_gains(self.trained, self.full.moments)
+
+    def cameras(self) -> Tensor:
+        """Corrected viewmats [F,4,4], of mean correction 0 over the training frames."""
+        if not self.options.refine_camera:
+            return self.full.viewmats
+        return self.frames.cameras(self.full.viewmats, self.trained, self.full.moments)
 
     # ---- checkpoint ----
 
@@ -336,7 +370,7 @@ class Fit:
                 old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"free.{row}"])
                 setattr(owner, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
             module.load_state_dict(saved)
-        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent, self.clothing)
+        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent, self.effects, self.clothing)
         for name, optimizer in self.adam.items():
             optimizer.load_state_dict(state["adam"][name])
         for name, growth in self.growth.items():
@@ -352,5 +386,10 @@ class Fit:
             getattr(self.resting(), name).grad = grad.clone()
 
     def _modules(self) -> dict[str, torch.nn.Module]:
-        more = {"frames": self.frames, "transients": self.transients, "clothing": self.clothing}
+        more = {
+            "frames": self.frames,
+            "effects": self.effects,
+            "transients": self.transients,
+            "clothing": self.clothing,
+        }
         return self._sets() | {name: module for name, module in more.items() if module is not None}

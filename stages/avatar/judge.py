@@ -6,10 +6,10 @@ from statistics import fmean
 
 import torch
 
-from stages.avatar.compose import compose
 from stages.avatar.fit import Fit
 from stages.avatar.metrics import person_crop, scores
 from stages.avatar.perceptual import Lpips
+from stages.avatar.rasterize import Layer
 
 
 @torch.no_grad()
@@ -19,12 +19,14 @@ def judge(fit: Fit, frames: list[int], lpips: Lpips | None = None) -> dict[str, 
     The person is as training has it, before `bake` finishes it. None where there is no frame, or no `lpips`.
     """
     rows, views, gains = [], fit.full, fit.gains()
-    (orient, body_pose, transl), (_, resting) = fit.bodies(), fit.baked()
+    (orient, body_pose, transl), (_, resting), viewmats = fit.bodies(), fit.baked(), fit.cameras()
     scene = fit.scene.splats() if fit.scene else None
     for i in frames:
         image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
         human = fit.posed(resting, orient[i], body_pose[i], transl[i])
-        drawn = compose(human, scene, views.viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0]).image
+        lit, motion = fit.effects.lit(scene, human, resting.weights), fit.motion(i, resting)
+        size = mask.shape[1], mask.shape[0]
+        drawn = fit.effects.draw(human, lit, motion, viewmats[i], views.Ks[i], *size, [Layer()])[0].image
         drawn, crop = (drawn * gains[i]).clamp(0, 1), person_crop(mask)
         if scene is None:
             image = image * mask[..., None]

@@ -1,14 +1,15 @@
-"""Who moves what: one Adam for the person, one for the scene, one for what is learned per frame."""
+"""Who moves what: one Adam for the person, one for the scene, one for effects, one for what is learned per frame."""
 
 from __future__ import annotations
 
+from torch import nn
 from torch.optim import Adam, Optimizer, SparseAdam
 
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.human import HumanModel
 from stages.avatar.refine import FrameCorrections
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import LR_CLOTHING, LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE
+from stages.avatar.schedule import LR_CLOTHING, LR_EFFECTS, LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE
 
 
 def optimizers(
@@ -16,9 +17,13 @@ def optimizers(
     human: HumanModel | None,
     scene: SceneModel | None,
     extent: float,
+    effects: nn.Module | None = None,
     clothing: Clothing | None = None,
 ) -> dict[str, Optimizer]:
-    """The optimisers of what is given, by name; each group has its `name` and `base` rate, lengths by `extent` m."""
+    """The optimisers of `frames`, `human`, `scene`, `clothing`, and of the `effects` that have anything to learn.
+
+    Each group has its `name` and `base` rate, lengths by `extent` m.
+    """
     groups = {"frames": [([getattr(frames, n).weight], n, rate) for n, rate in LR_FRAMES.items()]}
     if clothing is not None:
         groups["clothing"] = [([clothing.offsets], "offsets", LR_CLOTHING)]
@@ -32,6 +37,9 @@ def optimizers(
     if scene is not None:
         rates = LR_SCENE | {"means": LR_SCENE["means"] * extent}
         groups["scene"] = [([getattr(scene, name)], name, rate) for name, rate in rates.items()]
+    learned = {} if effects is None else dict(effects.named_parameters())
+    if learned:
+        groups["effects"] = [([p], n, LR_EFFECTS[n.rpartition(".")[2]]) for n, p in learned.items()]
     return {
         name: (SparseAdam if name == "frames" else _adam)([dict(zip(("params", "name", "base"), g)) for g in rows])
         for name, rows in groups.items()

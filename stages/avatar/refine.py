@@ -1,15 +1,19 @@
-"""What is learned per frame: small corrections of the person's pose and place, and of the camera's exposure."""
+"""What is learned per frame: small corrections of the person's pose and place, and of the camera and its exposure."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
+from stages.avatar.effects.camera_refinement import corrected
+from stages.avatar.views import Person
+
 
 class FrameCorrections(nn.Module):
     """Corrections of F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m, log gain [F,3].
 
-    Rows have sparse gradients, so that a frame moves only when it is seen.
+    And of cameras: turn [F,3] rad and shift [F,3] m, see `effects.camera_refinement`. Rows have sparse gradients, so
+    that a frame moves only when it is seen.
     """
 
     def __init__(self, frames: int):
@@ -17,7 +21,9 @@ class FrameCorrections(nn.Module):
         self.pose = nn.Embedding(frames, 72, sparse=True)
         self.place = nn.Embedding(frames, 3, sparse=True)
         self.gain = nn.Embedding(frames, 3, sparse=True)
-        for table in (self.pose, self.place, self.gain):
+        self.turn = nn.Embedding(frames, 3, sparse=True)
+        self.shift = nn.Embedding(frames, 3, sparse=True)
+        for table in self.children():
             nn.init.zeros_(table.weight)
 
     def body(self, frame: int, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, ...]:
@@ -29,6 +35,30 @@ class FrameCorrections(nn.Module):
     def gains(self, frame: int) -> Tensor:
         """Factors [3] on the drawn colours of one frame."""
         return self.gain(torch.tensor(frame, device=self.gain.weight.device)).exp()
+
+    def camera(self, frame: int, viewmat: Tensor, trained: Tensor) -> Tensor:
+        """The corrected camera [4,4] of a frame; the mean correction of the frames trained[F] is taken off."""
+        row = torch.tensor(frame, device=viewmat.device)
+        tables = self.turn, self.shift
+        return corrected(viewmat, *(table(row) - table.weight.detach()[trained].mean(0) for table in tables))
+
+    @torch.no_grad()
+    def bodies(self, person: Person, trained: Tensor, moments: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; frames not trained[F] take their neighbours'."""
+        turn, place = (spread(table.weight, trained, moments) for table in (self.pose, self.place))
+        return person.global_orient + turn[:, :3], person.body_pose + turn[:, 3:], person.transl + place
+
+    @torch.no_grad()
+    def all_gains(self, trained: Tensor, moments: Tensor | None) -> Tensor:
+        """Exposure factors [F,3], of geometric mean 1 over the frames trained[F]; the others take their neighbours'."""
+        table = self.gain.weight
+        return spread(table - table[trained].mean(0), trained, moments).exp()
+
+    @torch.no_grad()
+    def cameras(self, viewmats: Tensor, trained: Tensor, moments: Tensor | None) -> Tensor:
+        """The corrected cameras [F,4,4], likewise."""
+        tables = (table.weight - table.weight[trained].mean(0) for table in (self.turn, self.shift))
+        return corrected(viewmats, *(spread(table, trained, moments) for table in tables))
 
 
 def spread(table: Tensor, trained: Tensor, moments: Tensor | None = None) -> Tensor:

@@ -21,8 +21,9 @@ LR_SCENE = {  # `means` in units of the scene's extent
     "sh0": 5e-3,
     "shN": 2.5e-4,
 }
+LR_FRAMES = {"pose": 1e-3, "place": 1e-3, "gain": 1e-3, "turn": 3e-4, "shift": 1e-3}
+LR_EFFECTS = {"slope": 2e-2, "darkness": 2e-2, "softness": 1e-2, "density": 1e-2, "shutter": 1e-2, "readout": 1e-2}
 LR_CLOTHING = 1e-3  # metres
-LR_FRAMES = {"pose": 1e-3, "place": 1e-3, "gain": 1e-3}
 LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
 SETTLE = 0.65
@@ -50,6 +51,7 @@ class Options(NamedTuple):
     antialias: bool = False
     transients: bool = False
     clothing: bool = False
+    refine_camera: bool = False
 
 
 class Phase(NamedTuple):

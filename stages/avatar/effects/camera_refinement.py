@@ -1,0 +1,18 @@
+"""Camera refinement: a small turn and shift of each training camera, learned with everything else."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from stages.avatar.rotations import matrix_from_rotvec
+
+
+def corrected(viewmats: Tensor, turns: Tensor, shifts: Tensor) -> Tensor:
+    """Cameras [...,4,4] turned by turns[...,3] rad and with centres moved by shifts[...,3] m, both in world axes.
+
+    Corrections whose mean over the clip is 0 cannot turn or move the world as a whole.
+    """
+    rotation = viewmats[..., :3, :3] @ matrix_from_rotvec(turns).mT
+    centre = -(viewmats[..., :3, :3].mT @ viewmats[..., :3, 3:]) + shifts[..., None]
+    return torch.cat([torch.cat([rotation, -rotation @ centre], -1), viewmats[..., 3:, :]], -2)

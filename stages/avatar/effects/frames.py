@@ -1,0 +1,82 @@
+"""How a frame of the clip is drawn where it calls for more than a sharp picture of everything at one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from stages.avatar.compose import compose_layers
+from stages.avatar.effects.motion_blur import START, Exposed, exposed
+from stages.avatar.effects.rolling_shutter import rolled
+from stages.avatar.effects.shadow import Shadow, casters
+from stages.avatar.effects.speeds import Motion, moved
+from stages.avatar.gaussians import Splats
+from stages.avatar.rasterize import Layer, Rendering
+
+
+class FrameEffects(nn.Module):
+    """The effects of one clip, each None where it is off; with none of them a frame is drawn as without this class.
+
+    `shadow`; `shutter` [1], the share of a moment for which the shutter is open (motion blur); `readout` [1], the share
+    in which the picture is read from top to bottom (rolling shutter). Moments are those of the clip's frames.
+    """
+
+    def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
+        super().__init__()
+        self.shadow = shadow
+        self.shutter = None if shutter is None else nn.Parameter(torch.tensor([shutter]))
+        self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
+
+    @classmethod
+    def starting(cls, up: Tensor, shadow: bool, motion_blur: bool, rolling_shutter: bool) -> FrameEffects:
+        """Those that are on, before any is learned; `up`[3] points away from the floor."""
+        times = START if motion_blur else None, 0.0 if rolling_shutter else None
+        return cls(Shadow(up) if shadow else None, *times).to(up)
+
+    @property
+    def takes_time(self) -> bool:
+        """Whether a frame takes time, so that its `Motion` must be known."""
+        return self.shutter is not None or self.readout is not None
+
+    def lit(self, scene: Splats | None, human: Splats | None, weights: Tensor | None) -> Splats | None:
+        """The scene as the person leaves it light; weights[N,J] are those of the person's skinning."""
+        if self.shadow is None or scene is None or human is None:
+            return scene
+        return self.shadow(scene, casters(human.means, weights))
+
+    def draw(
+        self,
+        human: Splats | None,
+        scene: Splats | None,
+        motion: Motion | None,
+        viewmat: Tensor,
+        K: Tensor,
+        width: int,
+        height: int,
+        layers: Sequence[Layer],
+    ) -> list[Rendering] | list[Exposed]:
+        """As `compose_layers`, over the time that the shutter takes; without a `motion` at one moment."""
+
+        def at(time: Tensor) -> list[Rendering]:
+            sets = (None if s is None else self._at(s, own, motion, time, viewmat) for s, own in both)
+            return compose_layers(*sets, viewmat, K, width, height, layers)
+
+        if motion is None or not self.takes_time:
+            return compose_layers(human, scene, viewmat, K, width, height, layers)
+        both = ((human, motion.person), (scene, None))
+        return at(motion.field.new_zeros(1)) if self.shutter is None else exposed(at, self.shutter)
+
+    def _at(self, splats: Splats, own: Tensor | None, motion: Motion, time: Tensor, viewmat: Tensor) -> Splats:
+        speeds, spin = motion.of(splats, own), motion.field[:, :3]
+        if self.readout is None:
+            return moved(splats, speeds, spin, time)
+        return rolled(splats, speeds, spin, viewmat, motion.K, motion.height, self.readout, time)
+
+    @torch.no_grad()
+    def keep_possible(self) -> None:
+        """Hold times, in place, within one moment."""
+        for value, low in ((self.shutter, 0.0), (self.readout, -1.0)):
+            if value is not None:
+                value.clamp_(low, 1.0)

@@ -1,0 +1,48 @@
+"""Motion blur: a picture is the mean, in linear light, of what passes while the shutter is open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from stages.avatar.rasterize import Rendering
+
+MOMENTS = 3  # drawn while the shutter is open; 2 leave ghosts of fast arms, 5 gain nothing that training notices
+START = 0.5  # of the time between frames: the usual shutter of films (180 degrees)
+
+
+class Exposed:
+    """Several draws of one picture, over one exposure: as `Rendering`, as far as training asks."""
+
+    def __init__(self, draws: list[Rendering]):
+        self.draws = draws
+        self.image = from_linear(torch.stack([to_linear(one.image) for one in draws]).mean(0))
+        self.alpha = torch.stack([one.alpha for one in draws]).mean(0)
+        self.depth = torch.stack([one.depth for one in draws]).mean(0)
+        self.radii = torch.stack([one.radii for one in draws]).amax(0)
+        self.dropped = draws[0].dropped
+
+    @property
+    def screen_grad_abs(self) -> Tensor:
+        """Of all draws together, after the backward pass."""
+        return torch.stack([one.screen_grad_abs for one in self.draws]).sum(0)
+
+
+def exposed(draw: Callable[[Tensor], list[Rendering]], shutter: Tensor) -> list[Exposed]:
+    """The layers that `draw` returns for a time, over the share `shutter` of a moment around time 0."""
+    times = (torch.arange(MOMENTS, device=shutter.device) + 0.5) / MOMENTS - 0.5
+    return [Exposed(list(draws)) for draws in zip(*(draw(time) for time in times * shutter), strict=True)]
+
+
+def to_linear(value: Tensor) -> Tensor:
+    """Light of sRGB values (IEC 61966-2-1); below 0 and above 1 the curve goes on, its slope is never 0 or infinite."""
+    high = value > 0.04045
+    return torch.where(high, ((torch.where(high, value, 1.0) + 0.055) / 1.055) ** 2.4, value / 12.92)
+
+
+def from_linear(light: Tensor) -> Tensor:
+    """The sRGB values of light, the inverse of `to_linear`."""
+    high = light > 0.0031308
+    return torch.where(high, 1.055 * torch.where(high, light, 1.0) ** (1 / 2.4) - 0.055, light * 12.92)

@@ -1,0 +1,92 @@
+"""Cast shadow: the body, as one soft ellipsoid for each bone, takes light from the scene's Gaussians behind it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from stages.avatar.gaussians import Splats
+from stages.avatar.rotations import rotation_z_to
+from stages.avatar.sh import SH_C0
+
+DARKNESS, SOFTNESS, DENSITY = 0.3, 0.08, 3.0  # to begin with: share of light, m, optical depth through a bone's middle
+REACH = 3.0  # standard deviations beyond which a bone casts nothing
+LEAST = 1e-6  # share of the person's Gaussians under which a bone casts nothing
+ABOVE = 0.05  # m over which a bone comes between a point and the light
+
+
+class Casters(NamedTuple):
+    """What shades: middles[J,3] m and covariances[J,3,3] m^2 of the parts of a body."""
+
+    middles: Tensor
+    covariances: Tensor
+
+
+def casters(means: Tensor, weights: Tensor) -> Casters:
+    """The parts of a person with Gaussians at means[N,3] that go with the bones by weights[N,J]; no gradient."""
+    means, weights = means.detach(), weights.detach()
+    mass = weights.sum(0)
+    kept = mass > LEAST * len(means)
+    weights, mass = weights[:, kept], mass[kept]
+    origin = means.mean(0)
+    away = means - origin
+    middles = (weights.T @ away) / mass[:, None]
+    squares = (weights.T @ (away[:, :, None] * away[:, None]).flatten(1)) / mass[:, None]
+    return Casters(middles + origin, squares.unflatten(1, (3, 3)) - middles[:, :, None] * middles[:, None])
+
+
+class Shadow(nn.Module):
+    """The light that the person keeps off the scene: its direction and four numbers more, learned for a whole clip.
+
+    `slope` [2] is how far light from the direction `up` [3] leans, so that straight down is no special case; `darkness`
+    (logit) the share of all light that comes from there, `softness` (log m) and `density` (log) of the bodies' edges.
+    """
+
+    def __init__(self, up: Tensor):
+        super().__init__()
+        self.register_buffer("frame", rotation_z_to(up))
+        self.slope = nn.Parameter(torch.zeros(2).to(up))
+        self.darkness = nn.Parameter(torch.tensor([DARKNESS]).to(up).logit())
+        self.softness = nn.Parameter(torch.tensor([SOFTNESS]).to(up).log())
+        self.density = nn.Parameter(torch.tensor([DENSITY]).to(up).log())
+
+    def light(self) -> Tensor:
+        """The direction [3] towards the light, of length 1."""
+        leaning = torch.cat([self.slope, torch.ones_like(self.slope[:1])])
+        return self.frame @ (leaning / leaning.norm())
+
+    def shares(self, points: Tensor, body: Casters) -> Tensor:
+        """How much of its light each of points[M,3] keeps, from 1 - darkness to 1."""
+        turn = rotation_z_to(self.light())
+        at, middles = points @ turn, body.middles @ turn
+        spread = turn.T @ body.covariances @ turn
+        a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+        soft = (2 * self.softness).exp()
+        det = (a + soft) * (c + soft) - b * b
+        dx, dy, dz = (middles[None] - at[:, None]).unbind(-1)
+        distance = ((c + soft) * dx * dx - 2 * b * dx * dy + (a + soft) * dy * dy) / det
+        before = torch.sigmoid(dz / ABOVE)
+        thick = self.density.exp() * (-0.5 * distance).exp() * before
+        return 1 - self.darkness.sigmoid() * (1 - (-thick.sum(1)).exp())
+
+    def reached(self, points: Tensor, body: Casters) -> Tensor:
+        """Rows of points[N,3] that any part of the body may shade."""
+        with torch.no_grad():
+            turn = rotation_z_to(self.light())
+            at, middles = points @ turn, body.middles @ turn
+            wide = (turn.T @ body.covariances @ turn).diagonal(dim1=1, dim2=2)[:, :2].amax()
+            reach = REACH * (wide + (2 * self.softness).exp()).sqrt()
+            low, high = middles[:, :2].amin(0) - reach, middles[:, :2].amax(0) + reach
+            near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)
+            return (near & (at[:, 2] < middles[:, 2].amax() + REACH * ABOVE)).nonzero()[:, 0]
+
+    def forward(self, scene: Splats, body: Casters) -> Splats:
+        """The scene in the shadow of the body: colours times their share of light, places as they are."""
+        rows = self.reached(scene.means, body)
+        share = torch.ones_like(scene.opacities).index_put((rows,), self.shares(scene.means[rows].detach(), body))
+        share = share[:, None, None]
+        dimmed = scene.sh * share
+        base = dimmed[:, :1] + (share - 1) * (0.5 / SH_C0)  # a colour is 0.5 + SH_C0 sh0 + higher terms
+        return scene._replace(sh=torch.cat([base, dimmed[:, 1:]], 1))

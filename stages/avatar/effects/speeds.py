@@ -1,0 +1,86 @@
+"""How camera and person move at the moment of a frame: what a shutter that takes its time needs to know."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.linalg import logm
+from torch import Tensor
+
+from stages.avatar.gaussians import Splats
+
+
+class Around(NamedTuple):
+    """The frames before and after one, itself at the ends of a clip, and how many moments lie between the two."""
+
+    before: int
+    after: int
+    gap: int
+
+
+def around(moments: np.ndarray, i: int) -> Around:
+    """The neighbours in time of frame `i` among frames taken at `moments` int[F], not falling; gap 0 if it has none."""
+    earlier, later = np.flatnonzero(moments < moments[i]), np.flatnonzero(moments > moments[i])
+    before = int(earlier[-1]) if len(earlier) else i
+    after = int(later[0]) if len(later) else i
+    return Around(before, after, int(moments[after] - moments[before]))
+
+
+def drift(viewmats: np.ndarray, near: Around, i: int) -> np.ndarray:
+    """The field [3,4] by which the world goes past camera `i`: a still point X moves by F[:, :3] X + F[:, 3] m a moment.
+
+    viewmats[F,4,4] camera_from_world. It is the screw that takes one neighbour to the other, so constant motion is met
+    exactly; zero where there is no neighbour.
+    """
+    if not near.gap:
+        return np.zeros((3, 4))
+    here, before, after = (np.asarray(viewmats[j], np.float64) for j in (i, near.before, near.after))
+    return (np.linalg.inv(here) @ logm(after @ np.linalg.inv(before)).real @ here)[:3] / near.gap
+
+
+class Motion(NamedTuple):
+    """How what is seen moves at one frame, in m a moment: `field`[3,4] as `drift` has it, `person`[N,3] of its Gaussians.
+
+    `person` is the person's own motion in the world, None where nobody is drawn; K[3,3] px and `height` px are those of
+    the whole frame, at any resolution.
+    """
+
+    field: Tensor
+    person: Tensor | None
+    K: Tensor
+    height: int
+
+    def of(self, splats: Splats, own: Tensor | None) -> Tensor:
+        """Speeds [N,3] past the camera of Gaussians that move by `own`[N,3] in the world, None: not at all."""
+        past = splats.means @ self.field[:, :3].T + self.field[:, 3]
+        return past if own is None else past + own
+
+
+class Speeds:
+    """The motion at each of F frames of a clip: viewmats[F,4,4], Ks[F,3,3] px, `height` px, moments int[F] not falling.
+
+    `known` bool[F] says in which frames the person's pose is; beside one where it is not, the person stands still.
+    """
+
+    def __init__(self, viewmats: np.ndarray, Ks: Tensor, height: int, moments: np.ndarray, known: np.ndarray):
+        self.Ks, self.height, self.known = Ks, height, known
+        self.near = [around(moments, i) for i in range(len(moments))]
+        self.fields = torch.tensor(np.stack([drift(viewmats, near, i) for i, near in enumerate(self.near)])).to(Ks)
+
+    def at(self, i: int, means: Callable[[int], Tensor] | None) -> Motion:
+        """The motion at frame `i`; `means(j)` [N,3] are those of the person's Gaussians in frame `j`, None for nobody."""
+        near, own = self.near[i], None
+        if means is not None and near.gap and self.known[[near.before, near.after]].all():
+            with torch.no_grad():
+                own = (means(near.after) - means(near.before)) / near.gap
+        return Motion(self.fields[i], own, self.Ks[i], self.height)
+
+
+def moved(splats: Splats, speeds: Tensor, spin: Tensor, times: Tensor) -> Splats:
+    """The Gaussians after `times` (one, or [N]) moments of moving by speeds[N,3] and turning by spin[3,3]."""
+    at = times.expand(len(splats.means))
+    axes = splats.axes + at[:, None, None] * (spin @ splats.axes)
+    return splats._replace(means=splats.means + at[:, None] * speeds, axes=axes)

@@ -1,0 +1,95 @@
+"""What each effect's model is worth: the same tiny clip without the effect, with it and ignored, with it and modelled.
+
+    python -m tests.benchmarks.effect_models WORK [EFFECT ...] [--steps 500] [--seed 0] [--json out.json]
+
+A clip is a NeuMan folder with true inputs (see tests/datasets.py), or with what EFFECTS says about its noise. Frames
+that were not trained on are drawn as their camera took them, shutter included, and compared: PSNR of the whole picture
+and of the person's box. A model pays if it brings back half of what the effect costs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages import calibrated, masks, neuman, smpl, train
+from stages.avatar.judge import judge
+from stages.avatar.synthetic_effects import Effects
+from stages.contract import Job
+from stages.formats.clip import load_clip
+from tests import datasets
+
+SIZE = {"frames": 30, "width": 192, "height": 256, "points": 3000}
+PARAMS = {"rounds": 0, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
+ALWAYS = {"pose_refinement": False}  # true poses; what is decided unless an effect says otherwise
+EFFECTS: dict[str, dict[str, Any]] = {
+    "shadow": {"effects": Effects(shadow=0.5)},
+    "motion_blur": {"effects": Effects(motion_blur=0.8)},
+    "rolling_shutter": {"effects": Effects(rolling_shutter=0.8)},
+    "camera_refinement": {"camera_noise": 0.004},
+}
+"""Effect -> what `tests.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
+
+
+def inputs(place: Path, **made: Any) -> tuple[Path, Path]:
+    """The folders of sfm and smpl of a clip, made unless they are there."""
+    stages = {name: place / name for name in ("frames", "masks", "sfm", "smpl")}
+    if not (stages["smpl"] / "body.npz").exists():
+        clip = datasets.neuman(place, **SIZE, **made)
+        for folder in stages.values():
+            folder.mkdir(exist_ok=True)
+        jobs = {name: Job(out=folder) for name, folder in stages.items()}
+        neuman.run(jobs["frames"], neuman.Params(), video=clip.folder)
+        masks.run(jobs["masks"], masks.Params(invert="never"), frames=stages["frames"], mask_files=None)
+        calibrated.run(jobs["sfm"], calibrated.Params(), frames=stages["frames"], masks=stages["masks"])
+        smpl.run(
+            jobs["smpl"], smpl.Params(), frames=stages["frames"], sfm=stages["sfm"], smpl_fit=None, body_model=None
+        )
+    return stages["sfm"], stages["smpl"]
+
+
+def rate(sfm: Path, smpl_folder: Path, steps: int, seed: int, decisions: dict[str, bool]) -> dict[str, Any]:
+    """Train, and judge on all frames that were not trained on."""
+    clip, job = load_clip(sfm, smpl_folder), Job(out=sfm.parent, seed=seed)
+    trained = [int(i) for i in np.flatnonzero(clip.training)]
+    others = [int(i) for i in np.flatnonzero(~clip.training)]
+    fit = train.build(clip, trained, train.Params(steps=steps, **PARAMS), ALWAYS | decisions, job)
+    began = time.process_time()
+    while fit.step < steps:
+        fit.advance()
+    seconds = time.process_time() - began
+    found = {name: p.detach().tolist() for name, p in fit.effects.named_parameters()}
+    return judge(fit, others) | {"cpu_seconds": seconds, "found": found}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("effects", nargs="*", metavar="EFFECT", help=f"of {', '.join(EFFECTS)}; all if none is named")
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    rows = {}
+    plain = rate(*inputs(args.work / "plain"), args.steps, args.seed, {})
+    for name in args.effects or EFFECTS:
+        clip = inputs(args.work / name, **EFFECTS[name])
+        ignored, modelled = (rate(*clip, args.steps, args.seed, {name: on}) for on in (False, True))
+        rows[name] = {"without": plain, "ignored": ignored, "modelled": modelled}
+        for key in ("psnr", "psnr_person"):
+            cost, gain = plain[key] - ignored[key], modelled[key] - ignored[key]
+            numbers = "  ".join(f"{arm} {found[key]:.2f}" for arm, found in rows[name].items())
+            print(f"{name:<18} {key:<12} {numbers}   costs {cost:.2f} dB, the model brings back {gain:.2f}")
+        seconds = ", ".join(f"{arm} {found['cpu_seconds']:.0f} s" for arm, found in rows[name].items())
+        print(f"{name:<18} {seconds}; learned {modelled['found']}", flush=True)
+        if args.json:
+            args.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
