@@ -133,10 +133,12 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     import torch
 
     from stages.avatar.body import DA_POSE, Body
+    from stages.avatar.effects.clothing import Clothing
     from stages.avatar.effects.frames import FrameEffects
     from stages.avatar.effects.sky import RADIUS, open_sky, shell
+    from stages.avatar.effects.transients import Transients
     from stages.avatar.fit import Fit
-    from stages.avatar.human import HumanModel
+    from stages.avatar.human import HumanModel, rest
     from stages.avatar.motion import upright
     from stages.avatar.neighbours import evenly
     from stages.avatar.paint import seen_colors
@@ -233,13 +235,16 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         human_loss=params.human_loss,
         joint=params.joint,
         antialias=decisions.get("antialias", False),
-        transients=decisions.get("transients", False),
-        clothing=decisions.get("clothing", False),
         refine_camera=decisions.get("camera_refinement", False),
     )
     up = torch.as_tensor(upright(clip.body.global_orient, clip.body.global_orient[0])[:, 1]).to(person.joints)
     takes = {name: decisions.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
     effects = FrameEffects.starting(up, **takes)
+    if decisions.get("clothing", False):
+        bare = rest(human.untaught(), person.canonical_bones()).means
+        effects.clothing = Clothing.start(bare, person.body_pose[train])
+    if decisions.get("transients", False) and scene is not None:
+        effects.transients = Transients(views, train)
     return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device), effects)
 
 

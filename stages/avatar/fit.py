@@ -13,10 +13,8 @@ from torch import Tensor
 from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
-from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.speeds import Motion, Speeds
-from stages.avatar.effects.transients import WARM_UP, Transients
 from stages.avatar.gaussians import Splats
 from stages.avatar.guard import Guard
 from stages.avatar.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
@@ -60,20 +58,15 @@ class Fit:
         self.speeds = self._speeds() if self.effects.takes_time else None
         self.step, self.frame, self.undrawn = 0, train[0], 0
         self.guard = Guard()
-        self.transients = Transients(views, train) if options.transients and scene is not None else None
         self.order = torch.empty(0, dtype=torch.long)
         self.before: dict[str, Any] | None = None
         self.leaves: Resting | None = None
         self.near: Tensor | None = None
-        self.clothing = None
         if person is not None:
             self.canonical_bones = person.canonical_bones()
-        if options.clothing and human is not None:
-            bare = rest(human.untaught(), self.canonical_bones).means
-            self.clothing = Clothing.start(bare, person.body_pose[train])
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self.taught = torch.zeros(0 if human is None else len(human)).to(views.viewmats)
-        self.adam = optimizers(self.frames, human, scene, options.extent, self.effects, self.clothing)
+        self.adam = optimizers(self.frames, human, scene, options.extent, self.effects)
         self.growth = {n: Growth(len(m), views.viewmats.device) for n, m in self._sets().items()}
 
     def sizes(self) -> dict[str, int]:
@@ -145,9 +138,8 @@ class Fit:
     def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
         """The person in the world at one pose."""
         p = self.person
-        if self.clothing is not None:
-            resting = self.clothing(resting, body_pose)
-        splats = pose(resting, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
+        dressed = self.effects.dressed(resting, body_pose)
+        splats = pose(dressed, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
         return splats._replace(antialias=self.options.antialias)
 
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
@@ -175,10 +167,7 @@ class Fit:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             if self.options.human_loss or human is None:
                 rendered = losses.outside_person(rendered, image, mask)
-            if self.transients is not None and self.done >= WARM_UP:
-                whole = drawn["all"]
-                passing = self.transients(rendered, whole.depth, whole.alpha, image, frame)
-                rendered = torch.where(passing[..., None], image, rendered)
+            rendered = self.effects.trusted(rendered, drawn["all"], image, frame, self.done)
             joint = losses.photometric(rendered, image)
             loss = loss + joint
             numbers["image"] = joint.item()
@@ -198,6 +187,7 @@ class Fit:
             target = losses.over_background(image[crop], mask[crop], background)[window]
             if min(target.shape[:2]) >= self.perceptual.smallest:
                 loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], target)
+        loss = loss + self.effects.prior()
         self.undrawn += next(iter(drawn.values())).dropped
         finite = math.isfinite(loss.item())
         self.guard.left_out += not finite
@@ -215,9 +205,6 @@ class Fit:
         elif human is not None:
             self.growth["human"].add(drawn["all"].screen_grad_abs[:rows], drawn["all"].radii[:rows], width, height)
         self._apply("frames")
-        if self.clothing is not None:
-            self.clothing.prior().backward()
-            self._apply("clothing")
         self._learn_effects()
         return numbers
 
@@ -370,7 +357,7 @@ class Fit:
                 old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"free.{row}"])
                 setattr(owner, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
             module.load_state_dict(saved)
-        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent, self.effects, self.clothing)
+        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent, self.effects)
         for name, optimizer in self.adam.items():
             optimizer.load_state_dict(state["adam"][name])
         for name, growth in self.growth.items():
@@ -386,10 +373,4 @@ class Fit:
             getattr(self.resting(), name).grad = grad.clone()
 
     def _modules(self) -> dict[str, torch.nn.Module]:
-        more = {
-            "frames": self.frames,
-            "effects": self.effects,
-            "transients": self.transients,
-            "clothing": self.clothing,
-        }
-        return self._sets() | {name: module for name, module in more.items() if module is not None}
+        return self._sets() | {"frames": self.frames, "effects": self.effects}

@@ -5,11 +5,10 @@ from __future__ import annotations
 from torch import nn
 from torch.optim import Adam, Optimizer, SparseAdam
 
-from stages.avatar.effects.clothing import Clothing
 from stages.avatar.human import HumanModel
 from stages.avatar.refine import FrameCorrections
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import LR_CLOTHING, LR_EFFECTS, LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE
+from stages.avatar.schedule import LR_EFFECTS, LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE
 
 
 def optimizers(
@@ -18,15 +17,12 @@ def optimizers(
     scene: SceneModel | None,
     extent: float,
     effects: nn.Module | None = None,
-    clothing: Clothing | None = None,
 ) -> dict[str, Optimizer]:
-    """The optimisers of `frames`, `human`, `scene`, `clothing`, and of the `effects` that have anything to learn.
+    """The optimisers of `frames`, `human`, `scene` and of the `effects` that have anything to learn.
 
     Each group has its `name` and `base` rate, lengths by `extent` m.
     """
     groups = {"frames": [([getattr(frames, n).weight], n, rate) for n, rate in LR_FRAMES.items()]}
-    if clothing is not None:
-        groups["clothing"] = [([clothing.offsets], "offsets", LR_CLOTHING)]
     if human is not None:
         rates = LR_HUMAN | LR_FREE
         parts = {name: [getattr(owner, name)] for owner, name in human.rows()}

@@ -22,8 +22,15 @@ LR_SCENE = {  # `means` in units of the scene's extent
     "shN": 2.5e-4,
 }
 LR_FRAMES = {"pose": 1e-3, "place": 1e-3, "gain": 1e-3, "turn": 3e-4, "shift": 1e-3}
-LR_EFFECTS = {"slope": 2e-2, "darkness": 2e-2, "softness": 1e-2, "density": 1e-2, "shutter": 1e-2, "readout": 1e-2}
-LR_CLOTHING = 1e-3  # metres
+LR_EFFECTS = {
+    "slope": 2e-2,
+    "darkness": 2e-2,
+    "softness": 1e-2,
+    "density": 1e-2,
+    "shutter": 1e-2,
+    "readout": 1e-2,
+    "offsets": 1e-3,
+}
 LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
 SETTLE = 0.65
@@ -49,8 +56,6 @@ class Options(NamedTuple):
     human_loss: bool = True
     joint: bool = True
     antialias: bool = False
-    transients: bool = False
-    clothing: bool = False
     refine_camera: bool = False
 
 
