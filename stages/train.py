@@ -345,7 +345,7 @@ def _resume(fit: Fit, job: Job) -> dict[str, Any]:
 
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: Params) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json."""
-    from dataclasses import replace
+    from dataclasses import fields, replace
 
     import torch
 
@@ -354,6 +354,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     from stages.avatar.gaussians import finite_rows
     from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
+    from stages.formats.clothes import Clothes
     from stages.formats.poses import write_poses
     from stages.formats.splats import Avatar, Scene, write_splats
 
@@ -370,6 +371,9 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
     c = lined(learned := lean(c, p, fit.full, fit.train), p, fit.full, fit.train)
     job.note(f"{len(c.means) - len(learned.means):,} Gaussians put under the skin, so that no pose tears holes")
+    clothing, clothes = fit.effects.clothing, None
+    if clothing is not None:
+        clothes = Clothes(**{f.name: array(getattr(clothing, f.name)) for f in fields(Clothes)})
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
         lbs_weights=array(c.weights),
@@ -377,6 +381,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         parents=p.parents,
         betas=clip.body.betas,
         canonical_pose=array(p.canonical_pose),
+        antialias=fit.options.antialias,
+        clothes=clothes,
     )
     write_splats(job.out / "avatar.npz", avatar)
     if fit.scene:
@@ -385,7 +391,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
         finite = finite_rows(parts)
         broken = torch.cat([broken, ~finite])
-        write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts)))
+        write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts), antialias=s.antialias))
     if broken.any():
         job.warn(f"{int(broken.sum())} Gaussians left out of the result because they are not finite")
     poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}

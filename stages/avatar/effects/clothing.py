@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 NODES = 160  # about 0.1 m apart on a body
 REACH = 0.07  # m: the width of a node's bell
-FEATURES = 6
+FEATURES = 8
 FLOOR = 1e-6  # of the weights' sum: far from all nodes nothing moves, and nothing is divided by 0
-PRIOR = 0.02  # on the mean squared offset in units of LOOSE
+PRIOR = 0.005  # on the mean squared offset in units of LOOSE
 LOOSE = 0.05  # m
 
 
@@ -47,6 +47,14 @@ class Clothing(nn.Module):
         nodes = points[_scattered(points, NODES)]
         offsets = torch.zeros(len(nodes), 3, int(kept)).to(points)
         return cls(nodes, mean, axes, features.amin(0), features.amax(0), offsets)
+
+    @classmethod
+    def of(cls, arrays) -> Clothing:
+        """From trained arrays (`formats.clothes.Clothes` or anything with its fields), float32; nothing more to learn."""
+        names = ("nodes", "mean", "axes", "low", "high", "offsets")
+        return cls(*(torch.as_tensor(getattr(arrays, name), dtype=torch.float32) for name in names)).requires_grad_(
+            False
+        )
 
     def features(self, body_pose: Tensor) -> Tensor:
         """Features [K] of a pose [69] in rad, within those of the training poses."""
