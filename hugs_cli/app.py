@@ -38,9 +38,12 @@ def run(
     force: Force = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
+    within: Annotated[
+        str | None, Option(metavar="TIME", help="Train as much as fits: 10m, 1h30m. Kept apart, as PIPELINE.TIME.")
+    ] = None,
 ) -> None:
     """Run what is not fresh. The last line on stdout is the path of the report, or of the last stage asked for."""
-    go(judge, stages, device, force, dry_run, as_json)
+    go(judge, stages, device, force, dry_run, as_json, within)
 
 
 def go(
@@ -50,9 +53,14 @@ def go(
     force: bool = False,
     dry_run: bool = False,
     as_json: bool = False,
+    within: str | None = None,
 ) -> None:
     """What `run` and `demo` have in common."""
+    from hugs_cli.within import promise
+
     wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
+    promised = promise(judge, stages, within) if within else None
+    judge = promised.judge if promised else judge
     forced = frozenset(stages or wanted) if force else frozenset()
     console = Console(name_width=max(9, *(len(name) + 1 for name in wanted)))
     if dry_run:
@@ -62,7 +70,10 @@ def go(
     judge.check_sources()
     workspace.create()
     console.header(video.name, clip_facts(workspace), judge.pipeline.name, words.relative(workspace.root))
-    ran = engine.run(judge, wanted, forced, device.value, console)
+    if promised:
+        ran, kept = promised.keep(forced, device.value, console)
+    else:
+        ran, kept = engine.run(judge, wanted, forced, device.value, console), None
     path = workspace.links / (stages or wanted)[-1]
     path = path / "report.html" if path.name == "report" else path
     if not as_json:
@@ -74,6 +85,7 @@ def go(
         for one in ran
     ]
     result = {"clip": video.name, "pipeline": judge.pipeline.name, "result": str(path), "stages": rows}
+    result |= {"within": kept} if kept else {}
     console.result(json.dumps(result, indent=1))
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from hugs_cli import pipelines
+from hugs_cli import pipelines, within
 from hugs_cli.fingerprint import Code
 from hugs_cli.freshness import Judge
 from hugs_cli.workspace import Workspace
@@ -77,7 +77,9 @@ def judge_of(
 ) -> Judge:
     """The judge of one clip and one pipeline; UsageError where the options make no sense."""
     chosen = () if person is None else (f"masks.person={person}",)
-    loaded = pipelines.load(pipeline, (*(set_ or ()), *chosen), pipelines_file)
+    base, _, variant = pipeline.partition(".")
+    within_time = within.is_time(variant)
+    loaded = pipelines.load(base if within_time else pipeline, (*(set_ or ()), *chosen), pipelines_file)
     sources = {
         "video": video,
         "mask_files": masks,
@@ -85,7 +87,8 @@ def judge_of(
         "smpl_fit": smpl_fit,
         "body_model": body_model,
     }
-    return Judge(Workspace(video, work, pipeline), loaded, sources, seed, Code(work / CODE_MEMORY))
+    judge = Judge(Workspace(video, work, pipeline), loaded, sources, seed, Code(work / CODE_MEMORY))
+    return within.remembered(judge, variant) if within_time else judge
 
 
 def on_clip(command: Callable[..., None]) -> Callable[..., None]:

@@ -9,8 +9,6 @@ from stages import contract
 from stages.contract import Job, StageError
 from stages.formats.facts import NAME, read_facts
 
-NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
-
 LISTING = {"dataset": {"rule": str}, "frames": [{"name": NAME, "split": str, "moment": int}]}
 """What is taken from frames.json."""
 
@@ -25,6 +23,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
 
     import numpy as np
 
+    from stages.avatar.lens import NO_SHIFT
     from stages.formats.cameras import read_cameras, write_cameras
     from stages.formats.capture import given_by, read_lenses
     from stages.formats.points import read_points

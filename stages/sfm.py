@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from stages.estimators.sparse_model import Pinholes
 
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
-NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
 FRAME = {"name": NAME, "index": int, "source?": str}
@@ -117,7 +116,7 @@ def mapped(
     else:
         solution = solve(job, params, names, frames, masks, width, height, scratch)
     shift, pinhole, grid = lens.max_shift(solution.focal, solution.k, width, height), solution.focal, None
-    if shift >= NO_SHIFT:
+    if shift >= lens.NO_SHIFT:
         center = np.array(solution.center)
         pinhole = lens.pinhole_focal(solution.focal, center, solution.k, width, height)
         grid = lens.remap_grid(solution.focal, center, solution.k, pinhole, width, height)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import pickle
+import math
 import sys
 import time
 from pathlib import Path
@@ -19,21 +18,28 @@ from stages.contract import Job, StageError, Stopped
 
 if TYPE_CHECKING:
     from stages.avatar.fit import Fit
+    from stages.avatar.pace import Clock
     from stages.formats.clip import Clip
 
 RESUMES = True
-CHECKPOINT_SECONDS = 60
-BROKEN = (OSError, RuntimeError, LookupError, ValueError, TypeError, EOFError, AttributeError, pickle.UnpicklingError)
-"""What torch raises on a checkpoint that is damaged, of another model, or asks for code."""
+CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
 PAINTED = 24  # frames from which the person's first colours are read
 FILLED = 16  # frames from which points of the scene are filled in
 JUDGED = 6  # held-out frames on the accuracy curve
+SMALL, SMALL_UNDER = {"rounds": 0, "human_cap": 20_000, "scene_cap": 50_000}, 1200
+LARGE, LARGE_FROM = {"human_cap": 60_000, "scene_cap": 160_000}, 9000
+"""Sizes where fewer, or more, than so many steps of the settings' own sizes fit into the time."""
+FEWEST = 200  # steps; fewer make no person
 COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
 
 
 class Params(contract.Params):
     steps: int = Field(4000, gt=0)
     """Training frames looked at. Time grows linearly."""
+    seconds: float = Field(0, ge=0)
+    """Time to spend, on this machine: `steps` and the sizes are then chosen by timing a few steps; 0 = not limited."""
+    reserve: float = Field(0, ge=0)
+    """Of `seconds`, the time of so many steps is left over, for what comes after training."""
     rounds: int = Field(1, ge=0, le=3)
     """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
     human_cap: int = Field(40_000, gt=0)
@@ -73,42 +79,104 @@ class Params(contract.Params):
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
     """Fit person and scene Gaussians to the frames, jointly."""
 
+    from stages.avatar.checkpoint import save
     from stages.avatar.neighbours import evenly
+    from stages.avatar.pace import Clock
     from stages.avatar.rasterize.cache import compiled
 
-    fit, clip = _start(job, params, sfm, smpl, survey)
-    started = _resume(fit, job)
-    curve, seconds = started["curve"], started["seconds"]
-    sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
-    job.note(f"{len(fit.train)} training frames; starts with {sizes}")
+    clock = Clock(params.seconds, params.reserve, time.perf_counter()) if params.seconds else None
     if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
+    fit, clip, told = _begun(job, params, (sfm, smpl, survey), clock)
+    curve, seconds = told["curve"], told["seconds"]
+    sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
+    job.note(f"{len(fit.train)} training frames; starts with {sizes}")
     judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
     judged = evenly(judged, JUDGED)
-    every = max(1, params.steps // params.curve_points)
     mark, saved = time.perf_counter(), time.perf_counter()
-    while fit.step < params.steps:
+    while fit.step < fit.total:
         try:
             numbers = fit.advance()
         except (FloatingPointError, ValueError) as error:
             made_of = {"params": params.model_dump(), "sfm": str(sfm), "smpl": str(smpl), "survey": str(survey)}
             raise _broken_down(fit, clip.names[fit.frame], job, made_of, error) from error
-        if fit.step % every == 0 or fit.step == params.steps:
+        if fit.step * params.curve_points >= fit.total * (len(curve) + 1):
             seconds += time.perf_counter() - mark
             curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
-            job.progress(fit.step, params.steps, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
+            job.progress(fit.step, fit.total, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
             mark = time.perf_counter()
+            if clock and fit.step < fit.total:
+                clock.mark(fit)
         elif fit.step % 25 == 0:
-            job.progress(fit.step, params.steps, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
+            job.progress(fit.step, fit.total, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
         if job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS:
-            total = seconds + time.perf_counter() - mark
-            _save(fit, job.out / "checkpoint.pt", {"curve": curve, "seconds": total})
             saved = time.perf_counter()
+            told |= {"curve": curve, "seconds": seconds + saved - mark, "clock": clock and clock.state()}
+            save(job.out / CHECKPOINT, fit, told)
             if job.stop_asked:
-                raise Stopped(f"stopped after step {fit.step} of {params.steps}; the next run goes on from there")
+                raise Stopped(f"stopped after step {fit.step} of {fit.total}; the next run goes on from there")
     _write(fit, clip, job, curve, params)
-    for name in ("checkpoint.pt", "failure.npz"):
+    for name in (CHECKPOINT, "failure.npz"):
         (job.out / name).unlink(missing_ok=True)
+
+
+def _begun(
+    job: Job, params: Params, folders: tuple[Path, Path, Path], clock: Clock | None
+) -> tuple[Fit, Clip, dict[str, Any]]:
+    """The training, at its first step or where a checkpoint left it, and what else a checkpoint tells."""
+    import torch
+
+    from stages.avatar.checkpoint import load, resume
+
+    told = {"curve": [], "seconds": 0.0, "sizes": {}, "clock": None}
+    path = job.out / CHECKPOINT
+    try:
+        saved = load(path, job.device, tuple(told))
+    except ValueError as error:
+        raise _unusable(error) from error
+    fit, clip = _start(job, params.model_copy(update=saved["sizes"] if saved else {}), *folders)
+    if saved:
+        try:
+            resume(fit, saved["fit"], path)
+        except ValueError as error:
+            raise _unusable(error) from error
+        job.note(f"goes on after step {fit.step}")
+        if saved["threads"] != (now := torch.get_num_threads()):
+            job.warn(f"{saved['threads']} threads before, {now} now: sums differ in their last digits")
+        told = {name: saved[name] for name in told}
+        if clock:
+            clock.load(told["clock"], fit)
+    elif clock:
+        fit, clip, told["sizes"] = _timed(job, params, folders, clock, fit, clip)
+    return fit, clip, told
+
+
+def _unusable(error: ValueError) -> StageError:
+    hint = "begin again: `hugs run VIDEO train --force`"
+    return StageError("the checkpoint of the stopped training cannot be used", hint, [str(error)])
+
+
+def _timed(
+    job: Job, params: Params, folders: tuple[Path, Path, Path], clock: Clock, fit: Fit, clip: Clip
+) -> tuple[Fit, Clip, dict[str, int]]:
+    """The training with as many steps as fit into the time, at sizes that are worth them."""
+    steps, sizes = clock.start(fit), {}
+    if steps < SMALL_UNDER or steps >= LARGE_FROM:
+        pick, wanted = (min, SMALL) if steps < SMALL_UNDER else (max, LARGE)
+        sizes = {name: pick(size, getattr(params, name)) for name, size in wanted.items()}
+        fit, clip = _start(job, params.model_copy(update=sizes), *folders)
+        steps = clock.start(fit)
+    if steps < FEWEST:
+        lacking = math.ceil(FEWEST * clock.pace.mean(0.0) - clock.left)
+        raise StageError(
+            "the time is too short to train on this clip",
+            facts=[f"{steps} steps would fit into {params.seconds:.0f} s, {FEWEST} are the least that makes sense"],
+            hint=f"give {lacking} s more",
+        )
+    fit.retime(steps)
+    caps = f"at most {fit.options.human_cap:,} Gaussians of the person and {fit.options.scene_cap:,} of the scene"
+    job.note(f"{steps:,} steps of {1000 * clock.pace.mean(0.0):.0f} ms fit into the time, with {caps}")
+    return fit, clip, sizes
 
 
 def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
@@ -310,49 +378,14 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
     return {key: numbers[key] for key in COLUMNS[2:6]} | fit.sizes() | {"memory_bytes": memory}
 
 
-def _save(fit: Fit, path: Path, more: dict[str, Any]) -> None:
-    """Write a checkpoint under another name, to the disk, and only then give it its name."""
-    import torch
-
-    partial = path.with_suffix(".part")
-    with partial.open("wb") as file:
-        torch.save({"fit": fit.state(), "threads": torch.get_num_threads()} | more, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)
-
-
-def _resume(fit: Fit, job: Job) -> dict[str, Any]:
-    import torch
-
-    path = job.out / "checkpoint.pt"
-    path.with_suffix(".part").unlink(missing_ok=True)
-    if not path.exists():
-        return {"curve": [], "seconds": 0.0}
-    try:
-        saved = torch.load(path, map_location=job.device, weights_only=True)
-        fit.load(saved["fit"])
-        saved["threads"], saved["curve"], saved["seconds"]
-    except BROKEN as error:
-        said = str(error).strip().partition("\n")[0] or type(error).__name__
-        hint = "begin again: `hugs run VIDEO train --force`"
-        raise StageError("the checkpoint of the stopped training cannot be used", hint, [f"{path}: {said}"]) from error
-    job.note(f"goes on after step {fit.step}")
-    if saved["threads"] != torch.get_num_threads():
-        job.warn(f"{saved['threads']} threads before, {torch.get_num_threads()} now: sums differ in their last digits")
-    return saved
-
-
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: Params) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json."""
     from dataclasses import fields, replace
 
     import torch
 
-    from stages.avatar.bake import lean, lined
-    from stages.avatar.densify import strays
+    from stages.avatar.bake import finished
     from stages.avatar.gaussians import finite_rows
-    from stages.avatar.human import Canonical
     from stages.avatar.rotations import quat_from_matrix
     from stages.formats.clothes import Clothes
     from stages.formats.poses import write_poses
@@ -361,16 +394,12 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     def array(tensor: torch.Tensor):
         return tensor.detach().cpu().numpy()
 
-    (c, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
-    broken, lost = ~finite_rows(c), fit.human.defectors(c.weights)
-    c, lost = Canonical(*(part[~broken] for part in c)), lost[~broken]
+    (baked, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
     p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
-    stray = strays(c.means, p.vertices) | lost
-    c = Canonical(*(part[~stray] for part in c))
-    if stray.any():
-        job.note(f"{int(stray.sum())} Gaussians left out that strayed from the body or no longer move with it")
-    c = lined(learned := lean(c, p, fit.full, fit.train), p, fit.full, fit.train)
-    job.note(f"{len(c.means) - len(learned.means):,} Gaussians put under the skin, so that no pose tears holes")
+    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, fit.full, fit.train)
+    if strays:
+        job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
+    job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
     clothing, clothes = fit.effects.clothing, None
     if clothing is not None:
         clothes = Clothes(**{f.name: array(getattr(clothing, f.name)) for f in fields(Clothes)})
@@ -390,10 +419,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         quats = s.quats / s.quats.norm(dim=1, keepdim=True)
         parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
         finite = finite_rows(parts)
-        broken = torch.cat([broken, ~finite])
+        broken += int((~finite).sum())
         write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts), antialias=s.antialias))
-    if broken.any():
-        job.warn(f"{int(broken.sum())} Gaussians left out of the result because they are not finite")
+    if broken:
+        job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
     write_poses(job.out / "body.npz", replace(clip.body, **poses))
     with (job.out / "curve.csv").open("w", newline="") as file:
@@ -402,12 +431,13 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         writer.writerows(curve)
     facts = {
         "steps": fit.step,
+        "sizes": {"human_cap": fit.options.human_cap, "scene_cap": fit.options.scene_cap},
         "seconds": curve[-1]["seconds"],
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar)},
-        "broken": int(broken.sum()),
-        "strays": int(stray.sum()),
-        "lining": len(c.means) - len(learned.means),
+        "broken": broken,
+        "strays": strays,
+        "lining": lining,
         "left_out": fit.guard.left_out,
         "not_drawn": fit.undrawn,
         "train_frames": [clip.names[i] for i in fit.train],

@@ -95,7 +95,7 @@ def test_no_pipelines_file_runs_code(tmp_path):
     assert not sign.exists()
 
 
-@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "..", "a/../../x", "x\\..\\y"])
+@pytest.mark.parametrize("name", ["../../x", "/x", "..", "a/../../x", "x\\..\\y"])
 @pytest.mark.parametrize(
     ("file", "old"),
     [

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from stages.avatar.body import edge_lengths, vertex_normals
+from stages.avatar.densify import strays
+from stages.avatar.gaussians import finite_rows
 from stages.avatar.human import Canonical, pose, rest
 from stages.avatar.losses import widened
 from stages.avatar.neighbours import evenly, nearest
@@ -24,6 +28,28 @@ INSET = 0.02  # metres under the skin: deep enough not to show at an outline, ne
 THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
 PEELS = 8  # times at most: what goes may have hidden others
+
+
+class Finished(NamedTuple):
+    """The `person` to keep, and how many Gaussians were left out or added on the way."""
+
+    person: Canonical
+    broken: int
+    strays: int
+    lining: int
+
+
+def finished(person: Canonical, lost: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
+    """What is kept of a trained person: without what is not finite, strayed, or lost[N] its body part; leant and lined.
+
+    `frames` of `views` are those it was trained on.
+    """
+    whole = finite_rows(person)
+    kept = Canonical(*(part[whole] for part in person))
+    stray = strays(kept.means, body.vertices) | lost[whole]
+    kept = lean(Canonical(*(part[~stray] for part in kept)), body, views, frames)
+    done = lined(kept, body, views, frames)
+    return Finished(done, int((~whole).sum()), int(stray.sum()), len(done.means) - len(kept.means))
 
 
 def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor) -> Canonical:

@@ -29,6 +29,8 @@ from stages.avatar.skinning import knn_weights
 from stages.avatar.views import Person, Views
 
 NEIGHBOURS = 8  # of which a Gaussian of the surface is the middle
+GROWN = 2e-4  # mean absolute gradient, in loss per half image side, from which a Gaussian is under-fitted
+FILLS = 4  # each at most doubles a set
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
@@ -91,8 +93,18 @@ class Fit:
 
     @property
     def done(self) -> float:
-        """Share of the phase's steps behind us."""
-        return (self.step - self.phase.first) / self.phase.steps
+        """Share of the phase's schedule behind us."""
+        return self.phase.done(self.step)
+
+    @property
+    def total(self) -> int:
+        """Steps of the whole run."""
+        return self.phases[-1].first + self.phases[-1].steps
+
+    def retime(self, left: int) -> None:
+        """Let `left` > 0 more steps finish the schedule of the last phase, from where it is."""
+        *before, last = self.phases
+        self.phases = (*before, last._replace(first=self.step, steps=left, start=last.done(self.step)))
 
     def advance(self) -> dict[str, float]:
         """Learn from one training frame; returns the losses.
@@ -285,28 +297,44 @@ class Fit:
     # ---- growth ----
 
     def _grow(self) -> None:
-        o, extent, phase = self.options, self.options.extent, self.phase
-        every = max(1, round(phase.steps * (SETTLE - SCENE_GROWTH[0]) / o.growth_rounds))
+        o, phase = self.options, self.phase
+        every = max(1, round(phase.whole * (SETTLE - SCENE_GROWTH[0]) / o.growth_rounds))
         if (
             self.scene is not None
             and phase.scene
             and SCENE_GROWTH[0] <= self.done <= SCENE_GROWTH[1]
             and self.step % every == 0
         ):
-            rules = Rules(2e-4, 0.01 * extent, 0.5 * extent, 0.3, 0.005, o.scene_cap)
-            grow_scene(self.scene, self.adam["scene"], self.growth["scene"], rules, self._left(every), self.generator)
+            self._grow_scene(GROWN, self._left(every))
         every = 3 * every // o.views_per_decode * o.views_per_decode or o.views_per_decode
         grows = self.human is not None and phase.human and o.human_densify
         if grows and HUMAN_GROWTH[0] <= self.done <= HUMAN_GROWTH[1] and self.step % every == 0:
-            rules = Rules(2e-4, 0.01, 0.1, 0.3, 0.005, o.human_cap)
-            state = self.adam["human"], self.growth["human"]
-            rows = grow_human(self.human, *state, rules, self._left(every), self.person.vertices, self.generator)
-            self.taught = self.taught[rows.source]
-            self.leaves = self.near = None
+            self._grow_human(GROWN, self._left(every))
+
+    def _grow_scene(self, grad: float, rounds_left: int) -> None:
+        extent = self.options.extent
+        rules = Rules(grad, 0.01 * extent, 0.5 * extent, 0.3, 0.005, self.options.scene_cap)
+        grow_scene(self.scene, self.adam["scene"], self.growth["scene"], rules, rounds_left, self.generator)
+
+    def _grow_human(self, grad: float, rounds_left: int) -> None:
+        rules = Rules(grad, 0.01, 0.1, 0.3, 0.005, self.options.human_cap)
+        state = self.adam["human"], self.growth["human"]
+        rows = grow_human(self.human, *state, rules, rounds_left, self.person.vertices, self.generator)
+        self.taught = self.taught[rows.source]
+        self.leaves = self.near = None
+
+    def fill_up(self) -> None:
+        """Bring every set that may grow to its cap at once, as it would be after densification."""
+        for _ in range(FILLS):
+            if self.scene is not None:
+                self._grow_scene(0.0, 1)
+            if self.human is not None and self.options.human_densify:
+                self._grow_human(0.0, 1)
 
     def _left(self, every: int) -> int:
         """Densifications still to come, this one included: the room up to the cap is shared out among them."""
-        return int((self.phase.first + SETTLE * self.phase.steps - self.step) // every) + 1
+        phase = self.phase
+        return int((phase.first + (SETTLE - phase.start) * phase.whole - self.step) // every) + 1
 
     # ---- what comes out ----
 
@@ -346,6 +374,7 @@ class Fit:
             "taught": self.taught.clone(),
             "leaves": {n: leaf.grad.clone() for n, leaf in leaves.items() if leaf.grad is not None},
             "numbers": [self.step, self.undrawn],
+            "phases": [tuple(phase) for phase in self.phases],
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -368,6 +397,7 @@ class Fit:
         self.reference, self.reference_at = (t.clone() for t in state["reference"])
         self.taught = state["taught"].clone()
         self.step, self.undrawn = state["numbers"]
+        self.phases = tuple(Phase(*phase) for phase in state["phases"])
         self.leaves = self.near = None
         for name, grad in state["leaves"].items():
             getattr(self.resting(), name).grad = grad.clone()

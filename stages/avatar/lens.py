@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
+
 
 def distort(points: np.ndarray, k: float) -> np.ndarray:
     """Where the lens puts the ideal `points` [...,2]."""

@@ -60,12 +60,22 @@ class Options(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """Steps from `first` on, `steps` in number, with a whole schedule of their own, and which sets learn in them."""
+    """Steps from `first` on, `steps` in number, with their schedule's share from `start` to 1; which sets learn in them."""
 
     first: int
     steps: int
     human: bool
     scene: bool
+    start: float = 0.0
+
+    def done(self, step: int) -> float:
+        """Share of the schedule that is behind a step."""
+        return self.start + (1 - self.start) * (step - self.first) / self.steps
+
+    @property
+    def whole(self) -> float:
+        """Steps that the whole schedule takes at this phase's pace."""
+        return self.steps / (1 - self.start)
 
 
 def phases(steps: int, joint: bool) -> tuple[Phase, ...]:

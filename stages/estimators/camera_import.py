@@ -16,10 +16,9 @@ from stages.estimators.sparse_model import Pinholes
 from stages.formats.camera_files import read_camera_files
 from stages.formats.frame_names import count_from_one, join, named, number, stem
 from stages.formats.given_cameras import GivenCameras, Lens, widest_angles
+from stages.formats.images import same_shape
 from stages.formats.undistorted import Grid
 
-NO_SHIFT = 0.1  # px: a lens that moves nothing farther is left alone; resampling would cost more than it mends
-ASPECT = 0.01  # relative difference in width / height up to which pictures of another size are the same pictures
 STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that moves less stands
 
 
@@ -32,7 +31,7 @@ def imported(job: Job, path: Path, listing: dict[str, Any], min_share: float, fi
     given = read_camera_files(path, *size)
     rows = match_frames(given, listing, min_share, first)
     own = given.lenses[0]
-    if abs(own.width * height / (own.height * width) - 1) > ASPECT:
+    if not same_shape((own.width, own.height), (width, height)):
         facts = [f"cameras for {own.width}x{own.height}, frames {width}x{height}"]
         hint = "give cameras of the same pictures; their size may differ, their shape not"
         raise StageError("the given cameras are not for these frames", hint, facts)
@@ -122,7 +121,7 @@ def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, Grid | 
         hint = "undistort the pictures in the program that found the cameras, and give both"
         raise StageError("a given lens cannot be turned into a pinhole", hint, [fact])
     shift = float(np.linalg.norm((ideal @ lens.K[:2, :2].T + lens.K[:2, 2] - outline) * scale, axis=1).max())
-    if shift < NO_SHIFT:
+    if shift < lenses.NO_SHIFT:
         return K, None, shift
     try:
         focal = lenses.focal_within(ideal, width, height)

@@ -13,12 +13,10 @@ import numpy as np
 
 from stages.contract import Job, StageError
 from stages.formats.frame_names import count_from_one, join
+from stages.formats.images import same_shape
 from stages.formats.mask_objects import Object, labelled, pick, ranked
 from stages.formats.mask_sets import MaskSet, read_mask_files
 from stages.formats.masks import ForeignMasks
-
-ASPECT = 0.01
-"""Relative difference in width / height up to which a mask of another size is taken for the same picture."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ def fitted_masks(
 def fitted(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool) -> np.ndarray:
     """A given mask at the frames' size, person white; StageError if its shape is that of another picture."""
     height, width = mask.shape
-    if abs(width * size[1] / (height * size[0]) - 1) > ASPECT:
+    if not same_shape((width, height), size):
         raise StageError(
             f"the mask of frame {name} is not a mask of these frames",
             "make masks from the same video, turned as it is shown",

@@ -18,9 +18,7 @@ from stages.estimators.sfm_ladder import GOOD_SHARE
 from stages.formats.images import read_image, read_mask, shrink
 
 FEW = 100  # features a frame; a third of them match in the next, and COLMAP wants 30 to place a frame
-BLURRED = (
-    1.3  # `sharpness` below it; sharp clips have 1.8 to 2.2, a blur of 2 px or a shake of 9 px (of 480) 1.2 to 1.3
-)
+BLURRED = 1.3  # of `sharpness`; sharp clips have 1.8 to 2.2, a blur of 2 px or a shake of 9 px (of 480) 1.2 to 1.3
 SCORE_SIDE = 480  # px: sharpness is compared at this size, as the frames stage does
 EXPLAINS = 0.5  # of the frames without a pose: a cause found in fewer is not named
 SHOWN = 3  # runs of frames, models and cuts that are listed

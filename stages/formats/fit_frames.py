@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
 from stages.formats.fit_record import SmplFit
+from stages.formats.frame_names import number
 
 GAP = 0.25  # s between poses over which nothing is made up
 HINT = "add `names` [N] to the file: the frame of each row, as in frames.json (the frame's number in the video)"
@@ -53,11 +53,11 @@ def _keys(fit: SmplFit, names: Sequence[str], sources: Sequence[str]) -> tuple[l
                 continue  # a tool that counts its own pictures, perhaps from 1
             if set(stems) & set(called):
                 return stems, called, True
-    numbers = [_number(name) for name in names]
+    numbers = [number(name) for name in names]
     if fit.numbers is not None:
         return fit.numbers.tolist(), numbers, False
     if fit.names is not None:
-        return [_number(stem) for stem in stems], numbers, True
+        return [number(stem) for stem in stems], numbers, True
     return list(range(len(fit))), numbers, False
 
 
@@ -118,8 +118,3 @@ def _between(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> np.ndarray:
     start, end = (Rotation.from_rotvec(v.reshape(-1, 3)) for v in (a, b))
     way = (start.inv() * end).as_rotvec() * np.repeat(share, joints)[:, None]
     return (start * Rotation.from_rotvec(way)).as_rotvec().reshape(a.shape)
-
-
-def _number(name: str) -> int | None:
-    digits = re.findall(r"[0-9]+", name)
-    return int(digits[-1]) if digits else None

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, take
+from stages.formats.images import same_shape
 
 SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
 """Where the neutral SMPL-X body of mean shape has its pelvis, in m; SMPL's is elsewhere, and each turns about its own."""
@@ -169,9 +170,8 @@ def same_picture(theirs: np.ndarray, ours: tuple[int, int], where: str, hint: st
     theirs = np.asarray(theirs, np.float64)
     if not (theirs > 0).all():
         raise StageError(f"{where} was made from pictures without a size", hint, [f"found {theirs.min():g}"])
-    shape, wanted = theirs[:, 0] / theirs[:, 1], ours[0] / ours[1]
-    worst = int(np.abs(shape / wanted - 1).argmax())
-    if abs(shape[worst] / wanted - 1) > 0.02:
-        facts = [f"theirs are {theirs[worst, 0]:g}x{theirs[worst, 1]:g}, ours {ours[0]}x{ours[1]}"]
+    strange = [size for size in theirs if not same_shape(size, ours)]
+    if strange:
+        facts = [f"theirs are {strange[0][0]:g}x{strange[0][1]:g}, ours {ours[0]}x{ours[1]}"]
         raise StageError(f"{where} was made from pictures of another shape", "run the tool on this very video", facts)
     return ours[0] / theirs[:, 0]

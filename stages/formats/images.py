@@ -82,6 +82,11 @@ def read_mask(path: Path) -> np.ndarray:
     return pixels[..., 0]
 
 
+def same_shape(size: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether pictures of two sizes (width, height) can be the same picture: their width / height differs by 1 % at most."""
+    return abs(size[0] * other[1] / (size[1] * other[0]) - 1) <= 0.01
+
+
 def write_mask(path: Path, mask: np.ndarray) -> None:
     """Write a mask uint8 [H,W], 255 = person, soft values between."""
     if mask.dtype != np.uint8 or mask.ndim != 2 or mask.size == 0:

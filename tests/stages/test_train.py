@@ -344,14 +344,15 @@ class Touches:
         return os.system, (f"touch {self.sign}",)
 
 
-def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path):
+def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(train, "_start", lambda *args: (Refuses(), None))
     path, sign = tmp_path / "checkpoint.pt", tmp_path / "ran"
-    torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0}, path)
+    torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0, "sizes": {}, "clock": None}, path)
     whole = path.read_bytes()
     torch.save({"fit": Touches(sign)}, path)
     for data, said in ((whole, "size mismatch"), (whole[:-50], "checkpoint.pt: "), (b"", "checkpoint.pt: "),
                        (path.read_bytes(), "checkpoint.pt: "), (pickle.dumps(Touches(sign)), "checkpoint.pt: ")):  # fmt: skip
         path.write_bytes(data)
         with pytest.raises(StageError, match="checkpoint of the stopped training cannot be used") as error:
-            train._resume(Refuses(), Job(tmp_path))
+            train._begun(Job(tmp_path), train.Params(), (tmp_path, tmp_path, tmp_path), None)
         assert said in error.value.facts[0] and "--force" in error.value.hint and not sign.exists()

@@ -137,7 +137,7 @@ def test_frames_without_a_person_teach_nothing_in_the_second_phase(clip):
 
 @pytest.mark.parametrize("steps", [1, 2, 7, 4000])
 def test_phases_share_out_all_steps(steps):
-    assert phases(steps, True) == ((0, steps, True, True),)
+    assert phases(steps, True) == ((0, steps, True, True, 0.0),)
     scene, person = phases(steps, False)
     assert scene.first == 0 and person.first == scene.steps and scene.steps + person.steps == steps
     assert (scene.human, scene.scene, person.human, person.scene) == (False, True, True, False)

@@ -1,0 +1,140 @@
+"""`hugs run VIDEO --within 10m`: as much training as fits into a time, on this machine, and how the promise was kept."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+from hugs_cli import engine
+from hugs_cli.ablate import Quiet
+from hugs_cli.console import Console
+from hugs_cli.engine import Ran
+from hugs_cli.freshness import Judge
+from hugs_cli.pipelines import UsageError
+from hugs_cli.words import duration
+from hugs_cli.workspace import Workspace, read_json, write_json
+
+TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
+CHOSEN = "within.json"  # in the pipeline's folder: what train was given, so that a run cut short goes on
+GIVEN = {"seconds", "reserve"}
+START = 2.0  # seconds until a stage's process works
+
+# What follows the last step of training, in steps of full size: measured on the kitchen clip, 2 cores.
+FINISH = 30.0  # train: looks at the frames before it writes the person
+PICTURE = 0.33  # render: a picture of a film
+SCORE, POSE_STEP = 3.0, 0.45  # evaluate: a held-out frame, and each step that fits its pose
+
+
+def seconds_of(text: str) -> int:
+    """'90s', '10m', '1h30m' in seconds; UsageError for anything else and for no time at all."""
+    found = TIME.fullmatch(text.strip())
+    hours, minutes, seconds = (int(part or 0) for part in found.groups()) if found else (0, 0, 0)
+    total = 3600 * hours + 60 * minutes + seconds
+    if not total:
+        raise UsageError(f"--within {text} is not a time", "write it as 10m, 90s or 1h30m")
+    return total
+
+
+@dataclass(frozen=True)
+class Promise:
+    """A run within a time: `judge` has results of its own beside the pipeline's, named `default.10m`."""
+
+    judge: Judge
+    wanted: list[str]
+    seconds: int
+
+    def keep(self, forced: frozenset[str], device: str, console: Console) -> tuple[list[Ran], dict[str, Any]]:
+        """Run what comes before training, give training what is left of the time, and run the rest.
+
+        Returns what ran, and the time promised and taken, in seconds. A run that was cut short goes on with the time
+        that its training had left; that of finished training is not looked at again.
+        """
+        began = time.monotonic()
+        before = [name for name in self.judge.pipeline.upstream(["train"]) if name != "train"]
+        made = engine.run(self.judge, before, forced & set(before), device, console)
+        place = self.judge.workspace.links / CHOSEN
+        chosen = read_json(place)
+        if "train" in forced or not self._begun(chosen):
+            left = self.seconds - (time.monotonic() - began) - START * (len(self.wanted) - len(before))
+            chosen = {"seconds": round(max(left, 1.0), 1), "reserve": round(self._reserve(), 1)}
+            write_json(place, chosen)
+            console.say(f"{duration(chosen['seconds'])} are left for training and what follows")
+        else:
+            console.say("goes on with the training that was begun for this time")
+        ran = engine.run(timed(self.judge, chosen), self.wanted, forced - set(before), device, Quiet())
+        ran = [*made, *(one for one in ran if one.stage not in before)]
+        took = time.monotonic() - began
+        off = 100 * (took / self.seconds - 1)
+        console.say(f"promised {duration(self.seconds)}, took {duration(took)} ({off:+.0f} %)")
+        return ran, {"promised": self.seconds, "took": round(took, 1), **chosen}
+
+    def _begun(self, chosen: dict[str, Any]) -> bool:
+        """Whether training with the settings chosen before is finished, or was cut short."""
+        if set(chosen) != GIVEN:
+            return False
+        judge = timed(self.judge, chosen)
+        verdict = judge.all(judge.pipeline.upstream(["train"]))["train"]
+        return verdict.fresh or (
+            verdict.recipe is not None and judge.workspace.part("train", verdict.recipe.key).is_dir()
+        )
+
+    def _reserve(self) -> float:
+        """What follows the last step of training, in steps."""
+        stages, steps = self.judge.pipeline.stages, FINISH
+        if "render" in self.wanted:
+            films, (frames, heldout) = stages["render"].params, self._frames()
+            steps += PICTURE * (films.turntable_frames + films.motion_seconds * films.fps + heldout + frames)
+        if "evaluate" in self.wanted:
+            steps += self._frames()[1] * (SCORE + POSE_STEP * stages["evaluate"].params.fit_steps)
+        return steps
+
+    def _frames(self) -> tuple[int, int]:
+        """How many frames have a camera, and how many of them are held out."""
+        from stages.formats.cameras import read_cameras
+        from stages.formats.splits import read_split
+
+        sfm = self.judge.workspace.links / "sfm"
+        names = read_cameras(sfm / "cameras.npz").names
+        return len(names), int(read_split(sfm / "split.json", names).heldout.sum())
+
+
+def promise(judge: Judge, stages: list[str] | None, text: str) -> Promise:
+    """The promise to bring `stages` (all if None) of a pipeline up to date within a time, as in '10m'."""
+    seconds = seconds_of(text)
+    wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
+    if "train" not in wanted or "seconds" not in type(judge.pipeline.stages["train"].params).model_fields:
+        raise UsageError("--within is for runs that train", "leave it out, or name train or a stage after it")
+    return Promise(named(judge, text.strip()), wanted, seconds)
+
+
+def named(judge: Judge, text: str) -> Judge:
+    """The judge of a pipeline's results within a time."""
+    name = f"{judge.pipeline.name}.{text}"
+    place = Workspace(judge.sources["video"], judge.workspace.work, name)
+    return replace(judge, workspace=place, pipeline=replace(judge.pipeline, name=name))
+
+
+def timed(judge: Judge, chosen: dict[str, float]) -> Judge:
+    """The judge with what training was given."""
+    train = judge.pipeline.stages["train"]
+    stages = {**judge.pipeline.stages, "train": replace(train, params=train.params.model_copy(update=chosen))}
+    return replace(judge, pipeline=replace(judge.pipeline, stages=stages))
+
+
+def remembered(judge: Judge, text: str) -> Judge:
+    """The judge of `--pipeline default.10m`: what `--within 10m` was given; UsageError if there was no such run."""
+    judge = named(judge, text)
+    chosen = read_json(judge.workspace.links / CHOSEN)
+    if set(chosen) != GIVEN:
+        base = judge.pipeline.name.partition(".")[0]
+        raise UsageError(
+            f"no run of pipeline {base} within {text}", f"`hugs run VIDEO --pipeline {base} --within {text}`"
+        )
+    return timed(judge, chosen)
+
+
+def is_time(text: str) -> bool:
+    """Whether `text` is a time, as in '10m'."""
+    return bool(text and TIME.fullmatch(text))

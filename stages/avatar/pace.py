@@ -1,0 +1,111 @@
+"""How many steps fit into a time: a few real ones are timed first, and what has been taken corrects what is to come."""
+
+from __future__ import annotations
+
+import copy
+import time
+
+from stages.avatar.fit import Fit
+from stages.avatar.schedule import HALF_UNTIL, SCENE_GROWTH, SETTLE
+
+WARM_UP = 2  # steps that no clock sees
+TIMED = 8  # steps at each corner of a Pace; a multiple of views_per_decode
+PARTS = 200  # of an integral; no clock is finer
+LATE = 0.99  # share of the schedule at which a step takes as long as drawing what was trained
+HELD = 10**9  # steps of a schedule that hardly moves
+
+
+class Pace:
+    """Seconds a step takes, by the share of the schedule that is behind it.
+
+    `half` and `full` are seconds a step at each resolution, with as many Gaussians as at the start and as at the end;
+    in between they grow evenly. `slow` is what steps were found to take, as a multiple of that.
+    """
+
+    def __init__(self, half: tuple[float, float], full: tuple[float, float], slow: float = 1.0):
+        self.half, self.full, self.slow = half, full, slow
+
+    def mean(self, start: float, end: float = 1.0) -> float:
+        """Mean seconds a step between two shares of the schedule."""
+        shares = [start + (end - start) * (i + 0.5) / PARTS for i in range(PARTS)]
+        return self.slow * sum(map(self._at, shares)) / PARTS
+
+    def _at(self, done: float) -> float:
+        few, many = self.half if done < HALF_UNTIL else self.full
+        grown = min(max((done - SCENE_GROWTH[0]) / (SETTLE - SCENE_GROWTH[0]), 0.0), 1.0)
+        return few + grown * (many - few)
+
+    def steps(self, seconds: float, done: float = 0.0) -> int:
+        """How many steps from `done` on take `seconds`; at least one."""
+        return max(1, int(seconds / self.mean(done)))
+
+    def learn(self, seconds: float, steps: int, start: float, end: float) -> None:
+        """What `steps` steps took between two shares of the schedule: what comes is believed to be as slow."""
+        if steps > 0 and end > start:
+            self.slow *= seconds / (steps * self.mean(start, end))
+
+
+class Clock:
+    """The time that a training may take. Its steps are fitted into it before the first and again at every `mark`.
+
+    `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over.
+    """
+
+    def __init__(self, seconds: float, reserve: float, began: float):
+        self.seconds, self.reserve, self.began = seconds, reserve, began
+        self.pace: Pace | None = None
+
+    @property
+    def spent(self) -> float:
+        """Seconds gone."""
+        return time.perf_counter() - self.began
+
+    @property
+    def left(self) -> float:
+        """Seconds left for steps."""
+        return self.seconds - self.spent - self.reserve * self.pace.mean(LATE)
+
+    def start(self, fit: Fit) -> int:
+        """Time a few steps of a training that has not begun; returns how many fit into the time."""
+        self.pace = rehearse(fit)
+        self.leg = self.spent, fit.step, fit.done
+        return self.pace.steps(self.left)
+
+    def mark(self, fit: Fit) -> None:
+        """Learn from the steps since the last mark how long those to come will take, and fit them in."""
+        spent, step, done = self.leg
+        self.leg = self.spent, fit.step, fit.done
+        self.pace.learn(self.spent - spent, fit.step - step, done, fit.done)
+        fit.retime(self.pace.steps(self.left, fit.done))
+
+    def state(self) -> list:
+        """For a checkpoint."""
+        return [self.spent, self.pace.half, self.pace.full, self.pace.slow]
+
+    def load(self, state: list, fit: Fit) -> None:
+        """Go on from `state()`."""
+        spent, half, full, slow = state
+        self.began -= spent
+        self.pace = Pace(half, full, slow)
+        self.leg = self.spent, fit.step, fit.done
+
+
+def rehearse(fit: Fit) -> Pace:
+    """Time real steps of a training that has not begun, small and grown; it is then as it was, bit for bit."""
+    before = copy.deepcopy(fit.state())
+    few = _timed(fit, 0.0), _timed(fit, HALF_UNTIL)
+    fit.fill_up()
+    many = _timed(fit, 0.0), _timed(fit, HALF_UNTIL)
+    fit.load(before)
+    return Pace((few[0], many[0]), (few[1], many[1]))
+
+
+def _timed(fit: Fit, done: float) -> float:
+    """Seconds a step at a share of the schedule, at which it is held."""
+    fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
+    for _ in range(WARM_UP):
+        fit.advance()
+    began = time.perf_counter()
+    for _ in range(TIMED):
+        fit.advance()
+    return (time.perf_counter() - began) / TIMED

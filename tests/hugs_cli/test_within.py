@@ -1,0 +1,129 @@
+"""`hugs run --within` on a pipeline that trains nothing: what training is given, what a second run does."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hugs_cli import within
+from hugs_cli.pipelines import UsageError
+
+TRAIN = """
+'''Writes what it was told; fails while there is a file `stop` beside the video.'''
+import json
+from pathlib import Path
+from stages.contract import Params as Base, StageError
+
+RESUMES = True
+
+class Params(Base):
+    seconds: float = 0
+    reserve: float = 0
+    size: int = 1
+
+def run(job, params, *, one):
+    '''Write one file.'''
+    if Path({stop!r}).exists():
+        raise StageError("stopped")
+    (job.out / "out.json").write_text(json.dumps(params.model_dump()))
+"""
+AFTER = """
+'''Comes after.'''
+from stages.contract import Params
+
+def run(job, params, *, train):
+    '''Write one file.'''
+    (job.out / "out.txt").write_text("done")
+"""
+
+
+@pytest.fixture
+def clip(flow):
+    """The flow, and a pipeline `tiny` of it with a train stage and one after it."""
+    flow.write("train", TRAIN.format(stop=str(flow.folder / "stop")))
+    flow.write("after", AFTER)
+    stages = {"one": "video", "train": "one", "after": "train"}
+    lines = "".join(f"    {n}: {{needs: [{need}], module: flow.{n}}}\n" for n, need in stages.items())
+    file = flow.folder / "pipelines.yaml"
+    file.write_text(f"{file.read_text()}tiny:\n  doc: Tiny.\n  stages:\n{lines}")
+    return flow
+
+
+def run(clip, *args: str, code: int = 0):
+    return clip.hugs(*args, "--pipeline", "tiny", code=code)
+
+
+def told(clip) -> dict:
+    return json.loads((clip.work / "clip" / "tiny.60s" / "train" / "out.json").read_text())
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90s", 90), ("10m", 600), ("1h30m", 5400), ("2h", 7200), (" 5m ", 300)])
+def test_times_are_read(text, seconds):
+    assert within.seconds_of(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "0m", "10", "5 m", "-5m", "1.5h", "m", "30s2m"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(UsageError, match="is not a time"):
+        within.seconds_of(text)
+
+
+def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
+    out, err = run(clip, "--within", "60s", "--json")
+    result = json.loads(out)
+    assert result["pipeline"] == "tiny.60s" and [row["state"] for row in result["stages"]] == ["done", "done", "done"]
+    kept, given = result["within"], told(clip)
+    assert kept["promised"] == 60 and 0 < kept["took"] < 30
+    least = 60 - kept["took"] - 2 * within.START
+    assert least <= given["seconds"] < 60 - 2 * within.START
+    assert given["seconds"] == kept["seconds"] and given["reserve"] == within.FINISH and given["size"] == 1
+    assert "promised 1m 00s, took" in err and "are left for training" in err
+
+
+def test_a_second_run_trains_no_more_unless_forced(clip):
+    run(clip, "--within", "60s")
+    before = told(clip)
+    out, err = run(clip, "--within", "60s", "--json")
+    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(clip) == before
+    assert "goes on with the training that was begun" in err
+    out, err = run(clip, "--within", "60s", "--force", "--json")
+    assert {row["state"] for row in json.loads(out)["stages"]} == {"done"} and "are left for training" in err
+
+
+def test_results_of_the_pipeline_itself_are_left_alone(clip):
+    run(clip)
+    mine = (clip.work / "clip" / "tiny" / "train" / "out.json").read_text()
+    run(clip, "--within", "60s")
+    assert (clip.work / "clip" / "tiny" / "train" / "out.json").read_text() == mine
+    assert json.loads(mine)["seconds"] == 0
+
+
+def test_a_training_cut_short_goes_on_with_what_it_was_given(clip):
+    (clip.folder / "stop").write_text("")
+    run(clip, "--within", "60s", code=1)
+    given = json.loads((clip.work / "clip" / "tiny.60s" / within.CHOSEN).read_text())
+    (clip.folder / "stop").unlink()
+    _, err = run(clip, "--within", "60s")
+    assert {name: told(clip)[name] for name in given} == given and "goes on with the training" in err
+
+
+def test_changed_settings_are_timed_anew(clip):
+    run(clip, "--within", "60s")
+    _, err = run(clip, "--within", "60s", "--set", "train.size=2")
+    assert told(clip)["size"] == 2 and "are left for training" in err
+
+
+def test_a_run_that_does_not_train_is_refused(clip):
+    _, err = run(clip, "one", "--within", "60s", code=2)
+    assert "--within is for runs that train" in err
+    _, err = clip.hugs("--within", "60s", code=2)
+    assert "--within is for runs that train" in err
+
+
+def test_its_results_have_a_name_for_other_commands(clip):
+    run(clip, "--within", "60s")
+    states = json.loads(clip.hugs("--pipeline", "tiny.60s", "--json", command="status")[0])
+    assert [row["state"] for row in states] == ["fresh"] * 3
+    _, err = clip.hugs("--pipeline", "tiny.5m", command="status", code=2)
+    assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err

@@ -1,0 +1,105 @@
+import pytest
+
+from stages.avatar.pace import Clock, Pace, rehearse
+from stages.avatar.schedule import HALF_UNTIL, SETTLE
+from tests.stages.avatar.test_fit import fit_of, make_clip, run, same
+
+clip = pytest.fixture(scope="module")(make_clip)
+PACE = Pace(half=(0.1, 0.2), full=(0.3, 0.6))
+
+
+class Time:
+    """A clock that is put forward by hand."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0.0
+        monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: self.now)
+
+
+def test_a_pace_is_that_of_the_corners_and_between_them():
+    assert PACE.mean(0.0, 0.05) == pytest.approx(0.1) and PACE.mean(0.7) == pytest.approx(0.6)
+    assert 0.1 < PACE.mean(0.0, HALF_UNTIL) < 0.2 and 0.3 < PACE.mean(HALF_UNTIL, SETTLE) < 0.6
+    whole = HALF_UNTIL * PACE.mean(0.0, HALF_UNTIL) + (1 - HALF_UNTIL) * PACE.mean(HALF_UNTIL)
+    assert PACE.mean(0.0) == pytest.approx(whole, rel=0.01)
+
+
+def test_as_many_steps_as_fit_and_at_least_one():
+    assert PACE.steps(60.0, 0.7) == 100 and PACE.steps(-5.0) == 1
+
+
+def test_what_was_slow_is_believed_to_stay_slow():
+    pace = Pace(PACE.half, PACE.full)
+    expected = 50 * pace.mean(0.0, 0.2)
+    pace.learn(1.5 * expected, 50, 0.0, 0.2)
+    assert pace.slow == pytest.approx(1.5) and pace.mean(0.7) == pytest.approx(0.9)
+    pace.learn(1.0, 0, 0.2, 0.2)
+    assert pace.slow == pytest.approx(1.5), "no steps teach nothing"
+
+
+def test_a_rehearsal_leaves_no_trace(clip):
+    fit, other = fit_of(clip), fit_of(clip)
+    pace = rehearse(fit)
+    assert same(fit, other) and fit.total == other.total
+    run(fit, 12), run(other, 12)
+    assert same(fit, other)
+    assert all(seconds > 0 for seconds in (*pace.half, *pace.full))
+
+
+def test_filled_up_sets_are_at_their_caps(clip):
+    fit = fit_of(clip)
+    run(fit, 4)
+    fit.fill_up()
+    assert fit.sizes() == {"human": fit.options.human_cap, "scene": fit.options.scene_cap}
+    run(fit, 6)
+
+
+def test_a_run_with_other_steps_goes_through_the_whole_schedule(clip):
+    fit = fit_of(clip, steps=40)
+    run(fit, 10)
+    assert fit.done == 0.25
+    fit.retime(60)
+    assert fit.done == 0.25 and fit.total == 70
+    seen = []
+    while fit.step < fit.total:
+        seen.append(fit.done)
+        fit.advance()
+    assert seen == sorted(seen) and seen[-1] == pytest.approx(0.25 + 0.75 * 59 / 60) and fit.done == 1.0
+    assert len(fit.scene) > 150 and len(fit.human) > 162
+
+
+@pytest.mark.parametrize("slower", [0.5, 1.0, 3.0])
+def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, monkeypatch, slower):
+    """Seconds are those of a made-up machine, which turns `slower` as fast after a quarter of the way."""
+    clock_time, fit = Time(monkeypatch), fit_of(clip, steps=40)
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace(PACE.half, PACE.full))
+    clock = Clock(seconds=200.0, reserve=10, began=0.0)
+    fit.retime(clock.start(fit))
+    planned, marks = fit.total, 0
+    monkeypatch.setattr(fit, "advance", lambda: setattr(fit, "step", fit.step + 1))
+    while fit.step < fit.total:
+        clock_time.now += PACE._at(fit.done) * (1 if fit.done < 0.25 else slower)
+        fit.advance()
+        if fit.step * 12 >= fit.total * (marks + 1) and fit.step < fit.total:
+            marks += 1
+            clock.mark(fit)
+    left_over = 10 * 0.6 * slower
+    assert abs(clock_time.now + left_over - 200) < 0.03 * 200
+    assert (
+        (fit.total > planned * 1.2)
+        if slower < 1
+        else (fit.total < planned * 0.7)
+        if slower > 1
+        else abs(fit.total - planned) <= 3
+    )
+
+
+def test_a_clock_goes_on_where_it_was_stopped(clip, monkeypatch):
+    clock_time, fit = Time(monkeypatch), fit_of(clip)
+    clock = Clock(100.0, 0, began=0.0)
+    clock.pace = Pace(PACE.half, PACE.full)
+    clock_time.now = 30.0
+    state = clock.state()
+    clock_time.now = 1000.0
+    other = Clock(100.0, 0, began=990.0)
+    other.load(state, fit)
+    assert other.spent == pytest.approx(40.0) and other.left == pytest.approx(60.0)
