@@ -53,7 +53,7 @@ def animate(
     from stages.formats.video import write_video
     from stages.render import check_scene, read_trained
 
-    clip = load_clip(sfm, smpl, train / "body.npz")
+    clip = load_clip(sfm, smpl, train)
     learned, _ = read_trained(train, device)
     if only != "human":
         check_scene(learned, train)

@@ -58,14 +58,16 @@ def run(
     from stages.avatar.perceptual import Lpips
     from stages.estimators.assets import path
     from stages.formats.clip import load_clip
+    from stages.formats.effects import read_effects
     from stages.formats.facts import read_facts
     from stages.formats.images import write_image
     from stages.formats.splats import read_avatar, read_scene
 
     began = time.perf_counter()
-    clip = load_clip(sfm, smpl, train / "body.npz")
+    clip = load_clip(sfm, smpl, train)
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
-    learned = load_learned(read_avatar(train / "avatar.npz"), scene, job.device)
+    effects = read_effects(train / "effects.npz")
+    learned = load_learned(read_avatar(train / "avatar.npz"), scene, effects, job.device)
     facts = read_facts(train / "train.json", {"exposure": {str: [float]}})
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
@@ -116,6 +118,7 @@ class Shot:
         import numpy as np
         import torch
 
+        from stages.avatar.drawing import motion_at, pose_of
         from stages.avatar.metrics import person_crop
 
         like = learned.avatar.joints
@@ -125,11 +128,12 @@ class Shot:
         self.viewmat, self.K = (torch.as_tensor(np.asarray(m)).to(like) for m in (clip.viewmats[i], clip.Ks[i]))
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
         self.box = person_crop(self.mask)
-        self.pose: Pose = (clip.body.global_orient[i], clip.body.body_pose[i], clip.body.transl[i])
+        self.pose: Pose = pose_of(clip, i)
+        self.motion = motion_at(learned, clip, i, self.box is not None)
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
         """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black."""
-        from stages.avatar.compose import compose
+        from stages.avatar.rasterize import Layer
 
         rows, columns = box
         K = self.K.clone()
@@ -137,7 +141,8 @@ class Shot:
         K[1, 2] -= rows.start
         size = columns.stop - columns.start, rows.stop - rows.start
         ground = self.gain.new_full((3,), float(white))
-        drawn = compose(human, scene, self.viewmat, K, *size, ground)
+        lit, effects = self.learned.lit(scene, human), self.learned.effects
+        (drawn,) = effects.draw(human, lit, self.motion, self.viewmat, K, *size, [Layer(background=ground)])
         bare = (1 - drawn.alpha)[..., None] * ground
         return bare + self.gain * (drawn.image - bare)
 

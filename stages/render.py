@@ -38,7 +38,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.formats.clip import load_clip
     from stages.formats.video import write_video
 
-    clip = load_clip(sfm, smpl)
+    clip = load_clip(sfm, smpl, train)
     learned, poses = read_trained(train, job.device)
     fps = float(params.fps)
     shots: dict[str, tuple[Iterator[np.ndarray], float]] = {
@@ -47,7 +47,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     }
     held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or clip.shows_person(i)]
     if held:
-        shots["heldout"] = (_beside_truth(clip, learned, poses, held), 4.0)
+        shots["heldout"] = (_beside_truth(clip, learned, held), 4.0)
     if learned.scene is not None:
         shots["scene"] = (_empty(clip, learned), fps / 2)
     for done, (name, (pictures, rate)) in enumerate(shots.items()):
@@ -59,13 +59,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
 def read_trained(train: Path, device: str) -> tuple[Learned, dict[str, Pose]]:
     """What training left, and the person's poses by frame name."""
     from stages.avatar.drawing import load_learned
+    from stages.formats.effects import read_effects
     from stages.formats.poses import read_poses
     from stages.formats.splats import read_avatar, read_scene
 
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     body = read_poses(train / "body.npz")
     poses = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
-    return load_learned(read_avatar(train / "avatar.npz"), scene, device), poses
+    return load_learned(read_avatar(train / "avatar.npz"), scene, read_effects(train / "effects.npz"), device), poses
 
 
 def check_scene(learned: Learned, train: Path) -> None:
@@ -78,16 +79,20 @@ def check_scene(learned: Learned, train: Path) -> None:
         )
 
 
-def _beside_truth(clip: Clip, learned: Learned, poses: dict[str, Pose], order: list[int]) -> Iterator[np.ndarray]:
-    """The clip on the left, ours on the right; over white without a scene, without the person where there is none."""
+def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np.ndarray]:
+    """The clip on the left, ours on the right as the same camera takes it, its shutter included.
+
+    Over white without a scene, without the person where there is none.
+    """
     import numpy as np
 
-    from stages.avatar.drawing import draw, to_uint8
+    from stages.avatar.drawing import draw, motion_at, pose_of, to_uint8
 
     for i in order:
-        human = learned.person(poses[clip.names[i]]) if clip.shows_person(i) else None
+        human = learned.person(pose_of(clip, i)) if clip.shows_person(i) else None
+        scene, motion = learned.lit(learned.scene, human), motion_at(learned, clip, i, human is not None)
         view = (clip.viewmats[i], clip.Ks[i], (clip.width, clip.height))
-        drawn, _ = draw(human, learned.scene, *view, background=0.0 if learned.scene else 1.0)
+        drawn, _ = draw(human, scene, *view, 0.0 if learned.scene else 1.0, learned.effects, motion)
         yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)
 
 
@@ -175,7 +180,7 @@ def render_views(
     out.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(path.names):
         human = learned.person(chosen[i]) if only != "scene" else None
-        scene = learned.scene if only != "human" else None
+        scene = learned.lit(learned.scene, human) if only != "human" else None
         image, alpha = draw(human, scene, path.viewmats[i], path.Ks[i], (path.width, path.height))
         colour = image / np.maximum(alpha, 1 / 255)[..., None]
         write_image(out / f"{name}.png", to_uint8(np.concatenate([colour, alpha[..., None]], 2)))

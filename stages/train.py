@@ -379,15 +379,18 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
 
 
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: Params) -> None:
-    """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json."""
+    """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
     from dataclasses import fields, replace
 
+    import numpy as np
     import torch
 
     from stages.avatar.bake import finished
     from stages.avatar.gaussians import finite_rows
     from stages.avatar.rotations import quat_from_matrix
+    from stages.formats.cameras import write_cameras
     from stages.formats.clothes import Clothes
+    from stages.formats.effects import Effects, write_effects
     from stages.formats.poses import write_poses
     from stages.formats.splats import Avatar, Scene, write_splats
 
@@ -423,6 +426,12 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts), antialias=s.antialias))
     if broken:
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
+    if known := fit.effects.known():
+        write_effects(job.out / "effects.npz", Effects(**known))
+    if fit.options.refine_camera:
+        viewmats = array(fit.cameras()).astype(np.float64)
+        viewmats[:, :3, 3] /= clip.body.world_from_sfm
+        write_cameras(job.out / "cameras.npz", replace(clip.cameras, viewmats=viewmats))
     poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
     write_poses(job.out / "body.npz", replace(clip.body, **poses))
     with (job.out / "curve.csv").open("w", newline="") as file:

@@ -9,29 +9,51 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.compose import compose
+from stages.avatar.effects.frames import FrameEffects, load_effects
+from stages.avatar.effects.speeds import Motion, Speeds
 from stages.avatar.gaussians import Splats
 from stages.avatar.human import Baked, load_avatar, pose_avatar
+from stages.avatar.rasterize import Layer
 from stages.avatar.scene import load_scene
 
 Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose [69] in rad, transl [3] in m
 
 
 class Learned(NamedTuple):
-    """A trained person and its scene, or None where only the person was trained."""
+    """A trained person and its scene, or None where only the person was trained, and how the clip was taken."""
 
     avatar: Baked
     scene: Splats | None
+    effects: FrameEffects
 
     def person(self, pose: Pose) -> Splats:
         """The person's Gaussians in the world at one pose."""
         like = self.avatar.joints
         return pose_avatar(self.avatar, *(torch.as_tensor(part).to(like) for part in pose))
 
+    def lit(self, scene: Splats | None, human: Splats | None) -> Splats | None:
+        """A scene, ours or another, in the shadow of the posed person."""
+        return self.effects.lit(scene, human, self.avatar.resting.weights)
 
-def load_learned(avatar, scene, device: str = "cpu") -> Learned:
-    """Tensors on `device` from `formats.splats.Avatar` and `Scene` (or None)."""
-    return Learned(load_avatar(avatar, device), None if scene is None else load_scene(scene, device))
+
+def load_learned(avatar, scene, effects, device: str = "cpu") -> Learned:
+    """Tensors on `device` from `formats.splats.Avatar` and `Scene` (or None), and `formats.effects.Effects`."""
+    scene = None if scene is None else load_scene(scene, device)
+    return Learned(load_avatar(avatar, device), scene, load_effects(effects).to(device))
+
+
+def pose_of(clip, i: int) -> Pose:
+    """The person's pose in frame `i` of a `formats.clip.Clip`."""
+    return clip.body.global_orient[i], clip.body.body_pose[i], clip.body.transl[i]
+
+
+def motion_at(learned: Learned, clip, i: int, shows_person: bool) -> Motion | None:
+    """How everything moves at frame `i` of a `formats.clip.Clip`; None where its camera took it in no time."""
+    if not learned.effects.takes_time:
+        return None
+    Ks = torch.as_tensor(clip.Ks).to(learned.avatar.joints)
+    speeds = Speeds(clip.viewmats, Ks, clip.height, clip.split.moments, clip.body.confidence > 0)
+    return speeds.at(i, (lambda j: learned.person(pose_of(clip, j)).means) if shows_person else None)
 
 
 def draw(
@@ -41,15 +63,19 @@ def draw(
     K: np.ndarray,
     size: tuple[int, int],
     background: float = 0.0,
+    effects: FrameEffects | None = None,
+    motion: Motion | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours [H,W,3] over a grey `background` and coverage [H,W], float32.
 
-    viewmat [4,4] camera_from_world in metres, K [3,3] px, size (width, height) px.
+    viewmat [4,4] camera_from_world in metres, K [3,3] px, size (width, height) px. Sharp, and all at one moment, unless
+    the shutter of `effects` and a `motion` are given.
     """
     like = (human or scene).means
     view, intrinsics = (torch.as_tensor(m).to(like) for m in (viewmat, K))
+    layer = Layer(background=torch.full((3,), background).to(like))
     with torch.no_grad():
-        drawn = compose(human, scene, view, intrinsics, *size, torch.full((3,), background).to(like))
+        (drawn,) = (effects or FrameEffects()).draw(human, scene, motion, view, intrinsics, *size, [layer])
     return drawn.image.cpu().numpy(), drawn.alpha.cpu().numpy()
 
 
@@ -69,7 +95,7 @@ def perform(
     for turn, pose, step, view in zip(*moves, views, strict=True):
         turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
         human = learned.person((turned, pose, transl + stand @ step))
-        yield to_uint8(draw(human, scene, *view, size, background=0.0 if scene else 1.0)[0])
+        yield to_uint8(draw(human, learned.lit(scene, human), *view, size, background=0.0 if scene else 1.0)[0])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

@@ -89,13 +89,14 @@ class Clip:
         return pixels
 
 
-def load_clip(sfm: Path, smpl: Path, body: Path | None = None) -> Clip:
-    """Join the folders of the `sfm` and `smpl` stages; `body` is another body.npz (train's refined one) to use instead.
+def load_clip(sfm: Path, smpl: Path, train: Path | None = None) -> Clip:
+    """Join the folders of the `sfm` and `smpl` stages, with the refined poses, and cameras if any, of a `train` folder.
 
     Raises StageError when a frame with a camera has no body, or the world's origin is too far for float32.
     """
-    cameras = read_cameras(sfm / "cameras.npz")
-    poses = read_poses(body or smpl / "body.npz")
+    refined = train is not None and (train / "cameras.npz").exists()
+    cameras = read_cameras((train if refined else sfm) / "cameras.npz")
+    poses = read_poses((train or smpl) / "body.npz")
     row = {name: i for i, name in enumerate(poses.names)}
     missing = [name for name in cameras.names if name not in row]
     if missing:

@@ -13,6 +13,7 @@ from stages.avatar.gaussians import Splats, spacing
 from stages.avatar.rasterize.rendering import ALPHA_MIN
 from stages.avatar.rotations import quat_from_matrix
 from stages.formats.clip import Clip, load_clip
+from stages.formats.effects import read_effects
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, read_scene
 from tests.benchmarks.naive import Workload, covariances
@@ -78,7 +79,8 @@ def finished(folder: Path) -> tuple[Clip, Learned, dict[str, Pose]]:
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     body = read_poses(train / "body.npz")
     poses = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
-    return load_clip(folder / "sfm", folder / "smpl"), load_learned(read_avatar(train / "avatar.npz"), scene), poses
+    learned = load_learned(read_avatar(train / "avatar.npz"), scene, read_effects(train / "effects.npz"))
+    return load_clip(folder / "sfm", folder / "smpl"), learned, poses
 
 
 def learned_work(folder: Path, seed: int = 0) -> Workload:

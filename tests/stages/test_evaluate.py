@@ -12,6 +12,7 @@ from stages.avatar.drawing import load_learned
 from stages.contract import Job, StageError
 from stages.estimators import assets
 from stages.formats.clip import load_clip
+from stages.formats.effects import Effects
 from stages.formats.images import read_image
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
@@ -97,7 +98,7 @@ def shot(clip, gain=None, scene=True, **poses):
     loaded = load_clip(clip["sfm"], clip["smpl"])
     loaded = replace(loaded, body=replace(loaded.body, **poses))
     wall = read_scene(train / "scene.npz") if scene else None
-    return evaluate.Shot(loaded, load_learned(read_avatar(train / "avatar.npz"), wall), HELD, gain, "cpu")
+    return evaluate.Shot(loaded, load_learned(read_avatar(train / "avatar.npz"), wall, Effects()), HELD, gain, "cpu")
 
 
 def test_a_wrong_pose_is_fitted_back(tiny):

@@ -97,7 +97,7 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
         "train.json",
     ]
     (fit,) = kept
-    clip = load_clip(inputs["sfm"], inputs["smpl"], body=job.out / "body.npz")
+    clip = load_clip(inputs["sfm"], inputs["smpl"], train=job.out)
     body = [
         torch.tensor(getattr(clip.body, k)[3], dtype=torch.float32) for k in ("global_orient", "body_pose", "transl")
     ]

@@ -18,6 +18,7 @@ from stages.avatar.cameras import look_at, pinhole
 from stages.avatar.drawing import draw, load_learned, to_uint8
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.effects import Effects
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import BodyPoses, write_poses
@@ -112,7 +113,7 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     write_splats(train / "avatar.npz", avatar)
     if scene:
         write_splats(train / "scene.npz", wall)
-    learned = load_learned(avatar, wall)
+    learned = load_learned(avatar, wall, Effects())
     for i, name in enumerate(NAMES):
         human = learned.person((poses.global_orient[i], poses.body_pose[i], poses.transl[i])) if i != EMPTY else None
         image, _ = draw(human, learned.scene, viewmats[i], K, (WIDTH, HEIGHT))

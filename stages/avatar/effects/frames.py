@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -104,3 +105,17 @@ class FrameEffects(nn.Module):
         for value, low in ((self.shutter, 0.0), (self.readout, -1.0)):
             if value is not None:
                 value.clamp_(low, 1.0)
+
+    def known(self) -> dict[str, Any]:
+        """What `formats.effects.Effects` says of those that are on."""
+        times = {"shutter": self.shutter, "readout": self.readout}
+        found = {name: value.item() for name, value in times.items() if value is not None}
+        return found | ({} if self.shadow is None else self.shadow.known())
+
+
+def load_effects(arrays: Any) -> FrameEffects:
+    """The effects of a `formats.effects.Effects`, or of anything with its fields."""
+    shadow = None
+    if arrays.light is not None:
+        shadow = Shadow(torch.as_tensor(arrays.light).float(), arrays.darkness, arrays.softness, arrays.density)
+    return FrameEffects(shadow, arrays.shutter, arrays.readout).requires_grad_(False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -44,18 +44,24 @@ class Shadow(nn.Module):
     (logit) the share of all light that comes from there, `softness` (log m) and `density` (log) of the bodies' edges.
     """
 
-    def __init__(self, up: Tensor):
+    def __init__(self, up: Tensor, darkness: float = DARKNESS, softness: float = SOFTNESS, density: float = DENSITY):
         super().__init__()
         self.register_buffer("frame", rotation_z_to(up))
         self.slope = nn.Parameter(torch.zeros(2).to(up))
-        self.darkness = nn.Parameter(torch.tensor([DARKNESS]).to(up).logit())
-        self.softness = nn.Parameter(torch.tensor([SOFTNESS]).to(up).log())
-        self.density = nn.Parameter(torch.tensor([DENSITY]).to(up).log())
+        self.darkness = nn.Parameter(torch.tensor([darkness]).to(up).logit())
+        self.softness = nn.Parameter(torch.tensor([softness]).to(up).log())
+        self.density = nn.Parameter(torch.tensor([density]).to(up).log())
 
     def light(self) -> Tensor:
         """The direction [3] towards the light, of length 1."""
         leaning = torch.cat([self.slope, torch.ones_like(self.slope[:1])])
         return self.frame @ (leaning / leaning.norm())
+
+    def known(self) -> dict[str, Any]:
+        """What `formats.effects.Effects` says of it."""
+        numbers = self.darkness.sigmoid(), self.softness.exp(), self.density.exp()
+        light = self.light().detach().cpu().numpy()
+        return {"light": light} | dict(zip(("darkness", "softness", "density"), (number.item() for number in numbers)))
 
     def shares(self, points: Tensor, body: Casters) -> Tensor:
         """How much of its light each of points[M,3] keeps, from 1 - darkness to 1."""

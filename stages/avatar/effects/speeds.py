@@ -66,17 +66,16 @@ class Speeds:
     """
 
     def __init__(self, viewmats: np.ndarray, Ks: Tensor, height: int, moments: np.ndarray, known: np.ndarray):
-        self.Ks, self.height, self.known = Ks, height, known
-        self.near = [around(moments, i) for i in range(len(moments))]
-        self.fields = torch.tensor(np.stack([drift(viewmats, near, i) for i, near in enumerate(self.near)])).to(Ks)
+        self.viewmats, self.Ks, self.height, self.moments, self.known = viewmats, Ks, height, moments, known
 
     def at(self, i: int, means: Callable[[int], Tensor] | None) -> Motion:
         """The motion at frame `i`; `means(j)` [N,3] are those of the person's Gaussians in frame `j`, None for nobody."""
-        near, own = self.near[i], None
+        near, own = around(self.moments, i), None
         if means is not None and near.gap and self.known[[near.before, near.after]].all():
             with torch.no_grad():
                 own = (means(near.after) - means(near.before)) / near.gap
-        return Motion(self.fields[i], own, self.Ks[i], self.height)
+        field = torch.as_tensor(drift(self.viewmats, near, i)).to(self.Ks)
+        return Motion(field, own, self.Ks[i], self.height)
 
 
 def moved(splats: Splats, speeds: Tensor, spin: Tensor, times: Tensor) -> Splats:

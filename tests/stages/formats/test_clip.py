@@ -32,7 +32,7 @@ def test_bodies_are_put_in_the_order_of_the_cameras(tiny, tmp_path):
     rows = ("global_orient", "body_pose", "transl", "confidence")
     turned = {name: getattr(poses, name)[::-1] for name in rows}
     write_poses(tmp_path / "body.npz", replace(poses, names=poses.names[::-1], **turned))
-    clip = load_clip(tiny["sfm"], tiny["smpl"], tmp_path / "body.npz")
+    clip = load_clip(tiny["sfm"], tiny["smpl"], tmp_path)
     np.testing.assert_array_equal(clip.body.transl, poses.transl)
     assert clip.body.names == clip.names
 
@@ -44,7 +44,7 @@ def test_a_camera_without_a_body_is_named(tiny, tmp_path):
         tmp_path / "body.npz", replace(poses, names=poses.names[:6], **{r: getattr(poses, r)[:6] for r in rows})
     )
     with pytest.raises(StageError, match="2 of 8 frames") as refused:
-        load_clip(tiny["sfm"], tiny["smpl"], tmp_path / "body.npz")
+        load_clip(tiny["sfm"], tiny["smpl"], tmp_path)
     assert "000018, 000021" in refused.value.facts[0]
 
 

@@ -1,0 +1,70 @@
+"""effects.npz of the train stage: what was learned of how the clip was taken and lit; absent where nothing was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.arrays import checked, read_npz
+
+HINT = "train again: `hugs run VIDEO train --force`"
+SHADOW = ("light", "darkness", "softness", "density")
+_LIMITS = {"darkness": (0, 1), "softness": (0, 1e3), "density": (0, 1e6), "shutter": (0, 1), "readout": (-1, 1)}
+
+
+@dataclass(frozen=True)
+class Effects:
+    """What a clip called for; None for what is off.
+
+    The person's shadow: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of
+    all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb. Of the time
+    between two frames `shutter` is the share in which the shutter is open, `readout` that in which the rows are read,
+    negative from below.
+    """
+
+    light: np.ndarray | None = None
+    darkness: float | None = None
+    softness: float | None = None
+    density: float | None = None
+    shutter: float | None = None
+    readout: float | None = None
+
+    def known(self) -> dict[str, np.ndarray]:
+        """What is not None, by name."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: np.asarray(value, np.float64) for name, value in values.items() if value is not None}
+
+
+def write_effects(path: Path, effects: Effects) -> None:
+    """Write what is known as .npz of float64, without pickles."""
+    _check(effects.known(), path)
+    np.savez(path, **effects.known())
+
+
+def read_effects(path: Path) -> Effects:
+    """Read an effects.npz; where there is none, nothing is on. StageError for half a shadow or values that cannot be."""
+    if not path.exists():
+        return Effects()
+    found = read_npz(path, HINT)
+    names = [f.name for f in fields(Effects)]
+    unknown = sorted(found.keys() - set(names))
+    if unknown:
+        raise StageError(f"{path} holds effects that are not known", HINT, [f"found {', '.join(unknown)}"])
+    arrays = {n: checked(a, (3,) if n == "light" else (), n, path, HINT).astype(np.float64) for n, a in found.items()}
+    _check(arrays, path)
+    return Effects(**{name: array if name == "light" else float(array) for name, array in arrays.items()})
+
+
+def _check(arrays: dict[str, np.ndarray], path: Path) -> None:
+    missing = [name for name in SHADOW if name not in arrays]
+    if 0 < len(missing) < len(SHADOW):
+        raise StageError(f"{path} has half a shadow", HINT, [f"missing: {', '.join(missing)}"])
+    wrong = [n for n, (low, high) in _LIMITS.items() if n in arrays and not low <= arrays[n] <= high]
+    if "light" in arrays and not abs(np.linalg.norm(arrays["light"]) - 1) < 1e-3:
+        wrong.append("light")
+    if wrong:
+        facts = [f"{name}: {arrays[name].tolist()}, wanted {_LIMITS.get(name, 'a length of 1')}" for name in wrong]
+        raise StageError(f"{path} has effects that cannot be", HINT, facts)
