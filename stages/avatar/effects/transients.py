@@ -8,6 +8,8 @@ All is done on cells, over which detail cancels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -59,6 +61,10 @@ class Transients(nn.Module):
         pixels = F.interpolate(bad, image.shape[:2])[0, 0] > 0
         self.shares[frame] = pixels.float().mean()
         return pixels
+
+    def found(self, names: Sequence[str]) -> dict[str, float]:
+        """The share of each frame that was last distrusted, by its name, where there was any."""
+        return {name: round(share, 4) for name, share in zip(names, self.shares.tolist(), strict=True) if share}
 
     def _places(self, z: Tensor, row: int) -> Tensor:
         """Where the other frames show the cells of one, at depth z[h,w] m: [F,h,w,2] in -1..1, 2 where behind a camera."""
