@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 NODES = 160  # about 0.1 m apart on a body
 REACH = 0.07  # m: the width of a node's bell
-FEATURES = 8
+FEATURES = 6
 FLOOR = 1e-6  # of the weights' sum: far from all nodes nothing moves, and nothing is divided by 0
-PRIOR = 0.005  # on the mean squared offset in units of LOOSE
+PRIOR = 0.1  # on the mean squared offset in units of LOOSE
 LOOSE = 0.05  # m
 
 
@@ -75,8 +75,8 @@ class Clothing(nn.Module):
         return person._replace(means=person.means + away)
 
     def prior(self) -> Tensor:
-        """PRIOR x mean squared offset in units of LOOSE: clothes are on the body unless pictures say so."""
-        return PRIOR * (self.offsets / LOOSE).square().mean()
+        """PRIOR x mean squared offset in units of LOOSE, 0 without features: clothes are on the body unless pictures say so."""
+        return PRIOR * (self.offsets / LOOSE).square().sum() / max(1, self.offsets.numel())
 
 
 def _scattered(points: Tensor, count: int) -> Tensor:
