@@ -421,7 +421,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     (baked, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
     clothing, clothes = fit.effects.clothing, None
     p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl, clothing=clothing)
-    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, fit.full, fit.train)
+    seen = fit.full._replace(viewmats=fit.cameras())
+    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, seen, fit.train)
     if strays:
         job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
     job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
@@ -449,6 +450,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     if known := fit.effects.known():
         write_effects(job.out / "effects.npz", Effects(**known))
+        numbers = (f"{name} {value:.2f}" for name, value in known.items() if name != "light")
+        job.note(f"learned of how the clip was taken: {', '.join(numbers)}")
     if fit.options.refine_camera:
         viewmats = array(fit.cameras()).astype(np.float64)
         viewmats[:, :3, 3] /= clip.body.world_from_sfm

@@ -191,6 +191,7 @@ KINDS = [
     one("body.npz", "poses", "read_poses"),
     one("avatar.npz", "splats", "read_avatar"),
     one("scene.npz", "splats", "read_scene"),
+    one("effects.npz", "effects", "read_effects"),
     one("body_model.npz", "body_model", "read_body_model"),
     one("body_model.pkl", "body_model", "read_body_model"),
     fit("fit_named.npz"),
@@ -286,6 +287,8 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         np.zeros((rows, 3, 3)),
     )
     splats.write_splats(root / "scene.npz", splats.Scene(*look))
+    effects = formats("effects")
+    effects.write_effects(root / "effects.npz", effects.Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.5, -0.3))
     weights = np.eye(24)[rng.integers(0, 24, rows)]
     rest = (weights, rng.normal(size=(24, 3)), np.arange(-1, 23), np.zeros(10), np.zeros(69))
     splats.write_splats(root / "avatar.npz", splats.Avatar(*look, *rest))

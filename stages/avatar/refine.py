@@ -56,9 +56,19 @@ class FrameCorrections(nn.Module):
 
     @torch.no_grad()
     def cameras(self, viewmats: Tensor, trained: Tensor, moments: Tensor | None) -> Tensor:
-        """The corrected cameras [F,4,4], likewise."""
-        tables = (table.weight - table.weight[trained].mean(0) for table in (self.turn, self.shift))
-        return corrected(viewmats, *(spread(table, trained, moments) for table in tables))
+        """The corrected cameras [F,4,4]; those not trained[F] take their neighbours', as far as these agree."""
+        tables = [table.weight - table.weight[trained].mean(0) for table in (self.turn, self.shift)]
+        known = trained[:, None]
+        shares = (torch.where(known, 1.0, agreement(table[trained])) for table in tables)
+        return corrected(viewmats, *(share * spread(t, trained, moments) for share, t in zip(shares, tables)))
+
+
+def agreement(rows: Tensor) -> Tensor:
+    """How much of a row [D] of rows[F,D] its neighbour tells, 0..1: the correlation of rows that follow each other.
+
+    Errors that drift agree, those of each frame's own say nothing of the next; 0 for rows of zeros.
+    """
+    return ((rows[1:] * rows[:-1]).sum() / rows.square().sum().clamp_min(1e-30)).clamp(0, 1)
 
 
 def spread(table: Tensor, trained: Tensor, moments: Tensor | None = None) -> Tensor:

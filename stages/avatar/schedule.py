@@ -23,8 +23,8 @@ LR_SCENE = {  # `means` in units of the scene's extent
 }
 LR_FRAMES = {"pose": 1e-3, "place": 1e-3, "gain": 1e-3, "turn": 3e-4, "shift": 1e-3}
 LR_EFFECTS = {
-    "slope": 2e-2,
-    "darkness": 2e-2,
+    "slope": 3e-2,
+    "darkness": 3e-2,
     "softness": 1e-2,
     "density": 1e-2,
     "shutter": 1e-2,

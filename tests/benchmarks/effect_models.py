@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.effect_models WORK [EFFECT ...] [--steps 500] [--seed 0] [--json out.json]
 
-A clip is a NeuMan folder with true inputs (see tests/datasets.py), or with what EFFECTS says about its noise. Frames
-that were not trained on are drawn as their camera took them, shutter included, and compared: PSNR of the whole picture
-and of the person's box. A model pays if it brings back half of what the effect costs.
+A clip is a NeuMan folder with true inputs (see tests/datasets.py), or with the noise that EFFECTS says. Frames that were
+not trained on are drawn as their camera took them and compared: PSNR of the whole picture and of the person's box. Where
+TRULY says so they are drawn sharp, from true cameras, and compared with those of the clip without the effect.
+A model pays if it brings back half of what the effect costs.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from stages import calibrated, masks, neuman, smpl, train
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.judge import judge
 from stages.avatar.synthetic_effects import Effects
+from stages.avatar.views import Views
 from stages.contract import Job
 from stages.formats.clip import load_clip
 from tests import datasets
@@ -34,6 +38,8 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "camera_refinement": {"camera_noise": 0.004},
 }
 """Effect -> what `tests.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
+TRULY = ("motion_blur", "camera_refinement")
+"""Blurred pictures are easier to meet than sharp ones, and no model knows the error of a camera it has not seen."""
 
 
 def inputs(place: Path, **made: Any) -> tuple[Path, Path]:
@@ -53,17 +59,23 @@ def inputs(place: Path, **made: Any) -> tuple[Path, Path]:
     return stages["sfm"], stages["smpl"]
 
 
-def rate(sfm: Path, smpl_folder: Path, steps: int, seed: int, decisions: dict[str, bool]) -> dict[str, Any]:
-    """Train, and judge on all frames that were not trained on."""
-    clip, job = load_clip(sfm, smpl_folder), Job(out=sfm.parent, seed=seed)
-    trained = [int(i) for i in np.flatnonzero(clip.training)]
-    others = [int(i) for i in np.flatnonzero(~clip.training)]
-    fit = train.build(clip, trained, train.Params(steps=steps, **PARAMS), ALWAYS | decisions, job)
+def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | None, **decisions: bool) -> dict[str, Any]:
+    """Train, and judge on all frames that were not trained on: as taken, or as the clip `truth` has them."""
+    clip, job = load_clip(*folders), Job(out=folders[0].parent, seed=args.seed)
+    trained, others = (np.flatnonzero(which).tolist() for which in (clip.training, ~clip.training))
+    fit = train.build(clip, trained, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, job)
     began = time.process_time()
-    while fit.step < steps:
+    while fit.step < args.steps:
         fit.advance()
     seconds = time.process_time() - began
     found = {name: p.detach().tolist() for name, p in fit.effects.named_parameters()}
+    if truth is not None:
+        still = load_clip(truth / "sfm", truth / "smpl")
+        images = torch.as_tensor(np.stack([still.images(i) for i in range(len(still.names))]))
+        masks = torch.as_tensor(np.stack([still.mask(i) for i in range(len(still.names))]))
+        viewmats = torch.as_tensor(still.viewmats).float()
+        fit.full, fit.options = Views(images, masks, viewmats, *fit.full[3:]), fit.options._replace(refine_camera=False)
+        fit.effects, fit.speeds = FrameEffects(), None
     return judge(fit, others) | {"cpu_seconds": seconds, "found": found}
 
 
@@ -75,11 +87,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    rows = {}
-    plain = rate(*inputs(args.work / "plain"), args.steps, args.seed, {})
+    rows, still = {}, args.work / "plain"
+    plain = rate(inputs(still), args, None)
     for name in args.effects or EFFECTS:
-        clip = inputs(args.work / name, **EFFECTS[name])
-        ignored, modelled = (rate(*clip, args.steps, args.seed, {name: on}) for on in (False, True))
+        clip, truth = inputs(args.work / name, **EFFECTS[name]), still if name in TRULY else None
+        ignored, modelled = (rate(clip, args, truth, **{name: on}) for on in (False, True))
         rows[name] = {"without": plain, "ignored": ignored, "modelled": modelled}
         for key in ("psnr", "psnr_person"):
             cost, gain = plain[key] - ignored[key], modelled[key] - ignored[key]

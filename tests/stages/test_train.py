@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 import torch
 
-from stages import train
+from stages import evaluate, render, train
 from stages.avatar import losses
+from stages.avatar.drawing import Learned, pose_of
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.human import load_avatar, pose_avatar
 from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
 from stages.formats.clip import load_clip
+from stages.formats.effects import SHADOW, read_effects
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import BodyPoses, read_poses, write_poses
@@ -140,8 +143,10 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import torch
-from stages import train
+from stages import evaluate, render, train
 from stages.avatar import losses
+from stages.avatar.drawing import Learned, pose_of
+from stages.avatar.effects.frames import FrameEffects
 from stages.contract import Job
 from tests.stages.test_train import PARAMS
 
@@ -279,6 +284,34 @@ def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
     job = fresh(tmp_path, "out")
     train.run(job, PARAMS, **inputs)
     assert not (job.out / "scene.npz").exists() and len(read_avatar(job.out / "avatar.npz")) > 0
+
+
+def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, monkeypatch, held):
+    kept, names = [], ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
+    monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
+    decide(inputs["survey"], **dict.fromkeys(names, True))
+    job = fresh(tmp_path, "out")
+    train.run(job, PARAMS, **inputs)
+    effects = read_effects(job.out / "effects.npz")
+    said = {name: np.asarray(value) for name, value in kept[0].effects.known().items()}
+    assert effects.known().keys() == said.keys() == {*SHADOW, "shutter", "readout"}
+    held(max(np.abs(value - said[name]).max() for name, value in effects.known().items()), 1e-6)
+    clip, given = (load_clip(inputs["sfm"], inputs["smpl"], folder) for folder in (job.out, None))
+    held(np.abs(clip.viewmats - kept[0].cameras().numpy()).max(), 1e-6)
+    moved = np.abs(clip.viewmats - given.viewmats)[clip.training].max((1, 2))
+    assert (moved > 1e-5).all() and moved.max() < 0.05
+    learned, _ = render.read_trained(job.out, "cpu")
+    for i in (2, 7):  # held out: as evaluation draws it, and as the film has it
+        shot = evaluate.Shot(clip, learned, i, None, "cpu")
+        wanted = (shot.draw(shot.pose)[0].numpy() * 255).round()
+        (film,) = render._beside_truth(clip, learned, [i])
+        assert np.abs(film[:, WIDTH:] - wanted).max() <= 1
+        still, pose = Learned(*learned[:2], FrameEffects()), pose_of(clip, i)
+        sharp = evaluate.Shot(clip, still, i, None, "cpu").draw(pose)[0].numpy() * 255
+        assert np.abs(sharp - wanted).max() > 3
+    decide(inputs["survey"])
+    train.run(off := fresh(tmp_path, "off"), PARAMS, **inputs)
+    assert not (off.out / "effects.npz").exists() and not (off.out / "cameras.npz").exists()
 
 
 def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs):

@@ -11,7 +11,7 @@ from stages.avatar.gaussians import Splats
 from stages.avatar.rotations import rotation_z_to
 from stages.avatar.sh import SH_C0
 
-DARKNESS, SOFTNESS, DENSITY = 0.3, 0.08, 3.0  # to begin with: share of light, m, optical depth through a bone's middle
+DARKNESS, SOFTNESS, DENSITY = 0.5, 0.05, 1.5  # to begin with: share of light, m, optical depth through a bone's middle
 REACH = 3.0  # standard deviations beyond which a bone casts nothing
 LEAST = 1e-6  # share of the person's Gaussians under which a bone casts nothing
 ABOVE = 0.05  # m over which a bone comes between a point and the light

@@ -1,0 +1,199 @@
+"""What each approximation in the hot path loses and saves: error against float64, dB after training, milliseconds.
+
+    python -m tests.benchmarks.approximations work/kitchen/default [--steps 400] [--seeds 1] [--only NAME ...] [--json out.json]
+
+The argument is the folder of a pipeline that has run. Each row is the code with one approximation made coarser, finer, or
+taken out, in a copy of the tree with a cache of its own for compiled kernels. "small" is the largest error of 600 Gaussians on 96x96 px against the
+float64 reference without any cut; "drawn" is the error of a trained picture against the row `exact`, in dB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tests.mutants import copy_tree
+
+DRAWING, BLEND, LANES = (f"stages/avatar/rasterize/{name}.py" for name in ("rendering", "blend", "lanes"))
+EXP2 = "polynomial = (1.32647273e-03, 9.67151299e-03, 5.55073358e-02, 2.40222424e-01, 6.93147004e-01, 1.0)"
+CUBIC = "polynomial = (5.500858e-02, 2.4221036e-01, 6.932829e-01, 1.0)"  # relative error at most 1.0e-4
+STOP, CUT = "T_STOP = 1e-4", "ALPHA_MIN = 1 / 255"
+BF16 = "FAST = bool("
+
+
+class Case(NamedTuple):
+    """A change of the code, or of train's settings: each (file, text, instead)."""
+
+    edits: tuple[tuple[str, str, str], ...] = ()
+    settings: tuple[tuple[str, Any], ...] = ()
+
+
+CASES = {
+    "exact": Case(((DRAWING, STOP, "T_STOP = 1e-7"), (DRAWING, CUT, "ALPHA_MIN = 1 / 4096"))),
+    "as it is": Case(),
+    "early stop at 1e-6": Case(((DRAWING, STOP, "T_STOP = 1e-6"),)),
+    "early stop at 1e-3": Case(((DRAWING, STOP, "T_STOP = 1e-3"),)),
+    "early stop at 1e-2": Case(((DRAWING, STOP, "T_STOP = 1e-2"),)),
+    "alpha from 1/1024": Case(((DRAWING, CUT, "ALPHA_MIN = 1 / 1024"),)),
+    "alpha from 1/64": Case(((DRAWING, CUT, "ALPHA_MIN = 1 / 64"),)),
+    "a cubic exponential": Case(((LANES, EXP2, CUBIC),)),
+    "networks in float32": Case((("stages/avatar/decoders.py", BF16, "FAST = False and bool("),)),
+    "LPIPS every 8th step": Case(settings=(("perceptual_every", 8),)),
+    "LPIPS every 4th step": Case(settings=(("perceptual_every", 4),)),
+    "LPIPS every 2nd step": Case(settings=(("perceptual_every", 2),)),
+    "LPIPS every step": Case(settings=(("perceptual_every", 1),)),
+}
+
+
+def small_error() -> float:
+    """Largest difference of the kernel's picture of 600 Gaussians from the float64 reference without early stop and cut."""
+    from stages.avatar import rasterize
+    from stages.avatar.rasterize import reference
+    from tests.benchmarks.workloads import random_work
+
+    work = random_work(600, 96, 96, 20)
+    camera = (work.viewmat, work.K, work.width, work.height)
+    means, quats, scales, opacities, colors = work.parts
+    drawn = rasterize.rasterize(means, rasterize.gaussian_axes(quats, scales), opacities, colors, *camera)[0].image
+    reference.T_STOP, reference.ALPHA_MIN = 0.0, 1e-12
+    means, quats, scales, opacities, colors = (part.double() for part in work.parts)
+    axes = reference.gaussian_axes(quats, scales)
+    truth = reference.rasterize(
+        means,
+        axes,
+        opacities,
+        colors,
+        *(m.double() for m in camera[:2]),
+        *camera[2:],
+        (rasterize.Layer(),),
+        False,
+        0.01,
+    )[0].image
+    return float((drawn - truth).abs().max())
+
+
+def trained(folder: Path, settings: dict[str, Any], steps: int, seed: int) -> dict[str, Any]:
+    """Held-out accuracy after a short training, and the median time of a step at full resolution, ms."""
+    from types import SimpleNamespace
+
+    from stages import train
+    from stages.avatar.judge import judge
+    from stages.avatar.perceptual import Lpips
+    from stages.avatar.schedule import HALF_UNTIL
+    from stages.estimators.assets import fetch
+    from stages.formats.clip import load_clip
+    from tests.benchmarks.host import clock, summary
+
+    clip = load_clip(folder / "sfm", folder / "smpl")
+    decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
+    heldout = [i for i in np.flatnonzero(clip.heldout).tolist() if (clip.mask(i) > 127).any()]
+    job = SimpleNamespace(seed=seed, device="cpu", note=lambda text: None)
+    params = train.Params(steps=steps, **settings)
+    fit = train.build(clip, np.flatnonzero(clip.training).tolist(), params, decisions, job)
+    times = []
+    while fit.step < steps:
+        late = fit.done >= HALF_UNTIL
+        took = clock(fit.advance)
+        times += [took] if late else []
+    with np.load(fetch("lpips_alex.npz")) as weights:
+        return {"step": summary(times)} | judge(fit, heldout, Lpips(weights))
+
+
+def measured(folder: Path, picture: Path, settings: dict[str, Any], steps: int, seed: int) -> dict[str, Any]:
+    """Everything of one case, in the process that runs its code; the picture goes to a file."""
+    import torch
+
+    from stages.avatar import rasterize
+    from tests.benchmarks.host import clock, summary
+    from tests.benchmarks.workloads import learned_work
+
+    work = learned_work(folder)
+    means, quats, scales, opacities, colors = (part.requires_grad_() for part in work.parts)
+    camera = (work.viewmat, work.K, work.width, work.height)
+
+    def draw() -> torch.Tensor:
+        axes = rasterize.gaussian_axes(quats, scales)
+        return rasterize.rasterize(means, axes, opacities, colors, *camera)[0].image
+
+    np.save(picture, draw().detach().numpy())
+    forward, backward = [], []
+    for _ in range(30):
+        forward.append(clock(draw))
+        image = draw()
+        backward.append(clock(lambda image=image: image.backward(work.v_image)))
+    found = {"forward": summary(forward[5:]), "backward": summary(backward[5:]), "small": small_error()}
+    return found | trained(folder, settings, steps, seed) if steps else found
+
+
+def run(name: str, folder: Path, scratch: Path, steps: int, seed: int) -> dict[str, Any]:
+    """One case in a process of its own, on a changed copy of the tree."""
+    case, tree = CASES[name], copy_tree(scratch / name.replace("/", "_").replace(" ", "_"))
+    for file, text, instead in case.edits:
+        source = (tree / file).read_text()
+        assert source.count(text) == 1, f"{text!r} stands {source.count(text)} times in {file}"
+        (tree / file).write_text(source.replace(text, instead))
+    picture, out = scratch / f"{tree.name}.npy", scratch / f"{tree.name}.json"
+    asked = [str(folder.resolve()), str(picture), json.dumps(dict(case.settings)), str(steps), str(seed), str(out)]
+    env = os.environ | {"PYTHONPATH": str(tree), "HUGS_CACHE": str(own_cache(scratch))}
+    code = (
+        "import json,sys; from pathlib import Path; from tests.benchmarks.approximations import measured; a = sys.argv; "
+        "Path(a[6]).write_text(json.dumps(measured(Path(a[1]), Path(a[2]), json.loads(a[3]), int(a[4]), int(a[5]))))"
+    )
+    subprocess.run([sys.executable, "-c", code, *asked], cwd=tree, env=env, check=True)
+    return {"name": name, "seed": seed, "picture": str(picture)} | json.loads(out.read_text())
+
+
+def own_cache(scratch: Path) -> Path:
+    """A cache for compiled kernels beside the user's, with the model files of that."""
+    cache = scratch / "cache"
+    if not cache.exists():
+        cache.mkdir()
+        home = Path(os.environ.get("HUGS_CACHE") or Path.home() / ".cache" / "hugs")
+        for entry in home.iterdir():
+            if entry.name != "kernels":
+                (cache / entry.name).symlink_to(entry.resolve())
+    return cache
+
+
+def decibels(picture: str, like: str) -> float | None:
+    """PSNR of two drawn pictures; None where they are the same."""
+    error = float(np.mean((np.load(picture).astype(np.float64) - np.load(like)) ** 2))
+    return -10 * np.log10(error) if error else None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--steps", type=int, default=400)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--only", nargs="*", choices=CASES, metavar="NAME", default=list(CASES))
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    found: list[dict[str, Any]] = []
+    print(f"{'':24s} seed  fwd ms  bwd ms     small   drawn  step ms   full  person   LPIPS")
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in ["exact", *(name for name in asked.only if name != "exact")]:
+            for seed in range(asked.seeds):
+                row = run(name, asked.folder, Path(scratch), asked.steps, seed)
+                found.append(row)
+                drawn = decibels(row.pop("picture") if name != "exact" else row["picture"], found[0]["picture"])
+                text = f"{name:24s} {seed:4d} {row['forward']['median']:7.1f} {row['backward']['median']:7.1f} {row['small']:9.1e}"
+                text += f" {drawn:7.1f}" if drawn else f" {'':7s}"
+                row["drawn_db"] = drawn
+                if asked.steps:
+                    text += f" {row['step']['median']:8.1f} {row['psnr']:6.2f} {row['psnr_person']:7.2f} {row['lpips_person']:7.4f}"
+                print(text, flush=True)
+                if asked.json:
+                    asked.json.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""Motion at a frame, and what a shutter that takes its time makes of it."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import expm
+
+from stages.avatar.effects.motion_blur import MOMENTS, exposed, from_linear, to_linear
+from stages.avatar.effects.rolling_shutter import rolled
+from stages.avatar.effects.speeds import Speeds, around, drift, moved
+from stages.avatar.gaussians import Splats
+from stages.avatar.rasterize import Layer, rasterize
+
+TWIST = np.zeros((4, 4))
+TWIST[:3] = [[0, 0.03, -0.05, 0.04], [-0.03, 0, 0.02, -0.01], [0.05, -0.02, 0, 0.03]]
+START = np.eye(4)
+START[:3, 3] = [0.1, -0.2, 3.0]
+SIZE = WIDTH, HEIGHT = 60, 80
+K = torch.tensor([[90.0, 0, WIDTH / 2], [0, 90, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64)
+
+
+def screw(times) -> np.ndarray:
+    """A camera that moves evenly."""
+    return np.stack([expm(t * TWIST) @ START for t in times])
+
+
+def cloud(count: int = 200) -> Splats:
+    g = torch.Generator().manual_seed(0)
+    means = (torch.rand(count, 3, generator=g, dtype=torch.float64) - 0.5) * torch.tensor([2.0, 2.6, 1.0])
+    axes = 0.04 * torch.randn(count, 3, 3, generator=g, dtype=torch.float64)
+    sh = torch.randn(count, 1, 3, generator=g, dtype=torch.float64)
+    return Splats(means, axes, torch.full((count,), 0.8, dtype=torch.float64), sh)
+
+
+def seen(means: torch.Tensor, viewmat: np.ndarray) -> torch.Tensor:
+    """Pixels [N,2] of points."""
+    local = means @ torch.tensor(viewmat[:3, :3]).T + torch.tensor(viewmat[:3, 3])
+    return (local / local[:, 2:] @ K.T)[:, :2]
+
+
+def field_of(i: int = 2) -> torch.Tensor:
+    views = screw(np.arange(5))
+    return torch.tensor(drift(views, around(np.arange(5), i), i))
+
+
+@pytest.mark.parametrize("i", [0, 2, 4])
+def test_an_even_motion_is_met_at_all_frames_also_the_first_and_the_last(i, held):
+    times = np.array([0, 1, 3, 4, 6])
+    views = screw(times)
+    field = torch.tensor(drift(views, around(times, i), i))
+    points = cloud().means
+    step = 1e-5
+    ahead, behind = (expm((times[i] + s) * TWIST) @ START for s in (step, -step))
+    there = moved(cloud(), points @ field[:, :3].T + field[:, 3], field[:, :3], torch.tensor(step).double())
+    held((seen(there.means, views[i]) - seen(points, ahead)).abs().max() / step, 1e-2)  # of some 5 px a moment
+    assert (seen(points, ahead) - seen(points, behind)).abs().max() / step > 2
+
+
+def test_where_there_is_no_neighbour_nothing_moves():
+    for moments in (np.zeros(1, int), np.array([4, 4, 4])):  # one frame; three cameras at one moment
+        assert around(moments, 0).gap == 0
+        assert not drift(screw(np.arange(3)), around(moments, 0), 0).any()
+    assert around(np.array([0, 0, 2, 2, 5]), 2) == (1, 4, 5)
+
+
+def test_a_person_beside_a_frame_without_pose_stands_still():
+    Ks = K.float().expand(3, 3, 3)
+    speeds = Speeds(screw(range(3)), Ks, HEIGHT, np.arange(3), np.array([True, True, False]))
+    places = [torch.full((4, 3), float(i) ** 2) for i in range(3)]
+    assert speeds.at(1, places.__getitem__).person is None and speeds.at(0, None).person is None
+    assert torch.equal(speeds.at(0, places.__getitem__).person, torch.ones(4, 3))
+    speeds.known[:] = True
+    assert torch.equal(speeds.at(1, places.__getitem__).person, torch.full((4, 3), 2.0))
+
+
+def read_rows(splats: Splats, readout: float) -> torch.Tensor:
+    """Pixels [N,2] at which a camera that reads its rows one after the other sees each point, by fixed-point steps."""
+    share = torch.full((len(splats.means),), 0.5, dtype=torch.float64)
+    for _ in range(30):
+        times = readout * (share - 0.5)
+        pixels = torch.stack(
+            [seen(m[None], expm((2 + t) * TWIST) @ START)[0] for m, t in zip(splats.means, times.tolist())]
+        )
+        share = pixels[:, 1] / HEIGHT
+    return pixels
+
+
+def test_a_rolling_shutter_is_met_to_second_order(held):
+    splats, field = cloud(40), field_of()
+    view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
+    still = torch.zeros((), dtype=torch.float64)
+    errors = []
+    for readout in (0.8, 0.2):
+        told = torch.tensor([readout], dtype=torch.float64)
+        there = rolled(splats, speeds, field[:, :3], torch.tensor(view), K, HEIGHT, told, still)
+        errors.append((seen(there.means, view) - read_rows(splats, readout)).abs().max())
+    shift = (seen(splats.means, view) - read_rows(splats, 0.8)).abs().max()
+    assert shift > 1  # px
+    held(errors[0] / shift, 0.05)
+    assert errors[1] < errors[0] / 8  # second order: a 16th
+
+
+def test_gaussians_shear_as_the_places_around_them_do(held):
+    splats, field = cloud(30), field_of()
+    view, readout = torch.tensor(screw([2.0])[0]), torch.tensor([0.6], dtype=torch.float64)
+    time = torch.tensor(0.1, dtype=torch.float64)
+
+    def there(means: torch.Tensor) -> Splats:
+        speeds = means @ field[:, :3].T + field[:, 3]
+        return rolled(splats._replace(means=means), speeds, field[:, :3], view, K, HEIGHT, readout, time)
+
+    slopes = torch.autograd.functional.jacobian(lambda means: there(means).means.sum(0), splats.means).movedim(0, 1)
+    wanted = slopes @ splats.axes
+    bend = (wanted - splats.axes).abs().max()
+    held((there(splats.means).axes - wanted).abs().max() / bend, 0.1)  # the slope of `rush` is left out
+
+
+@pytest.mark.parametrize("place", [[0, 0, -3.0], [0, 0, -6.0], [0, 0, -3.0 - 1e-9], [50, 50, 0]])
+def test_singular_places_have_finite_values_and_slopes(place):
+    means = torch.tensor([place, [0.1, 0.2, 0.0]], dtype=torch.float64, requires_grad=True)
+    splats = cloud(2)._replace(means=means)
+    readout = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    view = torch.tensor(screw([0.0])[0])
+    view[:3, 3] = torch.tensor([0.0, 0, 3])  # the first place is the camera's own, the second behind it
+    field = field_of()
+    there = rolled(splats, means @ field[:, :3].T + field[:, 3], field[:, :3], view, K, HEIGHT, readout, readout * 0)
+    assert torch.equal(there.means, means) and torch.equal(there.axes, splats.axes)  # a readout of 0 moves nothing
+    (there.means.square().sum() + there.axes.square().sum()).backward()
+    assert means.grad.isfinite().all() and readout.grad.isfinite().all() and readout.grad.abs().sum() > 0
+
+
+def draw(splats: Splats, view: np.ndarray, bend=lambda s, t: s):
+    def at(time: torch.Tensor):
+        s = bend(splats, time)
+        colors = (s.sh[:, 0] * 0.3 + 0.5).clamp(0, 1)
+        return rasterize(s.means, s.axes, s.opacities, colors, torch.tensor(view), K, *SIZE, [Layer()])
+
+    return at
+
+
+def test_blur_is_the_mean_light_of_what_passes(held):
+    splats, field = cloud(60), field_of()
+    view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
+    shutter = torch.tensor([0.8], dtype=torch.float64)
+    found = exposed(draw(splats, view, lambda s, t: moved(s, speeds, field[:, :3], t)), shutter)[0].image
+    times = 2 + 0.8 * ((np.arange(40) + 0.5) / 40 - 0.5)
+    light = [to_linear(draw(splats, expm(t * TWIST) @ START)(None)[0].image) for t in times]
+    truth, sharp = from_linear(torch.stack(light).mean(0)), draw(splats, view)(None)[0].image
+    assert (sharp - truth).abs().mean() > 0.01
+    held((found - truth).abs().mean() / (sharp - truth).abs().mean(), 0.2)
+
+
+def test_a_shutter_of_zero_is_sharp_and_can_open():
+    splats, field = cloud(60), field_of()
+    view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
+    shutter = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    splats.means.requires_grad_()
+    (one,) = exposed(draw(splats, view, lambda s, t: moved(s, speeds, field[:, :3], t)), shutter)
+    torch.testing.assert_close(one.image, draw(splats, view)(None)[0].image, atol=1e-12, rtol=0)
+    one.image.square().mean().backward()
+    assert shutter.grad.isfinite().all() and splats.means.grad.isfinite().all()
+    assert len(one.draws) == MOMENTS and one.screen_grad_abs.sum() > one.draws[0].screen_grad_abs.sum() > 0
+
+
+def test_light_and_values_are_inverse_and_smooth_at_black(held):
+    values = torch.tensor([-0.1, 0.0, 1e-9, 0.04045, 0.5, 1.0, 1.3], dtype=torch.float64, requires_grad=True)
+    back = from_linear(to_linear(values))
+    held((back - values).abs().max(), 1e-6)
+    back.sum().backward()
+    held((values.grad - 1).abs().max(), 0.02)  # the standard's two pieces meet almost

@@ -1,0 +1,36 @@
+import numpy as np
+import pytest
+
+from stages.contract import StageError
+from stages.formats.effects import Effects, read_effects, write_effects
+
+SHADOW = {"light": [0.6, 0.8, 0.0], "darkness": 0.5, "softness": 0.03, "density": 1.4}
+
+
+def test_what_is_known_comes_back_and_nothing_is_known_without_a_file(tmp_path):
+    assert read_effects(tmp_path / "effects.npz").known() == {}
+    written = Effects(**SHADOW, readout=-0.25)
+    write_effects(tmp_path / "effects.npz", written)
+    back = read_effects(tmp_path / "effects.npz")
+    assert back.known().keys() == {*SHADOW, "readout"} and back.shutter is None
+    assert all(np.array_equal(value, back.known()[name]) for name, value in written.known().items())
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"light": [0.6, 0.8, 0.0]}, "missing: darkness, softness, density"),
+        (SHADOW | {"light": [0.0, 0.0, 0.0]}, "light: [0.0, 0.0, 0.0], wanted a length of 1"),
+        (SHADOW | {"darkness": 1.5}, "darkness: 1.5, wanted (0, 1)"),
+        (SHADOW | {"light": [0.6, 0.8]}, "found 2, wanted 3"),
+        ({"shutter": np.nan}, "the first of 1 stands at []: nan"),
+        ({"readout": -1.5}, "readout: -1.5, wanted (-1, 1)"),
+        ({"readout": [0.1]}, "found 1, wanted a single number"),
+        ({"glare": 0.5}, "found glare"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_name(tmp_path, arrays, said):
+    np.savez(tmp_path / "effects.npz", **{name: np.asarray(value, float) for name, value in arrays.items()})
+    with pytest.raises(StageError) as error:
+        read_effects(tmp_path / "effects.npz")
+    assert said in " ".join(error.value.facts) and "--force" in error.value.hint
