@@ -238,8 +238,8 @@ def why_line(reason: Reason) -> str:
             return f"{'code':<9}{module:<22} {how} since".rstrip()
         case ParamChanged(name, old, new):
             return f"{'params':<9}{name:<22} {old} -> {new}"
-        case InputChanged(name, how):
-            return f"{'inputs':<9}{name:<22} {how} since"
+        case InputChanged(name, how, decided):
+            return f"{'inputs':<9}{name:<22} {how} since{': ' if decided else ''}{', '.join(decided)}"
         case SeedChanged(old, new):
             return f"{'seed':<9}{'':<22} {old} -> {new}"
         case Upstream(stages):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hugs_cli.fingerprint import Code, digest
 from hugs_cli.pipelines import SOURCES, Pipeline, Stage, UsageError
-from hugs_cli.workspace import Stamp, Workspace
+from hugs_cli.workspace import Stamp, Workspace, decisions
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,11 @@ class InputChanged:
 
     name: str
     how: str = "changed"  # changed, new, gone
+    decided: tuple[str, ...] = ()
+    """What the stage it comes from decides otherwise now: "shadow off -> on"."""
 
     def __str__(self) -> str:
-        return f"inputs.{self.name} {self.how}"
+        return f"inputs.{self.name} {self.how}" + (f" ({', '.join(self.decided)})" if self.decided else "")
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,8 @@ class Judge:
         reasons: tuple[Reason, ...] = (Forced(),) if forced else (Damaged(damage),) if damage else ()
         if not reasons:
             cut = (Unfinished(stage.resumes),) if part.is_dir() else ()
-            reasons = (*(changes(last, recipe) if last else (FirstRun(),)), *cut)
+            differing = (self.told(reason, last, before) for reason in changes(last, recipe)) if last else (FirstRun(),)
+            reasons = (*differing, *cut)
         if not reasons:
             reasons = (Damaged("it is gone or has no stamp"),)
         return Verdict(stage.name, reasons, recipe, folder, None, last)
@@ -202,6 +205,19 @@ class Judge:
         if need in self.pipeline.stages:
             return before[need].stamp.content
         return self.workspace.source(need, self.sources.get(need))
+
+    def told(self, reason: Reason, last: Stamp, before: dict[str, Verdict]) -> Reason:
+        """A reason of the result that `last` stamps; of a changed input also what its stage decides otherwise now."""
+        if not isinstance(reason, InputChanged) or reason.name not in self.pipeline.stages:
+            return reason
+        old = self.workspace.holding(reason.name, last.inputs.get(reason.name))
+        folders = (old, before[reason.name].folder)
+        was, now = (decisions(folder, reason.name) if folder else {} for folder in folders)
+        words = {True: "on", False: "off"}
+        decided = (
+            f"{name} {words[was[name]]} -> {words[now[name]]}" for name in now if was.get(name, now[name]) != now[name]
+        )
+        return replace(reason, decided=tuple(decided))
 
     def changed(self, need: str, content: str | None) -> bool:
         """True if a source has not, or no longer, the content that a run began with."""

@@ -193,6 +193,11 @@ class Workspace:
             write_json(memory, {**known, name: entry})
         return sha256
 
+    def holding(self, stage: str, content: str | None) -> Path | None:
+        """A stored result of a stage with that content, if there still is one."""
+        stamps = {folder: Stamp.read(folder) for folder in sorted(self.store.glob(f"{stage}-*"))}
+        return next((folder for folder, stamp in stamps.items() if stamp and stamp.content == content), None)
+
     def log_run(self, **facts: Any) -> None:
         """Add a line to runs.jsonl (or only see that it can be written)."""
         with open(self.root / "runs.jsonl", "a", encoding="utf-8") as file:
@@ -277,6 +282,12 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
+
+
+def decisions(folder: Path, stage: str) -> dict[str, bool]:
+    """What a stage decided by itself, if its <stage>.json has `decisions`, by name."""
+    found = read_json(folder / f"{stage}.json").get("decisions")
+    return {name: on for name, on in found.items() if isinstance(on, bool)} if isinstance(found, dict) else {}
 
 
 def write_json(path: Path, value: Any) -> None:

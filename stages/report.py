@@ -33,7 +33,8 @@ SCORES = {str: {str: (float, None)}}
 METRICS = {"heldout": SCORES, "heldout_fitted": SCORES, "gaussians": {"human": int, "scene": int}, "protocol": str}
 METRICS |= {"seconds": {"total": float}, "peak_memory_bytes": int}
 MEASURE = {"value": (float, None), "unit": str, "verdict": str}
-SURVEY = {"measures": {str: MEASURE}, "decisions": {str: bool}}
+EFFECT = MEASURE | {"threshold": float, "confidence": float, "frames": [str], "on": bool}
+SURVEY = {"measures": {str: MEASURE}, "effects": {str: EFFECT}, "decisions": {str: bool}}
 RUNGS = {"of?": int, "rungs?": [{"how": str, "models": [{"registered": int}]}], "mapper?": str}
 """What is taken from stamp.json, metrics.json, survey.json, and sfm.json, which has rungs where the cameras were mapped."""
 
@@ -65,7 +66,7 @@ def run(
     names = ("frames", "masks", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
     stamps = {name: read_facts(folder / "stamp.json", STAMP) for name, folder in zip(names, folders, strict=True)}
     listing = read_facts(frames / "frames.json", {"video": {"path": str}})
-    metrics = read_facts(evaluate / "metrics.json", METRICS)
+    metrics, found = read_facts(evaluate / "metrics.json", METRICS), read_facts(survey / "survey.json", SURVEY)
     clip = load_clip(sfm, smpl)
     name = Path(listing["video"]["path"]).name
     sizes = metrics["gaussians"]
@@ -91,7 +92,13 @@ def run(
             page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
             note="The fitted body over the frames. Where the outline leaves the person, the avatar suffers.",
         ),
-        page.section("What was measured and decided", _survey(survey) + _rungs(read_facts(sfm / "sfm.json", RUNGS))),
+        page.section(
+            "What this clip called for",
+            _effects(found),
+            note="Each effect was measured before training; it is modelled where the value is beyond the threshold, unless "
+            "the settings say always or never. What could not be measured is off.",
+        ),
+        page.section("What else was measured", _measures(found) + _rungs(read_facts(sfm / "sfm.json", RUNGS))),
         page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
     ]
     (job.out / "report.html").write_text(page.page(f"{name}: hugs", parts), encoding="utf-8")
@@ -227,17 +234,29 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
     return shots
 
 
-def _survey(survey: Path) -> str:
+def _effects(found: dict[str, Any]) -> str:
+    """A row for each effect of survey.json, those that are modelled first."""
     from stages.formats import page
-    from stages.formats.facts import read_facts
 
-    found = read_facts(survey / "survey.json", SURVEY)
+    rows = []
+    for name, effect in sorted(found["effects"].items(), key=lambda item: not item[1]["on"]):
+        value = "" if effect["value"] is None else f"{effect['value']:.3g} {effect['unit']}"
+        rows.append([name.replace("_", " "), "on" if effect["on"] else "off", value, f"{effect['threshold']:g}"]
+                    + [effect["verdict"], f"{effect['confidence']:.0%}", ", ".join(effect["frames"])])  # fmt: skip
+    return page.table(
+        ["effect", "", "measured", "threshold", "verdict", "confidence", "most in frames"], rows, numeric=(3, 5)
+    )
+
+
+def _measures(found: dict[str, Any]) -> str:
+    from stages.formats import page
+
     rows = [
         [name.replace("_", " "), f"{_number(m.get('value'))} {m.get('unit') or ''}", str(m.get("verdict", ""))]
         for name, m in found["measures"].items()
     ]
-    decided = ", ".join(f"{k.replace('_', ' ')} {'on' if v else 'off'}" for k, v in found["decisions"].items())
-    return page.table(["measured", "value", "verdict"], rows) + f"<p>Decided: {page.escape(decided)}.</p>"
+    scene = "modelled" if found["decisions"].get("scene", True) else "left out"
+    return page.table(["measured", "value", "verdict"], rows) + f"<p>The scene is {scene}.</p>"
 
 
 def _rungs(found: dict[str, Any]) -> str:

@@ -325,7 +325,12 @@ def write_facts(root: Path) -> None:
     metrics = {"heldout": scores, "heldout_fitted": scores, "gaussians": {"human": 3, "scene": 4}, "protocol": "ours"}
     metrics |= {"seconds": {"total": 3.5}, "peak_memory_bytes": 5}
     measure = {"value": 0.5, "unit": "px", "verdict": "good"}
-    survey = {"measures": {"parallax": measure, "points": measure}, "decisions": {"scene": True}}
+    effect = measure | {"threshold": 0.1, "confidence": 0.5, "frames": ["000003"], "on": True}
+    survey = {
+        "measures": {"parallax": measure, "points": measure},
+        "effects": {"shadow": effect},
+        "decisions": {"scene": True},
+    }
     (root / "metrics.json").write_text(json.dumps(metrics))
     (root / "survey.json").write_text(json.dumps(survey, indent=1))
     (root / "curve.csv").write_text("step,seconds,psnr,psnr_person\n1,3.5,20.1,18.2\n2,6.5,21.1,\n4,12.5,22.5,20.0\n")

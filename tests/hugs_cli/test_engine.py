@@ -68,6 +68,17 @@ def test_edited_helper_reruns_all_that_import_it_and_same_bytes_stop_the_wave(fl
     assert ran["four"] == ["inputs.three changed", "inputs.two changed"]
 
 
+def test_a_changed_input_tells_what_its_stage_decides_otherwise(flow):
+    note = '; (job.out / \'one.json\').write_text(\'{"decisions": {"shadow": true, "sky": false}}\')'
+    flow.edit("one", "[video])", "[video])" + note)
+    flow.hugs("two")
+    flow.edit("one", "true", "false")
+    assert flow.ran("one") == {"one": ["code flow.one edited"]}
+    out, _ = flow.hugs("two", command="why")
+    assert "inputs   one                    changed since: shadow on -> off" in out and "sky" not in out
+    assert flow.ran("two")["two"] == ["inputs.one changed (shadow on -> off)"]
+
+
 def test_edited_code_and_settings_are_named_together(flow):
     flow.hugs()
     flow.edit("two", "helper.work(", "helper.x = 1; helper.work(")

@@ -39,7 +39,8 @@ def page(tiny, tmp_path_factory):
 def test_everything_is_told(page):
     text = page.read_text(encoding="utf-8")
     assert "<h1>dance &lt;1&gt;.mp4</h1>" in text and "sfm: the camera &lt;b&gt;barely&lt;/b&gt; moved" in text
-    assert "1,723 Gaussians in the person, 441 in the scene" in text and "scene on, exposure off" in text
+    assert "1,723 Gaussians in the person, 441 in the scene" in text and "The scene is modelled" in text
+    assert "What this clip called for" in text and "<td>shadow</td><td>on</td><td>0.21 of the light</td>" in text
     assert "too small" in text, "LPIPS of a crop under 64 px"
     assert [name for name in tiny_clip.STAGES if f"<td>{name}</td>" not in text] == []
     assert text.count("<polyline") == 2

@@ -5,53 +5,12 @@ import pytest
 
 from stages import survey
 from stages.contract import Job
+from stages.estimators.detectors.every import DETECTORS
+from stages.estimators.detectors.evidence import outline, posed
+from stages.estimators.detectors.finding import above, unknown
 
-
-def gains(frames: int = 30, drift: float = 0.0, step: float = 0.0, hidden: float = 0.4):
-    rng = np.random.default_rng(1)
-    truth = drift * np.sin(np.linspace(0, 6, frames)) + step * (np.arange(frames) >= frames // 2)
-    logs = rng.normal(4.5, 0.4, 400) + truth[:, None] + rng.normal(0, 0.01, (frames, 400))
-    logs[rng.random(logs.shape) < 0.1] += 0.7  # a point hidden behind something brighter
-    logs[rng.random(logs.shape) < hidden] = np.nan
-    return logs, truth - truth.mean()
-
-
-def test_exposure_gains_survive_hidden_points_and_gaps():
-    logs, truth = gains(drift=0.1, step=0.08)
-    logs[7] = np.nan
-    found = survey.robust_gains(logs)
-    seen = np.isfinite(found)
-    assert not seen[7] and seen.sum() == 29
-    assert np.abs(found[seen] - (truth[seen] - truth[seen].mean())).max() < 0.01
-
-
-def test_steady_exposure_stays_below_the_threshold():
-    found = survey.robust_gains(gains()[0])
-    assert found.std() < survey.EXPOSURE_STD / 3 and np.abs(np.diff(found)).max() < survey.EXPOSURE_STEP / 3
-
-
-def test_too_few_points_are_unknown_not_zero():
-    assert np.isnan(survey.robust_gains(np.full((5, 10), 4.0))).all()
-    assert np.isnan(survey.robust_gains(np.zeros((5, 0)))).all()
-
-
-def test_point_colours_leave_out_person_border_and_clipped():
-    image = np.full((20, 30, 3), 100, np.uint8)
-    image[:, 20:] = 255
-    mask = np.zeros((20, 30), np.uint8)
-    mask[:, :5] = 255
-    pixels = np.array([[12.0, 10], [2, 10], [27, 10], [40, 10], [-3, 5], [12, 10]])
-    logs = survey.point_logs(image, mask, pixels, np.array([1.0, 1, 1, 1, 1, -1]))
-    assert logs[0] == pytest.approx(np.log(100), abs=1e-3) and np.isnan(logs[1:]).all()
-
-
-def measures(points=500, iou=0.8, drift="steady"):
-    return {
-        "points": survey.measure(points, "", 100, "enough"),
-        "body_fit": survey.measure(iou, "IoU", 0.95, "good" if iou >= 0.95 else "loose"),
-        "exposure_drift": survey.measure(0.03, "std", 0.02, drift),
-        "exposure_step": survey.measure(0.01, "log", 0.05, drift),
-    }
+EFFECTS = {"view_dependence", "exposure", "lens", "rolling_shutter", "motion_blur", "shadow", "clothing"}
+EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias"}
 
 
 @pytest.mark.parametrize(
@@ -67,26 +26,46 @@ def measures(points=500, iou=0.8, drift="steady"):
     ],
 )
 def test_the_scene_needs_a_moving_camera_and_points(verdict, points, setting, scene):
-    decisions, reasons = survey.decide(survey.Params(scene=setting), {"verdict": verdict}, measures(points))
-    assert decisions["scene"] is scene
-    assert len(reasons) == len(decisions) and reasons[0].startswith("scene " + ("on" if scene else "off"))
+    on, why = survey.decide_scene(setting, verdict, points)
+    assert on is scene and (str(points) in why or verdict in why or "no points" in why)
 
 
-def test_exposure_and_refinement_follow_measures_unless_set():
-    facts = {"verdict": "moving"}
-    decisions, _ = survey.decide(survey.Params(), facts, measures(iou=0.97, drift="drifts"))
-    assert decisions == {"scene": True, "pose_refinement": False, "exposure": True}
-    forced = survey.Params(exposure="never", pose_refinement="always")
-    decisions, reasons = survey.decide(forced, facts, measures(iou=0.97, drift="drifts"))
-    assert decisions == {"scene": True, "pose_refinement": True, "exposure": False} and "as set" in reasons[1]
+def test_there_is_one_detector_and_one_setting_for_each_effect():
+    assert set(DETECTORS) == EFFECTS
+    assert set(survey.Params.model_fields) == EFFECTS | {"scene"}
+    assert all(getattr(survey.Params(), name) == "auto" for name in EFFECTS)
 
 
-def test_overlap():
-    a = np.zeros((4, 4), bool)
-    assert survey.overlap(a, a) == 0
-    b = a.copy()
-    a[:2], b[1:3] = True, True
-    assert survey.overlap(a, b) == pytest.approx(1 / 3)
+FINDINGS = {
+    "called for": above(0.3, "px", 0.1, ("yes", "no")),
+    "quiet": above(0.05, "px", 0.1, ("yes", "no")),
+    "unknown": unknown("px", 0.1, "too dark"),
+}
+
+
+@pytest.mark.parametrize(
+    ("setting", "on"),
+    [("auto", (True, False, False)), ("always", (True, True, True)), ("never", (False, False, False))],
+)
+def test_effects_follow_what_is_measured_unless_set_and_unknown_is_off(setting, on):
+    entries = [survey.decide(setting, finding) for finding in FINDINGS.values()]
+    assert tuple(entry["on"] for entry in entries) == on
+    assert {"value", "unit", "threshold", "verdict", "confidence", "frames", "on", "why"} == set(entries[0])
+    assert all(entry["why"].startswith("as set") is (setting != "auto") for entry in entries)
+    assert entries[2]["value"] is None and entries[2]["confidence"] == 0 and "too dark" in entries[2]["why"]
+
+
+def test_reasons_name_what_is_on_and_what_could_not_be_measured():
+    told = survey.reasons({name: survey.decide("auto", finding) for name, finding in FINDINGS.items()})
+    assert told == ["called for on (yes: 0.3 px, limit 0.1)", "unknown off (unknown: too dark)", "off: quiet"]
+
+
+def test_confidence_grows_with_the_distance_from_the_threshold():
+    found = [above(value, "px", 1.0, ("yes", "no")).confidence for value in (0.0, 0.5, 0.9, 1.0, 1.1, 2.0, 8.0)]
+    assert found[3] == 0 and found[1] == found[5] == 0.75
+    assert found[0] > found[1] > found[2] > 0 < found[4] < found[5] < found[6] <= 1
+    doubtful = above(5.0, "px", 1.0, ("yes", "no"), also=False)
+    assert not doubtful.called_for and doubtful.verdict == "no" and doubtful.confidence == 0.5
 
 
 @pytest.fixture
@@ -114,7 +93,9 @@ def body_clip(tmp_path):
     for name in names:
         write_image(sfm / "images" / f"{name}.png", np.full((128, 96, 3), 90, np.uint8))
         write_mask(sfm / "masks" / f"{name}.png", np.zeros((128, 96), np.uint8))
-    for name, drawn in zip(names, survey.outlines(load_clip(sfm, smpl), [0, 1]), strict=True):
+    clip = load_clip(sfm, smpl)
+    for i, name in enumerate(names):
+        drawn = outline(clip, i, posed(clip, [i])[0])
         assert 0.05 < drawn.mean() < 0.5
         write_mask(sfm / "masks" / f"{name}.png", drawn.astype(np.uint8) * 255)
     facts = {"verdict": "static camera", "distortion": {"max_shift_px": 0.0}}
@@ -129,8 +110,10 @@ def test_the_stage_on_a_static_clip(body_clip, tmp_path):
     out.mkdir()
     survey.run(Job(out, emit=events.append), survey.Params(), frames=tmp_path, masks=tmp_path, sfm=sfm, smpl=smpl)
     found = json.loads((out / "survey.json").read_text())
-    assert found["decisions"] == {"scene": False, "pose_refinement": False, "exposure": False}
-    assert found["measures"]["body_fit"]["value"] == pytest.approx(1)
+    assert found["decisions"] == dict.fromkeys(EFFECTS | {"scene"}, False)
+    assert found["effects"]["pose_refinement"]["value"] == pytest.approx(0)
     assert found["measures"]["camera_parallax"]["verdict"] == "unknown"
+    unknown_ones = {name for name, effect in found["effects"].items() if effect["value"] is None}
+    assert unknown_ones == EFFECTS - {"pose_refinement"}, "two frames of a camera that stands still show little"
     assert any("static camera" in event.get("text", "") for event in events)
     assert {"value", "unit", "threshold", "verdict", "frames"} == set(found["measures"]["coverage"])

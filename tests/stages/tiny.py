@@ -128,10 +128,19 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
     """The JSON files and the stamps."""
     video = {"path": "/clips/dance <1>.mp4", "width": WIDTH, "height": HEIGHT, "fps": 30, "frames": 24}
     measures = {"points": {"value": 63, "unit": "", "threshold": 100, "verdict": "few", "frames": []}}
+    effect = {"value": 0.21, "unit": "of the light", "threshold": 0.08, "verdict": "darkens", "confidence": 0.5}
+    effects = {
+        "shadow": effect | {"frames": ["000003"], "on": True},
+        "sky": effect | {"value": None, "frames": [], "on": False},
+    }
     facts = {
         "frames/frames.json": {"video": video},
         "sfm/sfm.json": {"verdict": "moving"},
-        "survey/survey.json": {"measures": measures, "decisions": {"scene": scene, "exposure": False}},
+        "survey/survey.json": {
+            "measures": measures,
+            "effects": effects,
+            "decisions": {"scene": scene, "exposure": False},
+        },
         "train/train.json": {"steps": 2, "exposure": {}},
     }
     for path, value in facts.items():

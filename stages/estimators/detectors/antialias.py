@@ -1,0 +1,38 @@
+"""Anti-aliasing: are things seen at very different sizes, so that what is sharp near by flickers far away?"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.avatar.cameras import project
+from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+
+if TYPE_CHECKING:
+    from stages.estimators.detectors.evidence import Evidence
+
+RATIO = 1.6  # of the largest and smallest scale at which the median point is seen
+LEAST = 5  # frames that must see a point
+UNIT = "times larger at its largest"
+
+
+def detect(evidence: Evidence) -> Finding:
+    """Largest over smallest scale (focal length over depth) of the median point, and of the person if that is more."""
+    clip = evidence.clip
+    things = [clip.points, evidence.posed.mean((0, 1))[None]]
+    ratios, scales = [], np.ones(len(clip.names))
+    for points in things:
+        seen = np.full((len(clip.names), len(points)), np.nan)
+        for i in range(len(clip.names) if len(points) else 0):
+            pixels, z = project(points, clip.viewmats[i], clip.Ks[i])
+            inside = (z > 0) & (pixels >= 0).all(1) & (pixels < [clip.width, clip.height]).all(1)
+            seen[i, inside] = clip.Ks[i, 0, 0] / z[inside]
+        known = np.isfinite(seen).sum(0) >= LEAST
+        if known.any():
+            seen = seen[:, known]
+            ratios.append(float(np.median(np.nanmax(seen, 0) / np.nanmin(seen, 0))))
+            scales = np.nan_to_num(np.nanmedian(seen, 1), nan=1.0) if len(points) == 1 else scales
+    if not ratios:
+        return unknown(UNIT, RATIO, "nothing is seen often enough")
+    return above(max(ratios), UNIT, RATIO, ("sizes differ", "one size"), strongest(clip.names, scales))

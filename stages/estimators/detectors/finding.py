@@ -1,0 +1,53 @@
+"""What a detector answers."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+SHOWN = 3  # frames named with a finding
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A measured `value` beside its `threshold`, a `verdict` in a word or two, and the `frames` that show it best.
+
+    `confidence` is 0 where the value is the threshold and where nothing was measured, and 0.75 at half or twice it.
+    """
+
+    value: float | None
+    unit: str
+    threshold: float
+    verdict: str
+    called_for: bool
+    confidence: float
+    frames: tuple[str, ...] = ()
+
+    def entry(self) -> dict:
+        """As survey.json has it, without what the settings make of it."""
+        return {key: value for key, value in asdict(self).items() if key != "called_for"} | {
+            "frames": list(self.frames)
+        }
+
+
+def unknown(unit: str, threshold: float, why: str) -> Finding:
+    """Nothing could be measured: off, and said so."""
+    return Finding(None, unit, threshold, f"unknown: {why}", False, 0.0)
+
+
+def above(value: float, unit: str, threshold: float, words: tuple[str, str], frames=(), also: bool = True) -> Finding:
+    """Called for if `value` > `threshold`, and if what else is asked for holds (`also`); `words` for yes and no."""
+    called = bool(value > threshold and also)
+    doubt = 0.25 ** abs(np.log2(max(value, 1e-9) / threshold)) if called or value <= threshold else 0.5
+    return Finding(
+        float(value), unit, threshold, words[0] if called else words[1], called, round(1 - doubt, 2), tuple(frames)
+    )
+
+
+def strongest(names: tuple[str, ...], values: np.ndarray) -> list[str]:
+    """The SHOWN names with the largest `values` [F], NaN left out, in the clip's order."""
+    order = [
+        i for i in np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")[:SHOWN] if np.isfinite(values[i])
+    ]
+    return [names[i] for i in sorted(order)]

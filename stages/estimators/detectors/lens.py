@@ -1,0 +1,29 @@
+"""Lens distortion: what SfM took out, and what is still in the frames."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.estimators.detectors.finding import Finding, above, unknown
+
+if TYPE_CHECKING:
+    from stages.estimators.detectors.evidence import Evidence
+
+SHIFT_PX = 1.2  # of a corner; a bent world and a bent lens look alike, so less than this is not to be told apart
+SIGMAS = 3.0
+UNIT = "px at the corners"
+
+
+def detect(evidence: Evidence) -> Finding:
+    """How far the lens moves a corner: by the cameras' own distortion, or by one that the tracks show beyond it."""
+    removed, left = evidence.facts["distortion"]["max_shift_px"], evidence.leftover
+    if left is None and removed <= SHIFT_PX:
+        return unknown(UNIT, SHIFT_PX, "too few points could be placed")
+    K = evidence.clip.Ks[0]
+    corner = np.linalg.norm(K[:2, 2] / [K[0, 0], K[1, 1]])
+    shift = 0.0 if left is None or abs(left.k) < SIGMAS * left.k_std else abs(left.k) * corner**3 * K[0, 0]
+    if removed >= shift:
+        return above(removed, UNIT, SHIFT_PX, ("bends, taken out by sfm", "straight"))
+    return above(shift, UNIT, SHIFT_PX, ("bends, still in the frames", "straight"))

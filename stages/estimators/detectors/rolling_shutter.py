@@ -1,0 +1,27 @@
+"""Rolling shutter: do points move within a picture as if its rows were read one after the other?"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+
+if TYPE_CHECKING:
+    from stages.estimators.detectors.evidence import Evidence
+
+SHIFT_PX = 0.5  # of the first and last row against the middle one
+SIGMAS = 3.0
+FAST = 0.8  # quantile of the frames by speed: where the camera moves is where it shows
+UNIT = "px at the first and last row"
+
+
+def detect(evidence: Evidence) -> Finding:
+    """How far the first and last rows of the faster frames are moved, from the readout time that fits all tracks best."""
+    left = evidence.leftover
+    if left is None:
+        return unknown(UNIT, SHIFT_PX, "too few points could be placed")
+    shift = abs(left.readout) / 2 * np.quantile(left.speed_px, FAST)
+    sure = abs(left.readout) > SIGMAS * left.readout_std
+    return above(shift, UNIT, SHIFT_PX, ("rolls", "does not show"), strongest(evidence.clip.names, left.speed_px), sure)

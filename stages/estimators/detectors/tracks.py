@@ -1,0 +1,161 @@
+"""Points of the background followed through the clip, and where they are in the world.
+
+Kanade-Lucas-Tomasi: corners of one frame are found again in the next, and back; who does not come home is dropped.
+Source: Shi and Tomasi 1994; Bouguet 2000 for the pyramid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from stages.avatar.cameras import camera_centers
+
+if TYPE_CHECKING:
+    from stages.formats.clip import Clip
+
+SIDE = 640  # px of the longer side; larger frames are followed at this size
+ALIVE = 500  # points followed at a time
+RETURN_PX = 0.3  # how far from its start a point may come home
+BORDER = 3.0  # px: corners nearer to the frame's edge are half outside the window
+WINDOW, LEVELS = 13, 4
+PERSON = 20  # mask value from which a pixel may be the person's
+LEAST = 6  # frames in which a point must be seen before it is placed
+ROUNDS = 4  # of Gauss-Newton
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """T points in F frames: `pixels` [F,T,2] px of the clip's frames, NaN where a point is not seen.
+
+    `points` [T,3] m is where rays of the given cameras meet best (NaN: too few), `errors` [F,T,2] px is how far the
+    pixels lie from there, and `angles` [T] rad the widest angle between two rays.
+    """
+
+    pixels: np.ndarray
+    points: np.ndarray
+    errors: np.ndarray
+    angles: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """bool [F,T]."""
+        return np.isfinite(self.pixels[..., 0])
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """In how many frames each point is seen [T]."""
+        return self.seen.sum(0)
+
+
+def follow(clip: Clip) -> Tracks:
+    """Follow the background of all frames of `clip` and place what is followed long enough."""
+    pixels = _follow(clip)
+    pixels = pixels[:, np.isfinite(pixels[..., 0]).sum(0) >= LEAST]
+    points, angles = place(pixels, clip.viewmats, clip.Ks)
+    return Tracks(pixels, points, pixels - projections(points, clip.viewmats, clip.Ks)[0], angles)
+
+
+def _follow(clip: Clip) -> np.ndarray:
+    """Pixels [F,T,2] of corners outside the masks, NaN where they are lost."""
+    frames, shrink = len(clip.names), min(1.0, SIDE / max(clip.width, clip.height))
+    size = round(clip.width * shrink), round(clip.height * shrink)
+    found, alive, rows, count, before = [], np.zeros((0, 2), np.float32), np.zeros(0, int), 0, None
+    for i in range(frames):
+        grey = cv2.resize(cv2.cvtColor(clip.images(i), cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
+        mask = cv2.dilate(cv2.resize(clip.mask(i), size, interpolation=cv2.INTER_AREA), np.ones((9, 9), np.uint8))
+        if before is not None:
+            alive, kept = _step(before, grey, alive, mask < PERSON)
+            rows = rows[kept]
+        fresh = _corners(grey, mask < PERSON, alive)
+        rows, alive = np.concatenate([rows, count + np.arange(len(fresh))]), np.concatenate([alive, fresh])
+        found.append((rows, alive.astype(np.float64)))
+        count, before = count + len(fresh), grey
+    pixels = np.full((frames, count, 2), np.nan)
+    for i, (rows, places) in enumerate(found):
+        pixels[i, rows] = (places + 0.5) * [clip.width / size[0], clip.height / size[1]]
+    return pixels
+
+
+def _step(before: np.ndarray, after: np.ndarray, places: np.ndarray, allowed: np.ndarray):
+    """Where `places` [N,2] of one frame are in the next, and which of them are believed [N]."""
+    if not len(places):
+        return places, np.zeros(0, bool)
+    settings = {"winSize": (WINDOW, WINDOW), "maxLevel": LEVELS}
+    there, ok, _ = cv2.calcOpticalFlowPyrLK(before, after, places, None, **settings)
+    home, back, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **settings)
+    inside = ((there > BORDER) & (there < np.array(allowed.shape[::-1]) - 1 - BORDER)).all(1)
+    x, y = np.where(inside[:, None], np.rint(there), 0).astype(int).T
+    kept = (ok[:, 0] & back[:, 0]).astype(bool) & inside & (np.linalg.norm(home - places, axis=1) < RETURN_PX)
+    kept &= allowed[y, x]
+    return there[kept], kept
+
+
+def _corners(grey: np.ndarray, allowed: np.ndarray, alive: np.ndarray) -> np.ndarray:
+    """New corners [N,2], away from the points that are followed already."""
+    room, apart = allowed.astype(np.uint8), max(4, max(grey.shape) // 60)
+    for x, y in np.rint(alive).astype(int):
+        cv2.circle(room, (int(x), int(y)), apart, 0, -1)
+    if len(alive) >= ALIVE:
+        return np.zeros((0, 2), np.float32)
+    found = cv2.goodFeaturesToTrack(grey, ALIVE - len(alive), 0.01, apart, mask=room)
+    return np.zeros((0, 2), np.float32) if found is None else found[:, 0]
+
+
+def place(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [T,3] that `pixels` [F,T,2] show best, in least squares of pixels, and their widest angle [T] in rad.
+
+    NaN for points seen fewer than LEAST times or behind a camera.
+    """
+    seen = np.isfinite(pixels[..., 0])
+    rays, centres = bearings(pixels, viewmats, Ks), camera_centers(viewmats)
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    across[~seen] = 0
+    A, b = across.sum(0), np.einsum("ftij,fj->ti", across, centres)
+    usable = seen.sum(0) >= LEAST
+    points = np.full((pixels.shape[1], 3), np.nan)
+    ridge = 1e-9 * np.eye(3)
+    points[usable] = np.linalg.solve(A[usable] + ridge, b[usable][..., None])[..., 0]
+    for _ in range(ROUNDS):
+        there, z, slopes = projections(points, viewmats, Ks)
+        errors = np.where(seen[..., None], pixels - there, 0)
+        slopes = np.where(seen[..., None, None], slopes, 0)
+        usable &= ((z > 0) | ~seen).all(0) & np.isfinite(points).all(1)
+        JJ = np.einsum("ftki,ftkj->tij", slopes, slopes)
+        step = np.einsum("ftki,ftk->ti", slopes, errors)
+        trace = np.trace(JJ[usable], axis1=1, axis2=2)[:, None, None] * 1e-9 * np.eye(3)
+        points[usable] += np.linalg.solve(JJ[usable] + trace, step[usable][..., None])[..., 0]
+    points[~usable] = np.nan
+    return points, _widest(rays, seen)
+
+
+def bearings(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
+    """Unit directions [F,T,3] in the world of `pixels` [F,T,2]."""
+    x, y = ((pixels[..., k] - Ks[:, k, 2, None]) / Ks[:, k, k, None] for k in (0, 1))
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ viewmats[:, :3, :3]
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def projections(points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels [F,T,2] of `points` [T,3], their depths [F,T], and the pixels' slopes [F,T,2,3] by the points."""
+    local = points @ viewmats[:, :3, :3].mT + viewmats[:, None, :3, 3]
+    z = local[..., 2]
+    safe = np.where(z > 1e-6, z, np.nan)
+    focal = np.stack([Ks[:, 0, 0], Ks[:, 1, 1]], -1)[:, None]
+    pixels = focal * local[..., :2] / safe[..., None] + Ks[:, None, :2, 2]
+    by_local = np.zeros((*z.shape, 2, 3))
+    by_local[..., 0, 0], by_local[..., 1, 1] = focal[..., 0] / safe, focal[..., 1] / safe
+    by_local[..., 2] = -focal * local[..., :2] / safe[..., None] ** 2
+    return pixels, z, by_local @ viewmats[:, None, :3, :3]
+
+
+def _widest(rays: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The widest angle [T] in rad between the first, middle and last rays of each point."""
+    frames, order = len(rays), np.arange(len(rays))[:, None]
+    first, last = np.where(seen, order, frames).min(0), np.where(seen, order, -1).max(0)
+    some = np.arange(rays.shape[1])
+    chord = np.linalg.norm(rays[first % frames, some] - rays[last, some], axis=1)
+    return 2 * np.arcsin((chord / 2).clip(0, 1))

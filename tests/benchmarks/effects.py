@@ -1,0 +1,113 @@
+"""Does the survey see each effect where it is, and only there? Pairs of synthetic clips, with the effect and without.
+
+    python -m tests.benchmarks.effects WORK [--seeds 10 11] [--only shadow sky] [--strength 2] [--json out.json]
+
+Each clip goes through the stages of pipeline `neuman` up to `survey`, with true inputs. Thresholds were set on seeds 0 and 1
+with all strengths (`--seeds 0 1 --strength 1 2 3`); other seeds judge them. A clip without effects serves all effects.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from pathlib import Path
+
+from stages import calibrated, masks, neuman, smpl, survey
+from stages.avatar.synthetic_effects import Effects
+from stages.contract import Job
+from tests import datasets
+
+SIZE = {"frames": 30, "width": 240, "height": 320, "points": 2000}
+STRENGTHS = {
+    "view_dependence": (0.15, 0.3, 0.5),
+    "exposure": (0.04, 0.08, 0.15),
+    "lens": (-0.02, -0.05, -0.1),
+    "rolling_shutter": (0.3, 0.5, 0.8),
+    "motion_blur": (0.4, 0.6, 0.9),
+    "shadow": (0.3, 0.5, 0.7),
+    "clothing": (0.05, 0.08, 0.12),
+    "pose_refinement": (0.02, 0.04, 0.08),
+    "camera_refinement": (0.003, 0.006, 0.01),
+    "sky": (1.0, 1.0, 1.0),
+    "transients": (1, 2, 3),
+    "antialias": (1.8, 2.2, 2.6),
+}
+"""Of each effect, as stages.avatar.synthetic_effects means it; of the refinements the noise of tests.datasets.neuman."""
+GIVEN = {"pose_refinement": "noise", "camera_refinement": "camera_noise"}
+
+
+def clip(work: Path, seed: int, effect: str | None = None, level: int = 2) -> Path:
+    """The folder with what the stages before `survey` make of the clip; made once."""
+    strength = STRENGTHS[effect][level - 1] if effect else 0.0
+    place = work / (f"{effect}_{strength:g}_seed{seed}" if effect else f"none_seed{seed}")
+    if (place / "smpl" / "done").exists():
+        return place
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    if effect in GIVEN:
+        made = datasets.neuman(place, seed=seed, **{GIVEN[effect]: strength}, **SIZE)
+    else:
+        made = datasets.neuman(place, seed=seed, effects=Effects(**({effect: strength} if effect else {})), **SIZE)
+    for stage in ("frames", "masks", "sfm", "smpl"):
+        (place / stage).mkdir()
+    frames, sfm = place / "frames", place / "sfm"
+    neuman.run(Job(frames), neuman.Params(), video=made.folder)
+    masks.run(Job(place / "masks"), masks.Params(invert="never"), frames=frames)
+    calibrated.run(Job(sfm), calibrated.Params(), frames=frames, masks=place / "masks")
+    smpl.run(Job(place / "smpl"), smpl.Params(), frames=frames, sfm=sfm)
+    (place / "smpl" / "done").touch()
+    return place
+
+
+def surveyed(place: Path) -> dict[str, dict]:
+    """The effects in the survey.json of a clip's folder."""
+    out = place / "survey"
+    out.mkdir(exist_ok=True)
+    folders = {name: place / name for name in ("frames", "masks", "sfm", "smpl")}
+    survey.run(Job(out), survey.Params(), **folders)
+    return json.loads((out / "survey.json").read_bytes())["effects"]
+
+
+def judge(work: Path, seeds: list[int], effects: list[str], levels: list[int]) -> list[dict]:
+    """A row for each effect, seed and clip: what was measured, and whether the verdict is right."""
+    rows = []
+    for seed in seeds:
+        clean = surveyed(clip(work, seed))
+        for effect in effects:
+            tries = [("without", clean)]
+            tries += [(f"{STRENGTHS[effect][n - 1]:g}", surveyed(clip(work, seed, effect, n))) for n in levels]
+            for strength, found in tries:
+                row = found[effect] | {"effect": effect, "seed": seed, "strength": strength}
+                rows.append(row | {"right": row["on"] == (strength != "without")})
+                tell(rows[-1])
+    return rows
+
+
+def tell(row: dict) -> None:
+    """One line of the table."""
+    value = "nothing" if row["value"] is None else f"{row['value']:.3g}"
+    print(
+        f"{row['effect']:<18}seed {row['seed']:<4}{row['strength']:<9}{value:>8} {row['unit']:<34} limit "
+        f"{row['threshold']:<6g}{row['verdict']:<26}confidence {row['confidence']:.2f}  {'' if row['right'] else 'WRONG'}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[10, 11])
+    parser.add_argument("--only", nargs="+", choices=STRENGTHS, default=list(STRENGTHS))
+    parser.add_argument("--strength", type=int, nargs="+", choices=(1, 2, 3), default=[2])
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    rows = judge(args.work, args.seeds, args.only, args.strength)
+    wrong = sum(not row["right"] for row in rows)
+    print(f"{wrong} of {len(rows)} verdicts wrong")
+    if args.json:
+        args.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""The detectors on made evidence: each finds what is there, measures how much, and is quiet about the rest."""
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stages.avatar import synthetic
+from stages.avatar import synthetic_person as person
+from stages.avatar.cameras import look_at, pinhole, project
+from stages.avatar.synthetic_effects import Effects
+from stages.avatar.synthetic_passers import make_passers
+from stages.avatar.synthetic_room import make_room
+from stages.estimators.detectors import exposure, motion_blur, shadow, tracks
+from stages.estimators.detectors.bundle import leftover
+from stages.estimators.detectors.every import DETECTORS
+from stages.estimators.detectors.evidence import Evidence, sample
+from stages.formats.body_model import read_body_model
+from tests.datasets import points_of
+
+
+def gains(frames: int = 30, drift: float = 0.0, step: float = 0.0, hidden: float = 0.4):
+    rng = np.random.default_rng(1)
+    truth = drift * np.sin(np.linspace(0, 6, frames)) + step * (np.arange(frames) >= frames // 2)
+    logs = rng.normal(4.5, 0.4, 400) + truth[:, None] + rng.normal(0, 0.01, (frames, 400))
+    logs[rng.random(logs.shape) < 0.1] += 0.7  # a point hidden behind something brighter
+    logs[rng.random(logs.shape) < hidden] = np.nan
+    return logs, truth - truth.mean()
+
+
+def test_exposure_gains_survive_hidden_points_and_gaps():
+    logs, truth = gains(drift=0.1, step=0.08)
+    logs[7] = np.nan
+    found = exposure.robust_gains(logs)
+    seen = np.isfinite(found)
+    assert not seen[7] and seen.sum() == 29
+    assert np.abs(found[seen] - (truth[seen] - truth[seen].mean())).max() < 0.01
+
+
+def test_steady_exposure_stays_below_the_threshold():
+    found = exposure.robust_gains(gains()[0])
+    assert found.std() < exposure.STD / 3 and np.abs(np.diff(found)).max() < exposure.STEP / 3
+
+
+def test_too_few_points_are_unknown_not_zero():
+    assert np.isnan(exposure.robust_gains(np.full((5, 10), 4.0))).all()
+    assert np.isnan(exposure.robust_gains(np.zeros((5, 0)))).all()
+
+
+def test_point_colours_leave_out_person_border_and_clipped():
+    image = np.full((20, 30, 3), 100, np.uint8)
+    image[:, 20:] = 255
+    mask = np.zeros((20, 30), np.uint8)
+    mask[:, :5] = 255
+    pixels = np.array([[12.0, 10], [2, 10], [27, 10], [40, 10], [-3, 5], [12, 10]])
+    logs = exposure.point_logs(image, mask, pixels, np.array([1.0, 1, 1, 1, 1, -1]))
+    assert logs[0] == pytest.approx(np.log(100), abs=1e-3) and np.isnan(logs[1:]).all()
+
+
+# cameras, lens and shutter, from tracks alone
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Cameras that go around random points with a shaking hand: viewmats, Ks, points and their true pixels."""
+    rng = np.random.default_rng(0)
+    frames, K = 24, pinhole(300.0, 240, 320)
+    points = rng.uniform([-2, -1.5, -2], [2, 1.5, 2], (300, 3))
+    views = []
+    for i, angle in enumerate(np.linspace(-0.4, 0.4, frames)):
+        eye = [5 * np.sin(angle), 0.05 * np.sin(1.9 * i), 5 * np.cos(angle)]
+        target = np.array([0.08 * np.sin(1.3 * i), 0.06 * np.sin(2.3 * i + 1), 0])
+        views.append(look_at(np.array(eye), target, np.array([0, 1.0, 0])))
+    viewmats, Ks = np.stack(views), np.tile(K, (frames, 1, 1))
+    pixels = np.stack([project(points, view, K)[0] for view in viewmats])
+    pixels[rng.random(pixels.shape[:2]) < 0.3] = np.nan
+    return viewmats, Ks, points, pixels
+
+
+def told(pixels, viewmats, Ks):
+    """What the bundle says of noisy `pixels`."""
+    pixels = pixels + np.random.default_rng(1).normal(0, 0.1, pixels.shape)
+    points, angles = tracks.place(pixels, viewmats, Ks)
+    there = tracks.projections(points, viewmats, Ks)[0]
+    return leftover(tracks.Tracks(pixels, points, pixels - there, angles), viewmats, Ks, 320)
+
+
+def test_points_are_placed_where_they_are_and_too_few_views_place_none(seen):
+    viewmats, Ks, points, pixels = seen
+    few = pixels.copy()
+    few[5:, 0] = np.nan
+    found, angles = tracks.place(few, viewmats, Ks)
+    assert np.isnan(found[0]).all()
+    assert np.abs(found[1:] - points[1:]).max() < 1e-6
+    assert (angles[1:] > 0.2).all()
+
+
+def test_true_cameras_leave_nothing(seen):
+    viewmats, Ks, _, pixels = seen
+    left = told(pixels, viewmats, Ks)
+    assert abs(left.readout) < 0.02 and abs(left.k) < 0.003 and np.median(left.mended_px) < 0.1
+
+
+def test_a_readout_time_is_found_and_blamed_on_nothing_else(seen):
+    viewmats, Ks, _, pixels = seen
+    speed = np.gradient(np.nan_to_num(np.stack([project(seen[2], v, k)[0] for v, k in zip(viewmats, Ks)])), axis=0)
+    rolled = pixels + 0.4 * speed * (pixels[..., 1:] / 320 - 0.5)
+    left = told(rolled, viewmats, Ks)
+    assert left.readout == pytest.approx(0.4, abs=0.03) and left.readout_std < 0.02 and abs(left.k) < 0.005
+
+
+def test_a_lens_is_found_and_blamed_on_nothing_else(seen):
+    viewmats, Ks, _, pixels = seen
+    u = (pixels - Ks[:, None, :2, 2]) / 300
+    left = told(pixels + 300 * -0.05 * u * (u**2).sum(-1, keepdims=True), viewmats, Ks)
+    assert left.k == pytest.approx(-0.05, abs=0.006) and abs(left.readout) < 0.03
+
+
+def test_wrong_cameras_are_found_and_blamed_on_nothing_else(seen):
+    viewmats, Ks, _, pixels = seen
+    turn = np.tile(np.eye(4), (24, 1, 1))
+    turn[:, :3, :3] = Rotation.from_rotvec(np.random.default_rng(2).normal(0, 0.006, (24, 3))).as_matrix()
+    left = told(pixels, turn @ viewmats, Ks)
+    assert np.median(left.mended_px) > 1.2 and abs(left.readout) < 0.05 and abs(left.k) < 0.01
+
+
+def test_too_few_points_are_unknown(seen):
+    viewmats, Ks, _, pixels = seen
+    assert told(pixels[:, :30], viewmats, Ks) is None
+    evidence = SimpleNamespace(leftover=None, facts={"distortion": {"max_shift_px": 0.0}})
+    for name in ("lens", "rolling_shutter", "camera_refinement"):
+        found = DETECTORS[name](evidence)
+        assert found.value is None and not found.called_for and found.verdict.startswith("unknown")
+
+
+def test_a_lens_that_sfm_took_out_is_told_with_its_shift():
+    found = DETECTORS["lens"](SimpleNamespace(leftover=None, facts={"distortion": {"max_shift_px": 4.7}},
+                                              clip=SimpleNamespace(Ks=pinhole(300.0, 240, 320)[None])))  # fmt: skip
+    assert found.called_for and found.value == 4.7 and "sfm" in found.verdict
+
+
+# pictures
+
+
+@pytest.mark.parametrize("length", [1, 5, 9])
+def test_the_length_of_a_blur_is_measured_along_the_motion(length):
+    rng = np.random.default_rng(0)
+    coarse = cv2.resize(rng.choice([40, 200], (24, 32)).astype(np.uint8), (320, 240), interpolation=cv2.INTER_NEAREST)
+    blurred = cv2.blur(cv2.GaussianBlur(coarse, (0, 0), 0.7), (length, 1))
+    places = rng.uniform(20, 220, (60, 2))
+    image, allowed = np.repeat(blurred[..., None], 3, -1), np.ones((240, 320), bool)
+    found = motion_blur.blur_length(image, allowed, places, np.tile([6.0, 0.2], (60, 1)))
+    across = motion_blur.blur_length(image, allowed, places, np.tile([0.2, 6.0], (60, 1)))
+    assert found == pytest.approx(length if length > 1 else 0, abs=1.0) and across < 0.5
+
+
+def test_a_shadow_is_told_from_a_pattern_and_from_noise():
+    rng = np.random.default_rng(0)
+    shaded = rng.random((20, 500)) < 0.3
+    pattern = rng.normal(4, 1, 500)
+    light = pattern - 0.5 * shaded + rng.normal(0, 0.05, (20, 500))
+    light[rng.random(light.shape) < 0.3] = np.nan
+    likeness, slope, _ = shadow._explained(light, shaded)
+    assert slope == pytest.approx(-0.5, abs=0.01) and likeness < -0.9
+    likeness, slope, _ = shadow._explained(light, rng.random((20, 500)) < 0.3)
+    assert abs(slope) < 0.05 and abs(likeness) < 0.1
+
+
+def test_sampling_counts_from_the_first_pixels_centre():
+    ramp = np.add.outer(10 * np.arange(5.0), np.arange(6.0)).astype(np.float32)
+    assert sample(ramp, np.array([[0.5, 0.5], [2.0, 3.5], [5.5, 4.5]])) == pytest.approx([0, 31.5, 45])
+
+
+# pairs: a clip with the effect, and the same without
+
+
+@pytest.fixture(scope="module")
+def filmed():
+    """The evidence of a small clip with the effects that are named."""
+    rng, (width, height, frames) = np.random.default_rng(21), (150, 200, 14)
+    stage = synthetic._Stage(read_body_model(), make_room(rng), np.zeros(10), pinhole(0.95 * height, width, height))
+    viewmats = synthetic.camera_path(2 * frames, 12.0, "moving", rng)[:frames]
+    orient, pose = person.make_motion(frames, 7.0, rng)
+    known = {}
+
+    def film(passers=(), **strengths):
+        key = (len(passers), *strengths.items())
+        if key not in known:
+            drawn = synthetic.replace(stage, effects=Effects(**strengths))
+            views = drawn.views(viewmats, orient, pose, width, height, lambda n: None, passers)
+            points = []
+            for i, x, y in points_of(views, 600):
+                z = views.depths[i, y, x]
+                local = np.linalg.inv(views.Ks[i]) @ [(x + 0.5) * z, (y + 0.5) * z, z]
+                points.append(views.viewmats[i, :3, :3].T @ (local - views.viewmats[i, :3, 3]))
+            body = SimpleNamespace(betas=np.zeros(10), global_orient=orient, body_pose=pose, transl=views.transl,
+                                   confidence=np.ones(frames))  # fmt: skip
+            clip = SimpleNamespace(
+                names=tuple(f"{i:06d}" for i in range(frames)), width=width, height=height, viewmats=viewmats, Ks=views.Ks,
+                points=np.array(points), body=body, body_model=stage.model,
+                images=lambda i: views.images[i], mask=lambda i: views.masks[i],
+            )  # fmt: skip
+            known[key] = Evidence(clip, {"verdict": "moving", "distortion": {"max_shift_px": 0.0}})
+        return known[key]
+
+    return film
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_a_clip_without_effects_calls_for_none(filmed, name):
+    found = DETECTORS[name](filmed())
+    assert not found.called_for and found.value is not None, found
+
+
+@pytest.mark.parametrize(
+    ("name", "strength"),
+    [("shadow", 0.6), ("sky", 1.0), ("clothing", 0.1), ("view_dependence", 0.4), ("transients", 0)],
+)
+def test_a_clip_with_the_effect_calls_for_it(filmed, name, strength):
+    passers = make_passers(2, 14, np.random.default_rng(4)) if name == "transients" else ()
+    found = DETECTORS[name](filmed(passers, **{name: strength}))
+    assert found.called_for and found.confidence > 0 and found.frames, found
