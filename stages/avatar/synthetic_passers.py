@@ -24,10 +24,6 @@ class Passer:
     """The frame at which they are before the middle of the room."""
     frames: int
 
-    def there(self, t: float) -> bool:
-        """Whether the walk is on at moment `t`; before and after it they would be far behind walls and cameras."""
-        return abs(t - self.middle) <= 0.5 * WALK * self.frames
-
     def at(self, t: float) -> np.ndarray:
         """Vertices [V,3] m at moment `t`, in frames."""
         gone = (t - self.middle) / (WALK * self.frames)
