@@ -182,6 +182,50 @@ def ablate(
 
 
 @app.command()
+@on_clip
+def costs(
+    judge: Judge,
+    sweep: Annotated[bool, Option("--sweep", help="Vary one axis at a time around the pipeline, and train.")] = False,
+    axis: Annotated[list[str] | None, Option(help="Only this axis of a sweep (may be repeated).")] = None,
+    seeds: Annotated[int, Option(min=1, help="Of a sweep: trainings of each case, from --seed on.")] = 3,
+    budget: Annotated[float, Option(min=0, help="Of a sweep: minutes to train; 0: only what is cached.")] = 120,
+    plot: Annotated[bool, Option("--plot", help="Draw it, too: SVG, PNG and a page beside the results.")] = False,
+    device: DeviceName = options.Device.cpu,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """What the pipelines that were run on a clip cost, and what that bought; --sweep: what each setting costs and buys."""
+    from hugs_cli import costs as accounts
+
+    console, clip, root = Console(), judge.sources["video"].name, judge.workspace.root
+    if axis and not sweep:
+        raise UsageError("only a sweep has axes", "add `--sweep`")
+    if sweep:
+        from hugs_cli import sweep as sweeps
+
+        cases = sweeps.sweep(judge, axis or (), seeds)
+        judge.check_sources()
+        plan = sweeps.plan(cases, 60 * budget)
+        if dry_run:
+            rows = [{"pipeline": c.judge.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
+            lines = [sweeps.announced(plan, 60 * budget), *sweeps.listed(plan)]
+            console.result(json.dumps(rows, indent=1) if as_json else "\n".join(lines))
+            return
+        judge.workspace.create()
+        console.say(sweeps.announced(plan, 60 * budget))
+        result = sweeps.run(cases, 60 * budget, device.value, console)
+    else:
+        result = accounts.compared(accounts.runs(judge.workspace))
+    result = {"clip": clip, **result}
+    if plot:
+        from hugs_cli import costs_page
+
+        name, title = ("sweep-" + judge.pipeline.name, f"around {judge.pipeline.name}") if sweep else ("costs", "costs")
+        console.say(words.relative(costs_page.write(root, name, f"{clip}: {title}", result)))
+    console.result(json.dumps(result, indent=1) if as_json else "\n".join(accounts.table(result)))
+
+
+@app.command()
 def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work")) -> None:
     """Remove a clip's results that no pipeline links to, and what stopped runs left."""
     workspace, console, freed = Workspace(video, work, "default"), Console(), 0

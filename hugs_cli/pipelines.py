@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from hugs_cli import variants
 from stages.contract import Params, StageError
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
@@ -28,14 +29,6 @@ PIPELINE_KEYS = ("doc", "extends", "stages")
 STAGE_KEYS = ("needs", "module", "params")
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 RESERVED = ("store",)  # a folder beside the pipelines' folders
-
-ABLATIONS = {  # behind a pipeline's name and a dot: the same pipeline, with this setting of `train` false
-    "no_lbs": "lbs_learning",
-    "no_densify": "human_densify",
-    "no_human_loss": "human_loss",
-    "no_triplane": "triplane",
-    "no_joint": "joint",
-}
 
 
 class UsageError(StageError):
@@ -86,9 +79,9 @@ class Pipeline:
 def load(name: str, overrides: Iterable[str] = (), file: Path = FILE) -> Pipeline:
     """Read one pipeline, apply `stage.param=value` overrides, and check it all; UsageError says what is wrong.
 
-    `NAME.VARIANT` is pipeline NAME as one of ABLATIONS.
+    `NAME.VARIANT` is a variant of pipeline NAME, see variants.py.
     """
-    name, _, ablation = name.partition(".")
+    name, _, changed = name.partition(".")
     entry = merged(name, read_yaml(file), file)
     stages = entry["stages"]
     for override in overrides:
@@ -98,19 +91,17 @@ def load(name: str, overrides: Iterable[str] = (), file: Path = FILE) -> Pipelin
         stages[stage]["params"][param] = value
     checked = {stage: check_stage(stage, stages[stage], stages, name) for stage in running_order(stages, name)}
     pipeline = Pipeline(name, entry["doc"], checked)
-    return variant(pipeline, ablation) if ablation else pipeline
+    return variant(pipeline, changed) if changed else pipeline
 
 
 def variant(pipeline: Pipeline, name: str) -> Pipeline:
-    """The pipeline without one part of the method, a name of ABLATIONS; UsageError if it has no such part."""
-    if name not in ABLATIONS:
-        raise unknown("variant", name, ABLATIONS, f"pipeline {pipeline.name}")
-    pipeline.upstream(["train"])  # refuses a pipeline that does not train
-    train, setting = pipeline.stages["train"], ABLATIONS[name]
-    if setting not in type(train.params).model_fields:
-        raise unknown("setting", setting, type(train.params).model_fields, f"pipeline {pipeline.name}, stage train")
-    changed = replace(train, params=train.params.model_copy(update={setting: False}))
-    return replace(pipeline, name=f"{pipeline.name}.{name}", stages={**pipeline.stages, "train": changed})
+    """The pipeline with the settings of a variant, see variants.py; UsageError if there is none, or it does not fit."""
+    where, known = f"pipeline {pipeline.name}", [*variants.ABLATIONS, *variants.AXES]
+    stage, settings = variants.changes(name, lambda name: unknown("variant", name, known, where))
+    pipeline.upstream([stage])  # refuses a pipeline without it
+    old = pipeline.stages[stage]
+    new = checked(type(old.params), old.params.model_dump() | settings, stage, f"{where}, stage {stage}")
+    return replace(pipeline, name=f"{pipeline.name}.{name}", stages=pipeline.stages | {stage: replace(old, params=new)})
 
 
 def names(file: Path = FILE) -> dict[str, str]:
@@ -209,20 +200,25 @@ def check_stage(name: str, entry: dict[str, Any], stages: dict[str, Any], pipeli
     if set(takes) != set(entry["needs"]):
         facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(takes)}"]
         raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "make them the same", facts)
-    for param in entry["params"]:
-        if param not in module.Params.model_fields:
-            raise unknown("setting", str(param), module.Params.model_fields, where)
-    try:
-        params = module.Params(**entry["params"])
-    except ValidationError as error:
-        facts = [
-            f"{name}.{'.'.join(map(str, e['loc']))}: {e['msg'][0].lower()}{e['msg'][1:]}, got {e['input']!r}"
-            for e in error.errors(include_url=False)
-        ]
-        raise UsageError(f"{where}: settings are not valid", f"`hugs stages {name}` lists them", facts) from error
+    params = checked(module.Params, entry["params"], name, where)
     doc = inspect.getdoc(module.run) or inspect.getdoc(module) or ""
     resumes = bool(getattr(module, "RESUMES", False))
     return Stage(name, entry["module"], tuple(entry["needs"]), params, resumes, doc.splitlines()[0] if doc else "")
+
+
+def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) -> Params:
+    """The settings of a stage; UsageError for one that it does not have and for a value that is not valid."""
+    for param in values:
+        if param not in kind.model_fields:
+            raise unknown("setting", str(param), kind.model_fields, where)
+    try:
+        return kind(**values)
+    except ValidationError as error:
+        facts = [
+            f"{stage}.{'.'.join(map(str, e['loc']))}: {e['msg'][0].lower()}{e['msg'][1:]}, got {e['input']!r}"
+            for e in error.errors(include_url=False)
+        ]
+        raise UsageError(f"{where}: settings are not valid", f"`hugs stages {stage}` lists them", facts) from error
 
 
 def parse_override(text: str) -> tuple[str, str, Any]:

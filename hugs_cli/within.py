@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hugs_cli import engine
-from hugs_cli.ablate import Quiet
+from hugs_cli.comparison import Quiet
 from hugs_cli.console import Console
 from hugs_cli.engine import Ran
 from hugs_cli.freshness import Judge

@@ -20,6 +20,10 @@ FILMS = {
     "motion": "a motion that is not in the clip",
     "scene": "the scene without the person",
 }
+CURVE = (
+    "The clock stands still while accuracy is measured. `hugs costs VIDEO --plot` sets all pipelines that were run on "
+    "this clip beside each other."
+)
 AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
     "heldout": "held out",
@@ -35,8 +39,9 @@ METRICS |= {"seconds": {"total": float}, "peak_memory_bytes": int}
 MEASURE = {"value": (float, None), "unit": str, "verdict": str}
 EFFECT = MEASURE | {"threshold": float, "confidence": float, "frames": [str], "on": bool}
 SURVEY = {"measures": {str: MEASURE}, "effects": {str: EFFECT}, "decisions": {str: bool}}
+TRAINED = {"seconds_by_part": {str: float}}
 RUNGS = {"of?": int, "rungs?": [{"how": str, "models": [{"registered": int}]}], "mapper?": str}
-"""What is taken from stamp.json, metrics.json, survey.json, and sfm.json, which has rungs where the cameras were mapped."""
+"""What is taken from stamp.json, metrics.json, survey.json, train.json, and sfm.json (rungs where cameras were mapped)."""
 
 
 class Params(contract.Params):
@@ -85,8 +90,8 @@ def run(
         ),
         page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics["protocol"]),
         *_beside_the_paper(listing.get("dataset"), metrics),
-        page.section("Accuracy over time", _curve(train), note="The clock stands still while accuracy is measured."),
-        page.section("Where the time went", _times(stamps)),
+        page.section("Accuracy over time", _curve(train), note=CURVE),
+        page.section("Where the time went", _times(stamps), "<p>Training, step by step:</p>", _parts(train)),
         page.section(
             "The body fit",
             page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
@@ -200,6 +205,17 @@ def _times(stamps: dict[str, dict[str, Any]]) -> str:
         for name, s in spent.items()
     ]
     return page.table(["stage", "time", "peak memory", ""], rows, numeric=(1, 2))
+
+
+def _parts(train: Path) -> str:
+    """What the seconds of training went into; accuracy is measured with the clock stopped."""
+    from stages.formats import page
+    from stages.formats.facts import read_facts
+
+    spent = read_facts(train / "train.json", TRAINED)["seconds_by_part"]
+    total = sum(spent.values()) or 1.0
+    rows = [[name, _duration(s), f"{100 * s / total:.0f} %", page.bar(s / total)] for name, s in spent.items()]
+    return page.table(["part", "time", "share", ""], rows, numeric=(1, 2))
 
 
 def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:

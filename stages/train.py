@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from stages.avatar.fit import Fit
-    from stages.avatar.pace import Clock
+    from stages.avatar.pace import Deadline
     from stages.avatar.scene import SceneModel
     from stages.formats.clip import Clip
 
@@ -43,6 +43,10 @@ class Params(contract.Params):
     """Time to spend, on this machine: `steps` and the sizes are then chosen by timing a few steps; 0 = not limited."""
     reserve: float = Field(0, ge=0)
     """Of `seconds`, the time of so many steps is left over, for what comes after training."""
+    half_until: float = Field(0.4, ge=0, le=1)
+    """Share of the steps, the first ones, that look at pictures of half the size."""
+    frames_used: int = Field(0, ge=0)
+    """Most training frames to learn from, spread evenly; 0 = all."""
     rounds: int = Field(1, ge=0, le=3)
     """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
     human_cap: int = Field(40_000, gt=0)
@@ -84,13 +88,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
     from stages.avatar.checkpoint import save
     from stages.avatar.neighbours import evenly
-    from stages.avatar.pace import Clock
+    from stages.avatar.pace import Deadline
     from stages.avatar.rasterize.cache import compiled
 
-    clock = Clock(params.seconds, params.reserve, time.perf_counter()) if params.seconds else None
+    deadline = Deadline(params.seconds, params.reserve, time.perf_counter()) if params.seconds else None
     if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
-    fit, clip, told = _begun(job, params, (sfm, smpl, survey), clock)
+    fit, clip, told = _begun(job, params, (sfm, smpl, survey), deadline)
+    params = params.model_copy(update=told["sizes"])
     curve, seconds = told["curve"], told["seconds"]
     sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
     job.note(f"{len(fit.train)} training frames; starts with {sizes}")
@@ -108,13 +113,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
             curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
             job.progress(fit.step, fit.total, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
             mark = time.perf_counter()
-            if clock and fit.step < fit.total:
-                clock.mark(fit)
+            if deadline and fit.step < fit.total:
+                deadline.mark(fit)
         elif fit.step % 25 == 0:
             job.progress(fit.step, fit.total, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
         if job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS:
             saved = time.perf_counter()
-            told |= {"curve": curve, "seconds": seconds + saved - mark, "clock": clock and clock.state()}
+            told |= {"curve": curve, "seconds": seconds + saved - mark, "parts": fit.clock.seconds}
+            told["deadline"] = deadline and deadline.state()
             save(job.out / CHECKPOINT, fit, told)
             if job.stop_asked:
                 raise Stopped(f"stopped after step {fit.step} of {fit.total}; the next run goes on from there")
@@ -124,14 +130,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
 
 def _begun(
-    job: Job, params: Params, folders: tuple[Path, Path, Path], clock: Clock | None
+    job: Job, params: Params, folders: tuple[Path, Path, Path], deadline: Deadline | None
 ) -> tuple[Fit, Clip, dict[str, Any]]:
     """The training, at its first step or where a checkpoint left it, and what else a checkpoint tells."""
     import torch
 
     from stages.avatar.checkpoint import load, resume
 
-    told = {"curve": [], "seconds": 0.0, "sizes": {}, "clock": None}
+    told = {"curve": [], "seconds": 0.0, "parts": {}, "sizes": {}, "deadline": None}
     path = job.out / CHECKPOINT
     try:
         saved = load(path, job.device, tuple(told))
@@ -147,10 +153,11 @@ def _begun(
         if saved["threads"] != (now := torch.get_num_threads()):
             job.warn(f"{saved['threads']} threads before, {now} now: sums differ in their last digits")
         told = {name: saved[name] for name in told}
-        if clock:
-            clock.load(told["clock"], fit)
-    elif clock:
-        fit, clip, told["sizes"] = _timed(job, params, folders, clock, fit, clip)
+        fit.clock.seconds = dict(told["parts"])
+        if deadline:
+            deadline.load(told["deadline"], fit)
+    elif deadline:
+        fit, clip, told["sizes"] = _timed(job, params, folders, deadline, fit, clip)
     return fit, clip, told
 
 
@@ -160,17 +167,17 @@ def _unusable(error: ValueError) -> StageError:
 
 
 def _timed(
-    job: Job, params: Params, folders: tuple[Path, Path, Path], clock: Clock, fit: Fit, clip: Clip
+    job: Job, params: Params, folders: tuple[Path, Path, Path], deadline: Deadline, fit: Fit, clip: Clip
 ) -> tuple[Fit, Clip, dict[str, int]]:
     """The training with as many steps as fit into the time, at sizes that are worth them."""
-    steps, sizes = clock.start(fit), {}
+    steps, sizes = deadline.start(fit), {}
     if steps < SMALL_UNDER or steps >= LARGE_FROM:
         pick, wanted = (min, SMALL) if steps < SMALL_UNDER else (max, LARGE)
         sizes = {name: pick(size, getattr(params, name)) for name, size in wanted.items()}
         fit, clip = _start(job, params.model_copy(update=sizes), *folders)
-        steps = clock.start(fit)
+        steps = deadline.start(fit)
     if steps < FEWEST:
-        lacking = math.ceil(FEWEST * clock.pace.mean(0.0) - clock.left)
+        lacking = math.ceil(FEWEST * deadline.pace.mean(0.0) - deadline.left)
         raise StageError(
             "the time is too short to train on this clip",
             facts=[f"{steps} steps would fit into {params.seconds:.0f} s, {FEWEST} are the least that makes sense"],
@@ -178,17 +185,19 @@ def _timed(
         )
     fit.retime(steps)
     caps = f"at most {fit.options.human_cap:,} Gaussians of the person and {fit.options.scene_cap:,} of the scene"
-    job.note(f"{steps:,} steps of {1000 * clock.pace.mean(0.0):.0f} ms fit into the time, with {caps}")
+    job.note(f"{steps:,} steps of {1000 * deadline.pace.mean(0.0):.0f} ms fit into the time, with {caps}")
     return fit, clip, sizes
 
 
 def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
+    from stages.avatar.neighbours import evenly
     from stages.formats.clip import load_clip
     from stages.formats.facts import read_facts
 
     decisions = read_facts(survey / "survey.json", {"decisions": {str: bool}})["decisions"]
     clip = load_clip(sfm, smpl)
     train = [i for i in range(len(clip.names)) if clip.training[i]]
+    train = evenly(train, params.frames_used or len(train))
     if not train:
         raise StageError(
             "no frame is left to train on",
@@ -282,6 +291,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         refine_pose=decisions.get("pose_refinement", True),
         exposure=decisions.get("exposure", False),
         perceptual_every=params.perceptual_every,
+        half_until=params.half_until,
         human_densify=params.human_densify,
         human_loss=params.human_loss,
         joint=params.joint,
@@ -473,6 +483,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "steps": fit.step,
         "sizes": {"human_cap": fit.options.human_cap, "scene_cap": fit.options.scene_cap},
         "seconds": curve[-1]["seconds"],
+        "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar)},
         "broken": broken,
@@ -492,6 +503,12 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         job.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
     if fit.undrawn:
         job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
+
+
+def _by_part(parts: dict[str, float], total: float) -> dict[str, float]:
+    """Seconds of each part of training, the most first, and what is left of `total` as 'other'; sums to `total`."""
+    longest = dict(sorted(parts.items(), key=lambda part: -part[1]))
+    return {name: round(s, 3) for name, s in (longest | {"other": total - sum(parts.values())}).items()}
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
+from stages.avatar.clock import Clock
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.speeds import Motion, Speeds
@@ -24,7 +25,7 @@ from stages.avatar.optimizers import optimizers
 from stages.avatar.perceptual import Lpips
 from stages.avatar.refine import FrameCorrections
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import HALF_UNTIL, HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Phase, phases, rate
+from stages.avatar.schedule import HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Phase, phases, rate
 from stages.avatar.skinning import knn_weights
 from stages.avatar.views import Person, Views
 
@@ -59,7 +60,7 @@ class Fit:
         self.effects = (effects or FrameEffects()).to(views.viewmats)
         self.speeds = self._speeds() if self.effects.takes_time else None
         self.step, self.frame, self.undrawn = 0, train[0], 0
-        self.guard = Guard()
+        self.guard, self.clock = Guard(), Clock()
         self.order = torch.empty(0, dtype=torch.long)
         self.before: dict[str, Any] | None = None
         self.leaves: Resting | None = None
@@ -112,15 +113,18 @@ class Fit:
         FloatingPointError after too many bad steps in a row, ValueError when no Gaussian is left; `before` is then the
         state from which this step fails again.
         """
+        self.clock.start()
         self.before = copy.deepcopy(self.state()) if self.guard.alarmed else None
         self._grow()
+        self.clock.lap("growth")
         self.frame = self._next_frame()
         self._rates()
-        views = self.small if self.done < HALF_UNTIL else self.full
+        views = self.small if self.done < self.options.half_until else self.full
         numbers = self._learn(self.frame, views)
         self.step += 1
         if self.human is not None and self.step % self.options.views_per_decode == 0:
             self._learn_human()
+            self.clock.lap("person's networks")
         return numbers
 
     def _next_frame(self) -> int:
@@ -163,7 +167,10 @@ class Fit:
         p, phase = self.person, self.phase
         trust = 0.0 if p is None else p.confidence[frame]  # a doubtful pose teaches little
         if self.human is not None and phase.human and bool(p.confidence[frame] > 0) and bool((mask > 0.5).any()):
-            human = self.posed(self.resting(), *self.body(frame))
+            self.clock.start()
+            resting = self.resting()
+            self.clock.lap("person's networks")
+            human = self.posed(resting, *self.body(frame))
         if self.scene is not None and (phase.scene or human is not None):
             scene = self.scene.splats()
             if not phase.scene:
@@ -175,6 +182,7 @@ class Fit:
         lit = self.effects.lit(scene, human, None if human is None else self.resting().weights)
         pictures = self.effects.draw(human, lit, motion, viewmat, K, width, height, list(layers.values()))
         drawn = dict(zip(layers, pictures))
+        self.clock.lap("drawing")
         if scene is not None:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             if self.options.human_loss or human is None:
@@ -194,11 +202,13 @@ class Fit:
         if "veil" in layers:
             left, top, right, bottom = layers["veil"].window
             loss = loss + losses.VEIL * (drawn["veil"].alpha * mask[top:bottom, left:right]).mean()
+        self.clock.lap("losses")
         if "person" in layers and self.perceptual and self.step % self.options.perceptual_every == 0:
             window = losses.patch(mask[crop], losses.PATCH, self.generator)
             target = losses.over_background(image[crop], mask[crop], background)[window]
             if min(target.shape[:2]) >= self.perceptual.smallest:
                 loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], target)
+            self.clock.lap("perceptual loss")
         loss = loss + self.effects.prior()
         self.undrawn += next(iter(drawn.values())).dropped
         finite = math.isfinite(loss.item())
@@ -207,6 +217,7 @@ class Fit:
         if not finite:
             return numbers
         loss.backward()
+        self.clock.lap("backward")
         rows = 0 if human is None else len(human.means)
         if scene is not None and phase.scene:
             self.growth["scene"].add(drawn["all"].screen_grad_abs[rows:], drawn["all"].radii[rows:], width, height)
@@ -218,6 +229,7 @@ class Fit:
             self.growth["human"].add(drawn["all"].screen_grad_abs[:rows], drawn["all"].radii[:rows], width, height)
         self._apply("frames")
         self._learn_effects()
+        self.clock.lap("optimiser")
         return numbers
 
     def _camera(self, frame: int) -> Tensor:

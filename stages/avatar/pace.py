@@ -6,7 +6,7 @@ import copy
 import time
 
 from stages.avatar.fit import Fit
-from stages.avatar.schedule import HALF_UNTIL, SCENE_GROWTH, SETTLE
+from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
 TIMED = 8  # steps at each corner of a Pace; a multiple of views_per_decode
@@ -18,12 +18,13 @@ HELD = 10**9  # steps of a schedule that hardly moves
 class Pace:
     """Seconds a step takes, by the share of the schedule that is behind it.
 
-    `half` and `full` are seconds a step at each resolution, with as many Gaussians as at the start and as at the end;
-    in between they grow evenly. `slow` is what steps were found to take, as a multiple of that.
+    `half` and `full` are seconds a step at each resolution, before and after the share `half_until`, with as many
+    Gaussians as at the start and as at the end; in between they grow evenly. `slow` is what steps were found to take,
+    as a multiple of that.
     """
 
-    def __init__(self, half: tuple[float, float], full: tuple[float, float], slow: float = 1.0):
-        self.half, self.full, self.slow = half, full, slow
+    def __init__(self, half: tuple[float, float], full: tuple[float, float], half_until: float, slow: float = 1.0):
+        self.half, self.full, self.half_until, self.slow = half, full, half_until, slow
 
     def mean(self, start: float, end: float = 1.0) -> float:
         """Mean seconds a step between two shares of the schedule."""
@@ -31,7 +32,7 @@ class Pace:
         return self.slow * sum(map(self._at, shares)) / PARTS
 
     def _at(self, done: float) -> float:
-        few, many = self.half if done < HALF_UNTIL else self.full
+        few, many = self.half if done < self.half_until else self.full
         grown = min(max((done - SCENE_GROWTH[0]) / (SETTLE - SCENE_GROWTH[0]), 0.0), 1.0)
         return few + grown * (many - few)
 
@@ -45,7 +46,7 @@ class Pace:
             self.slow *= seconds / (steps * self.mean(start, end))
 
 
-class Clock:
+class Deadline:
     """The time that a training may take. Its steps are fitted into it before the first and again at every `mark`.
 
     `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over.
@@ -80,24 +81,25 @@ class Clock:
 
     def state(self) -> list:
         """For a checkpoint."""
-        return [self.spent, self.pace.half, self.pace.full, self.pace.slow]
+        return [self.spent, self.pace.half, self.pace.full, self.pace.half_until, self.pace.slow]
 
     def load(self, state: list, fit: Fit) -> None:
         """Go on from `state()`."""
-        spent, half, full, slow = state
+        spent, *pace = state
         self.began -= spent
-        self.pace = Pace(half, full, slow)
+        self.pace = Pace(*pace)
         self.leg = self.spent, fit.step, fit.done
 
 
 def rehearse(fit: Fit) -> Pace:
     """Time real steps of a training that has not begun, small and grown; it is then as it was, bit for bit."""
-    before = copy.deepcopy(fit.state())
-    few = _timed(fit, 0.0), _timed(fit, HALF_UNTIL)
+    before, late = copy.deepcopy(fit.state()), min(fit.options.half_until, LATE)
+    few = _timed(fit, 0.0), _timed(fit, late)
     fit.fill_up()
-    many = _timed(fit, 0.0), _timed(fit, HALF_UNTIL)
+    many = _timed(fit, 0.0), _timed(fit, late)
     fit.load(before)
-    return Pace((few[0], many[0]), (few[1], many[1]))
+    fit.clock.seconds = {}
+    return Pace((few[0], many[0]), (few[1], many[1]), fit.options.half_until)
 
 
 def _timed(fit: Fit, done: float) -> float:

@@ -27,6 +27,7 @@ LR_EFFECTS = {
     "darkness": 3e-2,
     "softness": 1e-2,
     "density": 1e-2,
+    "size": 1e-2,
     "shutter": 1e-2,
     "readout": 1e-2,
     "offsets": 1e-3,
@@ -52,6 +53,7 @@ class Options(NamedTuple):
     exposure: bool = False
     growth_rounds: int = 20
     perceptual_every: int = 0
+    half_until: float = HALF_UNTIL
     human_densify: bool = True
     human_loss: bool = True
     joint: bool = True

@@ -210,7 +210,7 @@ class _Stage:
         wide, width, height = K + np.array([[0, 0, pad], [0, 0, pad], [0, 0, 0]]), width + 2 * pad, height + 2 * pad
         vertices = course.body(t)
         room, room_depth = self.cast(course, t, wide, width, height, vertices)
-        for passer in passers:
+        for passer in (passer for passer in passers if passer.inside(t)):
             depth, face, weights = self.fill(course, passer.at, passer.faces, t, wide, width, height)
             near = depth < room_depth
             room[near] = (passer.colours[passer.faces[face[near]]] * weights[near][..., None]).sum(1)

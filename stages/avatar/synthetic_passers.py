@@ -24,6 +24,10 @@ class Passer:
     """The frame at which they are before the middle of the room."""
     frames: int
 
+    def inside(self, t: float) -> bool:
+        """Whether they are between the walls, or in them, at moment `t`."""
+        return abs(t - self.middle) < WALK * self.frames / 2
+
     def at(self, t: float) -> np.ndarray:
         """Vertices [V,3] m at moment `t`, in frames."""
         gone = (t - self.middle) / (WALK * self.frames)

@@ -11,8 +11,15 @@ from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
 
 HINT = "train again: `hugs run VIDEO train --force`"
-SHADOW = ("light", "darkness", "softness", "density")
-_LIMITS = {"darkness": (0, 1), "softness": (0, 1e3), "density": (0, 1e6), "shutter": (0, 1), "readout": (-1, 1)}
+SHADOW = ("light", "darkness", "softness", "density", "size")
+_LIMITS = {
+    "darkness": (0, 1),
+    "softness": (0, 1e3),
+    "density": (0, 1e6),
+    "size": (0, 1e3),
+    "shutter": (0, 1),
+    "readout": (-1, 1),
+}
 
 
 @dataclass(frozen=True)
@@ -20,15 +27,16 @@ class Effects:
     """What a clip called for; None for what is off.
 
     The person's shadow: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of
-    all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb. Of the time
-    between two frames `shutter` is the share in which the shutter is open, `readout` that in which the rows are read,
-    negative from below.
+    all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the
+    share of its covariance that casts. Of the time between two frames `shutter` is the share in which the shutter is
+    open, `readout` that in which the rows are read, negative from below.
     """
 
     light: np.ndarray | None = None
     darkness: float | None = None
     softness: float | None = None
     density: float | None = None
+    size: float | None = None
     shutter: float | None = None
     readout: float | None = None
 

@@ -10,13 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stages.formats import plot
 from stages.formats.video import probe
 
-STYLE = """
-:root { color-scheme: light dark; --ink: #1c2024; --soft: #60646c; --line: #d9d9e0; --paper: #fcfcfd; --box: #f0f0f3;
-        --mark: #b54708; --blue: #1f6feb; }
-@media (prefers-color-scheme: dark) { :root { --ink: #edeef0; --soft: #b0b4ba; --line: #363a3f; --paper: #111113;
-        --box: #1d1e22; --mark: #f5a15b; --blue: #70b8ff; } }
+STYLE = (
+    plot.COLOURS
+    + """
 body { margin: 0 auto; max-width: 1080px; padding: 24px; background: var(--paper); color: var(--ink);
        font: 16px/1.5 system-ui, sans-serif; }
 h1 { margin: 0; font-size: 30px; } h2 { margin: 40px 0 8px; font-size: 20px; }
@@ -32,8 +31,9 @@ img, video { display: block; width: 100%; height: auto; border-radius: 6px; back
 td, th { text-align: left; padding: 4px 12px 4px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
 td.n, th.n { text-align: right; white-space: nowrap; } td:has(.bar) { width: 50%; vertical-align: middle; }
 .bar { background: var(--blue); height: 10px; border-radius: 3px; min-width: 1px; }
-svg { width: 100%; max-width: 860px; height: auto; } svg text { fill: var(--soft); font-size: 13px; }
+pre { font-size: 13px; } svg { width: 100%; max-width: 860px; height: auto; }
 """
+)
 
 
 def page(title: str, parts: Sequence[str]) -> str:
@@ -96,6 +96,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[
     return f'<div class="wide"><table><tr>{line(head, "th")}</tr>{body}</table></div>'
 
 
+def lines(texts: Sequence[str]) -> str:
+    """Lines whose columns stand below each other."""
+    return f'<div class="wide"><pre>{escape(chr(10).join(texts))}</pre></div>'
+
+
 def bar(share: float) -> str:
     """A bar of `share` (0 to 1) of the cell's width."""
     return f'<div class="bar" style="width:{100 * min(max(share, 0.0), 1.0):.1f}%"></div>'
@@ -103,44 +108,8 @@ def bar(share: float) -> str:
 
 def chart(lines: dict[str, tuple[Sequence[float], Sequence[float]]], x_name: str, y_name: str) -> str:
     """A line chart as SVG: name -> (x, y), x from 0; fewer than two points make no chart and give ''."""
-    lines = {name: (x, y) for name, (x, y) in lines.items() if len(x) > 1}
-    if not lines:
-        return ""
-    width, height, left, right, top, low = 720, 300, 52, 20, 34, 44
-    across = _ticks(0.0, max(max(x) for x, _ in lines.values()))
-    up = _ticks(min(min(y) for _, y in lines.values()), max(max(y) for _, y in lines.values()))
-    last = max(max(x) for x, _ in lines.values()) or 1.0
-
-    def at(x: float, y: float) -> tuple[float, float]:
-        share = (y - up[0]) / (up[-1] - up[0])
-        return left + x / last * (width - left - right), height - low - share * (height - low - top)
-
-    out = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(y_name)} over {escape(x_name)}">']
-    for y in up:
-        _, py = at(0, y)
-        out.append(f'<line x1="{left}" x2="{width - right}" y1="{py:.1f}" y2="{py:.1f}" stroke="var(--line)"/>')
-        out.append(f'<text x="{left - 8}" y="{py + 4:.1f}" text-anchor="end">{y:g}</text>')
-    for x in across[across <= last]:
-        out.append(f'<text x="{at(x, 0)[0]:.1f}" y="{height - 24}" text-anchor="middle">{x:g}</text>')
-    out.append(f'<text x="{left}" y="16">{escape(y_name)}</text>')
-    out.append(f'<text x="{(left + width) / 2}" y="{height - 4}" text-anchor="middle">{escape(x_name)}</text>')
-    for i, (name, (x, y)) in enumerate(lines.items()):
-        color = ("var(--blue)", "var(--mark)")[i % 2]
-        places = [at(*place) for place in zip(x, y, strict=True)]
-        points = " ".join(f"{px:.1f},{py:.1f}" for px, py in places)
-        out.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="2.5"/>')
-        out += [f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3" fill="{color}"/>' for px, py in places]
-        out.append(f'<text x="{left + 120 + 160 * i}" y="16" style="fill:{color}">● {escape(name)}</text>')
-    return "".join([*out, "</svg>"])
-
-
-def _ticks(low: float, high: float, about: int = 5) -> np.ndarray:
-    """Round numbers from at or below `low` to at or above `high`, some `about` of them, at least two."""
-    rough = max(high - low, 1e-6 * max(abs(high), 1.0)) / about
-    power = 10.0 ** np.floor(np.log10(rough))
-    step = power * next(s for s in (1, 2, 5, 10) if s * power >= rough)
-    first, last = np.floor(low / step), max(np.ceil(high / step), np.floor(low / step) + 1)
-    return np.round(np.arange(first, last + 1) * step, 9)
+    known = [plot.Line(name, tuple(map(plot.Dot, x, y))) for name, (x, y) in lines.items() if len(x) > 1]
+    return plot.svg(plot.drawing([plot.Panel(x_name, y_name, tuple(known))])) if known else ""
 
 
 def _figure(media: str, caption: str, shape: float) -> str:

@@ -3,8 +3,9 @@
     python -m tests.benchmarks.approximations work/kitchen/default [--steps 400] [--seeds 1] [--only NAME ...] [--json out.json]
 
 The argument is the folder of a pipeline that has run. Each row is the code with one approximation made coarser, finer, or
-taken out, in a copy of the tree with a cache of its own for compiled kernels. "small" is the largest error of 600 Gaussians on 96x96 px against the
-float64 reference without any cut; "drawn" is the error of a trained picture against the row `exact`, in dB.
+taken out, in a copy of the tree with a cache of its own for compiled kernels. "small" is the largest error of 600
+Gaussians on 96x96 px against the float64 reference without any cut; "drawn" is the error of a trained picture against
+the row `exact`, in dB.
 """
 
 from __future__ import annotations

@@ -16,6 +16,9 @@ from pathlib import Path
 from stages import calibrated, masks, neuman, smpl, survey
 from stages.avatar.synthetic_effects import Effects
 from stages.contract import Job
+from stages.estimators.detectors.every import DETECTORS
+from stages.estimators.detectors.evidence import Evidence
+from stages.formats.clip import load_clip
 from tests import datasets
 
 SIZE = {"frames": 30, "width": 240, "height": 320, "points": 2000}
@@ -60,25 +63,26 @@ def clip(work: Path, seed: int, effect: str | None = None, level: int = 2) -> Pa
     return place
 
 
-def surveyed(place: Path) -> dict[str, dict]:
-    """The effects in the survey.json of a clip's folder."""
-    out = place / "survey"
-    out.mkdir(exist_ok=True)
-    folders = {name: place / name for name in ("frames", "masks", "sfm", "smpl")}
-    survey.run(Job(out), survey.Params(), **folders)
-    return json.loads((out / "survey.json").read_bytes())["effects"]
+def measured(place: Path, effects: list[str]) -> dict[str, dict]:
+    """What `survey` writes of these effects for a clip's folder."""
+    facts = json.loads((place / "sfm" / "sfm.json").read_bytes())
+    evidence, params = Evidence(load_clip(place / "sfm", place / "smpl"), facts), survey.Params()
+    return {name: survey.decide(getattr(params, name), DETECTORS[name](evidence)) for name in effects}
 
 
 def judge(work: Path, seeds: list[int], effects: list[str], levels: list[int]) -> list[dict]:
     """A row for each effect, seed and clip: what was measured, and whether the verdict is right."""
     rows = []
     for seed in seeds:
-        clean = surveyed(clip(work, seed))
+        clean = measured(clip(work, seed), effects)
         for effect in effects:
-            tries = [("without", clean)]
-            tries += [(f"{STRENGTHS[effect][n - 1]:g}", surveyed(clip(work, seed, effect, n))) for n in levels]
+            tries = [("without", clean[effect])]
+            tries += [
+                (f"{STRENGTHS[effect][n - 1]:g}", measured(clip(work, seed, effect, n), [effect])[effect])
+                for n in levels
+            ]
             for strength, found in tries:
-                row = found[effect] | {"effect": effect, "seed": seed, "strength": strength}
+                row = found | {"effect": effect, "seed": seed, "strength": strength}
                 rows.append(row | {"right": row["on"] == (strength != "without")})
                 tell(rows[-1])
     return rows

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.hugs_cli.compared import add_tiny
+
 ROOT = Path(__file__).parents[2]
 
 STAGE = '''
@@ -137,6 +139,12 @@ class Flow:
 def flow(tmp_path: Path) -> Flow:
     """A fresh clip and package."""
     return Flow(tmp_path)
+
+
+@pytest.fixture
+def clip(flow: Flow) -> Flow:
+    """The flow with the pipelines `tiny` and `quick`, see compared.py."""
+    return add_tiny(flow)
 
 
 @pytest.fixture

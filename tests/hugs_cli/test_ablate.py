@@ -7,54 +7,10 @@ import json
 import pytest
 
 from hugs_cli import ablate
-from hugs_cli.pipelines import ABLATIONS
+from hugs_cli.comparison import cell
+from hugs_cli.variants import ABLATIONS
 
-TRAIN = """
-'''Writes what it was told.'''
-import json
-from stages.contract import Params as Base
-
-class Params(Base):
-    lbs_learning: bool = True
-    human_densify: bool = True
-    human_loss: bool = True
-    triplane: bool = True
-    joint: bool = True
-
-def run(job, params, *, one):
-    '''Write one file.'''
-    off = [name for name, value in params.model_dump().items() if not value]
-    (job.out / "out.txt").write_text(json.dumps([job.seed, off]))
-"""
-EVALUATE = """
-'''Makes up numbers: 30 dB, 1 more a seed, 5 fewer a missing part.'''
-import json
-from stages.contract import Params as Base
-
-class Params(Base):
-    scene: bool = True
-
-def run(job, params, *, train):
-    '''Write metrics.json.'''
-    seed, off = json.loads((train / "out.txt").read_text())
-    psnr = 30.0 + seed - 5 * len(off)
-    some, none = {"psnr": psnr, "ssim": 0.9, "lpips": 0.1}, dict.fromkeys(("psnr", "ssim", "lpips"))
-    apart = {"full": some, "person_crop": some} if params.scene else {"full": none, "person_crop": none}
-    (job.out / "metrics.json").write_text(json.dumps({"heldout": {**apart, "person_white": some}}))
-"""
 PARTS = ["", *(f".{part}" for part in ABLATIONS)]
-
-
-@pytest.fixture
-def clip(flow):
-    """The flow, and a pipeline `tiny` of it that has a train and an evaluate stage."""
-    flow.write("train", TRAIN)
-    flow.write("evaluate", EVALUATE)
-    stages = {"one": "video", "train": "one", "evaluate": "train"}
-    lines = "".join(f"    {n}: {{needs: [{need}], module: flow.{n}}}\n" for n, need in stages.items())
-    file = flow.folder / "pipelines.yaml"
-    file.write_text(f"{file.read_text()}tiny:\n  doc: Tiny.\n  stages:\n{lines}")
-    return flow
 
 
 def ablate_(clip, *args: str, code: int = 0) -> tuple[str, str]:
@@ -112,15 +68,15 @@ def test_without_a_scene_the_person_over_white_is_compared(clip):
 
 
 def test_one_seed_has_no_spread_and_what_was_not_measured_no_number():
-    assert ablate.cell({"mean": 28.914, "spread": None, "difference": -0.3}, 2) == "28.91  -0.30"
-    assert ablate.cell({"mean": None, "spread": None, "difference": None}, 2) == "-"
+    assert cell({"mean": 28.914, "spread": None, "difference": -0.3}, 2) == "28.91  -0.30"
+    assert cell({"mean": None, "spread": None, "difference": None}, 2) == "-"
 
 
 @pytest.mark.parametrize(
     ("pipeline", "problem", "hint"),
     [
         ("default", "pipeline default: no stage 'train'", "one of: one, two, three, four"),
-        ("tiny.no_lbs", "tiny.no_lbs lacks a part already", "`--pipeline tiny`"),
+        ("tiny.no_lbs", "tiny.no_lbs is a variant already", "`--pipeline tiny`"),
         ("tiny.no_lsb", "pipeline tiny: no variant 'no_lsb'", "did you mean `no_lbs`?"),
     ],
 )

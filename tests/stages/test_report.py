@@ -44,6 +44,7 @@ def test_everything_is_told(page):
     assert "too small" in text, "LPIPS of a crop under 64 px"
     assert [name for name in tiny_clip.STAGES if f"<td>{name}</td>" not in text] == []
     assert text.count("<polyline") == 2
+    assert "Training, step by step" in text and "<td>drawing</td><td class=n>9.0 s</td><td class=n>75 %</td>" in text
     assert not re.search(r'(src|href|action)="(?!data:)|url\(|@import|https?://', text), "nothing is fetched"
 
 

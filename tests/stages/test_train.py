@@ -14,7 +14,9 @@ from stages import evaluate, render, train
 from stages.avatar import losses
 from stages.avatar.drawing import Learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.fit import Fit
 from stages.avatar.human import load_avatar, pose_avatar
+from stages.avatar.pace import Pace
 from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
 from stages.formats.body_model import read_body_model, write_body_model
@@ -118,6 +120,9 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
     rows = list(csv.DictReader((job.out / "curve.csv").open()))
     assert [int(r["step"]) for r in rows] == [4, 8] and float(rows[1]["psnr"]) > 0
     assert 0 < float(rows[0]["seconds"]) < float(rows[1]["seconds"])
+    spent = facts["seconds_by_part"]
+    assert set(spent) == {"growth", "person's networks", "drawing", "losses", "backward", "optimiser", "other"}
+    assert sum(spent.values()) == pytest.approx(facts["seconds"], abs=0.01) and min(spent.values()) >= 0
     assert json.loads((job.out / "train.json").read_text())["train_frames"] == [
         clip.names[i] for i in (0, 1, 3, 4, 5, 6)
     ]
@@ -183,6 +188,10 @@ def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_pat
     assert (job.out / "checkpoint.pt").exists() and not (job.out / "avatar.npz").exists()
     train.run(Job(out=job.out), PARAMS, **inputs)
     assert not list(job.out.glob("checkpoint*")) and same_results(straight.out, job.out)
+    facts = json.loads((job.out / "train.json").read_text())
+    assert sum(facts["seconds_by_part"].values()) == pytest.approx(facts["seconds"], abs=0.01), (
+        "before and after the stop"
+    )
 
 
 def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_again(tmp_path, inputs, monkeypatch):
@@ -277,6 +286,23 @@ def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkey
     with pytest.raises(OSError, match="disk full"):
         train.run(again, PARAMS, **inputs)
     assert (job.out / "checkpoint.pt").read_bytes() == before
+
+
+def test_fewer_frames_are_spread_evenly(tmp_path, inputs):
+    job, params = fresh(tmp_path, "out"), PARAMS.model_copy(update={"steps": 2, "frames_used": 3})
+    train.run(job, params, **inputs)
+    facts = json.loads((job.out / "train.json").read_text())
+    assert facts["train_frames"] == ["000000", "000003", "000005"], "of 0, 1, 3, 4, 5, 6"
+
+
+@pytest.mark.parametrize(("share", "halves"), [(0.0, 0), (0.5, 4)])
+def test_the_first_steps_look_at_half_the_size(tmp_path, inputs, monkeypatch, share, halves):
+    seen, real = [], Fit._learn
+    monkeypatch.setattr(
+        Fit, "_learn", lambda self, i, views: (seen.append(views.images.shape[1]), real(self, i, views))[1]
+    )
+    train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={"half_until": share}), **inputs)
+    assert seen == [HEIGHT // 2] * halves + [HEIGHT] * (8 - halves)
 
 
 def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
@@ -380,7 +406,7 @@ class Touches:
 def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(train, "_start", lambda *args: (Refuses(), None))
     path, sign = tmp_path / "checkpoint.pt", tmp_path / "ran"
-    torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0, "sizes": {}, "clock": None}, path)
+    torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0, "parts": {}, "sizes": {}, "deadline": None}, path)
     whole = path.read_bytes()
     torch.save({"fit": Touches(sign)}, path)
     for data, said in ((whole, "size mismatch"), (whole[:-50], "checkpoint.pt: "), (b"", "checkpoint.pt: "),
@@ -415,3 +441,35 @@ def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_pa
     assert read_avatar(avatar).clothes.largest > 0 and read_avatar(off.out / "avatar.npz").clothes is None
     still = pose_avatar(load_avatar(read_avatar(avatar)), *(torch.zeros(n) for n in (3, 69, 3)))
     assert still.means.isfinite().all()
+
+
+def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):
+    """A made-up clock: a step takes a second, whatever this machine is doing."""
+    now = [0.0]
+    monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr(train, "FEWEST", 10)
+    advance = Fit.advance
+    monkeypatch.setattr(Fit, "advance", lambda fit: (now.__setitem__(0, now[0] + 1), advance(fit))[1])
+    params = PARAMS.model_copy(update={"seconds": 20.0, "reserve": 5.0, "human_cap": 30_000})
+    said = []
+    job = stopping(tmp_path, "job", after=8)
+    stop = job.emit
+    job.emit = lambda event: (said.append(event.get("text", "")), stop(event))
+    with pytest.raises(Stopped):
+        train.run(job, params, **inputs)
+    assert any("15 steps of 1000 ms fit into the time, with at most 20,000 Gaussians" in text for text in said)
+    begun = now[0]
+    train.run(Job(out=job.out), params, **inputs)
+    facts = json.loads((job.out / "train.json").read_text())
+    assert facts["steps"] == 15 and facts["sizes"] == {"human_cap": 20_000, "scene_cap": 60} and now[0] == 15
+    assert begun in (8.0, 9.0)
+
+
+def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, monkeypatch):
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: 0.0)
+    with pytest.raises(StageError, match="too short to train") as error:
+        train.run(fresh(tmp_path, "job"), PARAMS.model_copy(update={"seconds": 50.0}), **inputs)
+    assert "50 steps would fit into 50 s, 200 are the least" in error.value.facts[0]
+    assert error.value.hint == "give 150 s more"

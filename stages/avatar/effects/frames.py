@@ -117,5 +117,6 @@ def load_effects(arrays: Any) -> FrameEffects:
     """The effects of a `formats.effects.Effects`, or of anything with its fields."""
     shadow = None
     if arrays.light is not None:
-        shadow = Shadow(torch.as_tensor(arrays.light).float(), arrays.darkness, arrays.softness, arrays.density)
+        numbers = arrays.darkness, arrays.softness, arrays.density, arrays.size
+        shadow = Shadow(torch.as_tensor(arrays.light).float(), *numbers)
     return FrameEffects(shadow, arrays.shutter, arrays.readout).requires_grad_(False)

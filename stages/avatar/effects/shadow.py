@@ -11,7 +11,7 @@ from stages.avatar.gaussians import Splats
 from stages.avatar.rotations import rotation_z_to
 from stages.avatar.sh import SH_C0
 
-DARKNESS, SOFTNESS, DENSITY = 0.5, 0.05, 1.5  # to begin with: share of light, m, optical depth through a bone's middle
+DARKNESS, SOFTNESS, DENSITY, SIZE = 0.5, 0.04, 3.0, 0.6  # to begin with
 REACH = 3.0  # standard deviations beyond which a bone casts nothing
 LEAST = 1e-6  # share of the person's Gaussians under which a bone casts nothing
 ABOVE = 0.05  # m over which a bone comes between a point and the light
@@ -38,19 +38,29 @@ def casters(means: Tensor, weights: Tensor) -> Casters:
 
 
 class Shadow(nn.Module):
-    """The light that the person keeps off the scene: its direction and four numbers more, learned for a whole clip.
+    """The light that the person keeps off the scene: its direction and four numbers, learned for a whole clip.
 
     `slope` [2] is how far light from the direction `up` [3] leans, so that straight down is no special case; `darkness`
-    (logit) the share of all light that comes from there, `softness` (log m) and `density` (log) of the bodies' edges.
+    (logit) the share of all light that comes from there, `softness` (log m) the blur of edges, `density` (log) the
+    optical depth through the middle of a part, and `size` (log) how much of its covariance casts: with a small and dense
+    part the shadow is even and its edge is sharp.
     """
 
-    def __init__(self, up: Tensor, darkness: float = DARKNESS, softness: float = SOFTNESS, density: float = DENSITY):
+    def __init__(
+        self,
+        up: Tensor,
+        darkness: float = DARKNESS,
+        softness: float = SOFTNESS,
+        density: float = DENSITY,
+        size: float = SIZE,
+    ):
         super().__init__()
         self.register_buffer("frame", rotation_z_to(up))
         self.slope = nn.Parameter(torch.zeros(2).to(up))
         self.darkness = nn.Parameter(torch.tensor([darkness]).to(up).logit())
         self.softness = nn.Parameter(torch.tensor([softness]).to(up).log())
         self.density = nn.Parameter(torch.tensor([density]).to(up).log())
+        self.size = nn.Parameter(torch.tensor([size]).to(up).log())
 
     def light(self) -> Tensor:
         """The direction [3] towards the light, of length 1."""
@@ -59,15 +69,14 @@ class Shadow(nn.Module):
 
     def known(self) -> dict[str, Any]:
         """What `formats.effects.Effects` says of it."""
-        numbers = self.darkness.sigmoid(), self.softness.exp(), self.density.exp()
-        light = self.light().detach().cpu().numpy()
-        return {"light": light} | dict(zip(("darkness", "softness", "density"), (number.item() for number in numbers)))
+        found = {name: getattr(self, name).exp().item() for name in ("softness", "density", "size")}
+        return found | {"darkness": self.darkness.sigmoid().item(), "light": self.light().detach().cpu().numpy()}
 
     def shares(self, points: Tensor, body: Casters) -> Tensor:
         """How much of its light each of points[M,3] keeps, from 1 - darkness to 1."""
         turn = rotation_z_to(self.light())
         at, middles = points @ turn, body.middles @ turn
-        spread = turn.T @ body.covariances @ turn
+        spread = self.size.exp() * (turn.T @ body.covariances @ turn)
         a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
         soft = (2 * self.softness).exp()
         det = (a + soft) * (c + soft) - b * b
@@ -82,7 +91,7 @@ class Shadow(nn.Module):
         with torch.no_grad():
             turn = rotation_z_to(self.light())
             at, middles = points @ turn, body.middles @ turn
-            wide = (turn.T @ body.covariances @ turn).diagonal(dim1=1, dim2=2)[:, :2].amax()
+            wide = (self.size.exp() * (turn.T @ body.covariances @ turn)).diagonal(dim1=1, dim2=2)[:, :2].amax()
             reach = REACH * (wide + (2 * self.softness).exp()).sqrt()
             low, high = middles[:, :2].amin(0) - reach, middles[:, :2].amax(0) + reach
             near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)

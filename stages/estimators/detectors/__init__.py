@@ -2,6 +2,6 @@
 
 Each looks at what is there before training (frames, masks, cameras, points, the body fit, points followed through the
 clip) and answers with a number beside its threshold. One that cannot measure says "unknown", which means off.
-The order is that in which effects hide each other: what bends or shakes the camera before what colours a point, and what
-passes through before what falls on the floor.
+Effects hide each other, so they are told apart in order: lens, shutter and camera poses are solved for at once; gains are
+taken off before colours are compared; and a shadow must follow the body, which what passes through does not.
 """

@@ -12,7 +12,7 @@ import numpy as np
 
 from stages.estimators.detectors.tracks import Tracks, projections
 
-FEWEST = 40  # points that must be placed
+FEWEST, MOST = 40, 1500  # points that must be placed; that are used, those seen longest
 NOISE_PX = 0.3  # of a followed corner; only weighs the two lines below
 TURN, MOVE = 0.01, 0.01  # how far a camera may be off: rad, and share of the median depth
 ROUNDS = 4  # of weights that fade with the error
@@ -37,15 +37,16 @@ class Leftover:
 
 def leftover(tracks: Tracks, viewmats: np.ndarray, Ks: np.ndarray, height: int) -> Leftover | None:
     """Solve for it; None if too few points could be placed."""
-    size = np.sqrt(np.nanmean((tracks.errors**2).sum(-1), 0))
-    good = np.isfinite(tracks.points).all(1) & np.isfinite(size)
-    if good.sum() < FEWEST:
+    placed = np.isfinite(tracks.points).all(1)
+    if placed.sum() < FEWEST:
         return None
-    good &= size < OUTLIER * np.median(size[good])
+    size = np.sqrt(np.nansum(tracks.errors**2, (0, 2)) / np.maximum(tracks.lengths, 1))
+    good = np.flatnonzero(placed & (size < OUTLIER * np.median(size[placed])))
+    good = good[np.argsort(-tracks.lengths[good], kind="stable")[:MOST]]
     errors, pixels, points = tracks.errors[:, good], tracks.pixels[:, good], tracks.points[good]
     seen = np.isfinite(errors[..., 0])
     there, z, by_point = projections(points, viewmats, Ks)
-    speed = np.gradient(there, axis=0)
+    speed = np.nan_to_num(np.gradient(there, axis=0))  # a point may be behind the next camera
     u = (pixels - Ks[:, None, :2, 2]) / Ks[:, None, [0, 1], [0, 1]]
     columns = [
         speed * (pixels[..., 1:] / height - 0.5),

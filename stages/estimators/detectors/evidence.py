@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import torch
-from scipy.ndimage import map_coordinates
 
 from stages.avatar.body import Body
 from stages.avatar.mesh_render import NEAR, fill
 from stages.estimators.detectors.bundle import Leftover, leftover
+from stages.estimators.detectors.exposure import gains_of
 from stages.estimators.detectors.tracks import Tracks, follow
 
 if TYPE_CHECKING:
@@ -47,8 +46,6 @@ class Evidence:
     @cached_property
     def gains(self) -> np.ndarray:
         """Log gain [F] of each frame, NaN where too few points are seen."""
-        from stages.estimators.detectors.exposure import gains_of
-
         return gains_of(self.clip)
 
     @cached_property
@@ -83,19 +80,3 @@ def outline(clip: Clip, i: int, vertices: np.ndarray) -> np.ndarray:
     faces = faces[(local[faces, 2] > NEAR).all(1)]
     local[:, 2] = np.maximum(local[:, 2], NEAR)
     return fill(local, faces, clip.Ks[i], clip.width, clip.height)[1] >= 0
-
-
-def brightness(image: np.ndarray) -> np.ndarray:
-    """Grey values float32 [H,W] 0..255, a little blurred, so that a point's place need not be exact."""
-    return cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.5)
-
-
-def beside_person(mask: np.ndarray) -> np.ndarray:
-    """bool [H,W]: surely not the person."""
-    reach = max(5, max(mask.shape) // 60) | 1
-    return cv2.dilate(mask, np.ones((reach, reach), np.uint8)) <= 64
-
-
-def sample(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Values float32 [N] of a one-channel `picture` float32 [H,W] at `pixels` [N,2], the first pixel's centre at (0.5, 0.5)."""
-    return map_coordinates(picture, (pixels - 0.5).T[::-1], order=1, mode="nearest")

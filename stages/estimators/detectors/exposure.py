@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from stages.avatar.cameras import project
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.pictures import brightness
 
 if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import Evidence
@@ -40,10 +42,8 @@ def gains_of(clip: Clip) -> np.ndarray:
 
 def point_logs(image: np.ndarray, mask: np.ndarray, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Log brightness [P] of a frame at `pixels` [P,2]; NaN outside it, on the person, and where clipped or dark."""
-    import cv2
-
     height, width = mask.shape
-    grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.5)
+    grey = brightness(image)
     person = cv2.dilate(mask, np.ones((9, 9), np.uint8)) > 64
     inside = (z > 0) & (pixels >= 0).all(1) & (pixels < [width, height]).all(1)
     x, y = np.where(inside[:, None], pixels, 0).astype(int).T

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from stages.avatar.cameras import project
-from stages.estimators.detectors.evidence import beside_person, brightness, sample
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.pictures import beside_person, brightness, sample
 
 if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import Evidence

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-from stages.estimators.detectors.evidence import beside_person
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.pictures import beside_person
 from stages.estimators.detectors.tracks import SIDE
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.estimators.detectors.evidence import brightness, sample
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.pictures import brightness, sample
 from stages.estimators.detectors.tracks import bearings
 
 if TYPE_CHECKING:

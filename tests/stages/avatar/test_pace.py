@@ -1,11 +1,11 @@
 import pytest
 
-from stages.avatar.pace import Clock, Pace, rehearse
+from stages.avatar.pace import Deadline, Pace, rehearse
 from stages.avatar.schedule import HALF_UNTIL, SETTLE
 from tests.stages.avatar.test_fit import fit_of, make_clip, run, same
 
 clip = pytest.fixture(scope="module")(make_clip)
-PACE = Pace(half=(0.1, 0.2), full=(0.3, 0.6))
+PACE = Pace(half=(0.1, 0.2), full=(0.3, 0.6), half_until=HALF_UNTIL)
 
 
 class Time:
@@ -28,7 +28,7 @@ def test_as_many_steps_as_fit_and_at_least_one():
 
 
 def test_what_was_slow_is_believed_to_stay_slow():
-    pace = Pace(PACE.half, PACE.full)
+    pace = Pace(PACE.half, PACE.full, HALF_UNTIL)
     expected = 50 * pace.mean(0.0, 0.2)
     pace.learn(1.5 * expected, 50, 0.0, 0.2)
     assert pace.slow == pytest.approx(1.5) and pace.mean(0.7) == pytest.approx(0.9)
@@ -71,8 +71,8 @@ def test_a_run_with_other_steps_goes_through_the_whole_schedule(clip):
 def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, monkeypatch, slower):
     """Seconds are those of a made-up machine, which turns `slower` as fast after a quarter of the way."""
     clock_time, fit = Time(monkeypatch), fit_of(clip, steps=40)
-    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace(PACE.half, PACE.full))
-    clock = Clock(seconds=200.0, reserve=10, began=0.0)
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace(PACE.half, PACE.full, HALF_UNTIL))
+    clock = Deadline(seconds=200.0, reserve=10, began=0.0)
     fit.retime(clock.start(fit))
     planned, marks = fit.total, 0
     monkeypatch.setattr(fit, "advance", lambda: setattr(fit, "step", fit.step + 1))
@@ -93,13 +93,13 @@ def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, mon
     )
 
 
-def test_a_clock_goes_on_where_it_was_stopped(clip, monkeypatch):
+def test_a_deadline_goes_on_where_it_was_stopped(clip, monkeypatch):
     clock_time, fit = Time(monkeypatch), fit_of(clip)
-    clock = Clock(100.0, 0, began=0.0)
-    clock.pace = Pace(PACE.half, PACE.full)
+    clock = Deadline(100.0, 0, began=0.0)
+    clock.pace = Pace(PACE.half, PACE.full, HALF_UNTIL)
     clock_time.now = 30.0
     state = clock.state()
     clock_time.now = 1000.0
-    other = Clock(100.0, 0, began=990.0)
+    other = Deadline(100.0, 0, began=990.0)
     other.load(state, fit)
     assert other.spent == pytest.approx(40.0) and other.left == pytest.approx(60.0)

@@ -165,3 +165,11 @@ def test_the_camera_comes_nearer_by_the_ratio_that_was_asked_for():
         path = synthetic.camera_path(31, 6, "moving", np.random.default_rng(0), ratio)
         away = np.linalg.norm(camera_centers(path)[:, [0, 2]], axis=1)
         assert away.max() / away.min() == pytest.approx(ratio, rel=0.08) and away.max() < 3.4
+
+
+def test_strangers_are_gone_before_and_after_their_walk():
+    """Their way ends behind the walls; farther on they would come behind the camera, which nothing can be drawn of."""
+    passer = make_passers(1, 40, np.random.default_rng(0))[0]
+    walk = [t for t in range(-40, 80) if passer.inside(t)]
+    assert 26 <= len(walk) <= 29 and walk == list(range(walk[0], walk[-1] + 1))
+    assert all(np.abs(passer.at(t)[:, 0]).max() < 4 for t in walk)

@@ -1,5 +1,6 @@
 """The detectors on made evidence: each finds what is there, measures how much, and is quiet about the rest."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -16,7 +17,8 @@ from stages.avatar.synthetic_room import make_room
 from stages.estimators.detectors import exposure, motion_blur, shadow, tracks
 from stages.estimators.detectors.bundle import leftover
 from stages.estimators.detectors.every import DETECTORS
-from stages.estimators.detectors.evidence import Evidence, sample
+from stages.estimators.detectors.evidence import Evidence
+from stages.estimators.detectors.pictures import sample
 from stages.formats.body_model import read_body_model
 from tests.datasets import points_of
 
@@ -101,6 +103,16 @@ def test_true_cameras_leave_nothing(seen):
     viewmats, Ks, _, pixels = seen
     left = told(pixels, viewmats, Ks)
     assert abs(left.readout) < 0.02 and abs(left.k) < 0.003 and np.median(left.mended_px) < 0.1
+
+
+def test_points_behind_a_camera_that_does_not_see_them_do_no_harm(seen):
+    viewmats, Ks, _, pixels = seen
+    viewmats, pixels = viewmats.copy(), pixels.copy()
+    viewmats[-1, :3, :3] = np.diag([-1, 1, -1]) @ viewmats[-1, :3, :3]
+    viewmats[-1, :3, 3] = np.diag([-1, 1, -1]) @ viewmats[-1, :3, 3]
+    pixels[-1] = np.nan
+    left = told(pixels, viewmats, Ks)
+    assert abs(left.readout) < 0.02 and np.isfinite([*left.mended_px, *left.speed_px, left.k, left.readout_std]).all()
 
 
 def test_a_readout_time_is_found_and_blamed_on_nothing_else(seen):
@@ -188,7 +200,7 @@ def filmed():
     def film(passers=(), **strengths):
         key = (len(passers), *strengths.items())
         if key not in known:
-            drawn = synthetic.replace(stage, effects=Effects(**strengths))
+            drawn = replace(stage, effects=Effects(**strengths))
             views = drawn.views(viewmats, orient, pose, width, height, lambda n: None, passers)
             points = []
             for i, x, y in points_of(views, 600):

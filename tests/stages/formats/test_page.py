@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from stages.formats import page
+from stages.formats import page, plot
 from stages.formats.video import write_video
 
 EVIL = "<script>\"&'"
@@ -47,7 +47,7 @@ def test_a_charts_points_lie_where_its_ticks_say():
 
 @pytest.mark.parametrize(("low", "high"), [(0, 0.27), (19.2, 22.4), (25, 25), (-3e-9, 4e-9), (0, 1234), (99.9, 100)])
 def test_ticks_are_few_and_hold_what_they_must(low, high):
-    ticks = page._ticks(low, high)
+    ticks = plot.ticks(low, high)
     assert ticks[0] <= low + 1e-9 and ticks[-1] >= high - 1e-9 and 2 <= len(ticks) <= 8 and (np.diff(ticks) > 0).all()
 
 

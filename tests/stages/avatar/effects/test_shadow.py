@@ -22,7 +22,7 @@ def floor(side: int = 25, reach: float = 1.8) -> torch.Tensor:
 
 
 def leaning(slope) -> Shadow:
-    shadow = Shadow(UP, darkness=0.6, softness=0.05, density=3.0)
+    shadow = Shadow(UP, darkness=0.6, softness=0.05, density=3.0, size=1.0)
     shadow.slope.data = torch.tensor(slope, dtype=torch.float64)
     return shadow
 
@@ -85,8 +85,8 @@ def test_light_straight_down_and_bodies_without_width_have_finite_slopes(width):
 def test_slopes_are_those_of_finite_differences():
     points, shadow = floor(9), leaning([0.2, 0.1])
 
-    def loss(slope, darkness, softness, density):
-        parts = {"slope": slope, "darkness": darkness, "softness": softness, "density": density}
+    def loss(slope, darkness, softness, density, size):
+        parts = {"slope": slope, "darkness": darkness, "softness": softness, "density": density, "size": size}
         called = torch.func.functional_call(_Shares(shadow), {f"shadow.{n}": v for n, v in parts.items()}, (points,))
         return called.square().sum()
 
@@ -118,5 +118,5 @@ def test_the_direction_of_the_light_is_learned_from_straight_down(held):
 def test_what_is_said_of_it_makes_it_again(held):
     shadow = leaning([0.4, -0.25])
     said = shadow.known()
-    again = Shadow(torch.as_tensor(said["light"]), said["darkness"], said["softness"], said["density"])
+    again = Shadow(torch.as_tensor(said["light"]), said["darkness"], said["softness"], said["density"], said["size"])
     held((again.shares(floor(), body()) - shadow.shares(floor(), body())).abs().max().item(), 1e-6)

@@ -96,7 +96,7 @@ def test_a_rolling_shutter_is_met_to_second_order(held):
         errors.append((seen(there.means, view) - read_rows(splats, readout)).abs().max())
     shift = (seen(splats.means, view) - read_rows(splats, 0.8)).abs().max()
     assert shift > 1  # px
-    held(errors[0] / shift, 0.05)
+    held(errors[0] / shift, 0.014)  # 0.02 without the share of `rush`
     assert errors[1] < errors[0] / 8  # second order: a 16th
 
 
