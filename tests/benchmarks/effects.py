@@ -91,9 +91,10 @@ def judge(work: Path, seeds: list[int], effects: list[str], levels: list[int]) -
 def tell(row: dict) -> None:
     """One line of the table."""
     value = "nothing" if row["value"] is None else f"{row['value']:.3g}"
+    right = "" if row["right"] else "WRONG"
     print(
-        f"{row['effect']:<18}seed {row['seed']:<4}{row['strength']:<9}{value:>8} {row['unit']:<34} limit "
-        f"{row['threshold']:<6g}{row['verdict']:<26}confidence {row['confidence']:.2f}  {'' if row['right'] else 'WRONG'}",
+        f"{row['effect']:<18}seed {row['seed']:<4}{row['strength']:<9}{value:>9} {row['unit']:<48}limit {row['threshold']:<7g}"
+        f"{row['verdict']:<28}confidence {row['confidence']:.2f}  {right}",
         flush=True,
     )
 
