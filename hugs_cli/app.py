@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from hugs_cli import child, engine, options, pipelines, words
+from hugs_cli.app_compare import ablate, costs
+from hugs_cli.app_draw import animate, render
 from hugs_cli.console import Console, reasons_text
 from hugs_cli.engine import RunStopped
 from hugs_cli.freshness import Judge, Verdict
@@ -155,77 +157,6 @@ def accept(judge: Judge, stages: Stages = None) -> None:
 
 
 @app.command()
-@on_clip
-def ablate(
-    judge: Judge,
-    seeds: Annotated[int, Option(min=1, help="Trainings of each, from --seed on; what lies before is shared.")] = 3,
-    device: DeviceName = options.Device.cpu,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
-    """What each part of the method is worth on this clip: the pipeline, and five times the same without one part."""
-    from hugs_cli import ablate as ablations
-
-    console, cases = Console(), ablations.cases(judge, seeds)
-    judge.check_sources()
-    if not dry_run:
-        judge.workspace.create()
-    plan = ablations.plan(cases)
-    if dry_run:
-        rows = [{"pipeline": one.judge.pipeline.name, "seed": one.seed, "train": state} for one, state, _ in plan]
-        lines = [f"  {row['pipeline']:<24}seed {row['seed']:<4}{row['train']}" for row in rows]
-        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.announced(plan), *lines]))
-        return
-    console.say(ablations.announced(plan))
-    result = {"clip": judge.sources["video"].name, **ablations.run(cases, device.value, console)}
-    console.result(json.dumps(result, indent=1) if as_json else "\n".join(ablations.table(result)))
-
-
-@app.command()
-@on_clip
-def costs(
-    judge: Judge,
-    sweep: Annotated[bool, Option("--sweep", help="Vary one axis at a time around the pipeline, and train.")] = False,
-    axis: Annotated[list[str] | None, Option(help="Only this axis of a sweep (may be repeated).")] = None,
-    seeds: Annotated[int, Option(min=1, help="Of a sweep: trainings of each case, from --seed on.")] = 3,
-    budget: Annotated[float, Option(min=0, help="Of a sweep: minutes to train; 0: only what is cached.")] = 120,
-    plot: Annotated[bool, Option("--plot", help="Draw it, too: SVG, PNG and a page beside the results.")] = False,
-    device: DeviceName = options.Device.cpu,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
-    """What the pipelines that were run on a clip cost, and what that bought; --sweep: what each setting costs and buys."""
-    from hugs_cli import costs as accounts
-
-    console, clip, root = Console(), judge.sources["video"].name, judge.workspace.root
-    if axis and not sweep:
-        raise UsageError("only a sweep has axes", "add `--sweep`")
-    if sweep:
-        from hugs_cli import sweep as sweeps
-
-        cases = sweeps.sweep(judge, axis or (), seeds)
-        judge.check_sources()
-        plan = sweeps.plan(cases, 60 * budget)
-        if dry_run:
-            rows = [{"pipeline": c.judge.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
-            lines = [sweeps.announced(plan, 60 * budget), *sweeps.listed(plan)]
-            console.result(json.dumps(rows, indent=1) if as_json else "\n".join(lines))
-            return
-        judge.workspace.create()
-        console.say(sweeps.announced(plan, 60 * budget))
-        result = sweeps.run(cases, 60 * budget, device.value, console)
-    else:
-        result = accounts.compared(accounts.runs(judge.workspace))
-    result = {"clip": clip, **result}
-    if plot:
-        from hugs_cli import costs_page
-
-        name, title = ("sweep-" + judge.pipeline.name, f"around {judge.pipeline.name}") if sweep else ("costs", "costs")
-        console.say(words.relative(costs_page.write(root, name, f"{clip}: {title}", result)))
-    console.result(json.dumps(result, indent=1) if as_json else "\n".join(accounts.table(result)))
-
-
-@app.command()
 def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work")) -> None:
     """Remove a clip's results that no pipeline links to, and what stopped runs left."""
     workspace, console, freed = Workspace(video, work, "default"), Console(), 0
@@ -278,98 +209,8 @@ def doctor(
         raise typer.Exit(1)
 
 
-@app.command()
-def render(
-    video: options.Video,
-    cameras: Annotated[
-        Path, Option(help="Views to draw (npz: viewmats [C,4,4], Ks [C,3,3], width, height; the clip's world).")
-    ],
-    out: Annotated[Path, Option(help="Folder for the PNGs (with alpha).")],
-    poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
-    only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
-    pipeline: PipelineName = "default",
-    device: DeviceName = options.Device.cpu,
-    work: Work = Path("work"),
-) -> None:
-    """Render given cameras, and given poses, from what `hugs run` made."""
-    (train,) = finished(video, work, pipeline, "train")
-    check_files(cameras, poses)
-    where = engine.device_of(device.value)
-    from stages.render import render_views
-
-    console = Console()
-    count = render_views(train=train, cameras=cameras, poses=poses, only=only.value, out=out, device=where)
-    console.say(f"{words.count(count, 'picture')} of {only.value}")
-    console.result(words.relative(out))
-
-
-@app.command()
-def animate(
-    video: options.Video,
-    motion: Annotated[Path, Argument(help="A BVH of any person's skeleton, or an npz of SMPL poses.")],
-    out: Annotated[Path, Option(help="The video to write (mp4).")] = Path("motion.mp4"),
-    only: Annotated[options.Only, Option(help="human: over white; both: in the scene.")] = options.Only.both,
-    fps: Annotated[float, Option(min=0.1, max=240, help="Frames a second of the video.")] = 30,
-    cameras: Annotated[
-        Path | None, Option(help="As for render, one or one a frame; the middle frame's if none.")
-    ] = None,
-    motion_fps: Annotated[
-        float | None, Option(min=0.1, help="Frames a second of the motion; the file's if none.")
-    ] = None,
-    up: Annotated[options.Up | None, Option(help="Up in the file; where pelvises point if none.")] = None,
-    pipeline: PipelineName = "default",
-    device: DeviceName = options.Device.cpu,
-    work: Work = Path("work"),
-) -> None:
-    """Let the person of `hugs run` perform a motion file where it stood in the clip. No network runs."""
-    train, sfm, smpl = finished(video, work, pipeline, "train", "sfm", "smpl")
-    check_files(motion, cameras)
-    if only is options.Only.scene:
-        raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
-    if out.suffix.lower() != ".mp4":
-        raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
-    where = engine.device_of(device.value)
-    from hugs_cli.animate import Motion
-    from hugs_cli.animate import animate as perform
-
-    console = Console()
-    console.started("animate", ())
-    count = perform(
-        Motion(motion, motion_fps, up and up.value),
-        train=train,
-        sfm=sfm,
-        smpl=smpl,
-        cameras=cameras,
-        only=only.value,
-        out=out,
-        fps=fps,
-        device=where,
-        say=console.say,
-        progress=lambda done, total: console.heard(
-            "animate", {"event": "progress", "done": done, "total": total, "numbers": {}}
-        ),
-    )
-    console.say(f"{words.count(count, 'frame')}, {words.duration(count / fps)} at {fps:g} fps")
-    console.result(words.relative(out))
-
-
-def finished(video: Path, work: Path, pipeline: str, *stages: str) -> list[Path]:
-    """The folders of these stages as the pipeline last made them; UsageError where one is missing."""
-    folders = []
-    for stage in stages:
-        folder = Workspace(video, work, pipeline).linked(stage)
-        if folder is None or Stamp.read(folder) is None:
-            command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
-            raise UsageError(f"no finished {stage} of {video.name} in pipeline {pipeline}", f"`{command}`")
-        folders.append(folder)
-    return folders
-
-
-def check_files(*paths: Path | None) -> None:
-    """UsageError for a file that is named and not there."""
-    for path in filter(None, paths):
-        if not path.is_file():
-            raise UsageError(f"no file at {path}", "check the path")
+for command in (ablate, costs, render, animate):
+    app.command()(command)
 
 
 def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:
