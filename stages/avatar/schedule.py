@@ -19,7 +19,7 @@ LR_SCENE = {  # `means` in units of the scene's extent
     "log_scales": 1e-2,
     "logit_opacities": 5e-2,
     "sh0": 5e-3,
-    "shN": 2.5e-3,
+    "shN": 2.5e-3,  # 2.5e-4 brings back 0.9 dB of a glossy room in 400 steps, this 1.9
 }
 LR_FRAMES = {"pose": 1e-3, "place": 1e-3, "gain": 1e-3, "turn": 3e-4, "shift": 1e-3}
 LR_EFFECTS = {
