@@ -27,5 +27,12 @@ def run(job: Job, params: Params, *, train: Path) -> None:
         bounded += write_ply(job.out / "scene.ply", scene)
         said += f", scene {len(scene)}"
     job.note(said)
+    if avatar.clothes is not None:
+        away = 100 * avatar.clothes.largest
+        job.note(
+            f"clothes that move with the pose (by up to {away:.1f} cm) are in avatar.npz alone: .ply knows no poses"
+        )
+    if avatar.antialias:
+        job.note("learned with antialiasing: viewers must have it on, else what is small looks too strong")
     if bounded:
         job.note(f"{bounded} opacities of 0 or 1 written as logits of +-15")

@@ -17,8 +17,11 @@ from stages import contract
 from stages.contract import Job, StageError, Stopped
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from stages.avatar.fit import Fit
     from stages.avatar.pace import Deadline
+    from stages.avatar.scene import SceneModel
     from stages.formats.clip import Clip
 
 RESUMES = True
@@ -54,8 +57,8 @@ class Params(contract.Params):
     """Points added to those of SfM before training, where SfM saw no texture."""
     human_sh: int = Field(0, ge=0, le=3)
     """Degree of the person's view-dependent colour; 0 as in the paper."""
-    scene_sh: int = Field(1, ge=0, le=3)
-    """Degree of the scene's view-dependent colour."""
+    scene_sh: int = Field(3, ge=0, le=3)
+    """Degree of the scene's view-dependent colour where survey finds that the clip calls for it; else it is 0."""
     channels: int = Field(32, gt=0)
     """Features of each triplane cell."""
     resolution: int = Field(128, gt=1)
@@ -210,13 +213,15 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     import torch
 
     from stages.avatar.body import DA_POSE, Body
+    from stages.avatar.effects.clothing import Clothing
     from stages.avatar.effects.frames import FrameEffects
+    from stages.avatar.effects.transients import Transients
     from stages.avatar.fit import Fit
-    from stages.avatar.human import HumanModel
+    from stages.avatar.human import HumanModel, rest
     from stages.avatar.motion import upright
     from stages.avatar.neighbours import evenly
     from stages.avatar.paint import seen_colors
-    from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
+    from stages.avatar.scene import scene_extent
     from stages.avatar.schedule import Options
     from stages.avatar.sh import sh_from_rgb
     from stages.avatar.views import Person, Views
@@ -270,24 +275,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     extent = scene_extent(tensor(clip.viewmats).cpu(), tensor(clip.points).cpu())
     scene = None
     if decisions.get("scene", True) and len(clip.points):
-        rng = np.random.default_rng(job.seed)
-        chosen = evenly(train, FILLED)
-        xyz, rgb = fill_points(
-            clip.points,
-            [clip.images(i) for i in chosen],
-            [clip.mask(i) for i in chosen],
-            clip.viewmats[chosen],
-            clip.Ks[chosen],
-            clip.body.transl[chosen] + person.joints[0].cpu().numpy(),
-            params.scene_fill,
-            rng,
-        )
-        points, colors = np.concatenate([clip.points, xyz]), np.concatenate([clip.colors, rgb])
-        clear = clear_of_cameras(tensor(points), tensor(clip.viewmats), extent)
-        if not clear.all():
-            job.note(f"{int((~clear).sum())} points left out that lie on a camera")
-        if clear.any():
-            scene = SceneModel(tensor(points)[clear], tensor(colors)[clear] / 255, params.scene_sh, extent)
+        scene = _scene(clip, train, params, decisions, person.joints[0].cpu().numpy(), extent, job)
     if scene is None and not (params.human_loss and params.joint):
         raise StageError(
             "there is no scene to train the person with",
@@ -307,12 +295,56 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
         human_densify=params.human_densify,
         human_loss=params.human_loss,
         joint=params.joint,
+        antialias=decisions.get("antialias", False),
         refine_camera=decisions.get("camera_refinement", False),
     )
     up = torch.as_tensor(upright(clip.body.global_orient, clip.body.global_orient[0])[:, 1]).to(person.joints)
     takes = {name: decisions.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
     effects = FrameEffects.starting(up, **takes)
+    if decisions.get("clothing", False):
+        bare = rest(human.untaught(), person.canonical_bones()).means
+        effects.clothing = Clothing.start(bare, person.body_pose[train])
+    if decisions.get("transients", False) and scene is not None:
+        effects.transients = Transients(views, train)
     return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device), effects)
+
+
+def _scene(
+    clip: Clip, train: list[int], params: Params, decisions: dict[str, Any], pelvis: np.ndarray, extent: float, job: Job
+) -> SceneModel | None:
+    """The scene at its initial value; None where all points lie on a camera. `pelvis` [3] is that of the body at rest."""
+    import numpy as np
+    import torch
+
+    from stages.avatar.effects.sky import RADIUS, open_sky, shell
+    from stages.avatar.neighbours import evenly
+    from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points
+
+    def tensor(array) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(array), dtype=torch.float32, device=job.device)
+
+    chosen = evenly(train, FILLED)
+    images, masks = [clip.images(i) for i in chosen], [clip.mask(i) for i in chosen]
+    cameras, skies = (clip.viewmats[chosen], clip.Ks[chosen]), None
+    if decisions.get("sky", False):
+        skies = [open_sky(clip.points, mask, *camera) for mask, *camera in zip(masks, *cameras, strict=True)]
+    rng, places = np.random.default_rng(job.seed), clip.body.transl[chosen] + pelvis
+    xyz, rgb = fill_points(clip.points, images, masks, *cameras, places, params.scene_fill, rng, skies)
+    points, colors = np.concatenate([clip.points, xyz]), np.concatenate([clip.colors, rgb])
+    clear = clear_of_cameras(tensor(points), tensor(clip.viewmats), extent)
+    if not clear.all():
+        job.note(f"{int((~clear).sum())} points left out that lie on a camera")
+    if not clear.any():
+        return None
+    degree = params.scene_sh if decisions.get("view_dependence", False) else 0
+    start = tensor(points)[clear], tensor(colors)[clear] / 255
+    scene = SceneModel(*start, degree, extent, decisions.get("antialias", False))
+    if skies:
+        far, tints = shell(skies, images, *cameras, extent)
+        job.note(f"{len(far):,} Gaussians of the sky, {RADIUS * extent:.0f} m away")
+        if len(far):
+            scene.surround(tensor(far), tensor(tints), RADIUS * extent)
+    return scene
 
 
 def _perceptual(params: Params, device: str):
@@ -379,7 +411,7 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
 
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: Params) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
-    from dataclasses import replace
+    from dataclasses import fields, replace
 
     import numpy as np
     import torch
@@ -388,6 +420,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
     from stages.avatar.gaussians import finite_rows
     from stages.avatar.rotations import quat_from_matrix
     from stages.formats.cameras import write_cameras
+    from stages.formats.clothes import Clothes
     from stages.formats.effects import Effects, write_effects
     from stages.formats.poses import write_poses
     from stages.formats.splats import Avatar, Scene, write_splats
@@ -396,12 +429,15 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         return tensor.detach().cpu().numpy()
 
     (baked, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
-    p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl)
+    clothing, clothes = fit.effects.clothing, None
+    p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl, clothing=clothing)
     seen = fit.full._replace(viewmats=fit.cameras())
     c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, seen, fit.train)
     if strays:
         job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
     job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
+    if clothing is not None:
+        clothes = Clothes(**{f.name: array(getattr(clothing, f.name)) for f in fields(Clothes)})
     avatar = Avatar(
         *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
         lbs_weights=array(c.weights),
@@ -409,6 +445,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         parents=p.parents,
         betas=clip.body.betas,
         canonical_pose=array(p.canonical_pose),
+        antialias=fit.options.antialias,
+        clothes=clothes,
     )
     write_splats(job.out / "avatar.npz", avatar)
     if fit.scene:
@@ -417,7 +455,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
         finite = finite_rows(parts)
         broken += int((~finite).sum())
-        write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts)))
+        write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts), antialias=s.antialias))
     if broken:
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     if known := fit.effects.known():
@@ -434,6 +472,13 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(curve)
+    distrusted = {} if fit.effects.transients is None else fit.effects.transients.found(clip.names)
+    if distrusted:
+        most = max(distrusted, key=distrusted.get)
+        job.note(
+            f"something passes by in {len(distrusted)} of {len(fit.train)} training frames and was not learned, "
+            f"{100 * distrusted[most]:.0f} % of frame {most}"
+        )
     facts = {
         "steps": fit.step,
         "sizes": {"human_cap": fit.options.human_cap, "scene_cap": fit.options.scene_cap},
@@ -446,6 +491,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         "lining": lining,
         "left_out": fit.guard.left_out,
         "not_drawn": fit.undrawn,
+        "distrusted": distrusted,
         "train_frames": [clip.names[i] for i in fit.train],
         "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",
         "exposure": dict(zip(clip.names, array(fit.gains()).round(5).tolist(), strict=True))

@@ -10,7 +10,7 @@ from torch import Tensor
 from stages.avatar.body import edge_lengths, vertex_normals
 from stages.avatar.densify import strays
 from stages.avatar.gaussians import finite_rows
-from stages.avatar.human import Canonical, pose, rest
+from stages.avatar.human import Canonical, rest
 from stages.avatar.losses import widened
 from stages.avatar.neighbours import evenly, nearest
 from stages.avatar.rasterize import rasterize
@@ -123,7 +123,7 @@ def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -
         mask = views.masks[i].float() / 255
         if body.confidence[i] == 0 or mask.max() == 0:
             continue
-        means, axes, opacities, *_ = pose(resting, body.bones(i), body.transl[i])
+        means, axes, opacities, *_ = body.posed(resting, i)
         colors = torch.zeros_like(means).requires_grad_()
         height, width = mask.shape
         (drawn,) = rasterize(means, axes, opacities, colors, views.viewmats[i], views.Ks[i], width, height)

@@ -19,14 +19,13 @@ def compose(
     width: int,
     height: int,
     background: Tensor | None = None,
-    antialias: bool = False,
 ) -> Rendering:
     """Draw person and scene together, the person's rows first, sorted by depth as one set.
 
     viewmat[4,4] camera_from_world in metres, K[3,3] pixels, background[3] (black if None). Colours are evaluated per
     set, so each has its own spherical-harmonics degree. Raises ValueError when both sets are None.
     """
-    (drawn,) = compose_layers(human, scene, viewmat, K, width, height, [Layer(background=background)], antialias)
+    (drawn,) = compose_layers(human, scene, viewmat, K, width, height, [Layer(background=background)])
     return drawn
 
 
@@ -38,12 +37,12 @@ def compose_layers(
     width: int,
     height: int,
     layers: Sequence[Layer],
-    antialias: bool = False,
 ) -> list[Rendering]:
-    """As `compose`, a picture for each layer: all of them share colours, projection and order."""
+    """As `compose`, a picture for each layer: all of them share colours, projection, order and `antialias`."""
     sets = [s for s in (human, scene) if s is not None]
     if not sets:
         raise ValueError("compose needs a person or a scene")
+    antialias = any(s.antialias for s in sets)
     centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
     colors = [s.colors(centre) for s in sets]
     if len(sets) == 1:

@@ -124,9 +124,8 @@ def grow_scene(
 ) -> Plan:
     """Densify the scene in place and start new statistics; the way to the cap is shared among `rounds_left` rounds."""
     scales = scene.log_scales.detach().exp()
-    rows = plan(
-        growth, scales.amax(1), scene.logit_opacities.detach().sigmoid(), rules, _room(scene, rules, rounds_left)
-    )
+    opacities, room = scene.logit_opacities.detach().sigmoid(), _room(scene, rules, rounds_left)
+    rows = plan(growth, scene.sizes(), opacities, rules, room)
     moved = displacement(matrix_from_quat(scene.quats.detach()) * scales[:, None, :], rows, generator)
     for name in scene.ROWS:
         setattr(scene, name, _regrow(optimizer, getattr(scene, name), rows))

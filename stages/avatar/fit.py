@@ -154,7 +154,9 @@ class Fit:
     def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
         """The person in the world at one pose."""
         p = self.person
-        return pose(resting, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
+        dressed = self.effects.dressed(resting, body_pose)
+        splats = pose(dressed, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
+        return splats._replace(antialias=self.options.antialias)
 
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
         image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
@@ -172,7 +174,7 @@ class Fit:
         if self.scene is not None and (phase.scene or human is not None):
             scene = self.scene.splats()
             if not phase.scene:
-                scene = Splats(*(t if t is None else t.detach() for t in scene))
+                scene = scene.detach()
         layers = layers_of(human, scene, mask, viewmat, K, self.options, self.generator)
         if not layers:
             return numbers
@@ -185,6 +187,7 @@ class Fit:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             if self.options.human_loss or human is None:
                 rendered = losses.outside_person(rendered, image, mask)
+            rendered = self.effects.trusted(rendered, drawn["all"], image, frame, self.done)
             joint = losses.photometric(rendered, image)
             loss = loss + joint
             numbers["image"] = joint.item()
@@ -206,6 +209,7 @@ class Fit:
             if min(target.shape[:2]) >= self.perceptual.smallest:
                 loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], target)
             self.clock.lap("perceptual loss")
+        loss = loss + self.effects.prior()
         self.undrawn += next(iter(drawn.values())).dropped
         finite = math.isfinite(loss.item())
         self.guard.left_out += not finite

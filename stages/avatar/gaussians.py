@@ -18,7 +18,8 @@ class Splats(NamedTuple):
     """N Gaussians in the world frame, metres, ready for any camera.
 
     means[N,3], axes[N,3,3] (scaled axes as columns, covariance = axes axes^T), opacities[N], sh[N,K,3], and
-    turns[N,3,3] or None: how each Gaussian was turned away from the frame in which its colour is stored.
+    turns[N,3,3] or None: how each Gaussian was turned away from the frame in which its colour is stored. `antialias`:
+    they were learned, and are drawn, with opacity lowered as the screen's blur widens a Gaussian.
     """
 
     means: Tensor
@@ -26,6 +27,11 @@ class Splats(NamedTuple):
     opacities: Tensor
     sh: Tensor
     turns: Tensor | None = None
+    antialias: bool = False
+
+    def detach(self) -> Splats:
+        """The same without gradients."""
+        return self._replace(**{n: t.detach() for n, t in self._asdict().items() if isinstance(t, Tensor)})
 
     def colors(self, camera_centre: Tensor) -> Tensor:
         """Colours [N,3] seen from `camera_centre`[3] in the world; a Gaussian at the centre itself gets degree 0."""

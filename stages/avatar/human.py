@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from stages.avatar.body import edge_lengths, rest_relative_transforms, subdivide, vertex_normals
 from stages.avatar.decoders import TEMPERATURE, Decoders, FreeCorrections
+from stages.avatar.effects.clothing import Clothing
 from stages.avatar.gaussians import Splats
 from stages.avatar.rotations import matrix_from_6d, matrix_from_quat, matrix_from_rotvec, rotation_z_to
 from stages.avatar.sh import bases
@@ -87,11 +88,13 @@ def pose(person: Resting, bones: Tensor, transl: Tensor) -> Splats:
 
 
 class Baked(NamedTuple):
-    """A trained person without any network: the Gaussians at rest and the skeleton."""
+    """A trained person without any network: the Gaussians at rest and the skeleton, and how clothes leave the body."""
 
     resting: Resting
     joints: Tensor
     parents: list[int]
+    antialias: bool = False
+    clothing: Clothing | None = None
 
 
 def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
@@ -105,12 +108,15 @@ def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
     person = Canonical(to("means"), frames, to("scales"), to("opacities"), sh, to("lbs_weights"))
     joints, parents = to("joints"), [int(p) for p in arrays.parents]
     bones = bone_transforms(joints, parents, torch.zeros(3, device=device), to("canonical_pose"))
-    return Baked(rest(person, bones), joints, parents)
+    clothing = None if arrays.clothes is None else Clothing.of(arrays.clothes).to(joints)
+    return Baked(rest(person, bones), joints, parents, arrays.antialias, clothing)
 
 
 def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
     """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
-    return pose(avatar.resting, bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose), transl)
+    bones = bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose)
+    resting = avatar.resting if avatar.clothing is None else avatar.clothing(avatar.resting, body_pose)
+    return pose(resting, bones, transl)._replace(antialias=avatar.antialias)
 
 
 class HumanModel(nn.Module):

@@ -17,6 +17,8 @@ from stages.avatar.sh import bases, sh_from_rgb
 
 MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, what is opaque would freeze (C04)
 START_OPACITY = 0.5
+OBLATE = (0.02, 0.0, -0.02)  # of log scales, with `antialias`, where axes grow alike at first: turning a sphere has no
+# gradient, and the first that it has would be 1000 times the usual one, which `guard` leaves out
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
 NEAREST = 0.02  # of the extent: nearer to a camera is no surface, see `clear_of_cameras`
 
@@ -56,17 +58,19 @@ def fill_points(
     person: np.ndarray,
     count: int,
     rng: np.random.Generator,
+    skies: list[np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [<=count,3] m and colours [.,3] uint8 of background at random pixels, as deep as the SfM points around.
 
     points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3] and the place of the
     person[3] m. Inverse depth is linear between the SfM points of a view and that of the nearest one beyond them. On
     person pixels the colour is that of the nearest background pixel, and the depth lies beyond the person. Views with
-    under 8 points are skipped.
+    under 8 points are skipped, and pixels bool[H,W] of `skies`.
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))
-    for image, mask, viewmat, K, place in zip(images, masks, viewmats, Ks, person, strict=True):
+    skies = skies or [np.zeros_like(mask, bool) for mask in masks]
+    for image, mask, viewmat, K, place, sky in zip(images, masks, viewmats, Ks, person, skies, strict=True):
         height, width = mask.shape
         local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
         local = local[local[:, 2] > 1e-6]
@@ -77,6 +81,8 @@ def fill_points(
             continue
         at = rng.random((share, 2)) * [width, height]
         column, row = at.astype(int).T
+        below = ~sky[row, column]
+        at, column, row = at[below], column[below], row[below]
         free_row, free_column = distance_transform_edt(mask >= 128, return_distances=False, return_indices=True)
         w = LinearNDInterpolator(pixels, inverse)(at)
         beyond = ~np.isfinite(w)
@@ -94,9 +100,10 @@ class SceneModel(nn.Module):
 
     ROWS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")
 
-    def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float):
+    def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float, antialias: bool = False):
         """points[P,3] m, rgb[P,3] in 0..1; raises ValueError when there is none."""
         super().__init__()
+        self.antialias, self.extent, self.shell = antialias, extent, math.inf
         if len(points) == 0:
             raise ValueError("a scene needs at least one point")
         n = len(points)
@@ -104,13 +111,31 @@ class SceneModel(nn.Module):
         logit = math.log(START_OPACITY / (1 - START_OPACITY))
         self.means = nn.Parameter(points.clone())
         self.quats = nn.Parameter(torch.tensor([1.0, 0, 0, 0]).to(points).repeat(n, 1))
-        self.log_scales = nn.Parameter(size.log()[:, None].repeat(1, 3))
+        log_scales = size.log()[:, None].repeat(1, 3)
+        self.log_scales = nn.Parameter(log_scales + torch.tensor(OBLATE).to(points) if antialias else log_scales)
         self.logit_opacities = nn.Parameter(torch.full((n,), logit).to(points))
         self.sh0 = nn.Parameter(sh_from_rgb(rgb))
         self.shN = nn.Parameter(torch.zeros(n, bases(sh_degree) - 1, 3).to(points))
 
     def __len__(self) -> int:
         return len(self.means)
+
+    @torch.no_grad()
+    def surround(self, points: Tensor, rgb: Tensor, radius: float) -> None:
+        """Add the shell of `effects.sky`: points[P,3] m about `radius` m away, with rgb[P,3] in 0..1."""
+        sky = SceneModel(points, rgb, math.isqrt(self.shN.shape[1]), radius, self.antialias)
+        for name in self.ROWS:
+            setattr(self, name, nn.Parameter(torch.cat([getattr(self, name), getattr(sky, name)])))
+        self.shell = radius
+
+    @torch.no_grad()
+    def sizes(self) -> Tensor:
+        """Largest scale [N] in m by which growth judges each Gaussian; on the shell as if it stood one extent away."""
+        largest = self.log_scales.exp().amax(1)
+        if math.isinf(self.shell):
+            return largest
+        away = self.means.norm(dim=1)
+        return torch.where(away > 0.5 * self.shell, largest * self.extent / away, largest)
 
     @torch.no_grad()
     def keep_movable(self) -> None:
@@ -121,7 +146,7 @@ class SceneModel(nn.Module):
         """The scene as drawn."""
         sh = self.sh0[:, None] if self.shN.shape[1] == 0 else torch.cat([self.sh0[:, None], self.shN], 1)
         axes = gaussian_axes(self.quats, self.log_scales.exp())
-        return Splats(self.means, axes, self.logit_opacities.sigmoid(), sh)
+        return Splats(self.means, axes, self.logit_opacities.sigmoid(), sh, antialias=self.antialias)
 
 
 def load_scene(arrays, device: str | torch.device = "cpu") -> Splats:
@@ -130,4 +155,5 @@ def load_scene(arrays, device: str | torch.device = "cpu") -> Splats:
         torch.as_tensor(getattr(arrays, name), dtype=torch.float32, device=device)
         for name in ("means", "quats", "scales", "opacities", "sh0", "shN")
     )
-    return Splats(means, gaussian_axes(quats, scales), opacities, torch.cat([sh0[:, None], shN], 1))
+    sh = torch.cat([sh0[:, None], shN], 1)
+    return Splats(means, gaussian_axes(quats, scales), opacities, sh, antialias=arrays.antialias)

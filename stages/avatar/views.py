@@ -8,7 +8,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stages.avatar.human import bone_transforms
+from stages.avatar.effects.clothing import Clothing
+from stages.avatar.gaussians import Splats
+from stages.avatar.human import Resting, bone_transforms, pose
 
 CROP = 12  # pixels left around the person in the person-only render
 NEAR = 0.05  # metres: points of the person nearer to the camera do not widen the window
@@ -48,7 +50,8 @@ class Person(NamedTuple):
     """The fitted body of all frames, and what the canonical pose needs.
 
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
-    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3].
+    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3], and
+    how their clothes move, if they are known to.
     """
 
     global_orient: Tensor
@@ -61,6 +64,7 @@ class Person(NamedTuple):
     vertices: Tensor
     weights: Tensor
     faces: Tensor
+    clothing: Clothing | None = None
 
     def canonical_bones(self) -> Tensor:
         """Transforms [24,4,4] of the bones from rest to the canonical pose."""
@@ -69,6 +73,11 @@ class Person(NamedTuple):
     def bones(self, frame: int) -> Tensor:
         """Transforms [24,4,4] of the bones from rest to the pose of a frame; `transl` is not in them."""
         return bone_transforms(self.joints, self.parents, self.global_orient[frame], self.body_pose[frame])
+
+    def posed(self, resting: Resting, frame: int) -> Splats:
+        """Someone at rest with this body and these clothes, as they stand in a frame."""
+        dressed = resting if self.clothing is None else self.clothing(resting, self.body_pose[frame])
+        return pose(dressed, self.bones(frame), self.transl[frame])
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:

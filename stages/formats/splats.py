@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
+from stages.formats.clothes import Clothes, clothes_of
 
 HINT = "train again: `hugs run VIDEO train --force`"
 _ROWS = {
@@ -28,7 +29,8 @@ class Scene:
     """N Gaussians in the world frame, metres.
 
     means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
-    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms.
+    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms. `antialias`: they were learned with opacities
+    lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493), and want to be drawn so.
     """
 
     means: np.ndarray
@@ -37,6 +39,7 @@ class Scene:
     opacities: np.ndarray
     sh0: np.ndarray
     shN: np.ndarray
+    antialias: bool = field(default=False, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -47,7 +50,7 @@ class Avatar(Scene):
     """N Gaussians in the canonical da-pose frame, metres, and all that posing them needs.
 
     lbs_weights[N,24] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
-    canonical_pose[69] axis-angle of the pose in which the Gaussians stand.
+    canonical_pose[69] axis-angle of the pose in which the Gaussians stand; `clothes`, or None, move before skinning.
     """
 
     lbs_weights: np.ndarray
@@ -55,11 +58,19 @@ class Avatar(Scene):
     parents: np.ndarray
     betas: np.ndarray
     canonical_pose: np.ndarray
+    clothes: Clothes | None = field(default=None, kw_only=True)
 
 
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
-    """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles."""
-    arrays = {f.name: np.asarray(getattr(splats, f.name)) for f in fields(splats)}
+    """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
+
+    `antialias` and `clothes` have arrays only where they are.
+    """
+    arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
+    if splats.antialias:
+        arrays["antialias"] = np.ones(())
+    if isinstance(splats, Avatar) and splats.clothes is not None:
+        arrays |= splats.clothes.arrays()
     np.savez(path, **{k: v.astype(np.int32 if k == "parents" else np.float32) for k, v in arrays.items()})
 
 
@@ -82,8 +93,11 @@ def read_avatar(path: Path) -> Avatar:
 
 
 def _read(path: Path, kind: type) -> Scene | Avatar:
-    names = [f.name for f in fields(kind)]
+    names = _always(kind)
     data = read_npz(path, HINT)
+    more = {"antialias": bool(checked(data.get("antialias", np.zeros(())), (), "antialias", path.name, HINT))}
+    if kind is Avatar:
+        more["clothes"] = clothes_of(data, path.name, HINT)
     missing = [n for n in names if n not in data]
     if missing:
         raise StageError(
@@ -105,4 +119,8 @@ def _read(path: Path, kind: type) -> Scene | Avatar:
             hint=HINT,
         )
     shapes = {n: (lengths["means"], *shape) for n, shape in _ROWS.items()} | _REST
-    return kind(**{n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})
+    return kind(**{n: checked(data[n], shapes[n], n, path.name, HINT) for n in names}, **more)
+
+
+def _always(kind: type) -> list[str]:
+    return [f.name for f in fields(kind) if not f.kw_only]

@@ -36,10 +36,15 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "motion_blur": {"effects": Effects(motion_blur=0.8)},
     "rolling_shutter": {"effects": Effects(rolling_shutter=0.8)},
     "camera_refinement": {"camera_noise": 0.004},
+    "view_dependence": {"effects": Effects(view_dependence=0.5)},
+    "transients": {"effects": Effects(transients=4)},
+    "antialias": {"effects": Effects(antialias=3)},
+    "sky": {"effects": Effects(sky=1)},
+    "clothing": {"effects": Effects(clothing=0.06)},
 }
 """Effect -> what `tests.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
-TRULY = ("motion_blur", "camera_refinement")
-"""Blurred pictures are easier to meet than sharp ones, and no model knows the error of a camera it has not seen."""
+TRULY = ("motion_blur", "camera_refinement", "transients")
+"""Blurred pictures are easier to meet than sharp ones, no model knows the error of a camera it has not seen, nor who passes."""
 
 
 def inputs(place: Path, **made: Any) -> tuple[Path, Path]:

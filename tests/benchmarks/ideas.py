@@ -23,6 +23,7 @@ from stages import train
 from stages.avatar import fit as fit_module
 from stages.avatar import losses, optimizers, schedule
 from stages.avatar.compose import compose_layers
+from stages.avatar.effects import frames as frames_module
 from stages.avatar.judge import judge
 from stages.avatar.perceptual import Lpips
 from stages.estimators.assets import fetch
@@ -52,7 +53,7 @@ def redrawn(change) -> list:
         rows = 0 if human is None else len(human.means)
         return [Changed(drawing, rows) for drawing in compose_layers(human, *rest)]
 
-    return put(fit_module, compose_layers=draw)
+    return put(frames_module, compose_layers=draw)
 
 
 UNSETTLED = put(schedule, SETTLE=0.9999, LAST_OTHERS=1.0) + put(

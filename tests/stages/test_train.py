@@ -417,6 +417,32 @@ def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path
         assert said in error.value.facts[0] and "--force" in error.value.hint and not sign.exists()
 
 
+LEARNED = ("view_dependence", "sky", "transients", "antialias", "clothing")
+
+
+def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_path, inputs):
+    plain, off, on = (fresh(tmp_path, name) for name in ("plain", "off", "on"))
+    train.run(plain, PARAMS, **inputs)
+    decide(inputs["survey"], **dict.fromkeys(LEARNED, False))
+    train.run(off, PARAMS, **inputs)
+    for name in ("avatar.npz", "scene.npz", "body.npz"):
+        assert (plain.out / name).read_bytes() == (off.out / name).read_bytes()
+    decide(inputs["survey"], **dict.fromkeys(LEARNED, True))
+    said: list[str] = []
+    on.emit = lambda event: said.append(event.get("text", ""))
+    train.run(on, PARAMS.model_copy(update={"scene_cap": 60_000}), **inputs)
+    before, scene, avatar = read_scene(off.out / "scene.npz"), read_scene(on.out / "scene.npz"), on.out / "avatar.npz"
+    assert before.shN.shape[1] == 0 and scene.shN.shape[1] == 15
+    extent = json.loads((on.out / "train.json").read_text())["extent_m"]
+    assert (np.linalg.norm(scene.means, axis=1) > 100 * extent).sum() > 10 and any(
+        "of the sky" in text for text in said
+    )
+    assert scene.antialias and read_avatar(avatar).antialias and not before.antialias
+    assert read_avatar(avatar).clothes.largest > 0 and read_avatar(off.out / "avatar.npz").clothes is None
+    still = pose_avatar(load_avatar(read_avatar(avatar)), *(torch.zeros(n) for n in (3, 69, 3)))
+    assert still.means.isfinite().all()
+
+
 def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):
     """A made-up clock: a step takes a second, whatever this machine is doing."""
     now = [0.0]

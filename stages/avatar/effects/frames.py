@@ -9,11 +9,14 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.compose import compose_layers
+from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.motion_blur import START, Exposed, exposed
 from stages.avatar.effects.rolling_shutter import rolled
 from stages.avatar.effects.shadow import Shadow, casters
 from stages.avatar.effects.speeds import Motion, moved
+from stages.avatar.effects.transients import WARM_UP, Transients
 from stages.avatar.gaussians import Splats
+from stages.avatar.human import Resting
 from stages.avatar.rasterize import Layer, Rendering
 
 
@@ -21,7 +24,8 @@ class FrameEffects(nn.Module):
     """The effects of one clip, each None where it is off; with none of them a frame is drawn as without this class.
 
     `shadow`; `shutter` [1], the share of a moment for which the shutter is open (motion blur); `readout` [1], the share
-    in which the picture is read from top to bottom (rolling shutter). Moments are those of the clip's frames.
+    in which the picture is read from top to bottom (rolling shutter). Moments are those of the clip's frames. `clothing`
+    moves the person before they are posed; `transients` finds what of a picture is not to be learned.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -29,6 +33,8 @@ class FrameEffects(nn.Module):
         self.shadow = shadow
         self.shutter = None if shutter is None else nn.Parameter(torch.tensor([shutter]))
         self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
+        self.clothing: Clothing | None = None
+        self.transients: Transients | None = None
 
     @classmethod
     def starting(cls, up: Tensor, shadow: bool, motion_blur: bool, rolling_shutter: bool) -> FrameEffects:
@@ -40,6 +46,24 @@ class FrameEffects(nn.Module):
     def takes_time(self) -> bool:
         """Whether a frame takes time, so that its `Motion` must be known."""
         return self.shutter is not None or self.readout is not None
+
+    def dressed(self, person: Resting, body_pose: Tensor) -> Resting:
+        """The person at rest, with what their clothes do in the pose [69]."""
+        return person if self.clothing is None else self.clothing(person, body_pose)
+
+    def trusted(self, rendered: Tensor, drawn: Rendering | Exposed, image: Tensor, frame: int, done: float) -> Tensor:
+        """`rendered`[H,W,3], the person left out, with what passes by in `image`[H,W,3] taken for right.
+
+        `drawn` has the depth; `done` is the share of the phase's steps.
+        """
+        if self.transients is None or done < WARM_UP:
+            return rendered
+        passing = self.transients(rendered.detach(), drawn.depth.detach(), drawn.alpha.detach(), image, frame)
+        return torch.where(passing[..., None], image, rendered)
+
+    def prior(self) -> Tensor | float:
+        """What speaks against effects that no picture calls for, to be added to a step's loss."""
+        return 0.0 if self.clothing is None else self.clothing.prior()
 
     def lit(self, scene: Splats | None, human: Splats | None, weights: Tensor | None) -> Splats | None:
         """The scene as the person leaves it light; weights[N,J] are those of the person's skinning."""

@@ -1,0 +1,91 @@
+"""Clothes that leave the body as the pose changes: offsets that are linear in a few features of the pose.
+
+Features are principal components of the training poses, held within what training saw, so that no new pose makes clothes
+explode. Each of a few nodes on the body at rest has an offset per feature; a Gaussian moves with the nodes near it, before
+it is skinned. So posing stays linear algebra. SMPL's pose blend shapes (https://smpl.is.tue.mpg.de) are linear likewise.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from stages.avatar.human import Resting
+
+NODES = 160  # about 0.1 m apart on a body
+REACH = 0.07  # m: the width of a node's bell
+FEATURES = 6
+FLOOR = 1e-6  # of the weights' sum: far from all nodes nothing moves, and nothing is divided by 0
+PRIOR = (
+    0.1  # on the mean squared offset in units of LOOSE; a 20th of it, at 3 times the rate, lost 1.1 dB of the person
+)
+LOOSE = 0.05  # m
+
+
+class Clothing(nn.Module):
+    """Offsets [M,3,K] m of nodes[M,3] for features of body poses: (pose - mean[69]) @ axes[69,K], within low and high[K].
+
+    Nodes and offsets are in the rest pose of the skeleton, from which every pose starts.
+    """
+
+    def __init__(self, nodes: Tensor, mean: Tensor, axes: Tensor, low: Tensor, high: Tensor, offsets: Tensor):
+        super().__init__()
+        for name, value in {"nodes": nodes, "mean": mean, "axes": axes, "low": low, "high": high}.items():
+            self.register_buffer(name, value)
+        self.offsets = nn.Parameter(offsets)
+        self.known: tuple[Tensor, Tensor] | None = None
+
+    @classmethod
+    def start(cls, points: Tensor, poses: Tensor) -> Clothing:
+        """Without any offset, for points[P,3] of a body at rest and the training frames' body poses[F,69] in rad."""
+        mean = poses.mean(0)
+        _, spread, axes = torch.linalg.svd((poses - mean).double(), full_matrices=False)
+        kept = (spread[:FEATURES] > 1e-3 * len(poses) ** 0.5).sum()
+        axes = (axes[:kept] / spread[:kept, None] * len(poses) ** 0.5).T.to(poses)  # features of variance 1
+        features = (poses - mean) @ axes
+        nodes = points[_scattered(points, NODES)]
+        offsets = torch.zeros(len(nodes), 3, int(kept)).to(points)
+        return cls(nodes, mean, axes, features.amin(0), features.amax(0), offsets)
+
+    @classmethod
+    def of(cls, arrays) -> Clothing:
+        """From trained arrays (`formats.clothes.Clothes` or anything with its fields), float32; nothing more to learn."""
+        names = ("nodes", "mean", "axes", "low", "high", "offsets")
+        return cls(*(torch.as_tensor(getattr(arrays, name), dtype=torch.float32) for name in names)).requires_grad_(
+            False
+        )
+
+    def features(self, body_pose: Tensor) -> Tensor:
+        """Features [K] of a pose [69] in rad, within those of the training poses."""
+        return ((body_pose - self.mean) @ self.axes).clamp(self.low, self.high)
+
+    @torch.no_grad()
+    def weights(self, means: Tensor) -> Tensor:
+        """How much of each node's offset the rest-pose means[N,3] take: [N,M], rows sum to 1 at most; kept for the next call."""
+        if self.known is None or self.known[0] is not means:
+            away = torch.cdist(means, self.nodes, compute_mode="donot_use_mm_for_euclid_dist")
+            bells = torch.exp(-0.5 * (away / REACH).square())
+            self.known = means, bells / (bells.sum(1, keepdim=True) + FLOOR)
+        return self.known[1]
+
+    def forward(self, person: Resting, body_pose: Tensor) -> Resting:
+        """The person at rest with what the clothes add in one pose [69]."""
+        away = self.weights(person.means) @ (self.offsets @ self.features(body_pose))
+        return person._replace(means=person.means + away)
+
+    def prior(self) -> Tensor:
+        """PRIOR x mean squared offset in units of LOOSE, 0 without features: clothes are on the body unless pictures say so."""
+        return PRIOR * (self.offsets / LOOSE).square().sum() / max(1, self.offsets.numel())
+
+
+def _scattered(points: Tensor, count: int) -> Tensor:
+    """Rows of `count` of the points[P,3] that lie far apart, each the farthest from those before it."""
+    chosen = [0]
+    nearest = (points - points[0]).norm(dim=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(nearest.argmax()))
+        nearest = torch.minimum(nearest, (points - points[chosen[-1]]).norm(dim=1))
+    return torch.tensor(chosen)

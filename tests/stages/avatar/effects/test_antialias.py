@@ -1,0 +1,91 @@
+"""The flag that Gaussians carry from training to every picture of them, and what it does there."""
+
+import numpy as np
+import pytest
+import torch
+
+from stages.avatar.compose import compose
+from stages.avatar.drawing import load_learned
+from stages.avatar.gaussians import Splats
+from stages.avatar.rasterize import rasterize
+from stages.avatar.scene import SceneModel
+from stages.formats.effects import Effects
+from stages.formats.splats import Avatar, Scene, read_avatar, read_scene, write_splats
+
+SIDE = 32
+VIEW, K = torch.eye(4), torch.tensor([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]])
+
+
+def dots(seed: int, antialias: bool) -> Splats:
+    """Gaussians much smaller than a pixel."""
+    generator = torch.Generator().manual_seed(seed)
+    means = torch.rand(40, 3, generator=generator) * torch.tensor([3.0, 3, 1]) + torch.tensor([-1.5, -1.5, 3])
+    axes = 0.01 * torch.eye(3).repeat(40, 1, 1)
+    return Splats(means, axes, torch.full((40,), 0.9), torch.rand(40, 1, 3, generator=generator), antialias=antialias)
+
+
+def drawn(*sets: Splats | None) -> torch.Tensor:
+    return compose(*sets, VIEW, K, SIDE, SIDE).image
+
+
+def test_gaussians_are_drawn_as_they_were_learned():
+    for antialias in (False, True):
+        splats = dots(0, antialias)
+        (direct,) = rasterize(*splats[:3], splats.colors(torch.zeros(3)), VIEW, K, SIDE, SIDE, antialias=antialias)
+        assert torch.equal(drawn(None, splats), direct.image) and torch.equal(drawn(splats, None), direct.image)
+    plain, fine = drawn(None, dots(0, False)), drawn(None, dots(0, True))
+    assert plain.sum() > 2 * fine.sum() > 0, "a dot of a tenth of a pixel is no dot of a pixel"
+
+
+def test_sets_that_are_drawn_together_are_drawn_alike():
+    ours, theirs, both = dots(0, True), dots(1, False), dots(1, True)
+    assert torch.equal(drawn(ours, theirs), drawn(ours, both)) and torch.equal(drawn(theirs, ours), drawn(both, ours))
+
+
+def test_the_sum_of_a_dot_is_what_it_covers_however_far_away():
+    """Hard case A15: alpha summed over the picture is opacity x 2 pi x the dot's own area in pixels."""
+    for size in (0.02, 0.1, 0.5):
+        dot = Splats(torch.tensor([[0.0, 0, 3]]), size * torch.eye(3)[None], torch.tensor([0.5]), torch.ones(1, 1, 3))
+        covered = compose(None, dot._replace(antialias=True), VIEW, K, SIDE, SIDE).alpha.sum().item()
+        assert covered == pytest.approx(0.5 * 2 * np.pi * (30 * size / 3) ** 2, rel=0.15), "the rest is under 1/255"
+
+
+def scene_arrays(antialias: bool) -> Scene:
+    rng = np.random.default_rng(0)
+    quats = np.tile([1.0, 0, 0, 0], (9, 1))
+    place = rng.uniform(-1, 1, (9, 3)) + [0, 0, 4]
+    sizes, opacities = np.full((9, 3), 0.01), np.full(9, 0.9)
+    return Scene(place, quats, sizes, opacities, rng.random((9, 3)), np.zeros((9, 0, 3)), antialias=antialias)
+
+
+def test_files_remember_it_and_say_nothing_of_it_where_it_is_off(tmp_path):
+    more = {
+        "lbs_weights": np.full((9, 24), 1 / 24),
+        "joints": np.zeros((24, 3)),
+        "parents": np.arange(24) - 1,
+        "betas": np.zeros(10),
+        "canonical_pose": np.zeros(69),
+    }
+    for antialias in (False, True):
+        plain = scene_arrays(antialias)
+        avatar = Avatar(**{f: getattr(plain, f) for f in plain.__dataclass_fields__}, **more)
+        write_splats(tmp_path / "scene.npz", plain)
+        write_splats(tmp_path / "avatar.npz", avatar)
+        for name in ("scene.npz", "avatar.npz"):
+            with np.load(tmp_path / name) as arrays:
+                assert ("antialias" in arrays) is antialias and not [k for k in arrays if k.startswith("clothes")]
+        read = read_avatar(tmp_path / "avatar.npz"), read_scene(tmp_path / "scene.npz")
+        learned = load_learned(*read, Effects())
+        posed = learned.person((np.zeros(3), np.zeros(69), np.zeros(3)))
+        assert learned.scene.antialias is posed.antialias is antialias
+
+
+def test_training_gradients_are_finite_where_a_dot_has_no_size():
+    scene = SceneModel(torch.tensor([[0.0, 0, 3], [0.1, 0, 3]]), torch.rand(2, 3), 0, 1.0, antialias=True)
+    with torch.no_grad():
+        scene.log_scales[0] = -30.0  # 1e-13 m
+    image = compose(None, scene.splats(), VIEW, K, SIDE, SIDE).image
+    assert scene.splats().antialias and scene.splats().detach().antialias
+    image.sum().backward()
+    assert all(p.grad is None or p.grad.isfinite().all() for p in scene.parameters())
+    assert scene.log_scales.grad[1].abs().sum() > 0
