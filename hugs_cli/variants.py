@@ -43,6 +43,7 @@ AXES = {
     "frames": Axis("train", ("frames_used",), {(8,): 1.0, (16,): 1.0, (32,): 1.0, (0,): 1.0}),
     "points": Axis("train", ("rounds",), {(0,): 0.6, (1,): 1.0, (2,): 2.7}),
     "caps": Axis("train", ("human_cap", "scene_cap"), {(0.5, 0.5): 0.8, (2, 2): 1.4}, relative=True),
+    # counts where survey.view_dependence is on
     "sh": Axis("train", ("scene_sh",), {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2}),
     "perceptual": Axis(
         "train",

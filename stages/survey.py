@@ -23,7 +23,10 @@ MIN_COVERAGE = 0.02  # of the picture; below it the person is too small to learn
 
 
 class Params(contract.Params):
-    """What is modelled. auto: what the clip calls for, by the measures of stages/estimators/detectors; unknown is off."""
+    """What is modelled. auto: what the clip calls for, by the measures of stages/estimators/detectors; unknown is off.
+
+    The lens has no setting: `sfm` takes out what moves a pixel by 0.1 px or more, and here is told what is left.
+    """
 
     scene: Effect = "auto"
     """Model the scene around the person. auto: when SfM found a moving camera and enough points."""
@@ -31,8 +34,6 @@ class Params(contract.Params):
     """Colours of the scene that depend on where they are seen from. auto: when points change with the view."""
     exposure: Effect = "auto"
     """Learn a gain per frame. auto: when the background's brightness drifts or jumps."""
-    lens: Effect = "auto"
-    """Lens distortion. auto: when it moves corners of the picture."""
     rolling_shutter: Effect = "auto"
     """Rows of a picture are taken one after the other. auto: when points move within a picture as if they were."""
     motion_blur: Effect = "auto"
@@ -67,7 +68,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
         job.progress(done, len(DETECTORS))
         findings[name] = detect(evidence)
     job.progress(len(DETECTORS), len(DETECTORS))
-    effects = {name: decide(getattr(params, name), finding) for name, finding in findings.items()}
+    effects = {name: decide(getattr(params, name, "auto"), finding) for name, finding in findings.items()}
     scene, why = decide_scene(params.scene, facts["verdict"], len(clip.points))
     for text in [f"scene {'on' if scene else 'off'} ({why})", *reasons(effects)]:
         job.note(text)
