@@ -139,7 +139,7 @@ def test_a_correction_of_zero_changes_nothing_and_moves_centres_in_the_world(hel
     centres = [-(v[:, :3, :3].mT @ v[:, :3, 3:])[..., 0] for v in (views, moved)]
     held((centres[1] - centres[0] - shift).abs().max(), 1e-12)
     held((moved[:, :3, :3] @ torch.linalg.matrix_exp(torch.tensor([[0, -0.2, 0], [0.2, 0, 0], [0, 0, 0]]).double())
-          - views[:, :3, :3]).abs().max(), 1e-12)  # fmt: skip
+          - views[:, :3, :3]).abs().max().item(), 1e-12)  # fmt: skip
 
 
 def test_all_cameras_together_turn_and_move_nothing():
