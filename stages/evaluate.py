@@ -129,6 +129,7 @@ class Shot:
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
         self.box = person_crop(self.mask)
         self.pose: Pose = pose_of(clip, i)
+        self.scene = learned.lit(learned.scene, self.pose if self.box else None)  # its shadow is not fitted
         self.motion = motion_at(learned, clip, i, self.box is not None)
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
@@ -141,8 +142,9 @@ class Shot:
         K[1, 2] -= rows.start
         size = columns.stop - columns.start, rows.stop - rows.start
         ground = self.gain.new_full((3,), float(white))
-        lit, effects = self.learned.lit(scene, human), self.learned.effects
-        (drawn,) = effects.draw(human, lit, self.motion, self.viewmat, K, *size, [Layer(background=ground)])
+        (drawn,) = self.learned.effects.draw(
+            human, scene, self.motion, self.viewmat, K, *size, [Layer(background=ground)]
+        )
         bare = (1 - drawn.alpha)[..., None] * ground
         return bare + self.gain * (drawn.image - bare)
 
@@ -161,7 +163,7 @@ class Shot:
             )
             both = alone
             if self.learned.scene is not None:
-                both = self.render(human, self.learned.scene, everything, white=False).clamp(0, 1)
+                both = self.render(human, self.scene, everything, white=False).clamp(0, 1)
         return both, alone
 
 
@@ -188,7 +190,7 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     for _ in range(steps):
         optimiser.zero_grad()
         human = pose_avatar(shot.learned.avatar, orient, body, transl)
-        loss = (shot.render(human, shot.learned.scene, box, white=alone) - truth).abs().mean()
+        loss = (shot.render(human, shot.scene, box, white=alone) - truth).abs().mean()
         if loss.item() < least:
             best, least = tuple(p.detach().cpu().numpy().copy() for p in (orient, body, transl)), loss.item()
         loss.backward()

@@ -89,8 +89,9 @@ def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np
     from stages.avatar.drawing import draw, motion_at, pose_of, to_uint8
 
     for i in order:
-        human = learned.person(pose_of(clip, i)) if clip.shows_person(i) else None
-        scene, motion = learned.lit(learned.scene, human), motion_at(learned, clip, i, human is not None)
+        pose = pose_of(clip, i) if clip.shows_person(i) else None
+        human = None if pose is None else learned.person(pose)
+        scene, motion = learned.lit(learned.scene, pose), motion_at(learned, clip, i, human is not None)
         view = (clip.viewmats[i], clip.Ks[i], (clip.width, clip.height))
         drawn, _ = draw(human, scene, *view, 0.0 if learned.scene else 1.0, learned.effects, motion)
         yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)
@@ -180,7 +181,7 @@ def render_views(
     out.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(path.names):
         human = learned.person(chosen[i]) if only != "scene" else None
-        scene = learned.lit(learned.scene, human) if only != "human" else None
+        scene = learned.lit(learned.scene, None if human is None else chosen[i]) if only != "human" else None
         image, alpha = draw(human, scene, path.viewmats[i], path.Ks[i], (path.width, path.height))
         colour = image / np.maximum(alpha, 1 / 255)[..., None]
         write_image(out / f"{name}.png", to_uint8(np.concatenate([colour, alpha[..., None]], 2)))

@@ -215,6 +215,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     from stages.avatar.body import DA_POSE, Body
     from stages.avatar.effects.clothing import Clothing
     from stages.avatar.effects.frames import FrameEffects
+    from stages.avatar.effects.shadow import casters
     from stages.avatar.effects.transients import Transients
     from stages.avatar.fit import Fit
     from stages.avatar.human import HumanModel, rest
@@ -300,7 +301,8 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     )
     up = torch.as_tensor(upright(clip.body.global_orient, clip.body.global_orient[0])[:, 1]).to(person.joints)
     takes = {name: decisions.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
-    effects = FrameEffects.starting(up, **takes)
+    parts = casters(person.vertices, person.weights).moved(torch.linalg.inv(person.canonical_bones()))
+    effects = FrameEffects.starting(up, parts, **takes)
     if decisions.get("clothing", False):
         bare = rest(human.untaught(), person.canonical_bones()).means
         effects.clothing = Clothing.start(bare, person.body_pose[train])
@@ -460,7 +462,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     if known := fit.effects.known():
         write_effects(job.out / "effects.npz", Effects(**known))
-        numbers = (f"{name} {value:.2f}" for name, value in known.items() if name != "light")
+        numbers = (f"{name} {value:.2f}" for name, value in known.items() if isinstance(value, float))
         job.note(f"learned of how the clip was taken: {', '.join(numbers)}")
     if fit.options.refine_camera:
         viewmats = array(fit.cameras()).astype(np.float64)

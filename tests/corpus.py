@@ -288,7 +288,10 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
     )
     splats.write_splats(root / "scene.npz", splats.Scene(*look))
     effects = formats("effects")
-    effects.write_effects(root / "effects.npz", effects.Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, 0.5, -0.3))
+    effects.write_effects(
+        root / "effects.npz",
+        effects.Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, np.zeros((24, 3)), np.zeros((24, 3, 3)), 0.5, -0.3),
+    )
     weights = np.eye(24)[rng.integers(0, 24, rows)]
     rest = (weights, rng.normal(size=(24, 3)), np.arange(-1, 23), np.zeros(10), np.zeros(69))
     splats.write_splats(root / "avatar.npz", splats.Avatar(*look, *rest))

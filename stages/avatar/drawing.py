@@ -10,6 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.effects.frames import FrameEffects, load_effects
+from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import Motion, Speeds
 from stages.avatar.gaussians import Splats
 from stages.avatar.human import Baked, load_avatar, pose_avatar
@@ -31,9 +32,12 @@ class Learned(NamedTuple):
         like = self.avatar.joints
         return pose_avatar(self.avatar, *(torch.as_tensor(part).to(like) for part in pose))
 
-    def lit(self, scene: Splats | None, human: Splats | None) -> Splats | None:
-        """A scene, ours or another, in the shadow of the posed person."""
-        return self.effects.lit(scene, human, self.avatar.resting.weights)
+    def lit(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
+        """A scene, ours or another, in the shadow of the person at a pose; None for nobody."""
+        if pose is None:
+            return scene
+        joints, parents = self.avatar.joints, self.avatar.parents
+        return self.effects.lit(scene, Stance(joints, parents, *(torch.as_tensor(part).to(joints) for part in pose)))
 
 
 def load_learned(avatar, scene, effects, device: str = "cpu") -> Learned:
@@ -94,8 +98,9 @@ def perform(
     """
     for turn, pose, step, view in zip(*moves, views, strict=True):
         turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
-        human = learned.person((turned, pose, transl + stand @ step))
-        yield to_uint8(draw(human, learned.lit(scene, human), *view, size, background=0.0 if scene else 1.0)[0])
+        there = turned, pose, transl + stand @ step
+        human = learned.person(there)
+        yield to_uint8(draw(human, learned.lit(scene, there), *view, size, background=0.0 if scene else 1.0)[0])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

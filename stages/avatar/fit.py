@@ -15,6 +15,7 @@ from stages.avatar.bake import as_body_where_unseen
 from stages.avatar.clock import Clock
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import Motion, Speeds
 from stages.avatar.gaussians import Splats
 from stages.avatar.guard import Guard
@@ -179,7 +180,7 @@ class Fit:
         if not layers:
             return numbers
         motion = self.motion(frame, None if human is None else self.resting())
-        lit = self.effects.lit(scene, human, None if human is None else self.resting().weights)
+        lit = self.effects.lit(scene, None if human is None else Stance(p.joints, p.parents, *self.body(frame)))
         pictures = self.effects.draw(human, lit, motion, viewmat, K, width, height, list(layers.values()))
         drawn = dict(zip(layers, pictures))
         self.clock.lap("drawing")

@@ -6,6 +6,7 @@ from statistics import fmean
 
 import torch
 
+from stages.avatar.effects.shadow import Stance
 from stages.avatar.fit import Fit
 from stages.avatar.metrics import person_crop, scores
 from stages.avatar.perceptual import Lpips
@@ -24,7 +25,8 @@ def judge(fit: Fit, frames: list[int], lpips: Lpips | None = None) -> dict[str, 
     for i in frames:
         image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
         human = fit.posed(resting, orient[i], body_pose[i], transl[i])
-        lit, motion = fit.effects.lit(scene, human, resting.weights), fit.motion(i, resting)
+        stance = Stance(fit.person.joints, fit.person.parents, orient[i], body_pose[i], transl[i])
+        lit, motion = fit.effects.lit(scene, stance), fit.motion(i, resting)
         size = mask.shape[1], mask.shape[0]
         drawn = fit.effects.draw(human, lit, motion, viewmats[i], views.Ks[i], *size, [Layer()])[0].image
         drawn, crop = (drawn * gains[i]).clamp(0, 1), person_crop(mask)

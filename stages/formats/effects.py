@@ -11,7 +11,8 @@ from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
 
 HINT = "train again: `hugs run VIDEO train --force`"
-SHADOW = ("light", "darkness", "softness", "density", "size")
+SHADOW = ("light", "darkness", "softness", "density", "size", "middles", "covariances")
+_SHAPES = {"light": (3,), "middles": (24, 3), "covariances": (24, 3, 3)}
 _LIMITS = {
     "darkness": (0, 1),
     "softness": (0, 1e3),
@@ -28,7 +29,8 @@ class Effects:
 
     The person's shadow: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of
     all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the
-    share of its covariance that casts. Of the time between two frames `shutter` is the share in which the shutter is
+    share of its covariance that casts; `middles` [24,3] m and `covariances` [24,3,3] m^2 of the body's parts at rest. Of the
+    time between two frames `shutter` is the share in which the shutter is
     open, `readout` that in which the rows are read, negative from below.
     """
 
@@ -37,6 +39,8 @@ class Effects:
     softness: float | None = None
     density: float | None = None
     size: float | None = None
+    middles: np.ndarray | None = None
+    covariances: np.ndarray | None = None
     shutter: float | None = None
     readout: float | None = None
 
@@ -61,9 +65,9 @@ def read_effects(path: Path) -> Effects:
     unknown = sorted(found.keys() - set(names))
     if unknown:
         raise StageError(f"{path} holds effects that are not known", HINT, [f"found {', '.join(unknown)}"])
-    arrays = {n: checked(a, (3,) if n == "light" else (), n, path, HINT).astype(np.float64) for n, a in found.items()}
+    arrays = {n: checked(a, _SHAPES.get(n, ()), n, path, HINT).astype(np.float64) for n, a in found.items()}
     _check(arrays, path)
-    return Effects(**{name: array if name == "light" else float(array) for name, array in arrays.items()})
+    return Effects(**{name: array if name in _SHAPES else float(array) for name, array in arrays.items()})
 
 
 def _check(arrays: dict[str, np.ndarray], path: Path) -> None:

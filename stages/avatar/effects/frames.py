@@ -12,7 +12,7 @@ from stages.avatar.compose import compose_layers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.motion_blur import START, Exposed, exposed
 from stages.avatar.effects.rolling_shutter import rolled
-from stages.avatar.effects.shadow import Shadow, casters
+from stages.avatar.effects.shadow import Casters, Shadow, Stance
 from stages.avatar.effects.speeds import Motion, moved
 from stages.avatar.effects.transients import WARM_UP, Transients
 from stages.avatar.gaussians import Splats
@@ -37,10 +37,12 @@ class FrameEffects(nn.Module):
         self.transients: Transients | None = None
 
     @classmethod
-    def starting(cls, up: Tensor, shadow: bool, motion_blur: bool, rolling_shutter: bool) -> FrameEffects:
-        """Those that are on, before any is learned; `up`[3] points away from the floor."""
+    def starting(
+        cls, up: Tensor, body: Casters, shadow: bool, motion_blur: bool, rolling_shutter: bool
+    ) -> FrameEffects:
+        """Those that are on, before any is learned; `up`[3] points away from the floor, `body` is at rest."""
         times = START if motion_blur else None, 0.0 if rolling_shutter else None
-        return cls(Shadow(up) if shadow else None, *times).to(up)
+        return cls(Shadow(up, body) if shadow else None, *times).to(up)
 
     @property
     def takes_time(self) -> bool:
@@ -65,11 +67,11 @@ class FrameEffects(nn.Module):
         """What speaks against effects that no picture calls for, to be added to a step's loss."""
         return 0.0 if self.clothing is None else self.clothing.prior()
 
-    def lit(self, scene: Splats | None, human: Splats | None, weights: Tensor | None) -> Splats | None:
-        """The scene as the person leaves it light; weights[N,J] are those of the person's skinning."""
-        if self.shadow is None or scene is None or human is None:
+    def lit(self, scene: Splats | None, stance: Stance | None) -> Splats | None:
+        """The scene as a person who stands so leaves it light; None for nobody."""
+        if self.shadow is None or scene is None or stance is None:
             return scene
-        return self.shadow(scene, casters(human.means, weights))
+        return self.shadow(scene, stance)
 
     def draw(
         self,
@@ -118,5 +120,6 @@ def load_effects(arrays: Any) -> FrameEffects:
     shadow = None
     if arrays.light is not None:
         numbers = arrays.darkness, arrays.softness, arrays.density, arrays.size
-        shadow = Shadow(torch.as_tensor(arrays.light).float(), *numbers)
+        body = Casters(torch.as_tensor(arrays.middles), torch.as_tensor(arrays.covariances))
+        shadow = Shadow(torch.as_tensor(arrays.light).float(), body, *numbers)
     return FrameEffects(shadow, arrays.shutter, arrays.readout).requires_grad_(False)

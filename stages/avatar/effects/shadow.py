@@ -8,37 +8,55 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.gaussians import Splats
+from stages.avatar.human import bone_transforms
 from stages.avatar.rotations import rotation_z_to
 from stages.avatar.sh import SH_C0
 
 DARKNESS, SOFTNESS, DENSITY, SIZE = 0.5, 0.04, 3.0, 0.6  # to begin with
 REACH = 3.0  # standard deviations beyond which a bone casts nothing
-LEAST = 1e-6  # share of the person's Gaussians under which a bone casts nothing
+LEAST = 1e-6  # share of the vertices under which a bone casts nothing
 ABOVE = 0.05  # m over which a bone comes between a point and the light
 
 
 class Casters(NamedTuple):
-    """What shades: middles[J,3] m and covariances[J,3,3] m^2 of the parts of a body."""
+    """What shades: middles[J,3] m and covariances[J,3,3] m^2 of the parts of a body, 0 for a bone that has none."""
 
     middles: Tensor
     covariances: Tensor
 
+    def moved(self, bones: Tensor, transl: Tensor | float = 0.0) -> Casters:
+        """Each part with its bone [J,4,4], then by transl[3] m."""
+        turns = bones[:, :3, :3]
+        middles = (turns @ self.middles[..., None])[..., 0] + bones[:, :3, 3] + transl
+        return Casters(middles, turns @ self.covariances @ turns.mT)
 
-def casters(means: Tensor, weights: Tensor) -> Casters:
-    """The parts of a person with Gaussians at means[N,3] that go with the bones by weights[N,J]; no gradient."""
-    means, weights = means.detach(), weights.detach()
+
+class Stance(NamedTuple):
+    """Where a body is: joints[24,3] at rest, parents, and its pose: global_orient[3], body_pose[69], transl[3] m."""
+
+    joints: Tensor
+    parents: list[int]
+    global_orient: Tensor
+    body_pose: Tensor
+    transl: Tensor
+
+
+def casters(vertices: Tensor, weights: Tensor) -> Casters:
+    """The parts of a body with vertices[V,3] m that go with the bones by weights[V,J].
+
+    Those of the body model, not of the person's Gaussians: these stand dense where there is much to see, and what they
+    learn of skinning is not where limbs are; with them twice as much of a shadow is missed.
+    """
     mass = weights.sum(0)
-    kept = mass > LEAST * len(means)
-    weights, mass = weights[:, kept], mass[kept]
-    origin = means.mean(0)
-    away = means - origin
-    middles = (weights.T @ away) / mass[:, None]
-    squares = (weights.T @ (away[:, :, None] * away[:, None]).flatten(1)) / mass[:, None]
-    return Casters(middles + origin, squares.unflatten(1, (3, 3)) - middles[:, :, None] * middles[:, None])
+    kept = mass > LEAST * len(vertices)
+    share = weights * (kept / mass.clamp_min(1e-30))
+    middles = share.T @ vertices
+    away = vertices[:, None] - middles
+    return Casters(middles, torch.einsum("vj,vja,vjb->jab", share, away, away))
 
 
 class Shadow(nn.Module):
-    """The light that the person keeps off the scene: its direction and four numbers, learned for a whole clip.
+    """The light that a body, its parts at rest, keeps off the scene: its direction and four numbers, learned for a clip.
 
     `slope` [2] is how far light from the direction `up` [3] leans, so that straight down is no special case; `darkness`
     (logit) the share of all light that comes from there, `softness` (log m) the blur of edges, `density` (log) the
@@ -49,6 +67,7 @@ class Shadow(nn.Module):
     def __init__(
         self,
         up: Tensor,
+        body: Casters,
         darkness: float = DARKNESS,
         softness: float = SOFTNESS,
         density: float = DENSITY,
@@ -56,6 +75,8 @@ class Shadow(nn.Module):
     ):
         super().__init__()
         self.register_buffer("frame", rotation_z_to(up))
+        self.register_buffer("middles", body.middles.to(up))
+        self.register_buffer("covariances", body.covariances.to(up))
         self.slope = nn.Parameter(torch.zeros(2).to(up))
         self.darkness = nn.Parameter(torch.tensor([darkness]).to(up).logit())
         self.softness = nn.Parameter(torch.tensor([softness]).to(up).log())
@@ -70,6 +91,7 @@ class Shadow(nn.Module):
     def known(self) -> dict[str, Any]:
         """What `formats.effects.Effects` says of it."""
         found = {name: getattr(self, name).exp().item() for name in ("softness", "density", "size")}
+        found |= {name: getattr(self, name).cpu().numpy() for name in ("middles", "covariances")}
         return found | {"darkness": self.darkness.sigmoid().item(), "light": self.light().detach().cpu().numpy()}
 
     def shares(self, points: Tensor, body: Casters) -> Tensor:
@@ -83,6 +105,7 @@ class Shadow(nn.Module):
         dx, dy, dz = (middles[None] - at[:, None]).unbind(-1)
         distance = ((c + soft) * dx * dx - 2 * b * dx * dy + (a + soft) * dy * dy) / det
         before = torch.sigmoid(dz / ABOVE)
+        before = before * (body.covariances.diagonal(dim1=1, dim2=2).sum(1) > 0)
         thick = self.density.exp() * (-0.5 * distance).exp() * before
         return 1 - self.darkness.sigmoid() * (1 - (-thick.sum(1)).exp())
 
@@ -97,8 +120,11 @@ class Shadow(nn.Module):
             near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)
             return (near & (at[:, 2] < middles[:, 2].amax() + REACH * ABOVE)).nonzero()[:, 0]
 
-    def forward(self, scene: Splats, body: Casters) -> Splats:
+    def forward(self, scene: Splats, stance: Stance) -> Splats:
         """The scene in the shadow of the body: colours times their share of light, places as they are."""
+        with torch.no_grad():
+            bones = bone_transforms(*stance[:4])
+            body = Casters(self.middles, self.covariances).moved(bones, stance.transl)
         rows = self.reached(scene.means, body)
         share = torch.ones_like(scene.opacities).index_put((rows,), self.shares(scene.means[rows].detach(), body))
         share = share[:, None, None]

@@ -5,6 +5,7 @@ from stages.contract import StageError
 from stages.formats.effects import Effects, read_effects, write_effects
 
 SHADOW = {"light": [0.6, 0.8, 0.0], "darkness": 0.5, "softness": 0.03, "density": 1.4, "size": 0.6}
+SHADOW |= {"middles": np.ones((24, 3)), "covariances": np.ones((24, 3, 3))}
 
 
 def test_what_is_known_comes_back_and_nothing_is_known_without_a_file(tmp_path):
@@ -19,7 +20,7 @@ def test_what_is_known_comes_back_and_nothing_is_known_without_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "said"),
     [
-        ({"light": [0.6, 0.8, 0.0]}, "missing: darkness, softness, density, size"),
+        ({"light": [0.6, 0.8, 0.0]}, "missing: darkness, softness, density, size, middles, covariances"),
         (SHADOW | {"light": [0.0, 0.0, 0.0]}, "light: [0.0, 0.0, 0.0], wanted a length of 1"),
         (SHADOW | {"darkness": 1.5}, "darkness: 1.5, wanted (0, 1)"),
         (SHADOW | {"light": [0.6, 0.8]}, "found 2, wanted 3"),
