@@ -17,17 +17,12 @@ from stages import contract
 from stages.contract import Job, StageError, Stopped
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from stages.avatar.fit import Fit
     from stages.avatar.pace import Deadline
-    from stages.avatar.scene import SceneModel
     from stages.formats.clip import Clip
 
 RESUMES = True
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
-PAINTED = 24  # frames from which the person's first colours are read
-FILLED = 16  # frames from which points of the scene are filled in
 JUDGED = 6  # held-out frames on the accuracy curve
 SMALL, SMALL_UNDER = {"rounds": 0, "human_cap": 20_000, "scene_cap": 50_000}, 1200
 LARGE, LARGE_FROM = {"human_cap": 60_000, "scene_cap": 160_000}, 9000
@@ -88,10 +83,9 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
     from stages.avatar.checkpoint import save
     from stages.avatar.neighbours import evenly
-    from stages.avatar.pace import Deadline
     from stages.avatar.rasterize.cache import compiled
 
-    deadline = Deadline(params.seconds, params.reserve, time.perf_counter()) if params.seconds else None
+    deadline = _deadline(params) if params.seconds else None
     if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
     fit, clip, told = _begun(job, params, (sfm, smpl, survey), deadline)
@@ -108,13 +102,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
         except (FloatingPointError, ValueError) as error:
             made_of = {"params": params.model_dump(), "sfm": str(sfm), "smpl": str(smpl), "survey": str(survey)}
             raise _broken_down(fit, clip.names[fit.frame], job, made_of, error) from error
-        if fit.step * params.curve_points >= fit.total * (len(curve) + 1):
-            seconds += time.perf_counter() - mark
+        if fit.step == fit.total or fit.share * params.curve_points >= len(curve) + 1:
+            paused = time.perf_counter()
+            seconds += paused - mark
             curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
             job.progress(fit.step, fit.total, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
             mark = time.perf_counter()
             if deadline and fit.step < fit.total:
-                deadline.mark(fit)
+                deadline.mark(fit, mark - paused)
         elif fit.step % 25 == 0:
             job.progress(fit.step, fit.total, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
         if job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS:
@@ -127,6 +122,12 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     _write(fit, clip, job, curve, params)
     for name in (CHECKPOINT, "failure.npz"):
         (job.out / name).unlink(missing_ok=True)
+
+
+def _deadline(params: Params) -> Deadline:
+    from stages.avatar.pace import Deadline
+
+    return Deadline(params.seconds, params.reserve, time.perf_counter(), params.curve_points)
 
 
 def _begun(
@@ -209,144 +210,23 @@ def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tup
 
 def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any], job: Job) -> Fit:
     """Everything that is trained, at its initial value."""
-    import numpy as np
-    import torch
+    from stages.avatar.start import Start
 
-    from stages.avatar.body import DA_POSE, Body
-    from stages.avatar.effects.clothing import Clothing
-    from stages.avatar.effects.frames import FrameEffects
-    from stages.avatar.effects.shadow import casters
-    from stages.avatar.effects.transients import Transients
-    from stages.avatar.fit import Fit
-    from stages.avatar.human import HumanModel, rest
-    from stages.avatar.motion import upright
-    from stages.avatar.neighbours import evenly
-    from stages.avatar.paint import seen_colors
-    from stages.avatar.scene import scene_extent
-    from stages.avatar.schedule import Options
-    from stages.avatar.sh import sh_from_rgb
-    from stages.avatar.views import Person, Views
-
-    generator = torch.Generator().manual_seed(job.seed)
-
-    def tensor(array) -> torch.Tensor:
-        return torch.as_tensor(np.asarray(array), dtype=torch.float32, device=job.device)
-
-    frames = range(len(clip.names))
-    views = Views(
-        torch.as_tensor(np.stack([clip.images(i) for i in frames]), device=job.device),
-        torch.as_tensor(np.stack([clip.mask(i) for i in frames]), device=job.device),
-        tensor(clip.viewmats),
-        tensor(clip.Ks),
-        torch.as_tensor(clip.split.moments, device=job.device),
-    )
-    if not any((views.masks[i] > 127).any() for i in train):
+    if not any(clip.shows_person(i) for i in train):
         raise StageError(
             "no training frame shows a person",
             facts=[f"the masks of all {len(train)} training frames are empty"],
             hint="give masks of your own: `hugs run VIDEO --masks DIR`",
         )
-    body = Body(clip.body_model)
-    betas = torch.as_tensor(clip.body.betas, dtype=torch.float32)
-    vertices, _ = body(betas, torch.zeros(1, 3), DA_POSE[None], torch.zeros(1, 3))
-    joints = body.rest(betas)[1]
-    faces = torch.as_tensor(np.asarray(clip.body_model.faces).astype(np.int64), device=job.device)
-    poses = (tensor(clip.body.global_orient), tensor(clip.body.body_pose), tensor(clip.body.transl))
-    weights = body.lbs_weights.to(job.device)
-    confidence = tensor(clip.body.confidence)
-    joints, at = tensor(joints), tensor(vertices[0])
-    person = Person(*poses, confidence, joints, body.parents, DA_POSE.to(job.device), at, weights, faces)
-    human = HumanModel(
-        person.vertices,
-        faces,
-        weights,
-        rounds=params.rounds,
-        channels=params.channels,
-        resolution=params.resolution,
-        sh_degree=params.human_sh,
-        generator=generator,
-        lbs_learning=params.lbs_learning,
-        triplane=params.triplane,
-    )
-    seen = [i for i in train if confidence[i] > 0]
-    colors, known = seen_colors(human, person, views, evenly(seen, PAINTED))
-    human.sh_starts.copy_(sh_from_rgb(colors))
-    share = (known == 1).float().mean().item()
-    job.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
-    extent = scene_extent(tensor(clip.viewmats).cpu(), tensor(clip.points).cpu())
-    scene = None
-    if decisions.get("scene", True) and len(clip.points):
-        scene = _scene(clip, train, params, decisions, person.joints[0].cpu().numpy(), extent, job)
-    if scene is None and not (params.human_loss and params.joint):
+    start = Start(clip, train, params, decisions, job.seed, job.device, job.note)
+    fit = start.fit(_perceptual(params, job.device))
+    if fit.scene is None and not (params.human_loss and params.joint):
         raise StageError(
             "there is no scene to train the person with",
             facts=[f"human_loss: {params.human_loss}, joint: {params.joint}; without a scene both are needed"],
             hint="leave out `--set train.human_loss` and `--set train.joint`",
         )
-    options = Options(
-        steps=params.steps,
-        views_per_decode=params.views_per_decode,
-        human_cap=max(params.human_cap, len(human)),
-        scene_cap=params.scene_cap,
-        extent=extent,
-        refine_pose=decisions.get("pose_refinement", True),
-        exposure=decisions.get("exposure", False),
-        perceptual_every=params.perceptual_every,
-        half_until=params.half_until,
-        human_densify=params.human_densify,
-        human_loss=params.human_loss,
-        joint=params.joint,
-        antialias=decisions.get("antialias", False),
-        refine_camera=decisions.get("camera_refinement", False),
-    )
-    up = torch.as_tensor(upright(clip.body.global_orient, clip.body.global_orient[0])[:, 1]).to(person.joints)
-    takes = {name: decisions.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
-    parts = casters(person.vertices, person.weights).moved(torch.linalg.inv(person.canonical_bones()))
-    effects = FrameEffects.starting(up, parts, **takes)
-    if decisions.get("clothing", False):
-        bare = rest(human.untaught(), person.canonical_bones()).means
-        effects.clothing = Clothing.start(bare, person.body_pose[train])
-    if decisions.get("transients", False) and scene is not None:
-        effects.transients = Transients(views, train)
-    return Fit(views, train, person, human, scene, options, generator, _perceptual(params, job.device), effects)
-
-
-def _scene(
-    clip: Clip, train: list[int], params: Params, decisions: dict[str, Any], pelvis: np.ndarray, extent: float, job: Job
-) -> SceneModel | None:
-    """The scene at its initial value; None where all points lie on a camera. `pelvis` [3] is that of the body at rest."""
-    import numpy as np
-    import torch
-
-    from stages.avatar.effects.sky import RADIUS, open_sky, shell
-    from stages.avatar.neighbours import evenly
-    from stages.avatar.scene import SceneModel, clear_of_cameras, fill_points
-
-    def tensor(array) -> torch.Tensor:
-        return torch.as_tensor(np.asarray(array), dtype=torch.float32, device=job.device)
-
-    chosen = evenly(train, FILLED)
-    images, masks = [clip.images(i) for i in chosen], [clip.mask(i) for i in chosen]
-    cameras, skies = (clip.viewmats[chosen], clip.Ks[chosen]), None
-    if decisions.get("sky", False):
-        skies = [open_sky(clip.points, mask, *camera) for mask, *camera in zip(masks, *cameras, strict=True)]
-    rng, places = np.random.default_rng(job.seed), clip.body.transl[chosen] + pelvis
-    xyz, rgb = fill_points(clip.points, images, masks, *cameras, places, params.scene_fill, rng, skies)
-    points, colors = np.concatenate([clip.points, xyz]), np.concatenate([clip.colors, rgb])
-    clear = clear_of_cameras(tensor(points), tensor(clip.viewmats), extent)
-    if not clear.all():
-        job.note(f"{int((~clear).sum())} points left out that lie on a camera")
-    if not clear.any():
-        return None
-    degree = params.scene_sh if decisions.get("view_dependence", False) else 0
-    start = tensor(points)[clear], tensor(colors)[clear] / 255
-    scene = SceneModel(*start, degree, extent, decisions.get("antialias", False))
-    if skies:
-        far, tints = shell(skies, images, *cameras, extent)
-        job.note(f"{len(far):,} Gaussians of the sky, {RADIUS * extent:.0f} m away")
-        if len(far):
-            scene.surround(tensor(far), tensor(tints), RADIUS * extent)
-    return scene
+    return fit
 
 
 def _perceptual(params: Params, device: str):

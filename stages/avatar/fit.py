@@ -99,6 +99,11 @@ class Fit:
         return self.phase.done(self.step)
 
     @property
+    def share(self) -> float:
+        """Share of the whole run behind us, each phase counted the same."""
+        return (self.phases.index(self.phase) + self.done) / len(self.phases)
+
+    @property
     def total(self) -> int:
         """Steps of the whole run."""
         return self.phases[-1].first + self.phases[-1].steps

@@ -12,6 +12,7 @@ WARM_UP = 2  # steps that no clock sees
 TIMED = 8  # steps at each corner of a Pace; a multiple of views_per_decode
 PARTS = 200  # of an integral; no clock is finer
 LATE = 0.99  # share of the schedule at which a step takes as long as drawing what was trained
+PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed
 HELD = 10**9  # steps of a schedule that hardly moves
 
 
@@ -49,11 +50,12 @@ class Pace:
 class Deadline:
     """The time that a training may take. Its steps are fitted into it before the first and again at every `mark`.
 
-    `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over.
+    `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over. `marks`
+    of them are still to come, each with a pause in which the training is judged.
     """
 
-    def __init__(self, seconds: float, reserve: float, began: float):
-        self.seconds, self.reserve, self.began = seconds, reserve, began
+    def __init__(self, seconds: float, reserve: float, began: float, marks: int):
+        self.seconds, self.reserve, self.began, self.marks = seconds, reserve, began, marks
         self.pace: Pace | None = None
 
     @property
@@ -64,28 +66,34 @@ class Deadline:
     @property
     def left(self) -> float:
         """Seconds left for steps."""
-        return self.seconds - self.spent - self.reserve * self.pace.mean(LATE)
+        return self.seconds - self.spent - self.reserve * self.pace.mean(LATE) - self.marks * self.pause
 
     def start(self, fit: Fit) -> int:
         """Time a few steps of a training that has not begun; returns how many fit into the time."""
         self.pace = rehearse(fit)
+        self.pause = PAUSE * self.pace.mean(LATE)
         self.leg = self.spent, fit.step, fit.done
         return self.pace.steps(self.left)
 
-    def mark(self, fit: Fit) -> None:
-        """Learn from the steps since the last mark how long those to come will take, and fit them in."""
+    def mark(self, fit: Fit, pause: float) -> None:
+        """Learn from the steps since the last mark how long those to come will take, and fit them in.
+
+        `pause` is how many of the seconds since then were no steps.
+        """
         spent, step, done = self.leg
         self.leg = self.spent, fit.step, fit.done
-        self.pace.learn(self.spent - spent, fit.step - step, done, fit.done)
+        self.pause, self.marks = pause, self.marks - 1
+        self.pace.learn(self.spent - spent - pause, fit.step - step, done, fit.done)
         fit.retime(self.pace.steps(self.left, fit.done))
 
     def state(self) -> list:
         """For a checkpoint."""
-        return [self.spent, self.pace.half, self.pace.full, self.pace.half_until, self.pace.slow]
+        pace = self.pace
+        return [self.spent, self.marks, self.pause, pace.half, pace.full, pace.half_until, pace.slow]
 
     def load(self, state: list, fit: Fit) -> None:
         """Go on from `state()`."""
-        spent, *pace = state
+        spent, self.marks, self.pause, *pace = state
         self.began -= spent
         self.pace = Pace(*pace)
         self.leg = self.spent, fit.step, fit.done
