@@ -470,6 +470,7 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
 def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, monkeypatch):
     monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
     monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: 0.0)
+    monkeypatch.setattr("stages.avatar.pace.PAUSE", 0.0)
     with pytest.raises(StageError, match="too short to train") as error:
         train.run(fresh(tmp_path, "job"), PARAMS.model_copy(update={"seconds": 50.0}), **inputs)
     assert "50 steps would fit into 50 s, 200 are the least" in error.value.facts[0]
