@@ -12,14 +12,15 @@ from hugs_cli.comparison import Quiet
 from hugs_cli.console import Console
 from hugs_cli.engine import Ran
 from hugs_cli.freshness import Judge
-from hugs_cli.pipelines import UsageError
+from hugs_cli.pipelines import Stage, UsageError
 from hugs_cli.words import duration
 from hugs_cli.workspace import Workspace, read_json, write_json
 
 TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
 CHOSEN = "within.json"  # in the pipeline's folder: what train was given, so that a run cut short goes on
-GIVEN = {"seconds", "reserve"}
-START = 2.0  # seconds until a stage's process works
+START = 0.7  # seconds between two stages
+SHORT = 300  # seconds; where less is left, measuring must not take what training needs
+SHORTER = {"train": {"curve_points": 6}, "evaluate": {"fit_steps": 5}}  # at most, of what is set
 
 # What follows the last step of training, in steps of full size: measured on the kitchen clip, 2 cores.
 FINISH = 30.0  # train: looks at the frames before it writes the person
@@ -58,9 +59,13 @@ class Promise:
         chosen = read_json(place)
         if "train" in forced or not self._begun(chosen):
             left = self.seconds - (time.monotonic() - began) - START * (len(self.wanted) - len(before))
-            chosen = {"seconds": round(max(left, 1.0), 1), "reserve": round(self._reserve(), 1)}
+            chosen = self._chosen(left)
             write_json(place, chosen)
-            console.say(f"{duration(chosen['seconds'])} are left for training and what follows")
+            console.say(f"{duration(chosen['train']['seconds'])} are left for training and what follows")
+            if left < SHORT:
+                console.say(
+                    "that is short: accuracy is measured at fewer moments, and held-out poses are hardly fitted"
+                )
         else:
             console.say("goes on with the training that was begun for this time")
         ran = engine.run(timed(self.judge, chosen), self.wanted, forced - set(before), device, Quiet())
@@ -68,11 +73,11 @@ class Promise:
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
         console.say(f"promised {duration(self.seconds)}, took {duration(took)} ({off:+.0f} %)")
-        return ran, {"promised": self.seconds, "took": round(took, 1), **chosen}
+        return ran, {"promised": self.seconds, "took": round(took, 1), "settings": chosen}
 
     def _begun(self, chosen: dict[str, Any]) -> bool:
         """Whether training with the settings chosen before is finished, or was cut short."""
-        if set(chosen) != GIVEN:
+        if not whole(chosen):
             return False
         judge = timed(self.judge, chosen)
         verdict = judge.all(judge.pipeline.upstream(["train"]))["train"]
@@ -80,9 +85,20 @@ class Promise:
             verdict.recipe is not None and judge.workspace.part("train", verdict.recipe.key).is_dir()
         )
 
-    def _reserve(self) -> float:
+    def _chosen(self, left: float) -> dict[str, dict[str, Any]]:
+        """The settings of stages for a run with so many seconds left."""
+        stages, chosen = self.judge.pipeline.stages, {"train": {}}
+        if left < SHORT:
+            for name, limits in SHORTER.items() if SHORTER.keys() <= stages.keys() else ():
+                own = stages[name].params.model_dump()
+                chosen[name] = {setting: min(own[setting], most) for setting, most in limits.items() if setting in own}
+        short = timed(self.judge, chosen).pipeline.stages
+        chosen["train"] |= {"seconds": round(max(left, 1.0), 1), "reserve": round(self._reserve(short), 1)}
+        return chosen
+
+    def _reserve(self, stages: dict[str, Stage]) -> float:
         """What follows the last step of training, in steps."""
-        stages, steps = self.judge.pipeline.stages, FINISH
+        steps = FINISH
         if "render" in self.wanted:
             films, (frames, heldout) = stages["render"].params, self._frames()
             steps += PICTURE * (films.turntable_frames + films.motion_seconds * films.fps + heldout + frames)
@@ -116,18 +132,28 @@ def named(judge: Judge, text: str) -> Judge:
     return replace(judge, workspace=place, pipeline=replace(judge.pipeline, name=name))
 
 
-def timed(judge: Judge, chosen: dict[str, float]) -> Judge:
-    """The judge with what training was given."""
-    train = judge.pipeline.stages["train"]
-    stages = {**judge.pipeline.stages, "train": replace(train, params=train.params.model_copy(update=chosen))}
-    return replace(judge, pipeline=replace(judge.pipeline, stages=stages))
+def timed(judge: Judge, chosen: dict[str, dict[str, Any]]) -> Judge:
+    """The judge with the settings that were chosen, by stage."""
+    own = judge.pipeline.stages
+    given = {n: replace(own[n], params=own[n].params.model_copy(update=s)) for n, s in chosen.items() if n in own}
+    return replace(judge, pipeline=replace(judge.pipeline, stages={**own, **given}))
+
+
+def whole(chosen: dict[str, Any]) -> bool:
+    """Whether a memory of what was chosen is one."""
+    train = chosen.get("train")
+    return (
+        isinstance(train, dict)
+        and {"seconds", "reserve"} <= set(train)
+        and all(isinstance(s, dict) for s in chosen.values())
+    )
 
 
 def remembered(judge: Judge, text: str) -> Judge:
     """The judge of `--pipeline default.10m`: what `--within 10m` was given; UsageError if there was no such run."""
     judge = named(judge, text)
     chosen = read_json(judge.workspace.links / CHOSEN)
-    if set(chosen) != GIVEN:
+    if not whole(chosen):
         base = judge.pipeline.name.partition(".")[0]
         raise UsageError(
             f"no run of pipeline {base} within {text}", f"`hugs run VIDEO --pipeline {base} --within {text}`"

@@ -9,7 +9,7 @@ from stages.avatar.fit import Fit
 from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
-TIMED = 8  # steps at each corner of a Pace; a multiple of views_per_decode
+TIMED = 4  # steps at each corner of a Pace; a multiple of views_per_decode
 PARTS = 200  # of an integral; no clock is finer
 LATE = 0.99  # share of the schedule at which a step takes as long as drawing what was trained
 PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed

@@ -36,6 +36,11 @@ def run(job, params, *, train):
     '''Write one file.'''
     (job.out / "out.txt").write_text("done")
 """
+FIT_STEPS = """from stages.contract import Params as Base
+
+class Params(Base):
+    fit_steps: int = 30
+"""
 
 
 @pytest.fixture
@@ -77,7 +82,8 @@ def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
     assert kept["promised"] == 60 and 0 < kept["took"] < 30
     least = 60 - kept["took"] - 2 * within.START
     assert least <= given["seconds"] < 60 - 2 * within.START
-    assert given["seconds"] == kept["seconds"] and given["reserve"] == within.FINISH and given["size"] == 1
+    assert kept["settings"] == {"train": {name: given[name] for name in ("seconds", "reserve")}}
+    assert given["reserve"] == within.FINISH and given["size"] == 1
     assert "promised 1m 00s, took" in err and "are left for training" in err
 
 
@@ -105,7 +111,7 @@ def test_a_training_cut_short_goes_on_with_what_it_was_given(clip):
     given = json.loads((clip.work / "clip" / "tiny.60s" / within.CHOSEN).read_text())
     (clip.folder / "stop").unlink()
     _, err = run(clip, "--within", "60s")
-    assert {name: told(clip)[name] for name in given} == given and "goes on with the training" in err
+    assert told(clip) == given["train"] | {"size": 1} and "goes on with the training" in err
 
 
 def test_changed_settings_are_timed_anew(clip):
@@ -127,3 +133,16 @@ def test_its_results_have_a_name_for_other_commands(clip):
     assert [row["state"] for row in states] == ["fresh"] * 3
     _, err = clip.hugs("--pipeline", "tiny.5m", command="status", code=2)
     assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
+
+
+def test_where_time_is_short_measuring_takes_less_of_it(clip):
+    clip.edit("train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12")
+    clip.write("evaluate", AFTER.replace("from stages.contract import Params", FIT_STEPS))
+    file = clip.folder / "pipelines.yaml"
+    file.write_text(f"{file.read_text()}    evaluate: {{needs: [train], module: flow.evaluate}}\n")
+    (clip.folder / "stop").write_text("")  # before anything asks for the clip's frames
+    for time, points in (("60s", 6), ("20m", 12)):
+        run(clip, "train", "--within", time, code=1)
+        chosen = json.loads((clip.work / "clip" / f"tiny.{time}" / within.CHOSEN).read_text())
+        assert chosen["train"].get("curve_points", 12) == points
+        assert chosen.get("evaluate") == ({"fit_steps": 5} if points == 6 else None)
