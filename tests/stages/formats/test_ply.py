@@ -68,9 +68,10 @@ def test_l01_an_opacity_out_of_range_is_refused_by_row(tmp_path):
 def test_l04_rows_that_are_left_out_take_their_coefficients_along(tmp_path, degree):
     splats = scene(bases=(degree + 1) ** 2)
     splats.scales[2, 1] = np.nan
-    kept = finite_rows(torch.as_tensor(part) for part in vars(splats).values()).numpy()
+    parts = {name: part for name, part in vars(splats).items() if isinstance(part, np.ndarray)}
+    kept = finite_rows(map(torch.as_tensor, parts.values())).numpy()
     assert kept.tolist() == [True, True, False, True, True]
-    write_ply(tmp_path / "a.ply", Scene(**{name: part[kept] for name, part in vars(splats).items()}))
+    write_ply(tmp_path / "a.ply", Scene(**{name: part[kept] for name, part in parts.items()}))
     found = read(tmp_path / "a.ply")
     rest = np.stack([found[f"f_rest_{i}"] for i in range(45)], 1).reshape(-1, 3, 15)[:, :, : splats.shN.shape[1]]
     np.testing.assert_array_equal(rest, splats.shN[kept].transpose(0, 2, 1))
