@@ -10,7 +10,9 @@ from stages.avatar.ssim import ssim
 SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
 SEAM = 0.001  # of the longer side: the width around the person from which the scene learns nothing
-LBS = 10.0  # on the mean squared difference; 1000 drowns colours in the triplane that both share (-0.8 dB in 600 steps), see G19
+# On the mean squared difference. 1000 drowns colours in the triplane that both share (-0.8 dB in 600 steps), see G19; with 10
+# a back that no frame shows turns white in 4,000 steps.
+LBS = 100.0
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
 SHY = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
