@@ -80,7 +80,6 @@ class Params(contract.Params):
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
     """Fit person and scene Gaussians to the frames, jointly."""
-
     from stages.avatar.checkpoint import save
     from stages.avatar.neighbours import evenly
     from stages.avatar.rasterize.cache import compiled

@@ -1,4 +1,4 @@
-"""The points nearest to others, and frames spread evenly over many."""
+"""The points nearest to others, points far from one another, and frames spread evenly over many."""
 
 from __future__ import annotations
 
@@ -23,3 +23,13 @@ def evenly(rows: list[int], most: int) -> list[int]:
     """At most `most` of `rows`, spread evenly, the first among them."""
     count = min(most, len(rows))
     return [rows[i * len(rows) // count] for i in range(count)]
+
+
+def spread_out(points: Tensor, count: int) -> Tensor:
+    """Rows int64[count] of points[N,3] far from one another, each the farthest from those before; so is any prefix."""
+    chosen = torch.zeros(min(count, len(points)), dtype=torch.long)
+    away = points.new_full((len(points),), torch.inf)
+    for i in range(1, len(chosen)):
+        away = torch.minimum(away, (points - points[chosen[i - 1]]).square().sum(-1))
+        chosen[i] = away.argmax()
+    return chosen

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body import Body, Landmarks, vertex_normals
+from stages.avatar.neighbours import spread_out
 from stages.avatar.rotations import matrix_from_rotvec
 from stages.estimators import bodyfit_terms as terms
 from stages.estimators.bodyfit_evidence import Evidence
@@ -261,16 +262,6 @@ class Solver:
             z = ray[:, 2:].exp()
             place = torch.cat([ray[:, :2] * z, z], 1)
             return State(matrix_from_rotvec(turn) @ root, place, pose.detach(), betas.detach(), float(log_scale.exp()))
-
-
-def spread_out(vertices: Tensor, count: int) -> Tensor:
-    """Indices [count] of vertices far from one another (farthest points first); any prefix is spread out too."""
-    chosen = torch.zeros(min(count, len(vertices)), dtype=torch.long)
-    away = torch.full((len(vertices),), torch.inf)
-    for i in range(1, len(chosen)):
-        away = torch.minimum(away, (vertices - vertices[chosen[i - 1]]).square().sum(-1))
-        chosen[i] = away.argmax()
-    return chosen
 
 
 def sole_vertices(body: Body, count: int = 8) -> Tensor:

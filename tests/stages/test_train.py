@@ -312,10 +312,13 @@ def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
     assert not (job.out / "scene.npz").exists() and len(read_avatar(job.out / "avatar.npz")) > 0
 
 
+DRAWN = ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
+
+
 def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, monkeypatch, held):
-    kept, names = [], ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
+    kept = []
     monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
-    decide(inputs["survey"], **dict.fromkeys(names, True))
+    decide(inputs["survey"], **dict.fromkeys(DRAWN, True))
     job = fresh(tmp_path, "out")
     train.run(job, PARAMS, **inputs)
     effects = read_effects(job.out / "effects.npz")
@@ -441,6 +444,17 @@ def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_pa
     assert read_avatar(avatar).clothes.largest > 0 and read_avatar(off.out / "avatar.npz").clothes is None
     still = pose_avatar(load_avatar(read_avatar(avatar)), *(torch.zeros(n) for n in (3, 69, 3)))
     assert still.means.isfinite().all()
+
+
+def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
+    decide(inputs["survey"], **dict.fromkeys((*DRAWN, *LEARNED), True))
+    job = fresh(tmp_path, "out")
+    train.run(job, PARAMS, **inputs)
+    assert json.loads((job.out / "train.json").read_text())["left_out"] == 0
+    clip, (learned, _) = load_clip(inputs["sfm"], inputs["smpl"], job.out), render.read_trained(job.out, "cpu")
+    drawn = evaluate.Shot(clip, learned, 2, None, "cpu").draw(pose_of(clip, 2))[0]
+    (film,) = render._beside_truth(clip, learned, [2])
+    assert np.abs(film[:, WIDTH:] - (drawn.numpy() * 255).round()).max() <= 1
 
 
 def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from stages.avatar.neighbours import spread_out
+
 if TYPE_CHECKING:
     from stages.avatar.human import Resting
 
@@ -19,9 +21,7 @@ NODES = 160  # about 0.1 m apart on a body
 REACH = 0.07  # m: the width of a node's bell
 FEATURES = 6
 FLOOR = 1e-6  # of the weights' sum: far from all nodes nothing moves, and nothing is divided by 0
-PRIOR = (
-    0.1  # on the mean squared offset in units of LOOSE; a 20th of it, at 3 times the rate, lost 1.1 dB of the person
-)
+PRIOR = 0.1  # on the mean squared offset in units of LOOSE; a 20th, at 3 times the rate, lost 1.1 dB of the person
 LOOSE = 0.05  # m
 
 
@@ -46,7 +46,7 @@ class Clothing(nn.Module):
         kept = (spread[:FEATURES] > 1e-3 * len(poses) ** 0.5).sum()
         axes = (axes[:kept] / spread[:kept, None] * len(poses) ** 0.5).T.to(poses)  # features of variance 1
         features = (poses - mean) @ axes
-        nodes = points[_scattered(points, NODES)]
+        nodes = points[spread_out(points, NODES)]
         offsets = torch.zeros(len(nodes), 3, int(kept)).to(points)
         return cls(nodes, mean, axes, features.amin(0), features.amax(0), offsets)
 
@@ -79,13 +79,3 @@ class Clothing(nn.Module):
     def prior(self) -> Tensor:
         """PRIOR x mean squared offset in units of LOOSE, 0 without features: clothes are on the body unless pictures say so."""
         return PRIOR * (self.offsets / LOOSE).square().sum() / max(1, self.offsets.numel())
-
-
-def _scattered(points: Tensor, count: int) -> Tensor:
-    """Rows of `count` of the points[P,3] that lie far apart, each the farthest from those before it."""
-    chosen = [0]
-    nearest = (points - points[0]).norm(dim=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(nearest.argmax()))
-        nearest = torch.minimum(nearest, (points - points[chosen[-1]]).norm(dim=1))
-    return torch.tensor(chosen)
