@@ -20,7 +20,7 @@ from stages.avatar.views import Person, Views
 TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 LOOKS = 32  # training frames that are asked what they show
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
-EDGE_DOUBT = 0.2  # neighbours' pixels for each at an outline; with 1 twice the accuracy is lost, for the same look
+EDGE_DOUBT = 0.05  # neighbours' pixels for each at an outline; with 1 twice the accuracy is lost, for the same look
 DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 NEIGHBOURS = 24  # that are asked
@@ -117,8 +117,15 @@ def _lining(person: Canonical, body: Person) -> Canonical:
 
 def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
     """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
-    masks' pixels: sums over at most LOOKS of `frames`. What a picture owes to a colour is its gradient."""
-    resting, painted, pixels = rest(person, body.canonical_bones()), torch.zeros_like(person.means), 0.0
+    masks' pixels: sums over at most LOOKS of `frames`. What a picture owes to a colour is its gradient.
+
+    The first two only count where the skin under a Gaussian faces the camera: the far side shines through the near one.
+    """
+    bones = body.canonical_bones()
+    _, under = nearest(body.vertices, person.means, 1)
+    outwards = vertex_normals(body.vertices, body.faces)[under[:, 0]]
+    resting, skin = rest(person, bones), rest(person._replace(frames=rotation_z_to(outwards)), bones)
+    painted, pixels = torch.zeros_like(person.means), 0.0
     for i in evenly(frames, LOOKS):
         mask = views.masks[i].float() / 255
         if body.confidence[i] == 0 or mask.max() == 0:
@@ -129,6 +136,9 @@ def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -
         (drawn,) = rasterize(means, axes, opacities, colors, views.viewmats[i], views.Ks[i], width, height)
         inside = -widened(-mask, EDGE)
         where = torch.stack([inside, 1 - inside, 1 - mask], -1)
-        painted += torch.autograd.grad((drawn.image * where).sum(), colors)[0]
+        paints = torch.autograd.grad((drawn.image * where).sum(), colors)[0]
+        sight = means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
+        facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
+        painted += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
         pixels += mask.sum().item()
     return painted, pixels

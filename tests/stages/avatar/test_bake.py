@@ -115,6 +115,20 @@ def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
     assert bake.lean(speckled, where, empty, [0, 1, 2]) is speckled, "nobody is sure of anything"
 
 
+def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing):
+    """A front that is not opaque lets colours of the back learn what no frame shows of them: pale patches."""
+    person, where = standing
+    sheer = person._replace(opacities=torch.full_like(person.opacities, 0.5))
+    far = person.frames[:, 2, 2] < -0.8
+    pale = sheer._replace(sh=torch.where(far[:, None, None], 2.0, person.sh))
+    cameras = views(silhouettes(person, where))
+    splats = where.posed(rest(pale, where.canonical_bones()), 0)
+    through = compose(splats, None, cameras.viewmats[0], cameras.Ks[0], SIZE, SIZE).image - drawn(sheer, where, 0).image
+    assert far.sum() > 300 and through.amax() > 0.1, "the back does shine through"
+    out = bake.lean(pale, where, cameras, [0])
+    assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()
+
+
 def test_rows_never_shown_are_as_the_body_says():
     parts = [torch.randn(3, *shape) for shape in ((3,), (3, 3), (3,), (), (1, 3), (24,))]
     a, b = Canonical(*parts), Canonical(*(-part for part in parts))
