@@ -13,6 +13,7 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
@@ -28,6 +29,7 @@ from stages.avatar.judge import judge
 from stages.avatar.perceptual import Lpips
 from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
+from tests.benchmarks import mcmc
 
 
 def put(owner, **values) -> list:
@@ -62,26 +64,41 @@ UNSETTLED = put(schedule, SETTLE=0.9999, LAST_OTHERS=1.0) + put(
     SCENE_GROWTH=(schedule.SCENE_GROWTH[0], 1.0),
     HUMAN_GROWTH=(schedule.HUMAN_GROWTH[0], 1.0),
 )
+
+
+@dataclass(frozen=True)
+class Idea:
+    """How to train without it: settings of `train`, patches, decisions of `survey`."""
+
+    settings: dict = field(default_factory=dict)
+    patches: list = field(default_factory=list)
+    decisions: dict = field(default_factory=dict)
+
+
 STILL = {"place": 0.0, "pose": 0.0}
 PLAIN = {"outside_person": lambda image, target, mask: target + (1 - mask)[..., None] * (image - target)}
-WITHOUT = {  # name -> settings of train, and patches
-    "everything": ({}, []),
-    "own gradients for the scene (D1)": ({}, redrawn(lambda d, rows: d.screen_grad_abs.roll(rows, 0))),
-    "view dependence of the scene (D2)": ({"scene_sh": 0}, []),
-    "refined places (D3)": ({}, put(optimizers, LR_FRAMES=schedule.LR_FRAMES | {"place": 0.0})),
-    "refined poses and places": ({}, put(optimizers, LR_FRAMES=schedule.LR_FRAMES | STILL)),
-    "settling (D14)": ({}, UNSETTLED),
-    "absolute gradients": ({}, redrawn(lambda d, rows: d.screen_grad)),
-    "person pixels kept from the scene": ({}, put(losses, outside_person=lambda image, target, mask: image)),
-    "a seam around the person": ({}, put(losses, **PLAIN)),
-    "the veil": ({}, put(losses, VEIL=0.0)),
-    "alpha from masks": ({}, put(losses, ALPHA=0.0)),
-    "shy corrections": ({}, put(losses, SHY=0.0)),
-    "a smooth surface": ({}, put(losses, SMOOTH=0.0)),
-    "a prior on skinning weights": ({}, put(losses, LBS=0.0)),
-    "SSIM": ({}, put(losses, SSIM_SHARE=0.0)),
-    "but with LPIPS, AlexNet, every 4th step": ({"perceptual_every": 4}, []),
-    "but with 3rd degree colours of the scene": ({"scene_sh": 3}, []),
+WITHOUT = {
+    "everything": Idea(),
+    "own gradients for the scene (D1)": Idea(patches=redrawn(lambda d, rows: d.screen_grad_abs.roll(rows, 0))),
+    "refined places (D3)": Idea(patches=put(optimizers, LR_FRAMES=schedule.LR_FRAMES | {"place": 0.0})),
+    "refined poses and places": Idea(patches=put(optimizers, LR_FRAMES=schedule.LR_FRAMES | STILL)),
+    "settling (D14)": Idea(patches=UNSETTLED),
+    "absolute gradients": Idea(patches=redrawn(lambda d, rows: d.screen_grad)),
+    "person pixels kept from the scene": Idea(patches=put(losses, outside_person=lambda image, target, mask: image)),
+    "a seam around the person": Idea(patches=put(losses, **PLAIN)),
+    "the veil": Idea(patches=put(losses, VEIL=0.0)),
+    "alpha from masks": Idea(patches=put(losses, ALPHA=0.0)),
+    "shy corrections": Idea(patches=put(losses, SHY=0.0)),
+    "a smooth surface": Idea(patches=put(losses, SMOOTH=0.0)),
+    "a prior on skinning weights": Idea(patches=put(losses, LBS=0.0)),
+    "SSIM": Idea(patches=put(losses, SSIM_SHARE=0.0)),
+    "but with LPIPS, AlexNet, every 4th step": Idea(settings={"perceptual_every": 4}),
+    "but with 3rd degree colours of the scene": Idea(decisions={"view_dependence": True}),
+    "but antialiased": Idea(decisions={"antialias": True}),
+    "but opacities and scales pulled to 0": Idea(patches=put(fit_module.Fit, _apply=mcmc.regularised)),
+    "but the scene by MCMC": Idea(
+        patches=put(fit_module, grow_scene=mcmc.relocate) + put(fit_module.Fit, _apply=mcmc.walking)
+    ),
 }
 
 
@@ -94,13 +111,15 @@ def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[di
     with np.load(fetch("lpips_alex.npz")) as weights:
         lpips = Lpips(weights)
     for name in names:
-        settings, patches = WITHOUT[name]
+        idea = WITHOUT[name]
         for seed in range(seeds):
             job = SimpleNamespace(seed=seed, device="cpu", note=lambda text: None)
             with ExitStack() as stack:
-                for patch in patches:
+                for patch in idea.patches:
                     stack.enter_context(patch)
-                fit = train.build(clip, chosen, train.Params(steps=steps, **settings), decisions, job)
+                fit = train.build(
+                    clip, chosen, train.Params(steps=steps, **idea.settings), decisions | idea.decisions, job
+                )
                 began = time.perf_counter()
                 while fit.step < steps:
                     fit.advance()

@@ -66,13 +66,13 @@ def test_a_scene_takes_the_size_asked_for():
 
 @pytest.mark.parametrize("name", ideas.WITHOUT)
 def test_every_idea_can_be_left_out_and_is_back_afterwards(name, clip):
-    settings, patches = ideas.WITHOUT[name]
-    assert set(settings) <= set(train.Params.model_fields)
-    before = [getattr(patch.getter(), patch.attribute) for patch in patches]
+    idea = ideas.WITHOUT[name]
+    assert set(idea.settings) <= set(train.Params.model_fields)
+    before = [getattr(patch.getter(), patch.attribute) for patch in idea.patches]
     with ExitStack() as stack:
-        for patch in patches:
+        for patch in idea.patches:
             stack.enter_context(patch)
         fit = fit_of(clip, steps=8)
         numbers = run(fit, 8)
     assert np.isfinite(numbers).all() and fit.guard.left_out == 0
-    assert before == [getattr(patch.getter(), patch.attribute) for patch in patches]
+    assert before == [getattr(patch.getter(), patch.attribute) for patch in idea.patches]
