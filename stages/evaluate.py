@@ -33,14 +33,14 @@ MASKED = "masked_full: picture and person alone, both times the mask, over black
 REGIONS = ("full", "person_crop", "person_white")
 MASKED_REGIONS = ("masked_full", "masked_crop")
 NUMBERS = ("psnr", "psnr_per_channel", "ssim", "lpips", "lpips_legacy")
-LR_POSE = {"turn": 0.01, "place": 0.005}  # rad and m a step
+LR_POSE = {"turn": 0.01, "place": 0.015}  # rad and m a step, falling to 0
 SHOWN = 6
 MARGIN = 16  # px around the person while its pose is fitted
 EQUAL = 100.0  # dB that stand for equal pictures: JSON knows no infinity
 
 
 class Params(contract.Params):
-    fit_steps: int = Field(30, ge=0)
+    fit_steps: int = Field(60, ge=0)
     """Steps by which a held-out pose is fitted to its picture for the second protocol."""
     masked: bool = False
     """Rate the person cut out by the mask, over black, too: what is usual on ZJU-MoCap."""
@@ -184,6 +184,7 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     orient, body, transl = (torch.as_tensor(p).to(like).requires_grad_() for p in shot.pose)
     groups = [{"params": [orient, body], "lr": LR_POSE["turn"]}, {"params": [transl], "lr": LR_POSE["place"]}]
     optimiser = torch.optim.Adam(groups)
+    falling = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.0, max(1, steps))
     alone = shot.learned.scene is None
     truth = (over_white(shot.image, shot.mask) if alone else shot.image)[box]
     best, least = shot.pose, float("inf")
@@ -195,6 +196,7 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
             best, least = tuple(p.detach().cpu().numpy().copy() for p in (orient, body, transl)), loss.item()
         loss.backward()
         optimiser.step()
+        falling.step()
     return best
 
 
