@@ -244,9 +244,10 @@ def _broken_down(fit: Fit, name: str, job: Job, run: dict[str, Any], error: Exce
     """The error to raise for a step on the frame of that name; failure.npz holds what its `replay` needs."""
     import torch
 
+    from stages.avatar.checkpoint import snapshot
     from stages.formats.failure import write_failure
 
-    before, file, path = fit.before or fit.state(), io.BytesIO(), job.out / "failure.npz"
+    before, file, path = fit.before or snapshot(fit), io.BytesIO(), job.out / "failure.npz"
     torch.save(before, file)
     facts = {"error": str(error), "step": before["numbers"][0], "frame": name, "seed": job.seed, "device": job.device}
     write_failure(path, file.getvalue(), facts | {"threads": torch.get_num_threads()} | run)
@@ -268,13 +269,14 @@ def replay(path: Path) -> None:
     """
     import torch
 
+    from stages.avatar.checkpoint import restore
     from stages.formats.failure import read_failure
 
     state, facts = read_failure(path)
     torch.set_num_threads(facts["threads"])
     job, params = Job(path.parent, facts["device"], facts["seed"]), Params(**facts["params"])
     fit, _ = _start(job, params, *(Path(facts[name]) for name in ("sfm", "smpl", "survey")))
-    fit.load(torch.load(io.BytesIO(state), map_location=job.device, weights_only=True))
+    restore(fit, torch.load(io.BytesIO(state), map_location=job.device, weights_only=True))
     fit.advance()
     raise StageError(f"step {facts['step']} went well this time", facts=[f"it had failed with: {facts['error']}"])
 

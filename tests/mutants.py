@@ -188,9 +188,9 @@ MUTANTS = (
     ),
     Mutant(
         "14-14 H11 a checkpoint without the order of frames",
-        AVATAR + "fit.py",
-        '"order": self.order.clone(),',
-        '"order": self.order[:0],',
+        AVATAR + "checkpoint.py",
+        '"order": fit.order.clone(),',
+        '"order": fit.order[:0],',
         TESTS + "test_fit.py::resumed_equals_uninterrupted_bit_for_bit",
     ),
     Mutant(

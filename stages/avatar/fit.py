@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
+from stages.avatar.checkpoint import snapshot
 from stages.avatar.clock import Clock
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
 from stages.avatar.effects.frames import FrameEffects
@@ -80,6 +81,10 @@ class Fit:
     def _sets(self) -> dict[str, Any]:
         return {n: m for n, m in (("human", self.human), ("scene", self.scene)) if m is not None}
 
+    def modules(self) -> dict[str, torch.nn.Module]:
+        """All that has parameters, by name."""
+        return self._sets() | {"frames": self.frames, "effects": self.effects}
+
     def _speeds(self) -> Speeds:
         views, count = self.full, len(self.full.images)
         moments = np.arange(count) if views.moments is None else views.moments.cpu().numpy()
@@ -117,10 +122,10 @@ class Fit:
         """Learn from one training frame; returns the losses.
 
         FloatingPointError after too many bad steps in a row, ValueError when no Gaussian is left; `before` is then the
-        state from which this step fails again.
+        snapshot from which this step fails again.
         """
         self.clock.start()
-        self.before = copy.deepcopy(self.state()) if self.guard.alarmed else None
+        self.before = copy.deepcopy(snapshot(self)) if self.guard.alarmed else None
         self._grow()
         self.clock.lap("growth")
         self.frame = self._next_frame()
@@ -375,50 +380,3 @@ class Fit:
         if not self.options.refine_camera:
             return self.full.viewmats
         return self.frames.cameras(self.full.viewmats, self.trained, self.full.moments)
-
-    # ---- checkpoint ----
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on."""
-        leaves = {} if self.leaves is None else self.leaves._asdict()
-        return {
-            "models": {n: m.state_dict() for n, m in self._modules().items()},
-            "adam": {n: a.state_dict() for n, a in self.adam.items()},
-            "growth": {n: g.state() for n, g in self.growth.items()},
-            "guard": self.guard.state(),
-            "generator": self.generator.get_state(),
-            "order": self.order.clone(),
-            "reference": [self.reference.clone(), self.reference_at.clone()],
-            "taught": self.taught.clone(),
-            "leaves": {n: leaf.grad.clone() for n, leaf in leaves.items() if leaf.grad is not None},
-            "numbers": [self.step, self.undrawn],
-            "phases": [tuple(phase) for phase in self.phases],
-        }
-
-    def load(self, state: dict[str, Any]) -> None:
-        """Continue from `state()`; raises RuntimeError, naming tensor and shapes, when it belongs to another model."""
-        for name, module in self._modules().items():
-            saved = state["models"][name]
-            owned = [(module, row) for row in getattr(module, "ROWS", ())] + (module.rows() if name == "human" else [])
-            for owner, row in owned:
-                old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"free.{row}"])
-                setattr(owner, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
-            module.load_state_dict(saved)
-        self.adam = optimizers(self.frames, self.human, self.scene, self.options.extent, self.effects)
-        for name, optimizer in self.adam.items():
-            optimizer.load_state_dict(state["adam"][name])
-        for name, growth in self.growth.items():
-            growth.load(state["growth"][name])
-        self.guard.load(state["guard"])
-        self.generator.set_state(state["generator"])
-        self.order = state["order"].clone()
-        self.reference, self.reference_at = (t.clone() for t in state["reference"])
-        self.taught = state["taught"].clone()
-        self.step, self.undrawn = state["numbers"]
-        self.phases = tuple(Phase(*phase) for phase in state["phases"])
-        self.leaves = self.near = None
-        for name, grad in state["leaves"].items():
-            getattr(self.resting(), name).grad = grad.clone()
-
-    def _modules(self) -> dict[str, torch.nn.Module]:
-        return self._sets() | {"frames": self.frames, "effects": self.effects}

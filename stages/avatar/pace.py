@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import time
 
+from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.fit import Fit
 from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
@@ -101,11 +102,11 @@ class Deadline:
 
 def rehearse(fit: Fit) -> Pace:
     """Time real steps of a training that has not begun, small and grown; it is then as it was, bit for bit."""
-    before, late = copy.deepcopy(fit.state()), min(fit.options.half_until, LATE)
+    before, late = copy.deepcopy(snapshot(fit)), min(fit.options.half_until, LATE)
     few = _timed(fit, 0.0), _timed(fit, late)
     fit.fill_up()
     many = _timed(fit, 0.0), _timed(fit, late)
-    fit.load(before)
+    restore(fit, before)
     fit.clock.seconds = {}
     return Pace((few[0], many[0]), (few[1], many[1]), fit.options.half_until)
 

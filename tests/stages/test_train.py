@@ -394,7 +394,7 @@ def test_a_person_that_needs_a_scene_to_learn_says_so(tmp_path, inputs, setting)
 class Refuses:
     """A fit of another shape than the checkpoint's."""
 
-    def load(self, state):
+    def modules(self):
         raise RuntimeError("size mismatch for means: [5, 3] and [4, 3]\nmore")
 
 

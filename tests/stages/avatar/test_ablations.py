@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from stages.avatar import losses
+from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.fit import Fit
 from stages.avatar.schedule import Options, phases
 from tests.stages.avatar.test_fit import ellipsoid, make_clip, models, run
@@ -22,7 +23,7 @@ def fit_of(clip, steps: int = 40, sh_degree: int = 0, lbs_learning: bool = True,
 
 
 def states(fit: Fit) -> dict[str, torch.Tensor]:
-    return {f"{n}.{k}": v.clone() for n, m in fit._modules().items() for k, v in m.state_dict().items()}
+    return {f"{n}.{k}": v.clone() for n, m in fit.modules().items() for k, v in m.state_dict().items()}
 
 
 @pytest.mark.parametrize("triplane", [True, False])
@@ -89,10 +90,10 @@ def test_resumed_equals_uninterrupted_bit_for_bit(clip, case):
     run(straight, 40)
     run(first, 30)  # behind growth of the scene and of the person, in the second phase where there are two
     file = io.BytesIO()
-    torch.save(first.state(), file)
+    torch.save(snapshot(first), file)
     file.seek(0)
     second = fit_of(clip, **case)
-    second.load(torch.load(file, weights_only=True))
+    restore(second, torch.load(file, weights_only=True))
     assert len(second.scene) > 150
     run(second, 40)
     for key, value in states(straight).items():

@@ -11,6 +11,7 @@ import torch
 
 from stages.avatar import fit as fit_module
 from stages.avatar import losses
+from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.compose import compose
 from stages.avatar.human import HumanModel
 from stages.avatar.perceptual import Lpips
@@ -58,14 +59,14 @@ def test_defect_3_the_place_of_the_person_is_refined(clip):
 def test_defect_4_a_checkpoint_holds_every_state_that_training_has(clip):
     fit = fit_of(clip)
     run(fit, 20)
-    state = fit.state()
+    state = snapshot(fit)
     assert set(state["adam"]) == {"human", "scene", "frames"} == set(state["models"]) - {"effects"}
     assert {"pose.weight", "place.weight", "gain.weight"} <= set(state["models"]["frames"])
     for name, optimizer in state["adam"].items():
         assert all({"step", "exp_avg", "exp_avg_sq"} <= set(moments) for moments in optimizer["state"].values()), name
     assert state["numbers"][0] == 20 and {"generator", "order", "growth"} <= set(state)
     again = fit_of(clip)
-    again.load(state)
+    restore(again, state)
     assert all(torch.equal(value, states(again)[key]) for key, value in states(fit).items())
 
 

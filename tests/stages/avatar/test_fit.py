@@ -7,6 +7,7 @@ import pytest
 import torch
 import trimesh
 
+from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.compose import compose
 from stages.avatar.fit import Fit
 from stages.avatar.gaussians import Splats
@@ -93,7 +94,7 @@ def test_it_learns_and_both_sets_grow_to_their_caps(clip):
 def stored(fit: Fit) -> dict:
     """The state of a training, as it comes back from a file."""
     file = io.BytesIO()
-    torch.save(fit.state(), file)
+    torch.save(snapshot(fit), file)
     file.seek(0)
     return torch.load(file, weights_only=True)
 
@@ -105,7 +106,7 @@ def same(one: Fit, other: Fit) -> bool:
         branches = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, (list, tuple)) else [tree]
         return [tree] if branches == [tree] else [leaf for branch in branches for leaf in flat(branch)]
 
-    pairs = zip(flat(one.state()), flat(other.state()), strict=True)
+    pairs = zip(flat(snapshot(one)), flat(snapshot(other)), strict=True)
     return all(torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b for a, b in pairs)
 
 
@@ -115,7 +116,7 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip, broken_at):
     run(straight, 40)
     run(first, broken_at)
     assert (first.leaves is None) == (broken_at % 2 == 0), "17: between two decodes, with gradients waiting"
-    second.load(stored(first))
+    restore(second, stored(first))
     assert len(second.scene) > 150, "a densification must lie before the break"
     size = len(second.human)
     run(second, 40)
@@ -150,10 +151,10 @@ def test_what_no_frame_shows_is_kept_as_it_began(clip):
 
 
 def test_h13_a_checkpoint_of_another_model_is_refused(clip):
-    state = fit_of(clip).state()
+    state = snapshot(fit_of(clip))
     state["models"]["human"]["triplane.table"] = torch.zeros(3, 3)
     with pytest.raises(RuntimeError, match=r"triplane\.table"):
-        fit_of(clip).load(state)
+        restore(fit_of(clip), state)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +174,7 @@ def test_g06_frames_without_a_person_to_learn_from_stay_finite(clip, case):
     before = fit.human.xyz.detach().clone()
     run(fit, 6)
     assert fit.guard.left_out == 0
-    assert all(p.isfinite().all() for module in fit._modules().values() for p in module.parameters())
+    assert all(p.isfinite().all() for module in fit.modules().values() for p in module.parameters())
     if case in ("empty masks", "no fit"):
         assert torch.equal(before, fit.human.xyz)
 
@@ -251,7 +252,7 @@ def test_a23_h01_a_gaussian_that_is_not_finite_is_not_drawn_and_counted(clip):
     with torch.no_grad():
         fit.scene.means[7] = torch.nan
     run(fit, 4)
-    assert fit.undrawn == 2 and fit.state()["numbers"] == [4, 2]
+    assert fit.undrawn == 2 and snapshot(fit)["numbers"] == [4, 2]
 
 
 @pytest.mark.parametrize("what", ["loss", "scene", "person"])
@@ -276,7 +277,7 @@ def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(cl
     failed_at = fit.before["numbers"][0]
     assert 22 <= failed_at <= 43 and fit.guard.left_out >= 20
     again = fit_of(clip, steps=400)
-    again.load(fit.before)
+    restore(again, fit.before)
     if what != "loss":
         spoil(again)
     with pytest.raises(FloatingPointError) as repeated:
@@ -310,7 +311,7 @@ def test_b10_g04_pictures_of_a_few_pixels_train(clip, size):
     fit = fit_of((Views(pictures, torch.full((FRAMES, height, width), 255).byte(), views.viewmats, Ks), person), 6)
     before = fit.human.xyz.detach().clone()
     run(fit, 6)
-    assert all(p.isfinite().all() for module in fit._modules().values() for p in module.parameters())
+    assert all(p.isfinite().all() for module in fit.modules().values() for p in module.parameters())
     assert not torch.equal(before, fit.human.xyz) and fit.guard.left_out < 0.01 * 6 * len(before)
 
 

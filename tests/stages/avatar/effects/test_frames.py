@@ -7,6 +7,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras import pinhole
+from stages.avatar.checkpoint import restore
 from stages.avatar.compose import compose_layers
 from stages.avatar.drawing import draw, load_learned, perform
 from stages.avatar.effects.camera_refinement import corrected
@@ -61,7 +62,7 @@ def test_a_training_with_all_effects_goes_on_from_a_checkpoint_to_the_bit(clip):
     whole, first = (fit_with(clip, everything(), refine_camera=True) for _ in range(2))
     run(whole, 12), run(first, 7)
     second = fit_with(clip, everything(), refine_camera=True)
-    second.load(stored(first))
+    restore(second, stored(first))
     run(second, 12)
     assert same(whole, second) and whole.guard.left_out == 0
     start = everything().state_dict()

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch.nn.functional import avg_pool2d
 
+from stages.avatar.checkpoint import restore
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.transients import Transients
@@ -40,7 +41,7 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
     run(straight, 24)
     run(first, 11)
     assert first.effects.clothing.offsets.abs().max() > 0, "clothes are learned"
-    second.load(stored(first))
+    restore(second, stored(first))
     run(second, 24)
     assert same(straight, second) and straight.guard.left_out == 0
     assert (straight.scene.means.norm(dim=1) > 200).sum() >= 3, "the sky stays where it is"
