@@ -264,7 +264,3 @@ def main() -> None:
             raise
         Console().error(said)
         sys.exit(1)
-
-
-if __name__ == "__main__":
-    main()

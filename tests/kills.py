@@ -109,7 +109,8 @@ def harass(flow: StandIns | Training, times: int, rng: np.random.Generator) -> C
                 length *= 1.03 if hit else 0.8  # a machine with much else to do is not always as slow
             _, said = process.communicate(timeout=LONGEST)
             ended = process.returncode == 0
-            if "Traceback" in said and "KeyboardInterrupt" not in said:  # Ctrl-C before the command has begun
+            early = "KeyboardInterrupt" in said and "hugs_cli" not in said  # Ctrl-C while Python itself begins
+            if "Traceback" in said and not early:
                 found["traceback"] += 1
                 print(said, file=sys.stderr)
             examine(flow, kept, found)

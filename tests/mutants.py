@@ -187,6 +187,20 @@ MUTANTS = (
         TESTS + "test_guard.py::one_enormous_gradient_freezes_nothing",
     ),
     Mutant(
+        "14-13 H02 what begins at 0 may not wake",
+        AVATAR + "guard.py",
+        "QUIET = 0.01",
+        "QUIET = 0.0",
+        TESTS + "test_guard.py::what_begins_at_nothing_is_let_through_when_it_wakes",
+    ),
+    Mutant(
+        "14-13 H02 a first step that is believed",
+        AVATAR + "guard.py",
+        "least = ABSURD**2 * _common(grads) if",
+        "least = LARGEST if",
+        TESTS + "test_guard.py::one_enormous_row_is_found_at_every_age",
+    ),
+    Mutant(
         "14-14 H11 a checkpoint without the order of frames",
         AVATAR + "checkpoint.py",
         '"order": fit.order.clone(),',

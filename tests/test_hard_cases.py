@@ -1,4 +1,4 @@
-"""The catalogue of hard cases is whole: no case of weight is without a test or a reason, and no number is made up."""
+"""The catalogue of hard cases is whole: each has a test or a reason, those of weight a test, and no number is made up."""
 
 import re
 from pathlib import Path
@@ -23,7 +23,8 @@ def test_every_number_is_in_the_catalogue():
     assert named() | set(left()) <= set(catalogue())
 
 
-def test_every_heavy_case_has_a_test_or_a_reason():
-    heavy = {case for case, (severity, _) in catalogue().items() if severity in ("S0", "S1")}
-    assert not heavy - named() - set(left()), "neither tested nor explained"
+def test_every_case_has_a_test_or_a_reason_and_those_that_matter_a_test():
+    assert not set(catalogue()) - named() - set(left()), "neither tested nor explained"
     assert not named() & set(left()), "tested, and yet explained away"
+    heavy = {case for case, (severity, _) in catalogue().items() if severity in ("S0", "S1")}
+    assert not heavy - named()

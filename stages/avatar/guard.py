@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 ABSURD = 300.0  # times the usual largest entry; trainings of good clips stay under 30 times
+QUIET = 0.01  # of the loudest tensor of its owner every tensor is taken to be: one that begins at 0 may wake
+YOUNG = 20  # judgements in which an owner's rows are also compared with each other, there being little else yet
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm
 MANY = 0.01  # of the rows: then the whole step counts as bad
 BAD_STEPS = 20  # in a row, after which training stops
@@ -20,10 +22,14 @@ LARGEST = torch.finfo(torch.float32).max
 
 
 class Guard:
-    """Judges all gradients of a training. `usual` are running means by name, `streaks` bad steps in a row by owner."""
+    """Judges all gradients of a training.
+
+    `usual` are running means by name; `judged` judgements and `streaks` bad steps in a row, both by owner.
+    """
 
     def __init__(self) -> None:
         self.usual: dict[str, float] = {}
+        self.judged: dict[str, int] = {}
         self.streaks: dict[str, int] = {}
         self.left_out = 0
 
@@ -35,18 +41,15 @@ class Guard:
     def contain(self, owner: str, grads: Mapping[str, Tensor]) -> None:
         """Zero, in place, each row of `grads` (name -> [N,...]) that is not finite or absurdly large in any of them.
 
-        Absurd is an entry of more than ABSURD times what the tensor's largest used to be. FloatingPointError when more
-        than MANY of the rows went, BAD_STEPS times in a row.
+        Absurd is an entry over the limit of its tensor, see `_limits`. FloatingPointError when more than MANY of the
+        rows went, BAD_STEPS times in a row.
         """
         grads = {f"{owner}.{name}": grad for name, grad in grads.items() if grad.numel()}
         if not grads:
             return
-        limits = [min(ABSURD * self.usual.get(name, math.inf), LARGEST) for name in grads]
-        largest, left_out, why = _largest(grads), 0, ""
+        limits, largest, left_out, why = self._limits(owner, grads), _largest(grads), 0, ""
         if not all(entry <= limit for entry, limit in zip(largest, limits, strict=True)):
-            each = [
-                ~(g.abs().reshape(len(g), -1).amax(1) <= limit) for g, limit in zip(grads.values(), limits, strict=True)
-            ]
+            each = [~(_sizes(grad) <= limit) for grad, limit in zip(grads.values(), limits, strict=True)]
             bad = torch.stack(each).any(0)
             for grad in grads.values():
                 grad[bad] = 0
@@ -55,8 +58,21 @@ class Guard:
             why = f"{left_out} of {len(bad)} gradients left out, the first in {name} row {int(rows.nonzero()[0])}"
         for name, entry in zip(grads, largest, strict=True):
             self._learn(name, entry)
+        self.judged[owner] = self.judged.get(owner, 0) + any(largest)
         self.left_out += left_out
         self.judge(owner, left_out > MANY * len(next(iter(grads.values()))), why)
+
+    def _limits(self, owner: str, grads: Mapping[str, Tensor]) -> list[float]:
+        """The largest entry that is let through, of each tensor: ABSURD times what its largest used to be.
+
+        A tensor that slept, as turns of Gaussians do that begin as spheres, is taken for QUIET times as loud as the
+        loudest of its owner. While the owner is young, up to ABSURD^2 times what is common in this very step passes as
+        well: real clips have 120 times, and the first frame may be a faint one.
+        """
+        known = [usual for name, usual in self.usual.items() if name.startswith(f"{owner}.")]
+        floor = QUIET * max(known, default=0.0)
+        least = ABSURD**2 * _common(grads) if self.judged.get(owner, 0) < YOUNG else 0.0
+        return [min(max(ABSURD * max(self.usual.get(name, 0.0), floor), least), LARGEST) for name in grads]
 
     def clip(self, owner: str, grads: list[Tensor]) -> bool:
         """Scale the gradients of shared networks, in place, to SPIKE times their usual norm at most.
@@ -85,12 +101,26 @@ class Guard:
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        return {"usual": dict(self.usual), "streaks": dict(self.streaks), "left_out": self.left_out}
+        counts = {"judged": dict(self.judged), "streaks": dict(self.streaks), "left_out": self.left_out}
+        return {"usual": dict(self.usual)} | counts
 
     def load(self, state: dict[str, Any]) -> None:
         """Continue from `state()`."""
-        self.usual, self.streaks = dict(state["usual"]), dict(state["streaks"])
+        self.usual, self.judged, self.streaks = (dict(state[name]) for name in ("usual", "judged", "streaks"))
         self.left_out = state["left_out"]
+
+
+def _sizes(grad: Tensor) -> Tensor:
+    """The largest entry of each row."""
+    return grad.abs().reshape(len(grad), -1).amax(1)
+
+
+def _common(grads: Mapping[str, Tensor]) -> float:
+    """What all but MANY of the rows with a gradient, and all but one, stay under; infinite where there is only one."""
+    rows = torch.cat([_sizes(grad) for grad in grads.values()])
+    rows = rows[rows.isfinite() & (rows > 0)]
+    rank = len(rows) - max(1, int(MANY * len(rows)))
+    return rows.kthvalue(rank).values.item() if rank > 0 else math.inf
 
 
 def _largest(grads: Mapping[str, Tensor]) -> list[float]:

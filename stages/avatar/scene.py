@@ -17,8 +17,6 @@ from stages.avatar.sh import bases, sh_from_rgb
 
 MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, what is opaque would freeze (C04)
 START_OPACITY = 0.5
-OBLATE = (0.02, 0.0, -0.02)  # of log scales, with `antialias`, where axes grow alike at first: turning a sphere has no
-# gradient, and the first that it has would be 1000 times the usual one, which `guard` leaves out
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
 NEAREST = 0.02  # of the extent: nearer to a camera is no surface, see `clear_of_cameras`
 
@@ -111,8 +109,7 @@ class SceneModel(nn.Module):
         logit = math.log(START_OPACITY / (1 - START_OPACITY))
         self.means = nn.Parameter(points.clone())
         self.quats = nn.Parameter(torch.tensor([1.0, 0, 0, 0]).to(points).repeat(n, 1))
-        log_scales = size.log()[:, None].repeat(1, 3)
-        self.log_scales = nn.Parameter(log_scales + torch.tensor(OBLATE).to(points) if antialias else log_scales)
+        self.log_scales = nn.Parameter(size.log()[:, None].repeat(1, 3))
         self.logit_opacities = nn.Parameter(torch.full((n,), logit).to(points))
         self.sh0 = nn.Parameter(sh_from_rgb(rgb))
         self.shN = nn.Parameter(torch.zeros(n, bases(sh_degree) - 1, 3).to(points))

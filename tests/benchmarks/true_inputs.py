@@ -17,7 +17,7 @@ from pathlib import Path
 from tests import datasets
 from tests.truth import novel_psnr, tell_novel_poses
 
-HUGS = [sys.executable, "-c", "from hugs_cli.app import main; main()"]
+HUGS = [sys.executable, "-c", "from hugs_cli import main; main()"]
 SIZE = {"frames": 60, "width": 384, "height": 512, "points": 4000}  # as `hugs demo` has it
 
 

@@ -16,6 +16,7 @@ import pytest
 from tests.hugs_cli.compared import add_tiny
 
 ROOT = Path(__file__).parents[2]
+HUGS = "from hugs_cli import main; main()"  # what the installed command does
 
 STAGE = '''
 """A stage that writes what its inputs hold, after its own name."""
@@ -97,7 +98,7 @@ class Flow:
         """Start `hugs COMMAND clip.mp4 ARGS`."""
         place = ["--pipelines-file", str(self.folder / "pipelines.yaml")] if command not in ("gc", "render") else []
         return subprocess.Popen(
-            [sys.executable, "-m", "hugs_cli.app", command, "clip.mp4", *args, *place],
+            [sys.executable, "-c", HUGS, command, "clip.mp4", *args, *place],
             cwd=self.folder,
             env={**os.environ, "PYTHONPATH": f"{self.folder}:{ROOT}", "NO_COLOR": "1", "COLUMNS": "200"},
             stdout=subprocess.PIPE,

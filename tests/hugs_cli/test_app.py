@@ -82,12 +82,25 @@ def test_two_clips_of_one_name_do_not_mix(flow):
     assert flow.ran()["one"] == ["inputs.video changed"]
 
 
+@pytest.mark.parametrize("module", ["typer", "hugs_cli.app"])
+def test_ctrl_c_while_the_command_is_loaded_is_no_error(tmp_path, module):
+    """The signal comes while the first of our imports runs, and when all are done but nothing listens yet."""
+    code = f"import os, signal, sys; sys.path.insert(0, {str(ROOT)!r}); from hugs_cli import main\n"
+    if module == "typer":
+        (tmp_path / "typer.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
+        code += f"sys.path.insert(0, {str(tmp_path)!r})\n"
+    else:
+        code += "from hugs_cli import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+    done = subprocess.run([sys.executable, "-c", code + "main()"], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (130, "stopped; finished stages are kept\n")
+
+
 def test_stages_lists_settings_with_their_meaning(flow):
     args = ["stages", "four", "--pipelines-file", "pipelines.yaml", "--pipeline", "other"]
     command = [
         sys.executable,
         "-c",
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from hugs_cli.app import main; main()",
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from hugs_cli import main; main()",
     ]
     out = subprocess.run([*command, *args], capture_output=True, text=True, cwd=flow.folder, check=True).stdout
     assert out == (

@@ -50,7 +50,7 @@ def test_fetch_brings_only_what_is_missing(cache, monkeypatch):
 
 
 def test_exit_code_says_whether_something_needed_is_missing(cache):
-    code = "import sys; sys.argv[1:] = ['doctor', '--json']; from hugs_cli.app import main; main()"
+    code = "import sys; sys.argv[1:] = ['doctor', '--json']; from hugs_cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     findings = [Finding(**row) for row in json.loads(done.stdout)]
     assert done.returncode == 1 and not all(finding.ok for finding in findings)

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import tempfile
+import time
 from pathlib import Path
 
 import numba
@@ -24,10 +26,14 @@ SOURCES = (
     "../ssim.py",
     "../triplane.py",
 )
+KEPT = 30 * 86400.0  # s; a process marks its folder when it begins, and none runs for a month
 
 
 def folder() -> Path:
-    """A writable folder for the kernels of exactly these sources: the user's cache, or else the machine's temporary one."""
+    """A writable folder for the kernels of exactly these sources: the user's cache, or else the machine's temporary one.
+
+    Folders of other sources that no process has begun with for KEPT seconds are removed.
+    """
     here = Path(__file__).parent
     digest = hashlib.sha256(b"".join((here / name).read_bytes() for name in SOURCES)).hexdigest()[:16]
     home = Path(os.environ.get("HUGS_CACHE") or Path.home() / ".cache" / "hugs")
@@ -38,8 +44,22 @@ def folder() -> Path:
         except OSError:
             continue
         if os.access(place, os.W_OK):
+            place.touch()
+            tidy(place.parent, time.time() - KEPT)
             return place
     raise OSError(f"no folder for compiled kernels can be written, neither in {home} nor in {tempfile.gettempdir()}")
+
+
+def tidy(root: Path, before: float) -> None:
+    """Remove the folders in `root` that were last marked before a time; another process may be doing the same."""
+    with os.scandir(root) as entries:
+        for entry in entries:
+            try:
+                old = entry.is_dir(follow_symlinks=False) and entry.stat().st_mtime < before
+            except OSError:
+                continue
+            if old:
+                shutil.rmtree(entry.path, ignore_errors=True)
 
 
 def compiled() -> bool:

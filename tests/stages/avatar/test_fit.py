@@ -196,17 +196,19 @@ def poisoned(fit: Fit, tensor: torch.Tensor, row: int, by: float) -> None:
     hook.remove()
 
 
-@pytest.mark.parametrize("by", [float("nan"), float("inf"), 1e12])
-def test_h01_h02_a_bad_gradient_stays_in_its_row_and_is_forgotten(clip, by):
+@pytest.mark.parametrize(
+    ("by", "begun"), [(float("nan"), 5), (float("inf"), 5), (1e12, 0), (1e12, 1), (1e12, 5), (1e12, 21)]
+)
+def test_h01_h02_a_bad_gradient_stays_in_its_row_and_is_forgotten(clip, by, begun):
     fit, clean = fit_of(clip, steps=400), fit_of(clip, steps=400)
     for f in (fit, clean):
-        run(f, 5)
+        run(f, begun)
         f.advance() if f is clean else poisoned(f, f.scene.means, 7, by)
     others = torch.arange(150) != 7
     assert fit.guard.left_out == 1 and clean.guard.left_out == 0
     assert torch.equal(fit.scene.means[others], clean.scene.means[others])
     assert not torch.equal(fit.scene.means[7], clean.scene.means[7]), "the gradient was not zero"
-    run(fit, 16)
+    run(fit, begun + 11)
     moments = fit.adam["scene"].state[fit.scene.means]
     assert fit.guard.left_out == 1 and all(p.isfinite().all() for p in fit.scene.parameters())
     assert moments["exp_avg_sq"].isfinite().all() and moments["exp_avg_sq"][7].max() < 10 * moments["exp_avg_sq"].max()
@@ -225,10 +227,10 @@ def test_c09_h01_h02_a_bad_row_of_the_person_never_reaches_the_networks(clip, by
         assert torch.equal(value, silent.human.state_dict()[name]), name
 
 
-@pytest.mark.parametrize("by", [float("nan"), 1e12])
-def test_h01_h02_a_bad_gradient_of_a_frame_does_not_stay_with_it(clip, by):
+@pytest.mark.parametrize(("by", "begun"), [(float("nan"), 10), (1e12, 0), (1e12, 10)])
+def test_h01_h02_a_bad_gradient_of_a_frame_does_not_stay_with_it(clip, by, begun):
     fit = fit_of(clip, steps=400)
-    run(fit, 10)
+    run(fit, begun)
     hook = fit.frames.pose.weight.register_hook(lambda g: g * by)
     fit.advance()
     hook.remove()
@@ -312,7 +314,7 @@ def test_b10_g04_pictures_of_a_few_pixels_train(clip, size):
     before = fit.human.xyz.detach().clone()
     run(fit, 6)
     assert all(p.isfinite().all() for module in fit.modules().values() for p in module.parameters())
-    assert not torch.equal(before, fit.human.xyz) and fit.guard.left_out < 0.01 * 6 * len(before)
+    assert not torch.equal(before, fit.human.xyz) and fit.guard.left_out == 0
 
 
 def test_h19_one_frame_trains(clip):

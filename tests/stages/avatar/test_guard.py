@@ -5,7 +5,7 @@ import copy
 import pytest
 import torch
 
-from stages.avatar.guard import ABSURD, BAD_STEPS, Guard
+from stages.avatar.guard import ABSURD, BAD_STEPS, QUIET, YOUNG, Guard
 
 
 def gradients(seed: int, rows: int = 40) -> dict[str, torch.Tensor]:
@@ -59,6 +59,55 @@ def test_h02_a_training_that_grows_louder_is_let_through():
         grads = {name: g * 2.0**seed for name, g in gradients(seed).items()}
         guard.contain("scene", grads)
     assert guard.left_out == 0
+
+
+@pytest.mark.parametrize("asleep", [0.0, 1e-9])
+@pytest.mark.parametrize("first", [1, 40], ids=["one row first", "all at once"])
+def test_h02_what_begins_at_nothing_is_let_through_when_it_wakes(asleep, first):
+    """Turning a sphere has no gradient, or that of rounding; when it has one at last, that is no mistake."""
+    guard = Guard()
+    for seed in range(3 * YOUNG):
+        grads = gradients(seed)
+        grads["quats"] = gradients(100 + seed)["means"]
+        grads["quats"][0 if seed < YOUNG else first :] *= asleep
+        guard.contain("scene", grads)
+    assert guard.left_out == 0 and (grads["quats"][:first] != 0).all()
+    grads["quats"][0] = 1.1 * ABSURD * max(QUIET * guard.usual["scene.means"], guard.usual["scene.quats"])
+    guard.contain("scene", grads)
+    assert guard.left_out == 1, "it is guarded all the same"
+
+
+def test_h02_a_faint_first_frame_is_not_what_is_usual():
+    guard = Guard()
+    for seed in range(3 * YOUNG):
+        guard.contain("person", {name: grad * (1 if seed else 1e-6) for name, grad in gradients(seed).items()})
+    assert guard.left_out == 0
+
+
+@pytest.mark.parametrize("name", ["means", "opacities"])
+@pytest.mark.parametrize("begun", [0, 1, YOUNG - 1, YOUNG, 3 * YOUNG])
+def test_h02_one_enormous_row_is_found_at_every_age(name, begun):
+    guard = Guard()
+    for seed in range(begun + 3):
+        grads = gradients(seed)
+        if seed == begun:
+            grads[name][4] *= 1e8 / grads[name][4].abs().max()
+        guard.contain("scene", grads)
+        assert guard.left_out == (seed >= begun) and (grads[name][4] == 0).all() == (seed == begun)
+    assert max(guard.usual.values()) < 10, "nor is it learned"
+
+
+def test_h02_a_frame_alone_is_compared_with_its_other_tensors():
+    for begun in (0, 5):
+        guard = Guard()
+        for seed in range(begun + 1):
+            grads = {name: grad[:1] for name, grad in gradients(seed).items()}
+            grads["means"][0, 1] *= 1e9 if seed == begun else 1
+            guard.contain("frames", grads)
+        assert guard.left_out == 1 and max(guard.usual.values(), default=0) < 10
+    alone = Guard()
+    alone.contain("frames", {"gain": torch.tensor([[1e9]])})
+    assert alone.left_out == 0, "with nothing beside it, and nothing before, any number is as good as another"
 
 
 def spiked(spike: float, guarded: str | None) -> torch.Tensor:
@@ -126,6 +175,7 @@ def test_h11_a_guard_goes_on_where_it_was():
     guard.judge("loss", True, "nan")
     again.load(guard.state())
     assert again.state() == guard.state() and again.streaks == {"scene": 0, "loss": 1}
+    assert again.judged == {"scene": 1}
 
 
 def test_without_rows_there_is_nothing_to_judge():

@@ -38,7 +38,14 @@ def gaussians(n=300, kind="mixed", seed=0):
         "tiny": 0.002 + 0.004 * u(n, 3),
         "deep": 0.4 + 0.4 * u(n, 3),
         "opaque": 0.05 + 0.2 * u(n, 3),
-    }[kind]
+        "beside": 0.3 + 0.5 * u(n, 3),
+    }[kind if kind not in ("tied", "kilometres") else "mixed"]
+    if kind == "tied":  # each place twice: the order of rows decides
+        means = means[::2].repeat_interleave(2, 0)
+    elif kind == "beside":  # most lie outside the picture and reach in: their Jacobian is clamped
+        means = means * torch.tensor([3.0, 3, 1])
+    elif kind == "kilometres":
+        means, scales = 1000 * means, 1000 * scales
     low, high = {"deep": (0.02, 0.12), "opaque": (0.97, 0.99999), "tiny": (0.5, 0.99)}.get(kind, (0.05, 0.99))
     return means, quats, scales, low + (high - low) * u(n), u(n, 3)
 
@@ -76,6 +83,8 @@ def apart(a, b):
 NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmat", "background")
 # 6 to 11 times the worst gradient measured: mixed 7e-7, needles 7.1e-6, huge 1.7e-6, tiny 3.9e-6, deep 3.3e-7, opaque 4.7e-7
 BOUNDS = {"mixed": 5e-6, "needles": 5e-5, "huge": 1e-5, "tiny": 3e-5, "deep": 3e-6, "opaque": 4e-6}
+# tied 7e-7, beside 3.3e-7, kilometres 8e-7
+BOUNDS |= {"tied": 5e-6, "beside": 3e-6, "kilometres": 6e-6}
 
 
 @pytest.mark.parametrize("antialias", [False, True])

@@ -1,8 +1,10 @@
 """The kernels whatever the machine: threads, processors, a cache folder that cannot be written, dtypes."""
 
 import os
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -72,3 +74,25 @@ def test_kernels_of_an_earlier_process_are_noticed(tmp_path, monkeypatch):
     assert cache.compiled()
     monkeypatch.setattr(cache.numba.config, "CACHE_DIR", str(tmp_path))
     assert not cache.compiled()
+
+
+def test_kernels_of_older_sources_are_removed_when_nobody_has_used_them_for_a_month(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUGS_CACHE", str(tmp_path))
+    own = cache.folder()
+    others = {name: own.parent / name for name in ("older", "recent")}
+    for days, place in zip((31, 29), others.values()):
+        (place / "rasterize").mkdir(parents=True)
+        (place / "rasterize" / "blend.nbi").write_text("")
+        os.utime(place, (time.time() - days * 86400,) * 2)
+    (own / "kernels.nbi").write_text("ours")
+    os.utime(own, (0, 0))
+    assert cache.folder() == own and (own / "kernels.nbi").exists() and time.time() - own.stat().st_mtime < 3600
+    assert not others["older"].exists() and others["recent"].is_dir()
+
+
+def test_two_processes_remove_the_same_folder(tmp_path, monkeypatch):
+    (tmp_path / "older").mkdir()
+    remove = shutil.rmtree
+    monkeypatch.setattr(shutil, "rmtree", lambda *a, **more: (remove(*a), remove(*a, **more)))
+    cache.tidy(tmp_path, time.time() + 1)
+    assert list(tmp_path.iterdir()) == []

@@ -150,6 +150,32 @@ def test_resampling_keeps_time_and_turns_evenly():
     assert len(retarget.resample(found, 25, 3).hips) == 4
 
 
+ONWARDS = [0.0, 1e-12, 1e-9, 1e-7, 1e-4, 1.0, 3.0, np.pi - 1e-4, np.pi - 1e-7, np.pi, np.pi + 1e-7, np.pi + 1e-4, 6.2]
+
+
+@pytest.mark.parametrize("onwards", ONWARDS)
+def test_d09_between_two_frames_a_joint_turns_evenly_and_the_short_way(onwards, held):
+    """From equal frames to opposite ones and beyond, also in numbers of a file, which are no rotations to the last digit."""
+    rng = np.random.default_rng(0)
+    starts, axes = Rotation.random(24, rng=rng), rng.normal(size=(24, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    short = onwards if onwards <= np.pi else onwards - 2 * np.pi
+    for rounded, bound in (
+        (np.float64, 1e-7),
+        (np.float32, 5e-6),
+    ):  # nearer to opposite than digits: either way is short
+        both = [(starts * Rotation.from_rotvec(axes * angle)).as_matrix() for angle in (0.0, onwards)]
+        motion = retarget.Performance(np.stack(both).astype(rounded).astype(float), np.zeros((2, 3)), 1.0)
+        found = retarget.resample(motion, 1, 8).rotations
+        turns = found.reshape(-1, 3, 3)
+        held(np.abs(turns @ turns.mT - np.eye(3)).max(), 1e-12, "what is missing of a rotation")
+        wanted = np.stack(
+            [[(starts * Rotation.from_rotvec(way * axes * t)).as_matrix() for t in np.linspace(0, 1, 9)]
+             for way in ((short, -short) if abs(abs(short) - np.pi) < 1e-6 else (short,))]
+        )  # fmt: skip
+        held(np.abs(found - wanted).max((1, 3, 4)).min(0).max(), bound, f"error of {rounded.__name__}")
+
+
 def test_turns_between_directions():
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(2, 200, 3))

@@ -115,7 +115,7 @@ def test_points_behind_a_camera_that_does_not_see_them_do_no_harm(seen):
     assert abs(left.readout) < 0.02 and np.isfinite([*left.mended_px, *left.speed_px, left.k, left.readout_std]).all()
 
 
-def test_a_readout_time_is_found_and_blamed_on_nothing_else(seen):
+def test_i09_a_readout_time_is_found_and_blamed_on_nothing_else(seen):
     viewmats, Ks, _, pixels = seen
     speed = np.gradient(np.nan_to_num(np.stack([project(seen[2], v, k)[0] for v, k in zip(viewmats, Ks)])), axis=0)
     rolled = pixels + 0.4 * speed * (pixels[..., 1:] / 320 - 0.5)
