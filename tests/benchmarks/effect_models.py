@@ -79,7 +79,7 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
     while fit.step < args.steps:
         fit.advance()
     seconds = time.process_time() - began
-    found = {name: p.detach().tolist() for name, p in fit.effects.named_parameters()}
+    found = {name: p.detach().tolist() for name, p in fit.effects.named_parameters() if p.numel() < 4}
     if truth is not None:
         still = load_clip(truth / "sfm", truth / "smpl")
         images = torch.as_tensor(np.stack([still.images(i) for i in range(len(still.names))]))
