@@ -396,6 +396,17 @@ def test_person_box_is_always_a_window_of_the_picture():
         assert 0 <= left < right <= WIDTH and 0 <= top < bottom <= HEIGHT
 
 
+def test_the_exposure_of_a_frame_is_met_by_its_gain_in_a_few_looks(clip):
+    views, person = clip
+    images = views.images.clone()
+    images[3] = (0.85 * images[3]).byte()
+    fit = fit_of((views._replace(images=images), person), steps=100)
+    run(fit, 100)
+    gains = fit.gains().mean(1)
+    assert 0.8 < gains[3] / gains[[0, 1, 4, 5]].mean() < 0.92
+    assert 0.94 < gains[[0, 1, 4, 5]].min() / gains[[0, 1, 4, 5]].max()
+
+
 def test_veil_is_what_stands_before_the_person_as_far_as_each_pixel_shows_them():
     depths = torch.tensor([1.0, 2.7, 2.9, 6.0, 1.9, 2.5, 2.9])
     at = torch.tensor([0, 0, 0, 0, 0.8, -0.4, 0.8])  # as x / z: before the body, the hand's height, then beside both
