@@ -404,7 +404,7 @@ def test_the_exposure_of_a_frame_is_met_by_its_gain_in_a_few_looks(clip):
     run(fit, 100)
     gains = fit.gains().mean(1)
     assert 0.8 < gains[3] / gains[[0, 1, 4, 5]].mean() < 0.92
-    assert 0.94 < gains[[0, 1, 4, 5]].min() / gains[[0, 1, 4, 5]].max()
+    assert gains[[0, 1, 4, 5]].min() / gains[[0, 1, 4, 5]].max() > 0.94
 
 
 def test_veil_is_what_stands_before_the_person_as_far_as_each_pixel_shows_them():
