@@ -174,14 +174,15 @@ class Fit:
         viewmat, K = self._camera(frame), views.Ks[frame]
         height, width = mask.shape
         gains = self.frames.gains(frame) if self.options.exposure else None
-        human, scene, numbers, loss = None, None, {}, 0.0
+        human, stance, scene, numbers, loss = None, None, None, {}, 0.0
         p, phase = self.person, self.phase
         trust = 0.0 if p is None else p.confidence[frame]  # a doubtful pose teaches little
         if self.human is not None and phase.human and bool(p.confidence[frame] > 0) and bool((mask > 0.5).any()):
             self.clock.start()
             resting = self.resting()
             self.clock.lap("person's networks")
-            human = self.posed(resting, *self.body(frame))
+            body = self.body(frame)
+            human, stance = self.posed(resting, *body), Stance(p.joints, p.parents, *body)
         if self.scene is not None and (phase.scene or human is not None):
             scene = self.scene.splats()
             if not phase.scene:
@@ -190,7 +191,7 @@ class Fit:
         if not layers:
             return numbers
         motion = self.motion(frame, None if human is None else self.resting())
-        lit = self.effects.lit(scene, None if human is None else Stance(p.joints, p.parents, *self.body(frame)))
+        lit = self.effects.lit(scene, stance)
         pictures = self.effects.draw(human, lit, motion, viewmat, K, width, height, list(layers.values()))
         drawn = dict(zip(layers, pictures))
         self.clock.lap("drawing")

@@ -2,24 +2,43 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from stages.avatar.gaussians import Splats
 from stages.avatar.rasterize import Layer
 from stages.avatar.schedule import Options
-from stages.avatar.views import person_box
+from stages.avatar.views import NEAR, person_box
+
+CELLS = 64  # along the longer side of a picture, in which the person's nearest depth is looked up
 
 
-def veil(scene: Splats, person: Tensor, viewmat: Tensor) -> Tensor:
-    """Which Gaussians of the scene are nearer to a camera than most of the person's means[N,3].
+@torch.no_grad()
+def veil(scene: Splats, person: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int) -> Tensor:
+    """Which Gaussians of the scene are nearer to a camera than the person's means[N,3] in the same part of the picture.
 
-    Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told.
+    Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told. Beside
+    the person they count that are nearer than all of them. The floor under a foot is farther than the foot, and stays:
+    if a depth of the whole person decides, it goes, and shadows fall into the hole.
     """
-    with torch.no_grad():
-        depth = person @ viewmat[2, :3] + viewmat[2, 3]
-        far = depth.kthvalue(max(1, int(0.9 * len(depth)))).values
-        return scene.means @ viewmat[2, :3] + viewmat[2, 3] < far
+    size = max(width, height) / CELLS
+    columns, rows = math.ceil(width / size), math.ceil(height / size)
+
+    def seen(points: Tensor) -> tuple[Tensor, Tensor]:
+        local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+        on = local[:, :2] / local[:, 2:].clamp_min(NEAR) * K.diagonal()[:2] + K[:2, 2]
+        column, row = (on / size).floor().nan_to_num(-1.0).unbind(1)
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (local[:, 2] > NEAR)
+        return local[:, 2], torch.where(inside, row * columns + column, rows * columns).long()
+
+    (depth, cell), (theirs, home) = seen(scene.means), seen(person)
+    nearest = theirs.new_full((rows * columns + 1,), torch.inf).scatter_reduce(0, home, theirs, "amin")
+    nearest[-1] = torch.inf
+    first = theirs[home < rows * columns]
+    beside = first.amin() if len(first) else -torch.inf
+    return depth < torch.where(nearest.isinf(), beside, nearest)[cell]
 
 
 def layers_of(
@@ -41,9 +60,10 @@ def layers_of(
     if human is not None:
         n, total = len(human.means), len(human.means) + (0 if scene is None else len(scene.means))
         rows = torch.arange(total, device=K.device) < n
+        height, width = mask.shape
         box = person_box(mask, human.means.detach(), viewmat, K)
         if options.human_loss:
             layers["person"] = Layer(rows, box, torch.rand(3, generator=generator).to(K))
         if scene is not None and scene.means.requires_grad:
-            layers["veil"] = Layer(torch.cat([~rows[:n], veil(scene, human.means, viewmat)]), box)
+            layers["veil"] = Layer(torch.cat([~rows[:n], veil(scene, human.means, viewmat, K, width, height)]), box)
     return layers

@@ -4,8 +4,8 @@
 
 A clip is a NeuMan folder with true inputs (see tests/datasets.py), or with the noise that EFFECTS says. Frames that were
 not trained on are drawn as their camera took them and compared: PSNR of the whole picture and of the person's box. Where
-TRULY says so they are drawn sharp, from true cameras, and compared with those of the clip without the effect.
-A model pays if it brings back half of what the effect costs.
+TRULY says so they are drawn sharp, from true cameras and with true poses, and compared with those of the clip without the
+effect. The seed is that of the clip and of the training. A model pays if it brings back half of what the effect costs.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import torch
 from stages import calibrated, masks, neuman, smpl, train
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.judge import judge
+from stages.avatar.refine import FrameCorrections
 from stages.avatar.synthetic_effects import Effects
 from stages.avatar.views import Views
 from stages.contract import Job
@@ -36,6 +37,8 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "motion_blur": {"effects": Effects(motion_blur=0.8)},
     "rolling_shutter": {"effects": Effects(rolling_shutter=0.8)},
     "camera_refinement": {"camera_noise": 0.004},
+    "pose_refinement": {"noise": 0.01},
+    "exposure": {"effects": Effects(exposure=0.08)},
     "view_dependence": {"effects": Effects(view_dependence=0.5)},
     "transients": {"effects": Effects(transients=4)},
     "antialias": {"effects": Effects(antialias=3)},
@@ -43,8 +46,11 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "clothing": {"effects": Effects(clothing=0.06)},
 }
 """Effect -> what `tests.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
-TRULY = ("motion_blur", "camera_refinement", "transients")
-"""Blurred pictures are easier to meet than sharp ones, no model knows the error of a camera it has not seen, nor who passes."""
+TRULY = ("motion_blur", "camera_refinement", "pose_refinement", "transients")
+"""Blurred pictures are easier to meet than sharp ones; no model knows the errors of a frame it has not seen, nor who passes."""
+
+
+POSE = ("global_orient", "body_pose", "transl")
 
 
 def inputs(place: Path, **made: Any) -> tuple[Path, Path]:
@@ -73,14 +79,15 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
     while fit.step < args.steps:
         fit.advance()
     seconds = time.process_time() - began
-    found = {name: p.detach().tolist() for name, p in fit.effects.named_parameters()}
+    found = {name: p.detach().tolist() for name, p in fit.effects.named_parameters() if p.numel() < 4}
     if truth is not None:
         still = load_clip(truth / "sfm", truth / "smpl")
         images = torch.as_tensor(np.stack([still.images(i) for i in range(len(still.names))]))
         masks = torch.as_tensor(np.stack([still.mask(i) for i in range(len(still.names))]))
         viewmats = torch.as_tensor(still.viewmats).float()
-        fit.full, fit.options = Views(images, masks, viewmats, *fit.full[3:]), fit.options._replace(refine_camera=False)
-        fit.effects, fit.speeds = FrameEffects(), None
+        fit.full, fit.frames = Views(images, masks, viewmats, *fit.full[3:]), FrameCorrections(len(images))
+        poses = {name: torch.as_tensor(getattr(still.body, name)).float() for name in POSE}
+        fit.person, fit.effects, fit.speeds = fit.person._replace(**poses), FrameEffects(), None
     return judge(fit, others) | {"cpu_seconds": seconds, "found": found}
 
 
@@ -92,10 +99,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    rows, still = {}, args.work / "plain"
-    plain = rate(inputs(still), args, None)
+    rows, still = {}, args.work / f"plain_seed{args.seed}"
+    plain = rate(inputs(still, seed=args.seed), args, None)
     for name in args.effects or EFFECTS:
-        clip, truth = inputs(args.work / name, **EFFECTS[name]), still if name in TRULY else None
+        clip = inputs(args.work / f"{name}_seed{args.seed}", seed=args.seed, **EFFECTS[name])
+        truth = still if name in TRULY else None
         ignored, modelled = (rate(clip, args, truth, **{name: on}) for on in (False, True))
         rows[name] = {"without": plain, "ignored": ignored, "modelled": modelled}
         for key in ("psnr", "psnr_person"):

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 from stages import train
 from stages.avatar import rasterize
 from stages.formats.splats import Scene
-from tests.benchmarks import ideas
+from tests.benchmarks import effects_off, ideas
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
@@ -76,3 +77,14 @@ def test_every_idea_can_be_left_out_and_is_back_afterwards(name, clip):
         numbers = run(fit, 8)
     assert np.isfinite(numbers).all() and fit.guard.left_out == 0
     assert before == [getattr(patch.getter(), patch.attribute) for patch in idea.patches]
+
+
+def test_a_training_without_the_hooks_of_effects_has_none_of_them_and_learns_the_same(clip):
+    off, bare = fit_of(clip, steps=8, exposure=False), effects_off.bare(fit_of(clip, steps=8, exposure=False))
+    assert not isinstance(bare.effects, type(off.effects)) and off.effects.shadow is None
+    seconds = effects_off.measure(off, bare, 8)
+    assert seconds.shape == (8, 2) and (seconds > 0).all() and off.step == bare.step == 8
+    assert effects_off.alike(off, bare)
+    with torch.no_grad():
+        bare.scene.sh0[0, 0] += 1e-6
+    assert not effects_off.alike(off, bare)

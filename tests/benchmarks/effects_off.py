@@ -1,0 +1,100 @@
+"""What effects cost a clip that calls for none: the same training as it is, and with nothing where effects hook in.
+
+    python -m tests.benchmarks.effects_off WORK [--steps 400]
+
+The two take turns, step by step, on the clip without effects of `effect_models`, from one seed. Told are the medians of the
+processor time of a step and their ratio, its spread over tenths of the run, and whether both ended in the same state to the
+bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages import train
+from stages.avatar.compose import compose_layers
+from stages.avatar.fit import Fit
+from stages.contract import Job
+from stages.formats.clip import load_clip
+from tests.benchmarks.effect_models import ALWAYS, PARAMS, inputs
+
+PARTS = 10
+
+
+class Nothing(torch.nn.Module):
+    """In place of `FrameEffects`: what a step would do if no effect had been written."""
+
+    takes_time = False
+
+    def dressed(self, person: Any, body_pose: Tensor) -> Any:
+        return person
+
+    def draw(self, human: Any, scene: Any, motion: None, *view: Any) -> list:
+        return compose_layers(human, scene, *view)
+
+    def lit(self, scene: Any, stance: Any) -> Any:
+        return scene
+
+    def trusted(self, rendered: Tensor, *_: Any) -> Tensor:
+        return rendered
+
+    def prior(self) -> float:
+        return 0.0
+
+
+def bare(fit: Fit) -> Fit:
+    """The training without the hooks of effects."""
+    fit.effects, fit.motion, fit._learn_effects = Nothing(), lambda *_: None, lambda: None
+    return fit
+
+
+def pair(work: Path, steps: int) -> tuple[Fit, Fit]:
+    """Two trainings of one clip from one seed: as it is with all effects off, and bare."""
+    place = work / "plain_seed0"
+    clip, job = load_clip(*inputs(place)), Job(out=place)
+    trained, params = np.flatnonzero(clip.training).tolist(), train.Params(steps=steps, **PARAMS)
+    off, without = (train.build(clip, trained, params, ALWAYS, job) for _ in range(2))
+    return off, bare(without)
+
+
+def measure(off: Fit, without: Fit, steps: int) -> np.ndarray:
+    """Seconds of the processor [steps,2] of both, which go first in turns."""
+    seconds = np.empty((steps, 2))
+    for step in range(steps):
+        for which in (0, 1) if step % 2 else (1, 0):
+            began = time.process_time()
+            (off, without)[which].advance()
+            seconds[step, which] = time.process_time() - began
+    return seconds
+
+
+def alike(one: Fit, other: Fit) -> bool:
+    """Whether all that was learned is the same to the last bit."""
+    pairs = zip(*([fit.human.state_dict(), fit.scene.state_dict(), fit.frames.state_dict()] for fit in (one, other)))
+    return all(a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a) for a, b in pairs)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--steps", type=int, default=400)
+    args = parser.parse_args()
+    off, without = pair(args.work, args.steps)
+    seconds = measure(off, without, args.steps)
+    medians = 1e3 * np.median(seconds, 0)
+    parts = [np.median(part[:, 0]) / np.median(part[:, 1]) for part in np.array_split(seconds, PARTS)]
+    print(f"all effects off {medians[0]:.2f} ms a step, without their hooks {medians[1]:.2f} ms")
+    print(f"ratio {medians[0] / medians[1]:.4f}, of tenths of the run {min(parts):.3f} to {max(parts):.3f}, "
+          f"standard error {np.std(parts, ddof=1) / PARTS**0.5:.4f}")  # fmt: skip
+    print("the same to the bit" if alike(off, without) else "NOT the same to the bit")
+
+
+if __name__ == "__main__":
+    main()
