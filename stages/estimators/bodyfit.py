@@ -15,7 +15,7 @@ from stages.estimators import bodyfit_scale as scales
 from stages.estimators import bodyfit_terms as terms
 from stages.estimators.bodyfit_evidence import Evidence
 from stages.estimators.bodyfit_solve import Solver, State, World
-from stages.estimators.bodyfit_start import continuous, fill_poses, place, start_pose
+from stages.estimators.bodyfit_start import continuous, fill_limbs, fill_poses, place, start_pose
 from stages.formats.body_model import BodyModel
 from stages.formats.cameras import Cameras
 from stages.formats.poses import BodyPoses
@@ -53,7 +53,8 @@ def fit_body(
     joints = body.rest(torch.zeros(10))[1].numpy().astype(np.float64)
     solver = _solver(body, model, regressor, evidence, cameras, times, moving, seen)
     root, local = start_pose(solver.evidence, joints)
-    pose = torch.tensor(continuous(rotvec_from_matrix(torch.tensor(local)).numpy()), dtype=torch.float32)
+    local = fill_limbs(rotvec_from_matrix(torch.tensor(local)).numpy(), solver.evidence, times[seen])
+    pose = torch.tensor(continuous(local), dtype=torch.float32)
     state = State(torch.tensor(root, dtype=torch.float32), torch.zeros(len(seen), 3), pose.flatten(1), torch.zeros(10))
     start, _ = solver.posed(state)
     shift = place(start.numpy().astype(np.float64), solver.evidence.xy, solver.evidence.weight, cameras.Ks[seen])

@@ -29,6 +29,7 @@ STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its s
 ACCELERATION = {"pelvis": 1.6, "spine": 2.0, "hip": 2.0, "neck": 2.0, "collar": 2.4, "head": 2.4, "shoulder": 2.4}
 ACCELERATION_REST = 4.2  # m/s^2, limbs
 TURNING = 18.0  # rad/s^2, of each joint's rotation vector
+TURN_SPEED = 3.0  # rad/s; keeps a limb that goes out of sight from swinging on until the clip ends
 BETAS = 0.12  # weight of one squared beta against one frame's evidence
 # Shares of the whole: 160 contour points are not 160 independent observations.
 OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 300.0, 100.0, 0.5, 0.5
@@ -174,13 +175,15 @@ class Solver:
         return 1 + (grown @ betas) / tall
 
     def motion_cost(self, state: State, joints: Tensor, scale: Tensor | None) -> Tensor:
-        """Accelerations of the joints, in the world if `scale` is given, else about the pelvis; one number."""
+        """Accelerations of the joints, in the world if `scale` is given, else about the pelvis, and turning; one number."""
         if len(joints) < 3:
             return joints.new_zeros(())
         place = (joints - joints[:, :1]) @ self.world.turn if scale is None else self.to_world(state, joints, scale)
         jerk = terms.acceleration(place, self.world.times) / (self.steady[:, None] * self.size(state.betas))
         turn = terms.acceleration(state.pose, self.world.times) / TURNING
-        return (terms.robust(jerk.square().sum(-1), 4.0).sum() + terms.robust(turn.square(), 4.0).sum()) / len(joints)
+        cost = terms.robust(jerk.square().sum(-1), 4.0).sum() + terms.robust(turn.square(), 4.0).sum()
+        speed = (state.pose[1:] - state.pose[:-1]) / (self.world.times[1:] - self.world.times[:-1])[:, None]
+        return (cost + (speed / TURN_SPEED).square().sum()) / len(joints)
 
     def feet(self, state: State, scale: Tensor | float) -> Tensor:
         """Sole points [F,2,S,3] in the world."""

@@ -15,6 +15,7 @@ LIMBS = (
 )
 """Root, middle and end of each limb, and the axis in the T-pose about which its middle joint bends."""
 STRAIGHT = 0.3  # sine of the bend under which a limb's plane is not trusted
+HIDDEN = 0.3  # visibility under which BlazePose guesses: an arm behind the body is put before it
 
 
 def start_pose(evidence: Evidence, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -46,6 +47,24 @@ def start_pose(evidence: Evidence, joints: np.ndarray) -> tuple[np.ndarray, np.n
         local[:, JOINT_NAMES.index(middle) - 1] = turns(rest_axis, angle)
     root[~evidence.seen], local[~evidence.seen] = np.eye(3), np.eye(3)
     return root, local
+
+
+def fill_limbs(pose: np.ndarray, evidence: Evidence, times: np.ndarray) -> np.ndarray:
+    """Local rotation vectors [F,23,3] in which limbs that hide turn evenly between the frames that show them.
+
+    Started from a guess, a hidden arm may stay on the wrong side of the body: no cost there but its jump, which is
+    bounded. Before the first and after the last frame that shows it the guesses stay. `times` [F] s.
+    """
+    filled = pose.copy()
+    for *limb, _ in LIMBS:
+        shown = np.flatnonzero(evidence.weight[:, [evidence.column(name) for name in limb]].min(1) > HIDDEN)
+        turning = [JOINT_NAMES.index(name) - 1 for name in limb[:2]]
+        if len(shown):
+            known = continuous(pose[shown][:, turning]).reshape(len(shown), -1)
+            within = times[shown[0] : shown[-1] + 1]
+            columns = [np.interp(within, times[shown], column) for column in known.T]
+            filled[shown[0] : shown[-1] + 1, turning] = np.stack(columns, -1).reshape(-1, 2, 3)
+    return filled
 
 
 def place(points: np.ndarray, xy: np.ndarray, weight: np.ndarray, K: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.body import DA_POSE, Body, Landmarks, subdivide, vertex_normals
 from stages.avatar.rotations import matrix_from_rotvec
+from stages.formats.body_model import JOINT_NAMES, read_body_model
 
 F64 = torch.float64
 
@@ -137,3 +138,27 @@ def test_normals_point_out_and_lonely_vertices_have_none():
     normals = vertex_normals(points, faces)
     assert torch.allclose(normals[:4], points[:4] / 3**0.5, atol=1e-6)
     assert torch.equal(normals[4], torch.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "joint, turn, least",
+    [
+        ("left_shoulder", (0, 0, -1.2), 0.99),  # the arm hangs
+        ("left_shoulder", (0, 0, 1.2), 0.995),  # it is raised
+        ("right_shoulder", (0, 1.5, 0), 0.99),  # it points forward
+        ("left_hip", (-1.5, 0, 0), 0.97),  # sits
+        ("right_hip", (0, 0, -0.8), 0.995),  # the leg goes aside
+    ],
+)
+def test_the_free_body_keeps_its_volume_at_shoulders_and_hips(joint, turn, least):
+    """It has no pose correctives: these are what its skinning weights alone do. Its volume at rest is 63 litres."""
+    model = read_body_model()
+    body_pose = torch.zeros(2, 23, 3, dtype=F64)
+    body_pose[1, JOINT_NAMES.index(joint) - 1] = torch.tensor(turn, dtype=F64)
+    zero = torch.zeros(2, 3, dtype=F64)
+    vertices, _ = Body(model, F64)(torch.zeros(10, dtype=F64), zero, body_pose.flatten(1), zero)
+    a, b, c = (vertices[:, model.faces[:, i].astype(np.int64)] for i in range(3))
+    rest, posed = ((a * torch.linalg.cross(b, c)).sum((-1, -2)) / 6).tolist()
+    print(f"{joint}: {posed / rest:.4f} of {1000 * rest:.1f} litres")
+    assert 0.055 < rest < 0.075
+    assert least < posed / rest < 1.015
