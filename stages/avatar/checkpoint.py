@@ -34,6 +34,7 @@ def snapshot(fit: Fit) -> dict[str, Any]:
         "order": fit.order.clone(),
         "reference": [fit.reference.clone(), fit.reference_at.clone()],
         "taught": fit.taught.clone(),
+        "behind": None if fit.behind is None else fit.behind.clone(),
         "leaves": {n: leaf.grad.clone() for n, leaf in leaves.items() if leaf.grad is not None},
         "numbers": [fit.step, fit.undrawn],
         "phases": [tuple(phase) for phase in fit.phases],
@@ -59,6 +60,7 @@ def restore(fit: Fit, state: dict[str, Any]) -> None:
     fit.order = state["order"].clone()
     fit.reference, fit.reference_at = (t.clone() for t in state["reference"])
     fit.taught = state["taught"].clone()
+    fit.behind = None if state["behind"] is None else state["behind"].clone()
     fit.step, fit.undrawn = state["numbers"]
     fit.phases = tuple(Phase(*phase) for phase in state["phases"])
     fit.leaves = fit.near = None

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stages.avatar import losses
 from stages.avatar.bake import as_body_where_unseen
+from stages.avatar.behind import fill_behind
 from stages.avatar.checkpoint import snapshot
 from stages.avatar.clock import Clock
 from stages.avatar.densify import Growth, Rules, grow_human, grow_scene
@@ -67,6 +68,7 @@ class Fit:
         self.before: dict[str, Any] | None = None
         self.leaves: Resting | None = None
         self.near: Tensor | None = None
+        self.behind: Tensor | None = None
         if person is not None:
             self.canonical_bones = person.canonical_bones()
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
@@ -127,6 +129,7 @@ class Fit:
         self.clock.start()
         self.before = copy.deepcopy(snapshot(self)) if self.guard.alarmed else None
         self._grow()
+        self._settle()
         self.clock.lap("growth")
         self.frame = self._next_frame()
         self._rates()
@@ -233,6 +236,9 @@ class Fit:
         rows = 0 if human is None else len(human.means)
         if scene is not None and phase.scene:
             self.growth["scene"].add(drawn["all"].screen_grad_abs[rows:], drawn["all"].radii[rows:], width, height)
+            if self.behind is not None:
+                for colors in self.scene.colors():
+                    colors.grad[self.behind] = 0
             self._apply("scene")
             self.scene.keep_movable()
         if "person" in layers:
@@ -339,6 +345,7 @@ class Fit:
         extent = self.options.extent
         rules = Rules(grad, 0.01 * extent, 0.5 * extent, 0.3, 0.005, self.options.scene_cap)
         grow_scene(self.scene, self.adam["scene"], self.growth["scene"], rules, rounds_left, self.generator)
+        self.behind = None
 
     def _grow_human(self, grad: float, rounds_left: int) -> None:
         rules = Rules(grad, 0.01, 0.1, 0.3, 0.005, self.options.human_cap)
@@ -354,6 +361,14 @@ class Fit:
                 self._grow_scene(0.0, 1)
             if self.human is not None and self.options.human_densify:
                 self._grow_human(0.0, 1)
+
+    def _settle(self) -> None:
+        """Once growth is over: what the person hides of the scene has its last colours."""
+        if self.scene is None or self.behind is not None or not self.phase.scene or self.done <= SETTLE:
+            return
+        self.behind = fill_behind(self.scene, self.full, self.train)
+        for colors in self.scene.colors():
+            self.adam["scene"].state[colors]["exp_avg"][self.behind] = 0
 
     def _left(self, every: int) -> int:
         """Densifications still to come, this one included: the room up to the cap is shared out among them."""

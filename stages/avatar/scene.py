@@ -139,6 +139,10 @@ class SceneModel(nn.Module):
         """Hold opacities, in place, where they still have a slope."""
         self.logit_opacities.clamp_(-MOVABLE, MOVABLE)
 
+    def colors(self) -> list[Tensor]:
+        """The parameters that hold colours: `sh0`, and `shN` where there is any of it."""
+        return [self.sh0, self.shN] if self.shN.shape[1] else [self.sh0]
+
     def splats(self) -> Splats:
         """The scene as drawn."""
         sh = self.sh0[:, None] if self.shN.shape[1] == 0 else torch.cat([self.sh0[:, None], self.shN], 1)
