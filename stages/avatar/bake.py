@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body import edge_lengths, vertex_normals
+from stages.avatar.compose import painted
 from stages.avatar.densify import strays
 from stages.avatar.gaussians import finite_rows
 from stages.avatar.human import Canonical, rest
 from stages.avatar.losses import widened
-from stages.avatar.neighbours import evenly, nearest
-from stages.avatar.rasterize import rasterize
+from stages.avatar.neighbours import evenly, median_near, nearest
 from stages.avatar.rotations import rotation_z_to
 from stages.avatar.views import Person, Views
 
@@ -73,9 +73,9 @@ def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> Ca
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
         return person
-    _, near = nearest(person.means[sure], person.means, NEIGHBOURS)
+    around = median_near(person.sh[sure], person.means[sure], person.means, NEIGHBOURS)
     own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
-    return person._replace(sh=own * person.sh + (1 - own) * person.sh[sure][near].median(1).values)
+    return person._replace(sh=own * person.sh + (1 - own) * around)
 
 
 def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
@@ -87,8 +87,8 @@ def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> C
     inner = _lining(person, body)
     for _ in range(PEELS):
         both = Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
-        painted, pixels = _painted(both, body, views, frames)
-        leaks = painted[len(person.means) :, 2] > LEAK * pixels
+        counts, pixels = _painted(both, body, views, frames)
+        leaks = counts[len(person.means) :, 2] > LEAK * pixels
         if not leaks.any():
             break
         inner = Canonical(*(part[~leaks] for part in inner))
@@ -104,20 +104,19 @@ def _lining(person: Canonical, body: Person) -> Canonical:
     means = body.vertices - depth * normals
     half = 0.5 * edge_lengths(body.vertices, body.faces)
     opaque = person.opacities >= person.opacities.max().clamp(max=0.5)
-    _, near = nearest(person.means[opaque], means, 8)
     return Canonical(
         means=means,
         frames=rotation_z_to(normals),
         scales=torch.stack([1.2 * half, 1.2 * half, 0.25 * half], 1),
         opacities=torch.full_like(half, 0.99),
-        sh=person.sh[opaque][near].median(1).values,
+        sh=median_near(person.sh[opaque], person.means[opaque], means, 8),
         weights=body.weights,
     )
 
 
 def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
     """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
-    masks' pixels: sums over at most LOOKS of `frames`. What a picture owes to a colour is its gradient.
+    masks' pixels: sums over at most LOOKS of `frames`.
 
     The first two only count where the skin under a Gaussian faces the camera: the far side shines through the near one.
     """
@@ -125,20 +124,15 @@ def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -
     _, under = nearest(body.vertices, person.means, 1)
     outwards = vertex_normals(body.vertices, body.faces)[under[:, 0]]
     resting, skin = rest(person, bones), rest(person._replace(frames=rotation_z_to(outwards)), bones)
-    painted, pixels = torch.zeros_like(person.means), 0.0
+    counts, pixels = torch.zeros_like(person.means), 0.0
     for i in evenly(frames, LOOKS):
         mask = views.masks[i].float() / 255
         if body.confidence[i] == 0 or mask.max() == 0:
             continue
-        means, axes, opacities, *_ = body.posed(resting, i)
-        colors = torch.zeros_like(means).requires_grad_()
-        height, width = mask.shape
-        (drawn,) = rasterize(means, axes, opacities, colors, views.viewmats[i], views.Ks[i], width, height)
-        inside = -widened(-mask, EDGE)
-        where = torch.stack([inside, 1 - inside, 1 - mask], -1)
-        paints = torch.autograd.grad((drawn.image * where).sum(), colors)[0]
-        sight = means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
+        splats, inside = body.posed(resting, i), -widened(-mask, EDGE)
+        paints = painted(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
+        sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
         facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
-        painted += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
+        counts += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
         pixels += mask.sum().item()
-    return painted, pixels
+    return counts, pixels

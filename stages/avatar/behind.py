@@ -5,14 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from stages.avatar.bake import EDGE, LOOKS
+from stages.avatar.compose import painted
 from stages.avatar.losses import widened
-from stages.avatar.neighbours import evenly, nearest
-from stages.avatar.rasterize import rasterize
+from stages.avatar.neighbours import evenly, median_near
 from stages.avatar.scene import SceneModel
 from stages.avatar.views import Views
 
-LOOKS = 32  # training frames that are asked what they show
-EDGE = 0.006  # of the longer side: so near to the person a pixel tells little of what is behind
 HIDDEN = 4.0  # times as many pixels behind the person as beside; with 1 a phone clip loses 0.5 dB, with 4 it loses 0.1
 SURE = 0.3  # of the mean of pixels painted: neighbours that are asked for a colour paint this many
 NEIGHBOURS = 24  # that are asked
@@ -24,27 +23,18 @@ def fill_behind(scene: SceneModel, views: Views, frames: list[int]) -> Tensor:
     Only a fringe about the person has taught them, and Adam takes steps as large for a fringe: unchecked they turn into
     a bright ghost. A colour is the median of the nearest that are seen well; places and sizes stay.
     """
-    beside, behind = _painted(scene, views, frames).unbind(1)
+    splats = scene.splats().detach()
+    counts = torch.zeros_like(splats.means)
+    for i in evenly(frames, LOOKS):
+        person = widened(views.masks[i].float() / 255, EDGE)
+        kinds = torch.stack([1 - person, person, torch.zeros_like(person)], -1)
+        counts += painted(splats, views.viewmats[i], views.Ks[i], kinds)
+    beside, behind, _ = counts.unbind(1)
     hidden = behind > HIDDEN * beside
     sure = (beside > SURE * (beside + behind).mean()) & (behind < beside)
     if not (hidden.any() and sure.any()):
         return torch.zeros_like(hidden)
     with torch.no_grad():
-        _, near = nearest(scene.means[sure], scene.means[hidden], NEIGHBOURS)
         for colors in scene.colors():
-            colors[hidden] = colors[sure][near].median(1).values
+            colors[hidden] = median_near(colors[sure], scene.means[sure], scene.means[hidden], NEIGHBOURS)
     return hidden
-
-
-def _painted(scene: SceneModel, views: Views, frames: list[int]) -> Tensor:
-    """How many pixels each Gaussian paints beside and behind the person, were that one not there [N,2]."""
-    splats = scene.splats().detach()
-    painted = torch.zeros_like(splats.means)
-    for i in evenly(frames, LOOKS):
-        person = widened(views.masks[i].float() / 255, EDGE)
-        colors = torch.zeros_like(splats.means).requires_grad_()
-        camera = views.viewmats[i], views.Ks[i], person.shape[1], person.shape[0]
-        (drawn,) = rasterize(*splats[:3], colors, *camera, antialias=splats.antialias)
-        where = torch.stack([1 - person, person, torch.zeros_like(person)], -1)
-        painted += torch.autograd.grad((drawn.image * where).sum(), colors)[0]
-    return painted[:, :2]

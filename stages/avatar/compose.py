@@ -29,6 +29,19 @@ def compose(
     return drawn
 
 
+def painted(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) -> Tensor:
+    """How many pixels each of N Gaussians paints, of three kinds: [N,3], for kinds[H,W,3], shares 0..1 of each pixel.
+
+    What a picture owes to a colour is its gradient. Gaussians before others count in full, those behind for what they shine
+    through. No gradient.
+    """
+    means, axes, opacities, *_ = splats.detach()
+    colors = torch.zeros_like(means).requires_grad_()
+    height, width = kinds.shape[:2]
+    (drawn,) = rasterize(means, axes, opacities, colors, viewmat, K, width, height, antialias=splats.antialias)
+    return torch.autograd.grad((drawn.image * kinds).sum(), colors)[0]
+
+
 def compose_layers(
     human: Splats | None,
     scene: Splats | None,

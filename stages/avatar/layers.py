@@ -29,7 +29,7 @@ def veil(scene: Splats, person: Tensor, viewmat: Tensor, K: Tensor, width: int, 
     def seen(points: Tensor) -> tuple[Tensor, Tensor]:
         local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
         on = local[:, :2] / local[:, 2:].clamp_min(NEAR) * K.diagonal()[:2] + K[:2, 2]
-        column, row = (on / size).floor().nan_to_num(-1.0).unbind(1)
+        column, row = (on / size).floor().nan_to_num(-1.0).unbind(1)  # what is not finite is in no cell
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (local[:, 2] > NEAR)
         return local[:, 2], torch.where(inside, row * columns + column, rows * columns).long()
 

@@ -1,4 +1,4 @@
-"""The points nearest to others, points far from one another, and frames spread evenly over many."""
+"""The points nearest to others and what they say, points far from one another, and frames spread evenly over many."""
 
 from __future__ import annotations
 
@@ -17,6 +17,11 @@ def nearest(those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
     found = cKDTree(those.cpu().numpy()).query(points.cpu().numpy(), k=columns, workers=-1)
     distances, rows = (torch.as_tensor(array, device=points.device) for array in found)
     return distances, rows
+
+
+def median_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> Tensor:
+    """For each of points[N,3] the median [N,...] of values[M,...] of the k of `those`[M,3] nearest to it."""
+    return values[nearest(those, points, k)[1]].median(1).values
 
 
 def evenly(rows: list[int], most: int) -> list[int]:
