@@ -107,10 +107,12 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
             curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
             job.progress(fit.step, fit.total, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
             mark = time.perf_counter()
-            if deadline and fit.step < fit.total:
-                deadline.mark(fit, mark - paused)
+            if deadline:
+                deadline.judged(mark - paused)
         elif fit.step % 25 == 0:
             job.progress(fit.step, fit.total, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
+            if deadline:
+                deadline.mark(fit)
         if job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS:
             saved = time.perf_counter()
             told |= {"curve": curve, "seconds": seconds + saved - mark, "parts": fit.clock.seconds}

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import copy
 import time
+from statistics import median
 
 from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.fit import Fit
 from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
-TIMED = 4  # steps at each corner of a Pace; a multiple of views_per_decode
+TIMED = 4  # steps of one timing; a multiple of views_per_decode
+TIMINGS = 3  # at each corner of a Pace: the middle one counts, so that one disturbance does not
+OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer
 LATE = 0.99  # share of the schedule at which a step takes as long as drawing what was trained
 PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed
@@ -49,15 +52,16 @@ class Pace:
 
 
 class Deadline:
-    """The time that a training may take. Its steps are fitted into it before the first and again at every `mark`.
+    """The time that a training may take. Its steps are fitted into it before the first, and again and again on the way.
 
-    `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over. `marks`
-    of them are still to come, each with a pause in which the training is judged.
+    `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over. `pauses`
+    are still to come, in which the training is judged.
     """
 
-    def __init__(self, seconds: float, reserve: float, began: float, marks: int):
-        self.seconds, self.reserve, self.began, self.marks = seconds, reserve, began, marks
+    def __init__(self, seconds: float, reserve: float, began: float, pauses: int):
+        self.seconds, self.reserve, self.began, self.pauses = seconds, reserve, began, pauses
         self.pace: Pace | None = None
+        self.paused = 0.0
 
     @property
     def spent(self) -> float:
@@ -67,7 +71,7 @@ class Deadline:
     @property
     def left(self) -> float:
         """Seconds left for steps."""
-        return self.seconds - self.spent - self.reserve * self.pace.mean(LATE) - self.marks * self.pause
+        return self.seconds - self.spent - self.reserve * self.pace.mean(LATE) - self.pauses * self.pause
 
     def start(self, fit: Fit) -> int:
         """Time a few steps of a training that has not begun; returns how many fit into the time."""
@@ -76,25 +80,28 @@ class Deadline:
         self.leg = self.spent, fit.step, fit.done
         return self.pace.steps(self.left)
 
-    def mark(self, fit: Fit, pause: float) -> None:
-        """Learn from the steps since the last mark how long those to come will take, and fit them in.
+    def judged(self, pause: float) -> None:
+        """The training was judged, which took `pause` seconds."""
+        self.pause, self.pauses, self.paused = pause, self.pauses - 1, self.paused + pause
 
-        `pause` is how many of the seconds since then were no steps.
-        """
+    def mark(self, fit: Fit) -> None:
+        """If the last time was long ago, learn from the steps since then how long those to come will take; fit them in."""
         spent, step, done = self.leg
-        self.leg = self.spent, fit.step, fit.done
-        self.pause, self.marks = pause, self.marks - 1
-        self.pace.learn(self.spent - spent - pause, fit.step - step, done, fit.done)
+        stepping = self.spent - spent - self.paused
+        if stepping < OFTEN * self.seconds:
+            return
+        self.leg, self.paused = (self.spent, fit.step, fit.done), 0.0
+        self.pace.learn(stepping, fit.step - step, done, fit.done)
         fit.retime(self.pace.steps(self.left, fit.done))
 
     def state(self) -> list:
         """For a checkpoint."""
         pace = self.pace
-        return [self.spent, self.marks, self.pause, pace.half, pace.full, pace.half_until, pace.slow]
+        return [self.spent, self.pauses, self.pause, pace.half, pace.full, pace.half_until, pace.slow]
 
     def load(self, state: list, fit: Fit) -> None:
         """Go on from `state()`."""
-        spent, self.marks, self.pause, *pace = state
+        spent, self.pauses, self.pause, *pace = state
         self.began -= spent
         self.pace = Pace(*pace)
         self.leg = self.spent, fit.step, fit.done
@@ -116,7 +123,10 @@ def _timed(fit: Fit, done: float) -> float:
     fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
     for _ in range(WARM_UP):
         fit.advance()
-    began = time.perf_counter()
-    for _ in range(TIMED):
-        fit.advance()
-    return (time.perf_counter() - began) / TIMED
+    took = []
+    for _ in range(TIMINGS):
+        began = time.perf_counter()
+        for _ in range(TIMED):
+            fit.advance()
+        took.append((time.perf_counter() - began) / TIMED)
+    return median(took)
