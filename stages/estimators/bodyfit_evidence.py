@@ -23,6 +23,10 @@ ARMS, LEGS = ("elbow", "wrist", "hand"), ("knee", "ankle", "heel", "big_toe", "f
 SWAP_COST = 1.0  # what believing in one wrong side costs, in units of a body height moved by the landmarks that swap
 STRANGER_JUMP = 0.75  # body heights from the middle of the neighbours to another person
 WINDOW = 4  # neighbours on each side for that middle
+# BlazePose draws people flat. Five synthetic clips: joints 4.16 cm off as it says, 3.99 with depths 1.3 times as large (3.96
+# with 1.4), and 0.4 cm of 2.3 that people stood too far away are left. Where there is no truth (the kitchen), outlines,
+# motion and feet agree best with 1.2 to 1.4 too.
+FLAT = 1.3
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,7 @@ def gather(tracks: Sequence[Pose | None], names: tuple[str, ...]) -> Evidence:
             xy[i, k] = np.asarray(track.xy, np.float64)[source].mean(0)
             world[i, k] = np.asarray(track.world, np.float64)[source].mean(0)
             weight[i, k] = np.asarray(track.visibility, np.float64)[source].mean()
+    world[..., 2] *= FLAT
     weight = np.where(np.isfinite(xy).all(-1) & np.isfinite(world).all(-1), weight, 0.0)
     xy, world = np.where(weight[..., None] > 0, xy, 0.0), np.where(weight[..., None] > 0, world, 0.0)
     seen = np.array([track is not None for track in tracks]) & ((weight > 0.3).sum(1) >= 6)

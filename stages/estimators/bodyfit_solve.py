@@ -25,6 +25,7 @@ DIRECTION = {
     "eye": 0.22,
 }  # fmt: skip
 STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its sole above the floor
+SLOW = 0.6  # m/s that a foot may move, before the feet are held still, and stand; 0.45 lets one in sixty slide by 2 cm
 # Outlines pull each frame its own way: with spreads 2.5 times as wide, people jitter, and joints are 0.4 cm worse.
 ACCELERATION = {"pelvis": 1.6, "spine": 2.0, "hip": 2.0, "neck": 2.0, "collar": 2.4, "head": 2.4, "shoulder": 2.4}
 ACCELERATION_REST = 4.2  # m/s^2, limbs
@@ -195,10 +196,12 @@ class Solver:
         middle = feet.mean(2)
         if len(middle) < 2:
             return middle.new_zeros(middle.shape[:2])
-        step = (self.world.times[1:] - self.world.times[:-1])[:, None]
-        speed = (middle[1:] - middle[:-1]).norm(dim=-1) / step
-        slow = torch.cat([speed[:1], torch.minimum(speed[1:], speed[:-1]), speed[-1:]])
-        stands = torch.sigmoid((0.45 - slow) / 0.08)
+        speed, past = (
+            (middle[gap:] - middle[:-gap]).norm(dim=-1) / (self.world.times[gap:] - self.world.times[:-gap])[:, None]
+            for gap in (1, 2)  # past: of the neighbours, where one frame puts the foot elsewhere
+        )
+        slow = torch.cat([speed[:1], torch.minimum(torch.minimum(speed[1:], speed[:-1]), past), speed[-1:]])
+        stands = torch.sigmoid((SLOW - slow) / 0.08)
         if self.world.normal is not None:
             lowest = (feet @ self.world.normal + scale * self.world.offset).amin(-1)
             stands = stands * torch.sigmoid((0.10 - lowest.abs()) / 0.02)
