@@ -17,8 +17,12 @@ from stages import contract
 from stages.contract import Job, StageError, Stopped
 
 if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
     from stages.avatar.fit import Fit
     from stages.avatar.pace import Deadline
+    from stages.avatar.views import Person
     from stages.formats.clip import Clip
 
 RESUMES = True
@@ -120,7 +124,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
             save(job.out / CHECKPOINT, fit, told)
             if job.stop_asked:
                 raise Stopped(f"stopped after step {fit.step} of {fit.total}; the next run goes on from there")
-    _write(fit, clip, job, curve, params)
+    _write(fit, clip, job, curve)
     for name in (CHECKPOINT, "failure.npz"):
         (job.out / name).unlink(missing_ok=True)
 
@@ -294,65 +298,14 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
     return {key: numbers[key] for key in COLUMNS[2:6]} | fit.sizes() | {"memory_bytes": memory}
 
 
-def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: Params) -> None:
+def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
-    from dataclasses import fields, replace
-
-    import numpy as np
-    import torch
-
-    from stages.avatar.bake import finished
-    from stages.avatar.gaussians import finite_rows
-    from stages.avatar.rotations import quat_from_matrix
-    from stages.formats.cameras import write_cameras
-    from stages.formats.clothes import Clothes
-    from stages.formats.effects import Effects, write_effects
-    from stages.formats.poses import write_poses
-    from stages.formats.splats import Avatar, Scene, write_splats
-
-    def array(tensor: torch.Tensor):
-        return tensor.detach().cpu().numpy()
-
-    (baked, _), (orient, body_pose, transl) = fit.baked(), fit.bodies()
-    clothing, clothes = fit.effects.clothing, None
-    p = fit.person._replace(global_orient=orient, body_pose=body_pose, transl=transl, clothing=clothing)
-    seen = fit.full._replace(viewmats=fit.cameras())
-    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), p, seen, fit.train)
-    if strays:
-        job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
-    job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
-    if clothing is not None:
-        clothes = Clothes(**{f.name: array(getattr(clothing, f.name)) for f in fields(Clothes)})
-    avatar = Avatar(
-        *(array(t) for t in (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])),
-        lbs_weights=array(c.weights),
-        joints=array(p.joints),
-        parents=p.parents,
-        betas=clip.body.betas,
-        canonical_pose=array(p.canonical_pose),
-        antialias=fit.options.antialias,
-        clothes=clothes,
-    )
-    write_splats(job.out / "avatar.npz", avatar)
-    if fit.scene:
-        s = fit.scene
-        quats = s.quats / s.quats.norm(dim=1, keepdim=True)
-        parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
-        finite = finite_rows(parts)
-        broken += int((~finite).sum())
-        write_splats(job.out / "scene.npz", Scene(*(array(t[finite]) for t in parts), antialias=s.antialias))
+    person = fit.person._replace(**dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True)))
+    human = _write_person(fit, clip, job, person._replace(clothing=fit.effects.clothing))
+    broken = human.pop("broken") + (_write_scene(fit, job) if fit.scene else 0)
     if broken:
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
-    if known := fit.effects.known():
-        write_effects(job.out / "effects.npz", Effects(**known))
-        numbers = (f"{name} {value:.2f}" for name, value in known.items() if isinstance(value, float))
-        job.note(f"learned of how the clip was taken: {', '.join(numbers)}")
-    if fit.options.refine_camera:
-        viewmats = array(fit.cameras()).astype(np.float64)
-        viewmats[:, :3, 3] /= clip.body.world_from_sfm
-        write_cameras(job.out / "cameras.npz", replace(clip.cameras, viewmats=viewmats))
-    poses = {name: array(getattr(p, name)) for name in ("global_orient", "body_pose", "transl")}
-    write_poses(job.out / "body.npz", replace(clip.body, **poses))
+    _write_clip(fit, clip, job, person)
     with (job.out / "curve.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
@@ -364,30 +317,102 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], params: 
             f"something passes by in {len(distrusted)} of {len(fit.train)} training frames and was not learned, "
             f"{100 * distrusted[most]:.0f} % of frame {most}"
         )
+    gains = {}
+    if fit.options.exposure:
+        gains = dict(zip(clip.names, _array(fit.gains()).round(5).tolist(), strict=True))
     facts = {
         "steps": fit.step,
         "sizes": {"human_cap": fit.options.human_cap, "scene_cap": fit.options.scene_cap},
         "seconds": curve[-1]["seconds"],
         "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
         "extent_m": fit.options.extent,
-        "gaussians": fit.sizes() | {"human": len(avatar)},
+        "gaussians": fit.sizes() | {"human": human.pop("gaussians")},
         "broken": broken,
-        "strays": strays,
-        "lining": lining,
+        **human,
         "left_out": fit.guard.left_out,
         "not_drawn": fit.undrawn,
         "distrusted": distrusted,
         "train_frames": [clip.names[i] for i in fit.train],
         "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",
-        "exposure": dict(zip(clip.names, array(fit.gains()).round(5).tolist(), strict=True))
-        if fit.options.exposure
-        else {},
+        "exposure": gains,
     }
     (job.out / "train.json").write_text(json.dumps(facts, indent=1))
     if fit.guard.left_out:
         job.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
     if fit.undrawn:
         job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
+
+
+def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> dict[str, int]:
+    """Finish the person and write avatar.npz; returns how many Gaussians there are, and were broken, strays and lining."""
+    from dataclasses import fields
+
+    from stages.avatar.bake import finished
+    from stages.avatar.rotations import quat_from_matrix
+    from stages.formats.clothes import Clothes
+    from stages.formats.splats import Avatar, write_splats
+
+    baked, _ = fit.baked()
+    seen = fit.full._replace(viewmats=fit.cameras())
+    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), person, seen, fit.train)
+    if strays:
+        job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
+    job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
+    clothes, worn = None, person.clothing
+    if worn is not None:
+        clothes = Clothes(**{f.name: _array(getattr(worn, f.name)) for f in fields(Clothes)})
+    parts = (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])
+    avatar = Avatar(
+        *map(_array, parts),
+        lbs_weights=_array(c.weights),
+        joints=_array(person.joints),
+        parents=person.parents,
+        betas=clip.body.betas,
+        canonical_pose=_array(person.canonical_pose),
+        antialias=fit.options.antialias,
+        clothes=clothes,
+    )
+    write_splats(job.out / "avatar.npz", avatar)
+    return {"gaussians": len(avatar), "broken": broken, "strays": strays, "lining": lining}
+
+
+def _write_scene(fit: Fit, job: Job) -> int:
+    """Write scene.npz; returns how many Gaussians are not finite and left out."""
+    from stages.avatar.gaussians import finite_rows
+    from stages.formats.splats import Scene, write_splats
+
+    s = fit.scene
+    quats = s.quats / s.quats.norm(dim=1, keepdim=True)
+    parts = (s.means, quats, s.log_scales.exp(), s.logit_opacities.sigmoid(), s.sh0, s.shN)
+    finite = finite_rows(parts)
+    write_splats(job.out / "scene.npz", Scene(*(_array(t[finite]) for t in parts), antialias=s.antialias))
+    return int((~finite).sum())
+
+
+def _write_clip(fit: Fit, clip: Clip, job: Job, person: Person) -> None:
+    """Write what was learned of how the clip was taken: body.npz, and effects.npz and cameras.npz where they were."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from stages.formats.cameras import write_cameras
+    from stages.formats.effects import Effects, write_effects
+    from stages.formats.poses import write_poses
+
+    poses = {name: _array(getattr(person, name)) for name in ("global_orient", "body_pose", "transl")}
+    write_poses(job.out / "body.npz", replace(clip.body, **poses))
+    if known := fit.effects.known():
+        write_effects(job.out / "effects.npz", Effects(**known))
+        numbers = (f"{name} {value:.2f}" for name, value in known.items() if isinstance(value, float))
+        job.note(f"learned of how the clip was taken: {', '.join(numbers)}")
+    if fit.options.refine_camera:
+        viewmats = _array(fit.cameras()).astype(np.float64)
+        viewmats[:, :3, 3] /= clip.body.world_from_sfm
+        write_cameras(job.out / "cameras.npz", replace(clip.cameras, viewmats=viewmats))
+
+
+def _array(tensor: torch.Tensor) -> np.ndarray:
+    return tensor.detach().cpu().numpy()
 
 
 def _by_part(parts: dict[str, float], total: float) -> dict[str, float]:
