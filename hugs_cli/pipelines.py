@@ -168,7 +168,7 @@ def running_order(stages: dict[str, Any], pipeline: str) -> list[str]:
         if not isinstance(entry["needs"], list):
             raise UsageError(f"pipeline {pipeline}, stage {stage}: needs is missing", "give it as `needs: [video]`")
         for need in entry["needs"]:
-            if need not in stages and need not in SOURCES:
+            if not isinstance(need, str) or need not in (*stages, *SOURCES):
                 raise unknown("need", str(need), [*stages, *SOURCES], f"pipeline {pipeline}, stage {stage}")
     graph = graphlib.TopologicalSorter({s: [n for n in e["needs"] if n in stages] for s, e in stages.items()})
     try:

@@ -49,9 +49,13 @@ class Job:
     emit: Callable[[dict[str, Any]], None] = lambda event: None
     _stop: bool = field(default=False, repr=False)
 
-    def progress(self, done: int, total: int, **numbers: Any) -> None:
-        """Report that `done` of `total` steps are finished, with named numbers worth seeing."""
-        self.emit({"event": "progress", "done": done, "total": total, "numbers": numbers})
+    def progress(self, done: int, total: int, left: float | None = None, **numbers: Any) -> None:
+        """Report that `done` of `total` steps are finished, with named numbers worth seeing.
+
+        `left` seconds to go, from a stage that knows better than by its speed so far.
+        """
+        known = {} if left is None else {"left": left}
+        self.emit({"event": "progress", "done": done, "total": total, "numbers": numbers} | known)
 
     def note(self, text: str) -> None:
         """Say one fact about the result; it is shown beside the stage and kept in its stamp."""

@@ -105,18 +105,22 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
         except (FloatingPointError, ValueError) as error:
             made_of = {"params": params.model_dump(), "sfm": str(sfm), "smpl": str(smpl), "survey": str(survey)}
             raise _broken_down(fit, clip.names[fit.frame], job, made_of, error) from error
+        shown = {}
         if fit.step == fit.total or fit.share * params.curve_points >= len(curve) + 1:
             paused = time.perf_counter()
             seconds += paused - mark
             curve.append({"step": fit.step, "seconds": round(seconds, 3)} | _judged(fit, judged))
-            job.progress(fit.step, fit.total, psnr=curve[-1]["psnr"], gaussians=sum(fit.sizes().values()))
             mark = time.perf_counter()
             if deadline:
                 deadline.judged(mark - paused)
+            shown = {"psnr": curve[-1]["psnr"]}
         elif fit.step % 25 == 0:
-            job.progress(fit.step, fit.total, loss=sum(numbers.values()), gaussians=sum(fit.sizes().values()))
             if deadline:
                 deadline.mark(fit)
+            shown = {"loss": sum(numbers.values())}
+        if shown:
+            left = deadline and deadline.to_go
+            job.progress(fit.step, fit.total, left, **shown, gaussians=sum(fit.sizes().values()))
         if job.stop_asked or time.perf_counter() - saved > CHECKPOINT_SECONDS:
             saved = time.perf_counter()
             told |= {"curve": curve, "seconds": seconds + saved - mark, "parts": fit.clock.seconds}

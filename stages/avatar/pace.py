@@ -73,6 +73,11 @@ class Deadline:
         """Seconds left for steps."""
         return self.seconds - self.spent - self.reserve * self.pace.mean(LATE) - self.pauses * self.pause
 
+    @property
+    def to_go(self) -> float:
+        """Seconds until the last step, pauses included."""
+        return max(0.0, self.left + self.pauses * self.pause)
+
     def start(self, fit: Fit) -> int:
         """Time a few steps of a training that has not begun; returns how many fit into the time."""
         self.pace = rehearse(fit)

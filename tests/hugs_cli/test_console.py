@@ -85,6 +85,16 @@ def a_run(console: Console, clock: list[float]) -> None:
     console.ended("train", Outcome("done", seconds=612.0, notes=notes))
 
 
+def test_a_stage_that_knows_how_long_it_takes_is_believed():
+    clock, err = [0.0], io.StringIO()
+    console = Console(io.StringIO(), err, lambda: clock[0])
+    console.started("train", ())
+    for done, now in ((25, 70.0), (50, 140.0)):
+        clock[0] = now
+        console.heard("train", {"event": "progress", "done": done, "total": 1000, "numbers": {}, "left": 100.0})
+    assert err.getvalue().count("about 1m 40s left") == 2
+
+
 def test_a_run_without_a_terminal():
     clock, err = [100.0], io.StringIO()
     a_run(Console(io.StringIO(), err, lambda: clock[0]), clock)

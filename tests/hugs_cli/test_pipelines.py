@@ -61,6 +61,7 @@ def test_a_pipeline_is_read_in_running_order_with_what_it_extends(importable):
         ("flow.one}", "flow.one, params: {delay: x}}", "stage one: settings are not valid", "`hugs stages one`"),
         ("doc: Four.", "extends: default", "pipeline default extends itself", "look at pipelines.yaml"),
         ("  stages:\n", "  stages: [\n", "is not valid YAML", "mend"),
+        ("needs: [video], ", "needs: [{video: 1}], ", "stage one: no need", "one of: one, two"),
         ("needs: [video], ", "", "pipeline default, stage one: needs is missing", "needs: [video]"),
     ],
 )
