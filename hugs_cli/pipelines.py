@@ -8,6 +8,7 @@ import inspect
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from importlib.metadata import files
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from hugs_cli import variants
 from stages.contract import Params, StageError
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
+if not FILE.exists():  # installed, not a checkout
+    FILE = Path(next(file.locate() for file in files("hugs-avatar") if file.name == "pipelines.yaml")).resolve()
 SOURCES = {
     "video": "VIDEO",
     "mask_files": "--masks",
