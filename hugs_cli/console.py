@@ -49,7 +49,7 @@ class Progress:
         self.event = event
 
     def left(self, now: float) -> float | None:
-        """Seconds until the present part ends: as it says, or at its speed so far; None while that is a guess."""
+        """Seconds until the present part ends: as the stage says, or at its speed so far; None while that is a guess."""
         if "left" in self.event:
             return self.event["left"]
         if self.first is None or self.event["done"] <= self.first[1] or now - self.first[0] < 2:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
+    from stages.avatar.bake import Finished
     from stages.avatar.fit import Fit
     from stages.avatar.pace import Deadline
     from stages.avatar.views import Person
@@ -305,8 +306,8 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
     person = fit.person._replace(**dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True)))
-    human = _write_person(fit, clip, job, person._replace(clothing=fit.effects.clothing))
-    broken = human.pop("broken") + (_write_scene(fit, job) if fit.scene else 0)
+    kept = _write_person(fit, clip, job, person._replace(clothing=fit.effects.clothing))
+    broken = kept.broken + (_write_scene(fit, job) if fit.scene else 0)
     if broken:
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     _write_clip(fit, clip, job, person)
@@ -330,9 +331,10 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
         "seconds": curve[-1]["seconds"],
         "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
         "extent_m": fit.options.extent,
-        "gaussians": fit.sizes() | {"human": human.pop("gaussians")},
+        "gaussians": fit.sizes() | {"human": len(kept.person.means)},
         "broken": broken,
-        **human,
+        "strays": kept.strays,
+        "lining": kept.lining,
         "left_out": fit.guard.left_out,
         "not_drawn": fit.undrawn,
         "distrusted": distrusted,
@@ -347,8 +349,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
         job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
 
 
-def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> dict[str, int]:
-    """Finish the person and write avatar.npz; returns how many Gaussians there are, and were broken, strays and lining."""
+def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
+    """Finish the person and write avatar.npz."""
     from dataclasses import fields
 
     from stages.avatar.bake import finished
@@ -358,11 +360,11 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> dict[str, i
 
     baked, _ = fit.baked()
     seen = fit.full._replace(viewmats=fit.cameras())
-    c, broken, strays, lining = finished(baked, fit.human.defectors(baked.weights), person, seen, fit.train)
-    if strays:
-        job.note(f"{strays} Gaussians left out that strayed from the body or no longer move with it")
-    job.note(f"{lining:,} Gaussians put under the skin, so that no pose tears holes")
-    clothes, worn = None, person.clothing
+    kept = finished(baked, fit.human.defectors(baked.weights), person, seen, fit.train)
+    if kept.strays:
+        job.note(f"{kept.strays} Gaussians left out that strayed from the body or no longer move with it")
+    job.note(f"{kept.lining:,} Gaussians put under the skin, so that no pose tears holes")
+    c, clothes, worn = kept.person, None, person.clothing
     if worn is not None:
         clothes = Clothes(**{f.name: _array(getattr(worn, f.name)) for f in fields(Clothes)})
     parts = (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])
@@ -377,7 +379,7 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> dict[str, i
         clothes=clothes,
     )
     write_splats(job.out / "avatar.npz", avatar)
-    return {"gaussians": len(avatar), "broken": broken, "strays": strays, "lining": lining}
+    return kept
 
 
 def _write_scene(fit: Fit, job: Job) -> int:

@@ -24,8 +24,8 @@ SWAP_COST = 1.0  # what believing in one wrong side costs, in units of a body he
 STRANGER_JUMP = 0.75  # body heights from the middle of the neighbours to another person
 WINDOW = 4  # neighbours on each side for that middle
 # BlazePose draws people flat. Five synthetic clips: joints 4.16 cm off as it says, 3.99 with depths 1.3 times as large (3.96
-# with 1.4), and 0.4 cm of 2.3 that people stood too far away are left. Where there is no truth (the kitchen), outlines,
-# motion and feet agree best with 1.2 to 1.4 too.
+# with 1.4), and people stand 1.5 cm too far away instead of 2.3. Where there is no truth (the kitchen), outlines, motion and
+# feet agree best with 1.2 to 1.4 too.
 FLAT = 1.3
 
 
