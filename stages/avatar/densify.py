@@ -125,7 +125,7 @@ def grow_scene(
     """Densify the scene in place and start new statistics; the way to the cap is shared among `rounds_left` rounds."""
     scales = scene.log_scales.detach().exp()
     opacities, room = scene.logit_opacities.detach().sigmoid(), _room(scene, rules, rounds_left)
-    rows = plan(growth, scene.sizes(), opacities, rules, room)
+    rows = plan(growth, scene.sizes().amax(1), opacities, rules, room)
     moved = displacement(matrix_from_quat(scene.quats.detach()) * scales[:, None, :], rows, generator)
     for name in scene.ROWS:
         setattr(scene, name, _regrow(optimizer, getattr(scene, name), rows))

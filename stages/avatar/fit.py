@@ -211,7 +211,8 @@ class Fit:
             bare = (1 - only.alpha)[..., None] * background
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
-            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background)
+            blurred = self.effects.shutter is not None
+            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background, blurred)
             loss = loss + trust * apart
             numbers["person"] = apart.item()
         if "veil" in layers:
@@ -239,6 +240,7 @@ class Fit:
             if self.behind is not None:
                 for colors in self.scene.colors():
                     colors.grad[self.behind] = 0
+            self.scene.be_frugal(losses.FRUGAL)
             self._apply("scene")
             self.scene.keep_movable()
         if "person" in layers:

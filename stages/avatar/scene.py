@@ -127,12 +127,23 @@ class SceneModel(nn.Module):
 
     @torch.no_grad()
     def sizes(self) -> Tensor:
-        """Largest scale [N] in m by which growth judges each Gaussian; on the shell as if it stood one extent away."""
-        largest = self.log_scales.exp().amax(1)
+        """Scales [N,3] in m by which each Gaussian is judged; on the shell as if it stood one extent away."""
+        scales = self.log_scales.exp()
         if math.isinf(self.shell):
-            return largest
-        away = self.means.norm(dim=1)
-        return torch.where(away > 0.5 * self.shell, largest * self.extent / away, largest)
+            return scales
+        away = self.means.norm(dim=1, keepdim=True)
+        return torch.where(away > 0.5 * self.shell, scales * self.extent / away, scales)
+
+    @torch.no_grad()
+    def be_frugal(self, weight: float) -> None:
+        """Add to the gradients those of weight x (mean opacity + mean scale in extents), for what the picture has taught.
+
+        3DGS-MCMC, section 3.4 (https://arxiv.org/abs/2404.09591), which pulls all: what no picture shows would vanish.
+        """
+        taught = self.logit_opacities.grad != 0
+        opacities, share = self.logit_opacities.sigmoid(), weight * taught / len(self)
+        self.logit_opacities.grad += share * opacities * (1 - opacities)
+        self.log_scales.grad += share[:, None] * self.sizes() / (3 * self.extent)
 
     @torch.no_grad()
     def keep_movable(self) -> None:

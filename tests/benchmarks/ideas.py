@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
@@ -77,6 +78,7 @@ class Idea:
 
 STILL = {"place": 0.0, "pose": 0.0}
 PLAIN = {"outside_person": lambda image, target, mask: target + (1 - mask)[..., None] * (image - target)}
+UNMIXED = partial(losses.person_only, blurred=True)
 WITHOUT = {
     "everything": Idea(),
     "own gradients for the scene (D1)": Idea(patches=redrawn(lambda d, rows: d.screen_grad_abs.roll(rows, 0))),
@@ -91,11 +93,12 @@ WITHOUT = {
     "shy corrections": Idea(patches=put(losses, SHY=0.0)),
     "a smooth surface": Idea(patches=put(losses, SMOOTH=0.0)),
     "a prior on skinning weights": Idea(patches=put(losses, LBS=0.0)),
+    "faint and small Gaussians of the scene": Idea(patches=put(losses, FRUGAL=0.0)),
     "SSIM": Idea(patches=put(losses, SSIM_SHARE=0.0)),
     "but with LPIPS, AlexNet, every 4th step": Idea(settings={"perceptual_every": 4}),
     "but with 3rd degree colours of the scene": Idea(decisions={"view_dependence": True}),
+    "but mixed pixels teach no colour, as if blurred": Idea(patches=put(losses, person_only=UNMIXED)),
     "but antialiased": Idea(decisions={"antialias": True}),
-    "but opacities and scales pulled to 0": Idea(patches=put(fit_module.Fit, _apply=mcmc.regularised)),
     "but the scene by MCMC": Idea(
         patches=put(fit_module, grow_scene=mcmc.relocate) + put(fit_module.Fit, _apply=mcmc.walking)
     ),

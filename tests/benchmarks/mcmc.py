@@ -1,7 +1,7 @@
 """Another way to grow a scene, to measure ours against: 3D Gaussian Splatting as Markov Chain Monte Carlo.
 
 Kheradmand et al. 2024, https://arxiv.org/abs/2404.09591. Faint Gaussians move to bright ones, new ones are copies of
-bright ones, positions walk at random, and opacities and scales are pulled towards 0. Constants are the paper's.
+bright ones, and positions walk at random. Constants are the paper's. Opacities and scales are pulled as ours are.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from stages.avatar.densify import Plan, _regrow
 from stages.avatar.fit import Fit
 from stages.avatar.rasterize import gaussian_axes
 
-REGULARISED = 0.01  # weight of the mean opacity and of the mean scale
 NOISE = 5e5  # times the rate of positions
 STEEP, FAINT = 100.0, 0.995  # who walks: 1 / (1 + exp(-STEEP (1 - opacity - FAINT)))
 MORE = 0.05  # share of Gaussians added in a round
@@ -58,19 +57,9 @@ def relocate(scene, optimizer, growth, rules, rounds_left, generator) -> Plan:
 
 
 @torch.no_grad()
-def regularised(fit: Fit, name: str) -> None:
-    """In place of `Fit._apply`: opacities and scales of the scene are pulled towards 0."""
-    if name == "scene" and fit.scene.logit_opacities.grad is not None:
-        opacities, scales = fit.scene.logit_opacities.sigmoid(), fit.scene.log_scales.exp()
-        fit.scene.logit_opacities.grad += REGULARISED * opacities * (1 - opacities) / len(opacities)
-        fit.scene.log_scales.grad += REGULARISED * scales / scales.numel()
-    learn(fit, name)
-
-
-@torch.no_grad()
 def walking(fit: Fit, name: str) -> None:
-    """The same, and faint Gaussians take a random step along their axes."""
-    regularised(fit, name)
+    """In place of `Fit._apply`: faint Gaussians of the scene take a random step along their axes, too."""
+    learn(fit, name)
     if name == "scene":
         scene, groups = fit.scene, fit.adam["scene"].param_groups
         lr = next(group["lr"] for group in groups if group["name"] == "means")

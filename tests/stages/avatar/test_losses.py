@@ -92,6 +92,17 @@ def test_g16_a_perfect_render_costs_nothing_for_any_background(held):
         assert losses.person_only(other, mask, image, mask, background).item() > 0.05, "another draw would show"
 
 
+@pytest.mark.parametrize("blurred", [True, False])
+def test_a_pixel_that_person_and_scene_share_by_blur_teaches_coverage_and_no_colour(blurred):
+    mask = torch.linspace(0, 1, 40)[:, None].repeat(1, 32)
+    rendered, alpha = picture(1).requires_grad_(), torch.rand(40, 32, requires_grad=True)
+    losses.person_only(rendered, alpha, picture(), mask, torch.rand(3), blurred).backward()
+    taught = (rendered.grad.abs().sum(-1) > 0).float().mean(1)
+    assert (taught[[0, -1]] > 0.99).all()
+    assert (taught[1:-1] == 0).all() if blurred else (taught > 0.99).all()
+    assert (alpha.grad != 0).all()
+
+
 def test_person_pixels_and_a_seam_around_them_teach_the_scene_nothing():
     image, mask = picture(), torch.zeros(40, 32)
     mask[10:30, 8:20] = 1

@@ -102,3 +102,19 @@ def test_filled_points_lie_on_the_wall_and_never_have_the_persons_colour():
     assert len(none) == 0
     behind, _ = fill_points(wall, [image], [mask], viewmat[None], K[None], person + [0, 0, 2.5], 400, rng)
     assert np.isclose(behind[:, 2].min(), 5) and np.isclose(behind[:, 2].max(), 6), "half a metre behind the person"
+
+
+def test_what_a_picture_teaches_is_pulled_to_be_faint_and_small_and_nothing_else_is():
+    scene = SceneModel(torch.rand(20, 3), torch.rand(20, 3), 0, 2.0).double()
+    with torch.no_grad():
+        scene.logit_opacities.copy_(torch.linspace(-6, 15, 20))
+    pulled = 0.5 * (scene.logit_opacities.sigmoid().mean() + scene.log_scales.exp().mean() / 2.0)
+    slopes = torch.autograd.grad(pulled, (scene.logit_opacities, scene.log_scales))
+    taught = torch.arange(20) % 2
+    scene.logit_opacities.grad, scene.log_scales.grad = (
+        taught * 1e-3 * torch.ones(20).double(),
+        torch.zeros(20, 3).double(),
+    )
+    scene.be_frugal(0.5)
+    assert torch.allclose(scene.logit_opacities.grad, taught * (1e-3 + slopes[0]), rtol=1e-12)
+    assert torch.allclose(scene.log_scales.grad, taught[:, None] * slopes[1], rtol=1e-12)
