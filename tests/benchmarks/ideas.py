@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
@@ -78,7 +77,6 @@ class Idea:
 
 STILL = {"place": 0.0, "pose": 0.0}
 PLAIN = {"outside_person": lambda image, target, mask: target + (1 - mask)[..., None] * (image - target)}
-UNMIXED = partial(losses.person_only, blurred=True)
 WITHOUT = {
     "everything": Idea(),
     "own gradients for the scene (D1)": Idea(patches=redrawn(lambda d, rows: d.screen_grad_abs.roll(rows, 0))),
@@ -97,7 +95,6 @@ WITHOUT = {
     "SSIM": Idea(patches=put(losses, SSIM_SHARE=0.0)),
     "but with LPIPS, AlexNet, every 4th step": Idea(settings={"perceptual_every": 4}),
     "but with 3rd degree colours of the scene": Idea(decisions={"view_dependence": True}),
-    "but mixed pixels teach no colour, as if blurred": Idea(patches=put(losses, person_only=UNMIXED)),
     "but antialiased": Idea(decisions={"antialias": True}),
     "but the scene by MCMC": Idea(
         patches=put(fit_module, grow_scene=mcmc.relocate) + put(fit_module.Fit, _apply=mcmc.walking)
