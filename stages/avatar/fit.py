@@ -211,8 +211,8 @@ class Fit:
             bare = (1 - only.alpha)[..., None] * background
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
-            blurred = self.effects.shutter is not None
-            apart = losses.person_only(rendered, only.alpha, image[crop], mask[crop], background, blurred)
+            target = image[crop], mask[crop], background
+            apart = losses.person_only(rendered, only.alpha, *target, self.effects.blurs)
             loss = loss + trust * apart
             numbers["person"] = apart.item()
         if "veil" in layers:
@@ -221,9 +221,9 @@ class Fit:
         self.clock.lap("losses")
         if "person" in layers and self.perceptual and self.step % self.options.perceptual_every == 0:
             window = losses.patch(mask[crop], losses.PATCH, self.generator)
-            target = losses.over_background(image[crop], mask[crop], background)[window]
-            if min(target.shape[:2]) >= self.perceptual.smallest:
-                loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], target)
+            patch = losses.over_background(*target)[window]
+            if min(patch.shape[:2]) >= self.perceptual.smallest:
+                loss = loss + trust * losses.PERCEPTUAL * self.perceptual(rendered[window], patch)
             self.clock.lap("perceptual loss")
         loss = loss + self.effects.prior()
         self.undrawn += next(iter(drawn.values())).dropped

@@ -31,7 +31,7 @@ PARTS = 10
 class Nothing(torch.nn.Module):
     """In place of `FrameEffects`: what a step would do if no effect had been written."""
 
-    takes_time = False
+    takes_time = blurs = False
 
     def dressed(self, person: Any, body_pose: Tensor) -> Any:
         return person

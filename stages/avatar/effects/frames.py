@@ -47,7 +47,12 @@ class FrameEffects(nn.Module):
     @property
     def takes_time(self) -> bool:
         """Whether a frame takes time, so that its `Motion` must be known."""
-        return self.shutter is not None or self.readout is not None
+        return self.blurs or self.readout is not None
+
+    @property
+    def blurs(self) -> bool:
+        """Whether frames are the mean of what moves."""
+        return self.shutter is not None
 
     def dressed(self, person: Resting, body_pose: Tensor) -> Resting:
         """The person at rest, with what their clothes do in the pose [69]."""
@@ -93,7 +98,7 @@ class FrameEffects(nn.Module):
         if motion is None or not self.takes_time:
             return compose_layers(human, scene, viewmat, K, width, height, layers)
         both = ((human, motion.person), (scene, None))
-        return at(motion.field.new_zeros(1)) if self.shutter is None else exposed(at, self.shutter)
+        return exposed(at, self.shutter) if self.blurs else at(motion.field.new_zeros(1))
 
     def _at(self, splats: Splats, own: Tensor | None, motion: Motion, time: Tensor, viewmat: Tensor) -> Splats:
         speeds, spin = motion.of(splats, own), motion.field[:, :3]
