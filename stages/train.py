@@ -362,7 +362,7 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
     seen = fit.full._replace(viewmats=fit.cameras())
     kept = finished(baked, fit.human.defectors(baked.weights), person, seen, fit.train)
     if kept.strays:
-        job.note(f"{kept.strays} Gaussians left out that strayed from the body or no longer move with it")
+        job.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
     job.note(f"{kept.lining:,} Gaussians put under the skin, so that no pose tears holes")
     c, clothes, worn = kept.person, None, person.clothing
     if worn is not None:

@@ -129,6 +129,14 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
     assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()
 
 
+def test_what_floats_beside_the_person_is_left_out(standing):
+    person, where = standing
+    ends = person.means[person.means[:, 0].topk(2).indices]  # the far tip of a hand
+    floaters = ends + torch.tensor([0.06, 0, 0])
+    found = bake.floating(torch.cat([person.means, floaters]), where.vertices)
+    assert not found[:-2].any() and found[-2:].all()
+
+
 def test_rows_never_shown_are_as_the_body_says():
     parts = [torch.randn(3, *shape) for shape in ((3,), (3, 3), (3,), (), (1, 3), (24,))]
     a, b = Canonical(*parts), Canonical(*(-part for part in parts))
