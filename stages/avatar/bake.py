@@ -25,7 +25,10 @@ DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colo
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 NEIGHBOURS = 24  # that are asked
 COMPANY = 8  # neighbours of a Gaussian of a surface
-ALONE = 1.2  # times as far away as those of a body vertex: what floats beside the person; phone clip: 67 of 38,000
+ALONE = (
+    1.2,
+    5.0,
+)  # times as far away as a body vertex has them, and as the Gaussian is large: it floats beside the person
 INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
 THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
@@ -49,17 +52,19 @@ def finished(person: Canonical, lost: Tensor, body: Person, views: Views, frames
     whole = finite_rows(person)
     kept = Canonical(*(part[whole] for part in person))
     stray = strays(kept.means, body.vertices) | lost[whole]
-    stray[~stray] = floating(kept.means[~stray], body.vertices)
+    stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body.vertices)
     kept = lean(Canonical(*(part[~stray] for part in kept)), body, views, frames)
     done = lined(kept, body, views, frames)
     return Finished(done, int((~whole).sum()), int(stray.sum()), len(done.means) - len(kept.means))
 
 
-def floating(means: Tensor, body: Tensor) -> Tensor:
-    """Which of the canonical means[N,3] have fewer neighbours than the nearest of the body's vertices[V,3] has."""
-    _, under = nearest(body, means, 1)
+def floating(person: Canonical, body: Tensor) -> Tensor:
+    """Which rows [N] have their neighbours farther away than the nearest of the body's vertices[V,3] has, and than they
+    reach themselves."""
+    _, under = nearest(body, person.means, 1)
     usual = nearest(body, body, COMPANY + 1)[0][under[:, 0], -1]
-    return nearest(means, means, COMPANY + 1)[0][:, -1] > ALONE * usual
+    away = nearest(person.means, person.means, COMPANY + 1)[0][:, -1]
+    return (away > ALONE[0] * usual) & (away > ALONE[1] * person.scales.amax(1))
 
 
 def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor) -> Canonical:

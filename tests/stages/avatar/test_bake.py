@@ -131,9 +131,10 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
 
 def test_what_floats_beside_the_person_is_left_out(standing):
     person, where = standing
-    ends = person.means[person.means[:, 0].topk(2).indices]  # the far tip of a hand
-    floaters = ends + torch.tensor([0.06, 0, 0])
-    found = bake.floating(torch.cat([person.means, floaters]), where.vertices)
+    tip = person.means[:, 0].topk(2).indices  # of a hand
+    ends = Canonical(*(part[tip] for part in person))
+    floaters = ends._replace(means=ends.means + torch.tensor([0.06, 0, 0]), scales=torch.full_like(ends.scales, 0.01))
+    found = bake.floating(Canonical(*map(torch.cat, zip(person, floaters, strict=True))), where.vertices)
     assert not found[:-2].any() and found[-2:].all()
 
 
