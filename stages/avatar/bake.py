@@ -25,10 +25,8 @@ DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colo
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 NEIGHBOURS = 24  # that are asked
 COMPANY = 8  # neighbours of a Gaussian of a surface
-ALONE = (
-    1.2,
-    5.0,
-)  # times as far away as a body vertex has them, and as the Gaussian is large: it floats beside the person
+APART = 1.2  # times as far away as a body vertex has them: what floats beside the person, if it is small, too
+SMALL = 5.0  # times its own size away from them
 INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
 THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
@@ -59,12 +57,11 @@ def finished(person: Canonical, lost: Tensor, body: Person, views: Views, frames
 
 
 def floating(person: Canonical, body: Tensor) -> Tensor:
-    """Which rows [N] have their neighbours farther away than the nearest of the body's vertices[V,3] has, and than they
-    reach themselves."""
+    """Which rows [N] are farther from their neighbours than the nearest of the body's vertices[V,3] is, and than they reach."""
     _, under = nearest(body, person.means, 1)
     usual = nearest(body, body, COMPANY + 1)[0][under[:, 0], -1]
     away = nearest(person.means, person.means, COMPANY + 1)[0][:, -1]
-    return (away > ALONE[0] * usual) & (away > ALONE[1] * person.scales.amax(1))
+    return (away > APART * usual) & (away > SMALL * person.scales.amax(1))
 
 
 def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor) -> Canonical:

@@ -11,8 +11,8 @@ SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
 WHOLE = 0.98  # covered so much, or less than 1 - WHOLE: a pixel of a blurred image shows the person or the scene alone
 SEAM = 0.001  # of the longer side: the width around the person from which the scene learns nothing
-# On the mean squared difference: more drowns colours in the triplane that both share. In 900 steps 100 loses 0.4 dB for 30,
-# 1000 more than that (G19); 10 wins nothing more.
+# On the mean squared difference: more drowns colours in the triplane that both share. In 900 steps 100 loses 0.4 dB of
+# the person for 30, 1000 more than that (G19); 10 wins nothing more.
 LBS = 30.0
 VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 STRAY = 10.0  # per metre^2 outside the triplane's box
