@@ -212,7 +212,9 @@ class Fit:
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
             target = image[crop], mask[crop], background
-            apart = losses.person_only(rendered, only.alpha, *target, self.effects.blurs)
+            if self.effects.blurs:
+                rendered = losses.unmixed(rendered, *target)
+            apart = losses.person_only(rendered, only.alpha, *target)
             loss = loss + trust * apart
             numbers["person"] = apart.item()
         if "veil" in layers:

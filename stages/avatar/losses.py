@@ -54,18 +54,21 @@ def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
     return background + mask[..., None] * (image - background)
 
 
-def person_only(
-    rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, background: Tensor, blurred: bool = False
-) -> Tensor:
+def unmixed(rendered: Tensor, image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
+    """A person-only render [H,W,3] with the pixels that person and scene share taken for right; the rest as `person_only`.
+
+    Where motion has blurred an edge, the image has the colour of both there: such a pixel teaches coverage only.
+    """
+    return torch.where((mask - 0.5).abs()[..., None] > WHOLE - 0.5, rendered, over_background(image, mask, background))
+
+
+def person_only(rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
     """Loss of a person-only render [H,W,3] over `background`[3], with its alpha[H,W], against the masked image.
 
     rendered, alpha, image, mask are one crop. Finite for every mask from empty to full; render and target share the
-    same draw of the background (G06, G16). Where motion has `blurred` the image, a pixel that the person shares with
-    the scene has the colour of both: it teaches coverage only.
+    same draw of the background (G06, G16).
     """
     target = over_background(image, mask, background)
-    if blurred:
-        rendered = torch.where((mask - 0.5).abs()[..., None] > WHOLE - 0.5, rendered, target)
     return photometric(rendered, target) + ALPHA * (alpha - mask).abs().mean()
 
 
