@@ -186,7 +186,7 @@ def _timed(
         pick, wanted = (min, SMALL) if steps < SMALL_UNDER else (max, LARGE)
         sizes = {name: pick(size, getattr(params, name)) for name, size in wanted.items()}
         fit, clip = _start(job, params.model_copy(update=sizes), *folders)
-        steps = deadline.start(fit)
+        steps = deadline.start(fit, 1)  # once: the sizes stay, and the steps are fitted into the time again and again
     if steps < FEWEST:
         lacking = math.ceil(FEWEST * deadline.pace.mean(0.0) - deadline.left)
         raise StageError(

@@ -12,7 +12,7 @@ from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
 TIMED = 4  # steps of one timing; a multiple of views_per_decode
-TIMINGS = 3  # at each corner of a Pace: the middle one counts, so that one disturbance does not
+TIMINGS = 3  # at each corner of a Pace, before sizes are chosen: the middle one counts, so one disturbance does not
 OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer
 LATE = 0.99  # share of the schedule at which a step takes as long as drawing what was trained
@@ -78,9 +78,9 @@ class Deadline:
         """Seconds until the last step, pauses included."""
         return max(0.0, self.left + self.pauses * self.pause)
 
-    def start(self, fit: Fit) -> int:
-        """Time a few steps of a training that has not begun; returns how many fit into the time."""
-        self.pace = rehearse(fit)
+    def start(self, fit: Fit, timings: int = TIMINGS) -> int:
+        """Time a few steps of a training that has not begun, see `rehearse`; returns how many fit into the time."""
+        self.pace = rehearse(fit, timings)
         self.pause = PAUSE * self.pace.mean(LATE)
         self.leg = self.spent, fit.step, fit.done
         return self.pace.steps(self.left)
@@ -112,24 +112,27 @@ class Deadline:
         self.leg = self.spent, fit.step, fit.done
 
 
-def rehearse(fit: Fit) -> Pace:
-    """Time real steps of a training that has not begun, small and grown; it is then as it was, bit for bit."""
+def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
+    """Time real steps of a training that has not begun, small and grown; it is then as it was, bit for bit.
+
+    Each kind is timed `timings` times, and the middle one counts.
+    """
     before, late = copy.deepcopy(snapshot(fit)), min(fit.options.half_until, LATE)
-    few = _timed(fit, 0.0), _timed(fit, late)
+    few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
     fit.fill_up()
-    many = _timed(fit, 0.0), _timed(fit, late)
+    many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
     restore(fit, before)
     fit.clock.seconds = {}
     return Pace((few[0], many[0]), (few[1], many[1]), fit.options.half_until)
 
 
-def _timed(fit: Fit, done: float) -> float:
-    """Seconds a step at a share of the schedule, at which it is held."""
+def _timed(fit: Fit, done: float, timings: int) -> float:
+    """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`."""
     fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
     for _ in range(WARM_UP):
         fit.advance()
     took = []
-    for _ in range(TIMINGS):
+    for _ in range(timings):
         began = time.perf_counter()
         for _ in range(TIMED):
             fit.advance()

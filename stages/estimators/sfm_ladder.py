@@ -90,7 +90,7 @@ Mapping = Callable[[Matched, Path, Callable[[], None]], list[Model]]
 
 def by_global(matched: Matched, out: Path, placed: Callable[[], None]) -> list[Model]:
     """COLMAP's global mapper (GLOMAP)."""
-    return colmap.map_global(matched.database, matched.images, out, matched.fixed_focal)
+    return colmap.map_global(matched.database, matched.images, out, matched.count, matched.fixed_focal)
 
 
 def by_incremental(matched: Matched, out: Path, placed: Callable[[], None], close: bool = False) -> list[Model]:

@@ -467,7 +467,7 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     """A made-up clock: a step takes a second, whatever this machine is doing."""
     now = [0.0]
     monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit, timings: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
     monkeypatch.setattr("stages.avatar.pace.PAUSE", 0.0)
     monkeypatch.setattr(train, "FEWEST", 10)
     advance = Fit.advance
@@ -488,7 +488,7 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
 
 
 def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, monkeypatch):
-    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit, timings: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
     monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: 0.0)
     monkeypatch.setattr("stages.avatar.pace.PAUSE", 0.0)
     with pytest.raises(StageError, match="too short to train") as error:

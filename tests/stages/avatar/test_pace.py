@@ -75,7 +75,7 @@ def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, mon
     work while small pictures were rehearsed, so that large ones seem to take no longer than those."""
     clock, fit = Time(monkeypatch), fit_of(clip, steps=40)
     half = tuple(disturbed * seconds for seconds in PACE.half)
-    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit: Pace(half, PACE.full, HALF_UNTIL))
+    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit, timings: Pace(half, PACE.full, HALF_UNTIL))
     deadline = Deadline(seconds=300.0, reserve=10, began=0.0, pauses=12)
     fit.retime(deadline.start(fit))
     planned, pauses = fit.total, 0
