@@ -45,6 +45,7 @@ AXES = {
     "caps": Axis("train", ("human_cap", "scene_cap"), {(0.5, 0.5): 0.8, (2, 2): 1.4}, relative=True),
     # counts where survey.view_dependence is on
     "sh": Axis("train", ("scene_sh",), {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2}),
+    "stop": Axis("train", ("early_stop",), {(1e-6,): 1.1, (1e-4,): 1.0, (1e-3,): 1.0, (1e-2,): 0.95}),
     "perceptual": Axis(
         "train",
         ("perceptual_net", "perceptual_every"),

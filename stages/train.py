@@ -59,6 +59,8 @@ class Params(contract.Params):
     """Degree of the person's view-dependent colour; 0 as in the paper."""
     scene_sh: int = Field(3, ge=0, le=3)
     """Degree of the scene's view-dependent colour where survey finds that the clip calls for it; else it is 0."""
+    early_stop: float = Field(1e-4, gt=0, lt=1)
+    """Share of the light below which training finishes a pixel; films and measuring keep to 1e-4, and so must a GPU."""
     channels: int = Field(32, gt=0)
     """Features of each triplane cell."""
     resolution: int = Field(128, gt=1)

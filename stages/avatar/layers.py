@@ -56,14 +56,15 @@ def layers_of(
     """
     layers = {}
     if scene is not None:
-        layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K))
+        layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K), stop=options.early_stop)
     if human is not None:
         n, total = len(human.means), len(human.means) + (0 if scene is None else len(scene.means))
         rows = torch.arange(total, device=K.device) < n
         height, width = mask.shape
         box = person_box(mask, human.means.detach(), viewmat, K)
         if options.human_loss:
-            layers["person"] = Layer(rows, box, torch.rand(3, generator=generator).to(K))
+            layers["person"] = Layer(rows, box, torch.rand(3, generator=generator).to(K), options.early_stop)
         if scene is not None and scene.means.requires_grad:
-            layers["veil"] = Layer(torch.cat([~rows[:n], veil(scene, human.means, viewmat, K, width, height)]), box)
+            before = torch.cat([~rows[:n], veil(scene, human.means, viewmat, K, width, height)])
+            layers["veil"] = Layer(before, box, stop=options.early_stop)
     return layers

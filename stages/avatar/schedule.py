@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from stages.avatar.rasterize.rendering import T_STOP
+
 LR_HUMAN = {"xyz": 2e-4, "triplane": 2e-3, "appearance": 2e-3, "geometry": 1e-3, "deformation": 2e-4}
 LR_FREE = {  # corrections without networks: the paper's rates for explicit Gaussians, of its own where it has none
     "offset": 2e-4,
@@ -65,6 +67,7 @@ class Options(NamedTuple):
     joint: bool = True
     antialias: bool = False
     refine_camera: bool = False
+    early_stop: float = T_STOP
 
 
 class Phase(NamedTuple):

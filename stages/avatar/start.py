@@ -72,6 +72,7 @@ class Start:
             joint=params.joint,
             antialias=on.get("antialias", False),
             refine_camera=on.get("camera_refinement", False),
+            early_stop=params.early_stop,
         )
         effects = self._effects(person, human, scene, views)
         return Fit(views, self.train, person, human, scene, options, self.generator, perceptual, effects)

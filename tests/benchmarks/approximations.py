@@ -69,17 +69,17 @@ def small_errors() -> dict[str, float]:
 
     work = random_work(600, 96, 96, 20)
 
-    def drawn(maker: Any, dtype: Any) -> tuple[Any, list[Any]]:
+    def drawn(maker: Any, dtype: Any, layer: Layer) -> tuple[Any, list[Any]]:
         leaves = [part.detach().to(dtype).requires_grad_() for part in work.parts]
         means, quats, scales, opacities, colors = leaves
-        camera = (work.viewmat.to(dtype), work.K.to(dtype), work.width, work.height, (Layer(),), False, 0.01)
+        camera = (work.viewmat.to(dtype), work.K.to(dtype), work.width, work.height, (layer,), False, 0.01)
         image = maker.rasterize(means, maker.gaussian_axes(quats, scales), opacities, colors, *camera)[0].image
         image.backward(work.v_image.to(dtype))
         return image.detach(), [leaf.grad for leaf in leaves]
 
-    image, slopes = drawn(cpu, work.viewmat.dtype)
-    reference.T_STOP, reference.ALPHA_MIN = 0.0, 1e-12
-    true, true_slopes = drawn(reference, work.viewmat.double().dtype)
+    image, slopes = drawn(cpu, work.viewmat.dtype, Layer())
+    reference.ALPHA_MIN = 1e-12
+    true, true_slopes = drawn(reference, work.viewmat.double().dtype, Layer(stop=0.0))
     worst = max(distance(a.numpy(), b.numpy()) for a, b in zip(slopes, true_slopes, strict=True))
     return {"small": float((image - true).abs().max()), "slopes": worst}
 

@@ -35,13 +35,13 @@ from stages.avatar.rasterize.lanes import (
     store_index,
     totals,
 )
-from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN, T_STOP
+from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN
 from stages.avatar.rasterize.tiles import ACROSS, AHEAD, BLOCK, TILE
 
 BLOCKS = ACROSS * ACROSS
 AREA = BLOCKS * LANES
 FAINTEST = np.float32(math.log2(ALPHA_MIN))
-LARGEST, STOP = np.float32(ALPHA_MAX), np.float32(T_STOP)
+LARGEST = np.float32(ALPHA_MAX)
 IN_X = np.tile(np.arange(BLOCK, dtype=np.float32) + np.float32(0.5), BLOCK)
 IN_Y = np.repeat(np.arange(BLOCK, dtype=np.float32) + np.float32(0.5), BLOCK)
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -50,10 +50,11 @@ A_TWICE, B_ONCE = np.float32(2 / LOG2E), np.float32(1 / LOG2E)
 
 
 @njit(cache=True)
-def _draw_tile(start, end, rows, masks, records, left, top, inside, state, stops, in_x, in_y):
+def _draw_tile(start, end, rows, masks, records, left, top, inside, stop, state, stops, in_x, in_y):
     """Blend one tile front to back into state [5,1024] (T, red, green, blue, depth) and stops [1024].
 
     `left` and `top` are px of the whole picture; `inside` = (width, height) px is the part of the tile that is drawn.
+    A pixel ends when less than `stop` of the light would pass.
     """
     live = np.uint64(0)
     for block in range(BLOCKS):
@@ -95,7 +96,7 @@ def _draw_tile(start, end, rows, masks, records, left, top, inside, state, stops
             light = load(state, at)
             share = alpha * light
             passed = light - share
-            counts = passed > STOP
+            counts = passed > stop
             share = select(counts, share, ZERO)
             store(state, at, select(counts, passed, -magnitude(light)))
             store(state, AREA + at, fma(share, red, load(state, AREA + at)))
@@ -103,7 +104,7 @@ def _draw_tile(start, end, rows, masks, records, left, top, inside, state, stops
             store(state, 3 * AREA + at, fma(share, blue, load(state, 3 * AREA + at)))
             store(state, 4 * AREA + at, fma(share, depth, load(state, 4 * AREA + at)))
             if differ(counts, light > ZERO):  # a pixel ends here
-                ends = (light > ZERO) & (passed <= STOP)
+                ends = (light > ZERO) & (passed <= stop)
                 store_index(stops, at, select_index(ends, k, load_index(stops, at)))
                 if not any_lane(counts):
                     live &= ~(np.uint64(1) << np.uint64(block))
@@ -112,7 +113,9 @@ def _draw_tile(start, end, rows, masks, records, left, top, inside, state, stops
 
 
 @njit(cache=True, parallel=True)
-def draw(starts, rows, masks, records, window, background, threads, in_x, in_y, image, alpha, depth, finals, stops):
+def draw(
+    starts, rows, masks, records, window, background, threads, in_x, in_y, stop, image, alpha, depth, finals, stops
+):
     """Blend all tiles of a window (left, top, right, bottom) px of the picture.
 
     Fills image [H,W,3] over background [3], alpha and depth [H,W] of the window; finals (T) and stops [tiles,1024].
@@ -134,6 +137,7 @@ def draw(starts, rows, masks, records, window, background, threads, in_x, in_y, 
                 window[0] + left,
                 window[1] + top,
                 inside,
+                stop,
                 state,
                 stops[tile],
                 in_x,

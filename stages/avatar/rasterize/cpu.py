@@ -50,7 +50,7 @@ class _Rasterize(torch.autograd.Function):
             image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
             finals, stops = (np.empty((len(starts) - 1, blend.AREA), kind) for kind in (np.float32, np.int32))
             place = (starts, rows, masks, records.reshape(-1), window, ground, threads, blend.IN_X, blend.IN_Y)
-            blend.draw(*place, image, alpha, depth, finals, stops)
+            blend.draw(*place, np.float32(layer.stop), image, alpha, depth, finals, stops)
             kept.append((place, finals, stops, alpha))
             pictures += [torch.from_numpy(t) for t in (image, alpha, depth)]
         ctx.kept = (*arrays[:3], view, intrinsics, width, height, antialias), radii, kept

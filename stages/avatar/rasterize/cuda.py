@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize.rendering import BLUR, Layer, Rendering
+from stages.avatar.rasterize.rendering import BLUR, T_STOP, Layer, Rendering
 
 
 def rasterize(
@@ -26,8 +26,11 @@ def rasterize(
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; float32 tensors on one GPU.
 
     Each layer is a call of its own, whose Jacobian is clamped at the margin of its window, not of the whole picture.
-    ImportError if gsplat is not installed. gsplat compiles its kernels at the first call of an installation.
+    gsplat compiles its kernels at the first call of an installation. ImportError if it is not installed, ValueError for
+    a layer's `stop` that is not gsplat's.
     """
+    if other := [layer.stop for layer in layers if layer.stop != T_STOP]:
+        raise ValueError(f"gsplat ends pixels at {T_STOP:g} of the light, not at {other[0]:g}")
     grad = torch.zeros(len(means), 2, device=means.device)
     parts = (means, axes, opacities, colors, viewmat, K)
     return [_draw(*parts, layer, layer.window or (0, 0, width, height), antialias, near, grad) for layer in layers]

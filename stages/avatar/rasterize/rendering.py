@@ -27,12 +27,13 @@ LAYERS = 3
 
 class Layer(NamedTuple):
     """One picture of a call: which Gaussians (rows[N] bool, None = all), which window of the camera's picture
-    (left, top, right, bottom) px (None = all of it), and over which background[3] (None = black).
+    (left, top, right, bottom) px (None = all of it), over which background[3] (None = black), and `stop`, see T_STOP.
     """
 
     rows: Tensor | None = None
     window: tuple[int, int, int, int] | None = None
     background: Tensor | None = None
+    stop: float = T_STOP
 
 
 @dataclass

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from stages.avatar.rasterize import Layer, cpu, reference
+from stages.avatar.rasterize import Layer, cpu, cuda, reference
 
 WIDTH, HEIGHT = 61, 45
 BACKGROUND = torch.tensor([0.2, 0.5, 0.7])
@@ -150,6 +150,20 @@ def test_a_window_is_that_part_of_the_whole_picture(maker, dtype, bound):
     whole, part = draw_layers(maker, [Layer(), Layer(window=(7, 3, 44, 41))], dtype)[0]
     for name in ("image", "alpha", "depth"):
         assert (getattr(part, name) - getattr(whole, name)[3:41, 7:44]).abs().max() <= bound, name
+
+
+def test_a_layer_ends_its_pixels_where_it_says():
+    layers = [Layer(), Layer(stop=0.3)]
+    fast, fast_grads = draw_layers(cpu, layers, torch.float32)
+    true, true_grads = draw_layers(reference, layers, torch.float64)
+    ended = (true[1].alpha - true[0].alpha).abs() > 0.01
+    assert 0.05 < ended.float().mean() < 0.95 and (1 - true[1].alpha).min() > 0.3
+    for a, b in zip(fast, true, strict=True):
+        assert (a.image.double() - b.image).abs().max() < 1e-5
+    for name, a, b in zip(NAMES, fast_grads, true_grads):
+        assert apart(a, b) < 5e-6, f"{name} off by {apart(a, b):.1e}"
+    with pytest.raises(ValueError, match="not at 0.3"):
+        cuda.rasterize(*(None,) * 8, layers)
 
 
 def test_more_layers_than_a_row_of_gradients_holds_are_refused():
