@@ -162,7 +162,7 @@ def test_a_layer_ends_its_pixels_where_it_says():
         assert (a.image.double() - b.image).abs().max() < 1e-5
     for name, a, b in zip(NAMES, fast_grads, true_grads):
         assert apart(a, b) < 5e-6, f"{name} off by {apart(a, b):.1e}"
-    with pytest.raises(ValueError, match="not at 0.3"):
+    with pytest.raises(ValueError, match="not at"):
         cuda.rasterize(*(None,) * 8, layers)
 
 
