@@ -207,7 +207,8 @@ class Fit:
             loss = loss + joint
             numbers["image"] = joint.item()
         if "person" in layers:
-            only, (_, (left, top, right, bottom), background) = drawn["person"], layers["person"]
+            only, layer = drawn["person"], layers["person"]
+            (left, top, right, bottom), background = layer.window, layer.background
             bare = (1 - only.alpha)[..., None] * background
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             crop = (slice(top, bottom), slice(left, right))
