@@ -336,6 +336,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
         "gaussians": fit.sizes() | {"human": len(kept.person.means)},
         "broken": broken,
         "strays": kept.strays,
+        "evened": kept.evened,
         "lining": kept.lining,
         "left_out": fit.guard.left_out,
         "not_drawn": fit.undrawn,
@@ -365,6 +366,8 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
     kept = finished(baked, fit.human.defectors(baked.weights), person, seen, fit.train)
     if kept.strays:
         job.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
+    if kept.evened:
+        job.note(f"{kept.evened:,} Gaussians put back that stood out of the surface where no frame looks from the side")
     job.note(f"{kept.lining:,} Gaussians put under the skin, so that no pose tears holes")
     c, clothes, worn = kept.person, None, person.clothing
     if worn is not None:

@@ -131,11 +131,13 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
 
 def test_what_floats_beside_the_person_is_left_out(standing):
     person, where = standing
+    person = person._replace(scales=person.scales / 1.5)  # as the body has them
     tip = person.means[:, 0].topk(2).indices  # of a hand
     ends = Canonical(*(part[tip] for part in person))
     floaters = ends._replace(means=ends.means + torch.tensor([0.06, 0, 0]), scales=torch.full_like(ends.scales, 0.01))
-    found = bake.floating(Canonical(*map(torch.cat, zip(person, floaters, strict=True))), where.vertices)
-    assert not found[:-2].any() and found[-2:].all()
+    cloud = ends._replace(scales=ends.scales + torch.tensor([0, 0, 0.03]))
+    found = bake.floating(Canonical(*map(torch.cat, zip(person, floaters, cloud, strict=True))), where)
+    assert not found[:-4].any() and found[-4:].all()
 
 
 def test_rows_never_shown_are_as_the_body_says():
