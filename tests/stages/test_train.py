@@ -479,11 +479,11 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     job.emit = lambda event: (said.append(event.get("text", "")), stop(event))
     with pytest.raises(Stopped):
         train.run(job, params, **inputs)
-    assert any("15 steps of 1000 ms fit into the time, with at most 20,000 Gaussians" in text for text in said)
+    assert any("15 steps of 1000 ms fit into the time, with at most 28,000 Gaussians" in text for text in said)
     begun = now[0]
     train.run(Job(out=job.out), params, **inputs)
     facts = json.loads((job.out / "train.json").read_text())
-    assert facts["steps"] == 15 and facts["sizes"] == {"human_cap": 20_000, "scene_cap": 60} and now[0] == 15
+    assert facts["steps"] == 15 and facts["sizes"] == {"human_cap": 28_000, "scene_cap": 60} and now[0] == 15
     assert begun in (8.0, 9.0)
 
 
