@@ -13,11 +13,11 @@ import torch
 from stages import evaluate, render, train
 from stages.avatar import losses
 from stages.avatar.bake import floating
+from stages.avatar.depths import evened
 from stages.avatar.drawing import Learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.fit import Fit
-from stages.avatar.gaussians import Splats
-from stages.avatar.human import load_avatar, pose_avatar
+from stages.avatar.human import Canonical, load_avatar, pose_avatar, rest
 from stages.avatar.pace import Pace
 from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
@@ -110,12 +110,15 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
     ]
     baked = pose_avatar(load_avatar(read_avatar(job.out / "avatar.npz")), *body)
     with torch.no_grad():
-        canonical, resting = fit.baked()
-        stay = ~floating(canonical, fit.person.vertices)
-        network = Splats(*(v[stay] if torch.is_tensor(v) else v for v in fit.posed(resting, *body)))
+        canonical, _ = fit.baked()
+        stay = ~floating(canonical, fit.person)
+        poses = dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True))
+        seen = fit.person._replace(**poses), fit.full._replace(viewmats=fit.cameras()), fit.train
+        even, moved = evened(Canonical(*(part[stay] for part in canonical)), *seen)
+        network = fit.posed(rest(even, fit.canonical_bones), *body)
     facts, n = json.loads((job.out / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
-    assert facts["strays"] == (~stay).sum() < 0.01 * n
+    assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["evened"] == moved < 0.2 * n
     covariances = [(splats.axes @ splats.axes.mT)[:n] for splats in (baked, network)]
     held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)
     held((baked.means[:n] - network.means).abs().max(), 1e-5)
@@ -153,11 +156,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import torch
-from stages import evaluate, render, train
-from stages.avatar import losses
-from stages.avatar.bake import floating
-from stages.avatar.drawing import Learned, pose_of
-from stages.avatar.effects.frames import FrameEffects
+from stages import train
 from stages.contract import Job
 from tests.stages.test_train import PARAMS
 
