@@ -90,7 +90,11 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     from stages.avatar.checkpoint import save
     from stages.avatar.neighbours import evenly
     from stages.avatar.rasterize.cache import compiled
+    from stages.avatar.rasterize.rendering import T_STOP
 
+    if job.device != "cpu" and params.early_stop != T_STOP:
+        hint = "leave `train.early_stop` out, or give `--device cpu`"
+        raise StageError(f"a GPU finishes pixels at {T_STOP:g} of the light, not at {params.early_stop:g}", hint)
     deadline = _deadline(params) if params.seconds else None
     if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")

@@ -14,12 +14,11 @@ from stages.avatar.depths import evened
 from stages.avatar.gaussians import finite_rows
 from stages.avatar.human import Canonical, rest
 from stages.avatar.losses import widened
-from stages.avatar.neighbours import evenly, median_near, nearest
+from stages.avatar.neighbours import median_near, nearest
 from stages.avatar.rotations import rotation_z_to
-from stages.avatar.views import Person, Views
+from stages.avatar.views import Person, Views, asked
 
 TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
-LOOKS = 32  # training frames that are asked what they show
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
 EDGE_DOUBT = 0.05  # neighbours' pixels for each at an outline; with 1 twice the accuracy is lost, for the same look
 DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
@@ -136,7 +135,7 @@ def _lining(person: Canonical, body: Person) -> Canonical:
 
 def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
     """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
-    masks' pixels: sums over at most LOOKS of `frames`.
+    masks' pixels: sums over those of `frames` that are asked.
 
     The first two only count where the skin under a Gaussian faces the camera: the far side shines through the near one.
     """
@@ -145,10 +144,8 @@ def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -
     outwards = vertex_normals(body.vertices, body.faces)[under[:, 0]]
     resting, skin = rest(person, bones), rest(person._replace(frames=rotation_z_to(outwards)), bones)
     counts, pixels = torch.zeros_like(person.means), 0.0
-    for i in evenly(frames, LOOKS):
+    for i in asked(body, views, frames):
         mask = views.masks[i].float() / 255
-        if body.confidence[i] == 0 or mask.max() == 0:
-            continue
         splats, inside = body.posed(resting, i), -widened(-mask, EDGE)
         paints = painted(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
         sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre

@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stages.avatar.bake import EDGE, LOOKS
+from stages.avatar.bake import EDGE
 from stages.avatar.compose import painted
 from stages.avatar.losses import widened
 from stages.avatar.neighbours import evenly, median_near
 from stages.avatar.scene import SceneModel
-from stages.avatar.views import Views
+from stages.avatar.views import LOOKS, Views
 
 HIDDEN = 4.0  # times as many pixels behind the person as beside; with 1 a phone clip loses 0.5 dB, with 4 it loses 0.1
 SURE = 0.3  # of the mean of pixels painted: neighbours that are asked for a colour paint this many

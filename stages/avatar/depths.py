@@ -8,10 +8,9 @@ from torch import Tensor
 
 from stages.avatar.body import vertex_normals
 from stages.avatar.human import Canonical, rest
-from stages.avatar.neighbours import evenly, nearest
-from stages.avatar.views import Person, Views
+from stages.avatar.neighbours import nearest
+from stages.avatar.views import Person, Views, asked
 
-LOOKS = 32  # training frames that are asked from where they look
 UNDER = 4  # vertices of the body that tell where its skin is
 AROUND = 24  # neighbours over the skin whose middle height is that of the surface
 OUT = 0.005  # metres from it that a Gaussian may stand out. Phone clip, 10,000 steps: 0.06 / 0.07 dB; 0.01 leaves dots
@@ -47,9 +46,7 @@ def _sights(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     turned = person._replace(frames=torch.eye(3).to(person.frames).expand_as(person.frames))
     resting = rest(turned._replace(scales=torch.ones_like(person.scales)), body.canonical_bones())
     looks = torch.zeros_like(person.frames)
-    for i in evenly(frames, LOOKS):
-        if body.confidence[i] == 0 or views.masks[i].max() == 0:
-            continue
+    for i in asked(body, views, frames):
         splats = body.posed(resting, i)
         sight = F.normalize(splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3], dim=1)
         # transposed, not inverted: a blend of turns is nearly a turn, and may be singular

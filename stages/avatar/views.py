@@ -11,8 +11,10 @@ from torch import Tensor
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.gaussians import Splats
 from stages.avatar.human import Resting, bone_transforms, pose
+from stages.avatar.neighbours import evenly
 
 CROP = 12  # pixels left around the person in the person-only render
+LOOKS = 32  # training frames that are asked what they show
 NEAR = 0.05  # metres: points of the person nearer to the camera do not widen the window
 
 
@@ -78,6 +80,11 @@ class Person(NamedTuple):
         """Someone at rest with this body and these clothes, as they stand in a frame."""
         dressed = resting if self.clothing is None else self.clothing(resting, self.body_pose[frame])
         return pose(dressed, self.bones(frame), self.transl[frame])
+
+
+def asked(body: Person, views: Views, frames: list[int]) -> list[int]:
+    """At most LOOKS of `frames`, spread evenly, without those that do not show the person."""
+    return [i for i in evenly(frames, LOOKS) if body.confidence[i] > 0 and views.masks[i].max() > 0]
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:

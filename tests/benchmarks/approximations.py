@@ -43,12 +43,17 @@ class Case(NamedTuple):
     settings: tuple[tuple[str, Any], ...] = ()
 
 
+def stop(at: float, *more: tuple[str, str, str]) -> Case:
+    """Pixels are finished when less than `at` of the light would pass, where anything is drawn and in training."""
+    return Case(((DRAWING, STOP, f"T_STOP = {at:g}"), *more), (("early_stop", at),))
+
+
 CASES = {
-    "exact": Case(((DRAWING, STOP, "T_STOP = 1e-7"), (DRAWING, CUT, "ALPHA_MIN = 1 / 4096"), (LANES, EXP2, SEXTIC))),
+    "exact": stop(1e-7, (DRAWING, CUT, "ALPHA_MIN = 1 / 4096"), (LANES, EXP2, SEXTIC)),
     "as it is": Case(),
-    "early stop at 1e-6": Case(((DRAWING, STOP, "T_STOP = 1e-6"),)),
-    "early stop at 1e-3": Case(((DRAWING, STOP, "T_STOP = 1e-3"),)),
-    "early stop at 1e-2": Case(((DRAWING, STOP, "T_STOP = 1e-2"),)),
+    "early stop at 1e-6": stop(1e-6),
+    "early stop at 1e-3": stop(1e-3),
+    "early stop at 1e-2": stop(1e-2),
     "alpha from 1/1024": Case(((DRAWING, CUT, "ALPHA_MIN = 1 / 1024"),)),
     "alpha from 1/64": Case(((DRAWING, CUT, "ALPHA_MIN = 1 / 64"),)),
     "an exponential to 2e-9": Case(((LANES, EXP2, SEXTIC),)),

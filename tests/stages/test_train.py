@@ -19,6 +19,7 @@ from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.fit import Fit
 from stages.avatar.human import Canonical, load_avatar, pose_avatar, rest
 from stages.avatar.pace import Pace
+from stages.avatar.rasterize.rendering import T_STOP
 from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
 from stages.formats.body_model import read_body_model, write_body_model
@@ -484,6 +485,12 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     facts = json.loads((job.out / "train.json").read_text())
     assert facts["steps"] == 15 and facts["sizes"] == {"human_cap": 28_000, "scene_cap": 60} and now[0] == 15
     assert begun in (8.0, 9.0)
+
+
+def test_a_gpu_keeps_to_its_early_stop(tmp_path, inputs):
+    assert train.Params().early_stop == T_STOP
+    with pytest.raises(StageError, match="a GPU finishes pixels"):
+        train.run(Job(tmp_path, device="cuda"), train.Params(early_stop=0.01), **inputs)
 
 
 def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, monkeypatch):
