@@ -115,7 +115,8 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
         process.stdin.flush()
         for event in events(read, process.pid, heard):
             if event["event"] in ("note", "warning"):
-                (outcome.notes if event["event"] == "note" else outcome.warnings).append(event["text"])
+                said = outcome.notes if event["event"] == "note" else outcome.warnings
+                said += [event["text"]] if event["text"] not in said else []
             elif event["event"] in ("done", "error", "crash", "stopped"):
                 outcome.kind, outcome.facts = event["event"], event
             heard(event)

@@ -18,14 +18,18 @@ from hugs_cli.workspace import Workspace, read_json, write_json
 
 TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
 CHOSEN = "within.json"  # in the pipeline's folder: what train was given, so that a run cut short goes on
-START = 0.7  # seconds between two stages
-SHORT = 300  # seconds; where less is left, measuring must not take what training needs
-SHORTER = {"train": {"curve_points": 6}, "evaluate": {"fit_steps": 5}}  # at most, of what is set
+START = 2.5  # seconds from a stage to the next one, libraries loaded
+SHORT = 300  # seconds; where less is left, films and measuring must not take what training needs
+SHORTER = {  # at most, of what is set
+    "train": {"curve_points": 4},
+    "render": {"turntable_frames": 36, "motion_seconds": 2.0},
+    "evaluate": {"fit_steps": 0},
+}
 
-# What follows the last step of training, in steps of full size: measured on the kitchen clip, 2 cores.
-FINISH = 30.0  # train: looks at the frames before it writes the person
-PICTURE = 0.33  # render: a picture of a film
-SCORE, POSE_STEP = 3.0, 0.45  # evaluate: a held-out frame, and each step that fits its pose
+# What follows the last step of training, in steps of full size: measured on the kitchen clip, 2 cores, a short training.
+FINISH = 40.0  # train: looks at the frames before it writes the person
+PICTURE = 0.3  # render: a picture of a film
+SCORE, POSE_STEP = 3.0, 0.45  # evaluate: a held-out frame, each time it is measured, and each step that fits its pose
 
 
 def seconds_of(text: str) -> int:
@@ -64,7 +68,7 @@ class Promise:
             console.say(f"{duration(chosen['train']['seconds'])} are left for training and what follows")
             if left < SHORT:
                 console.say(
-                    "that is short: accuracy is measured at fewer moments, and held-out poses are hardly fitted"
+                    "that is short: films are shorter, accuracy is measured at fewer moments, no held-out pose is fitted"
                 )
         else:
             console.say("goes on with the training that was begun for this time")
@@ -89,8 +93,8 @@ class Promise:
         """The settings of stages for a run with so many seconds left."""
         stages, chosen = self.judge.pipeline.stages, {"train": {}}
         if left < SHORT:
-            for name, limits in SHORTER.items() if SHORTER.keys() <= stages.keys() else ():
-                own = stages[name].params.model_dump()
+            for name in SHORTER.keys() & stages.keys():
+                own, limits = stages[name].params.model_dump(), SHORTER[name]
                 chosen[name] = {setting: min(own[setting], most) for setting, most in limits.items() if setting in own}
         short = timed(self.judge, chosen).pipeline.stages
         chosen["train"] |= {"seconds": round(max(left, 1.0), 1), "reserve": round(self._reserve(short), 1)}
@@ -103,7 +107,8 @@ class Promise:
             films, (frames, heldout) = stages["render"].params, self._frames()
             steps += PICTURE * (films.turntable_frames + films.motion_seconds * films.fps + heldout + frames)
         if "evaluate" in self.wanted:
-            steps += self._frames()[1] * (SCORE + POSE_STEP * stages["evaluate"].params.fit_steps)
+            fitted = stages["evaluate"].params.fit_steps
+            steps += self._frames()[1] * (SCORE * (1 + bool(fitted)) + POSE_STEP * fitted)
         return steps
 
     def _frames(self) -> tuple[int, int]:

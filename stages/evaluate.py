@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 PROTOCOL = (
     "'heldout': poses of the body fit, corrected as the neighbouring training frames were. "
-    "'heldout_fitted': the pose alone is then fitted to the held-out picture, the Gaussians stay as they "
-    "are. full: whole picture (undistorted); person_crop: tight box of the mask; person_white: the person over white, "
+    "'heldout_fitted', where there is one: the pose alone is then fitted to the held-out picture, the Gaussians stay "
+    "as they are. full: whole picture (undistorted); person_crop: tight box of the mask; person_white: the person over white, "
     "the picture cut out by its mask, in the same box. Means over frames; PSNR over all channels at once, SSIM 11x11 "
     "with sigma 1.5, LPIPS AlexNet v0.1 on [-1,1] (lpips_legacy: on [0,1], as HUGS's code feeds it); psnr_per_channel: "
     "the mean of each channel's own. Equal pictures count 100 dB. Where the mask is empty nobody is drawn."
@@ -41,7 +41,7 @@ EQUAL = 100.0  # dB that stand for equal pictures: JSON knows no infinity
 
 class Params(contract.Params):
     fit_steps: int = Field(60, ge=0)
-    """Steps by which a held-out pose is fitted to its picture for the second protocol."""
+    """Steps by which a held-out pose is fitted to its picture for the second protocol; 0 = without it."""
     masked: bool = False
     """Rate the person cut out by the mask, over black, too: what is usual on ZJU-MoCap."""
 
@@ -74,12 +74,13 @@ def run(
     held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(i)]
     shown = set(held[:: max(1, len(held) // SHOWN)][:SHOWN])
     (job.out / "heldout").mkdir()
-    rows: dict[str, list[dict[str, Any]]] = {"heldout": [], "heldout_fitted": []}
+    protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
+    rows: dict[str, list[dict[str, Any]]] = {protocol: [] for protocol in protocols}
     for done, i in enumerate(held):
         job.progress(done, len(held))
         shot = Shot(clip, learned, i, facts["exposure"].get(clip.names[i]), job.device)
-        poses = {"heldout": shot.pose, "heldout_fitted": fit_pose(shot, params.fit_steps)}
-        for protocol, pose in poses.items():
+        for protocol in protocols:
+            pose = shot.pose if protocol == "heldout" else fit_pose(shot, params.fit_steps)
             drawn = shot.draw(pose)
             found = dict(_scores(shot, drawn, lpips)) | dict(_masked(shot, pose, lpips) if params.masked else ())
             rows[protocol].append({"name": clip.names[i]} | found)

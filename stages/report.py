@@ -34,7 +34,7 @@ MASKED = {"masked_full": "person times mask, whole", "masked_crop": "person time
 
 STAMP = {"seconds": float, "peak_memory_bytes": int, "notes": [str], "warnings": [str]}
 SCORES = {str: {str: (float, None)}}
-METRICS = {"heldout": SCORES, "heldout_fitted": SCORES, "gaussians": {"human": int, "scene": int}, "protocol": str}
+METRICS = {"heldout": SCORES, "heldout_fitted?": SCORES, "gaussians": {"human": int, "scene": int}, "protocol": str}
 METRICS |= {"seconds": {"total": float}, "peak_memory_bytes": int}
 MEASURE = {"value": (float, None), "unit": str, "verdict": str}
 EFFECT = MEASURE | {"threshold": float, "confidence": float, "frames": [str], "on": bool}
@@ -145,7 +145,7 @@ def _accuracy(metrics: dict[str, Any]) -> str:
     rows = []
     for protocol, title in PROTOCOLS.items():
         for region, where in (REGIONS | MASKED).items():
-            values = metrics[protocol].get(region, {})
+            values = metrics.get(protocol, {}).get(region, {})
             if values.get("psnr") is not None:
                 numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
                 rows.append([title, where, *("too small" if n is None else f"{n:.{d}f}" for n, d in numbers)])

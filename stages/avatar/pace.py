@@ -17,6 +17,7 @@ OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left 
 PARTS = 200  # of an integral; no clock is finer
 LATE = 0.99  # share of the schedule at which a step takes as long as drawing what was trained
 PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed
+HASTE = 300  # seconds; a training that has fewer times its steps once
 HELD = 10**9  # steps of a schedule that hardly moves
 
 
@@ -80,7 +81,7 @@ class Deadline:
 
     def start(self, fit: Fit, timings: int = TIMINGS) -> int:
         """Time a few steps of a training that has not begun, see `rehearse`; returns how many fit into the time."""
-        self.pace = rehearse(fit, timings)
+        self.pace = rehearse(fit, timings if self.seconds >= HASTE else 1)
         self.pause = PAUSE * self.pace.mean(LATE)
         self.leg = self.spent, fit.step, fit.done
         return self.pace.steps(self.left)

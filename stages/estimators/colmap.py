@@ -20,7 +20,7 @@ from stages.formats.given_cameras import Lens, widest_angles
 
 SEED = 1  # of every random draw in COLMAP
 MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
-TRACKS = 400  # a frame, the longest, place it; with all it takes twice as long and is 0.65 mm off in 2.6 m all the same
+TRACKS = 200  # a frame, the longest, place it; all take four times as long and are 0.65 mm off in 2.6 m all the same
 DENSE = 200  # frames; up to so many, their equations are solved as if each saw what each other sees: they nearly do
 CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
 
