@@ -80,7 +80,7 @@ class Params(contract.Params):
     human_loss: bool = True
     """The person is also drawn alone and compared; else the whole picture teaches person and scene."""
     triplane: bool = True
-    """Corrections of the body come from a triplane and networks; else each Gaussian has its own, as in plain splatting."""
+    """Gaussians share corrections, by a triplane and networks; else each has only its own, as in plain splatting."""
     joint: bool = True
     """Person and scene learn together; else the scene has the first half of the steps, then the person before it."""
 

@@ -66,13 +66,19 @@ class Decoders(nn.Module):
         } | skin
 
 
-class FreeCorrections(nn.Module):
-    """The same corrections without triplane and networks: parameters, 0 at first, with one row a Gaussian."""
+class OwnCorrections(nn.Module):
+    """Corrections without triplane and networks: parameters, 0 at first, with one row a Gaussian.
 
-    def __init__(self, rows: int, sh_degree: int, joints: int):
+    Beside networks (`alone` false) they bring what is finer than a triplane's cells; place and skinning weights are
+    then left to the points themselves and to the networks.
+    """
+
+    def __init__(self, rows: int, sh_degree: int, joints: int, alone: bool):
         super().__init__()
-        shapes = {"opacity": (), "sh": (bases(sh_degree), 3), "offset": (3,), "turn": (6,), "scale": (3,)}
-        for name, shape in (shapes | ({"skin": (joints,)} if joints else {})).items():
+        shapes = {"opacity": (), "sh": (bases(sh_degree), 3), "turn": (6,), "scale": (3,)}
+        if alone:
+            shapes |= {"offset": (3,)} | ({"skin": (joints,)} if joints else {})
+        for name, shape in shapes.items():
             self.register_parameter(name, nn.Parameter(torch.zeros(rows, *shape)))
 
     def forward(self) -> dict[str, Tensor]:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.body import edge_lengths, rest_relative_transforms, subdivide, vertex_normals
-from stages.avatar.decoders import TEMPERATURE, Decoders, FreeCorrections
+from stages.avatar.decoders import TEMPERATURE, Decoders, OwnCorrections
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.gaussians import Splats
 from stages.avatar.rotations import matrix_from_6d, matrix_from_quat, matrix_from_rotvec, rotation_z_to
@@ -120,10 +120,10 @@ def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl:
 
 
 class HumanModel(nn.Module):
-    """The trainable person: positions per Gaussian, everything else = initial value + what triplane and decoders say.
+    """The trainable person: positions per Gaussian; all else = initial value + what the networks say + its own correction.
 
     Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J]. Two of the paper's ablations:
-    without `lbs_learning` the skinning weights stay as they began; without `triplane` the corrections are free ones.
+    without `lbs_learning` the skinning weights stay as they began; without `triplane` there are no networks.
     """
 
     ROWS = (
@@ -152,14 +152,13 @@ class HumanModel(nn.Module):
         super().__init__()
         triangles, (points, skinning) = subdivide(faces, rounds, vertices, weights)
         self.coefficients, joints = bases(sh_degree), weights.shape[1] if lbs_learning else 0
-        self.triplane = self.decoders = self.free = None
+        self.triplane = self.decoders = None
         if triplane:
             size = vertices.amax(0) - vertices.amin(0)
             pad = MARGIN * torch.maximum(size, size.max() * 0.25)
             self.triplane = Triplane(vertices.amin(0) - pad, vertices.amax(0) + pad, channels, resolution, generator)
             self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(vertices)
-        else:
-            self.free = FreeCorrections(len(points), sh_degree, joints).to(vertices)
+        self.own = OwnCorrections(len(points), sh_degree, joints, alone=not triplane).to(vertices)
         half = (0.5 * edge_lengths(points, triangles)).clamp_min(1e-4)
         self.xyz = nn.Parameter(points.clone())
         self.register_buffer("frames", rotation_z_to(vertex_normals(points, triangles)))
@@ -174,7 +173,7 @@ class HumanModel(nn.Module):
 
     def rows(self) -> list[tuple[nn.Module, str]]:
         """The parameters with one row a Gaussian: the module that owns each, and its name there."""
-        return [(self, "xyz")] + ([(self.free, name) for name in self.free()] if self.free else [])
+        return [(self, "xyz"), *((self.own, name) for name in self.own())]
 
     def forward(self) -> tuple[Canonical, Tensor, Tensor]:
         """Decode all Gaussians: the canonical person, and two penalties.
@@ -182,7 +181,9 @@ class HumanModel(nn.Module):
         The first is the mean squared distance by which points left the triplane's box, the second the mean squared
         correction of scale (log), opacity (logit) and place (in units of OFFSET).
         """
-        out = self.free() if self.free else self.decoders(self.triplane(self.xyz))
+        out = self.own()
+        shared = self.decoders(self.triplane(self.xyz)) if self.triplane else {}
+        out |= {name: said + out[name] if name in out else said for name, said in shared.items()}
         stray = self.triplane.outside(self.xyz) if self.triplane else self.xyz.new_zeros(())
         skin_logits = self.skin_logits + out["skin"] if "skin" in out else self.skin_logits
         identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)

@@ -8,7 +8,7 @@ from torch.optim import Adam, Optimizer, SparseAdam
 from stages.avatar.human import HumanModel
 from stages.avatar.refine import FrameCorrections
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import LR_EFFECTS, LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE
+from stages.avatar.schedule import LR_EFFECTS, LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE
 
 
 def optimizers(
@@ -24,7 +24,7 @@ def optimizers(
     """
     groups = {"frames": [([getattr(frames, n).weight], n, rate) for n, rate in LR_FRAMES.items()]}
     if human is not None:
-        rates = LR_HUMAN | LR_FREE
+        rates = LR_HUMAN | LR_OWN
         parts = {name: [getattr(owner, name)] for owner, name in human.rows()}
         if human.triplane is not None:
             parts["triplane"] = [human.triplane.table]

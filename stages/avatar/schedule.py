@@ -7,7 +7,7 @@ from typing import NamedTuple
 from stages.avatar.rasterize.rendering import T_STOP
 
 LR_HUMAN = {"xyz": 2e-4, "triplane": 2e-3, "appearance": 2e-3, "geometry": 1e-3, "deformation": 2e-4}
-LR_FREE = {  # corrections without networks: the paper's rates for explicit Gaussians, of its own where it has none
+LR_OWN = {  # corrections of each Gaussian's own: the paper's rates for explicit Gaussians, ours where it has none
     "offset": 2e-4,
     "turn": 1e-3,
     "scale": 5e-3,

@@ -58,25 +58,39 @@ def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch
     assert fit.taught.max() > 0 and len(fit.human) > len(ellipsoid()[0]), "its screen gradients are counted"
 
 
-def test_free_corrections_begin_as_the_networks_do_and_learn(clip):
+def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
     free, decoded = fit_of(clip, 80, triplane=False), fit_of(clip, 80)
     for a, b in zip(free.human()[0], decoded.human()[0], strict=True):
         assert torch.equal(a, b)
     numbers = run(free, 80)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
     assert free.guard.left_out == 0, "though weights begin where their prior is 0, so its first gradients are sudden"
-    assert 162 < len(free.human) <= 300 and {len(p) for p in free.human.free.parameters()} == {len(free.human)}
-    assert all(p.abs().max() > 0 for p in free.human.free.parameters())
+    assert 162 < len(free.human) <= 300 and {len(p) for p in free.human.own.parameters()} == {len(free.human)}
+    assert all(p.abs().max() > 0 for p in free.human.own.parameters())
     held = {id(p) for group in free.adam["human"].param_groups for p in group["params"]}
     assert held == {id(p) for p in free.human.parameters()}
 
 
-def test_adam_moments_of_free_corrections_follow_growth(clip):
-    fit = fit_of(clip, 80, triplane=False)
+def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
+    human = fit_of(clip, 80).human
+    assert set(human.own()) == {"opacity", "sh", "turn", "scale"}, "place is its point's, skinning weights are shared"
+    before = human()[0]
+    with torch.no_grad():
+        for own in human.own().values():
+            own[3] += 0.1
+    after = human()[0]
+    for name in ("opacities", "sh", "frames", "scales"):
+        changed = (getattr(after, name) != getattr(before, name)).reshape(len(human), -1).any(1)
+        assert changed.nonzero().flatten().tolist() == [3], name
+
+
+@pytest.mark.parametrize("triplane", [True, False])
+def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
+    fit = fit_of(clip, 80, triplane=triplane)
     while len(fit.human) == 162:
-        last = [fit.human.free.scale.detach().clone(), fit.adam["human"].state[fit.human.free.scale]]
+        last = [fit.human.own.scale.detach().clone(), fit.adam["human"].state[fit.human.own.scale]]
         fit.advance()
-    now, moments = fit.human.free.scale, fit.adam["human"].state[fit.human.free.scale]
+    now, moments = fit.human.own.scale, fit.adam["human"].state[fit.human.own.scale]
     assert len(moments["exp_avg"]) == len(moments["exp_avg_sq"]) == len(now) > 162
     assert moments["step"] == last[1]["step"] and (moments["exp_avg_sq"][-1] == 0).all()
     assert (moments["exp_avg_sq"][:10] > 0).any(), "rows that stay keep theirs"

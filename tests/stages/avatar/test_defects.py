@@ -15,7 +15,7 @@ from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.compose import compose
 from stages.avatar.human import HumanModel
 from stages.avatar.perceptual import Lpips
-from stages.avatar.schedule import LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE, SETTLE, rate
+from stages.avatar.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
 from tests.stages.avatar.test_ablations import states
 from tests.stages.avatar.test_fit import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run
 from tests.stages.avatar.test_perceptual import small_weights
@@ -142,6 +142,6 @@ def test_defect_14_training_settles(clip, monkeypatch):
     fit = fit_of(clip, steps=80)
     run(fit, 80)
     assert grown and max(grown) <= SETTLE < 0.8
-    for name in LR_HUMAN | LR_SCENE | LR_FREE | LR_FRAMES:
+    for name in LR_HUMAN | LR_SCENE | LR_OWN | LR_FRAMES:
         steps = [rate(name, done) for done in torch.linspace(SETTLE, 1, 20).tolist()]
         assert steps == sorted(steps, reverse=True) and steps[-1] <= 0.1 + 1e-9 and math.isclose(rate(name, 0), 1)

@@ -6,7 +6,7 @@ import torch
 from stages.avatar.optimizers import optimizers
 from stages.avatar.refine import FrameCorrections
 from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import LR_FRAMES, LR_FREE, LR_HUMAN, LR_SCENE, Phase, phases, rate
+from stages.avatar.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, Phase, phases, rate
 
 
 @pytest.mark.parametrize("gradient", [1e-12, 1e-8, 1.0, 1e8])
@@ -34,7 +34,7 @@ def test_h04_gradients_that_vanish_make_no_step_and_nothing_else(gradient):
 
 
 def test_h15_rates_are_finite_positive_and_never_rise():
-    for name in LR_HUMAN | LR_FREE | LR_SCENE | LR_FRAMES:
+    for name in LR_HUMAN | LR_OWN | LR_SCENE | LR_FRAMES:
         rates = [rate(name, done) for done in torch.linspace(0, 1, 101).tolist()]
         assert rates == sorted(rates, reverse=True) and rates[0] == 1 and 0.01 <= rates[-1] <= 0.1 + 1e-9, name
 
