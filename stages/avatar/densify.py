@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from stages.avatar.scene import SceneModel
 
 FAR = 0.1  # metres from the body; hair and clothes seldom reach beyond
+LEAST = 1e-6  # of an opacity's distance from 0 and 1 where its logit is taken
 SHRINK = 1.6  # the children of a split are this much smaller (3DGS section 5.2)
 
 
@@ -155,6 +156,7 @@ def grow_human(
     room = _room(human, rules, rounds_left)
     rows = plan(growth, person.scales.amax(1), person.opacities, rules, room, lost)
     moved = displacement(person.frames * person.scales[:, None, :], rows, generator)
+    thinned = thinner(person.opacities, rows)
     for owner, name in human.rows():
         setattr(owner, name, _regrow(optimizer, getattr(owner, name), rows))
     for name in human.ROWS:
@@ -163,8 +165,20 @@ def grow_human(
         human.xyz += moved
         human.homes[rows.fresh] = human.xyz[rows.fresh]
         human.log_sizes[rows.child] -= math.log(SHRINK)
+        human.logits += thinned
     growth.start(len(human), human.xyz.device)
     return rows
+
+
+def thinner(opacities: Tensor, rows: Plan) -> Tensor:
+    """What to add to the opacities' logits [M], so that the two that come of one let as much light through as it did.
+
+    1 - (1 - opacity)^(1/2) for opacities[N] in 0..1, finite also at both ends (Rota Bulò et al. 2024, "Revising
+    Densification in Gaussian Splatting", section 3.3).
+    """
+    parts = torch.bincount(rows.source, minlength=len(opacities))[rows.source]
+    old = opacities[rows.source].clamp(LEAST, 1 - LEAST)
+    return (1 - (1 - old) ** (1 / parts)).logit() - old.logit()
 
 
 def _room(model: HumanModel | SceneModel, rules: Rules, rounds_left: int) -> int:

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from stages.avatar.densify import Growth, Rules, _regrow, grow_scene, plan
+from stages.avatar.densify import Growth, Rules, _regrow, grow_scene, plan, thinner
 from stages.avatar.scene import SceneModel
 
 RULES = Rules(grad=1.0, dense_size=0.1, max_size=1.0, max_radius=0.3, min_opacity=0.01, cap=100)
@@ -113,6 +113,18 @@ def test_h06_growth_without_limits_stays_within_its_cap():
         grow_scene(scene, adam, Growth(len(scene)), rules, left, g)
         sizes.append(len(scene))
     assert sizes == sorted(sizes) and sizes[0] > 30 and sizes[-1] == 100
+
+
+def test_two_that_come_of_one_are_together_as_opaque():
+    opacities = torch.tensor([0.5, 0.99, 0.3, 0.01, 0.7])
+    rows = plan(growth([9.0, 9, 0, 9, 0]), torch.tensor([0.05, 0.5, 0.05, 0.05, 0.05]), opacities, RULES, room=9)
+    assert rows.cloned == 2 and rows.split == 1
+    now = (opacities[rows.source].logit() + thinner(opacities, rows)).sigmoid()
+    for i, old in enumerate(opacities):
+        through = (1 - now[rows.source == i]).prod()
+        assert through.item() == pytest.approx(1 - old.item(), abs=1e-5)
+    ends = torch.tensor([0.0, 1.0])
+    assert thinner(ends, rows._replace(source=torch.tensor([0, 1, 0, 1]))).isfinite().all()
 
 
 @pytest.mark.parametrize("log_scale", [-200.0, -90.0])
