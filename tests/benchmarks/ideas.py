@@ -21,8 +21,8 @@ from unittest import mock
 import numpy as np
 
 from stages import train
-from stages.avatar import losses, optimizers, schedule
 from stages.avatar import fit as fit_module
+from stages.avatar import losses, optimizers, schedule
 from stages.avatar.compose import compose_layers
 from stages.avatar.effects import frames as frames_module
 from stages.avatar.judge import judge
@@ -88,9 +88,7 @@ WITHOUT = {
     "a seam around the person": Idea(patches=put(losses, **PLAIN)),
     "the veil": Idea(patches=put(losses, VEIL=0.0)),
     "alpha from masks": Idea(patches=put(losses, ALPHA=0.0)),
-    "own corrections beside the triplane's": Idea(
-        patches=put(optimizers, LR_OWN=dict.fromkeys(schedule.LR_OWN, 0.0))
-    ),
+    "own corrections beside the triplane's": Idea(patches=put(optimizers, LR_OWN=dict.fromkeys(schedule.LR_OWN, 0.0))),
     "shy corrections": Idea(patches=put(losses, SHY=0.0)),
     "a smooth surface": Idea(patches=put(losses, SMOOTH=0.0)),
     "a prior on skinning weights": Idea(patches=put(losses, LBS=0.0)),
