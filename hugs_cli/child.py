@@ -116,7 +116,8 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
         for event in events(read, process.pid, heard):
             if event["event"] in ("note", "warning"):
                 said = outcome.notes if event["event"] == "note" else outcome.warnings
-                said += [event["text"]] if event["text"] not in said else []
+                if event["text"] not in said:  # a stage may begin twice, as train does when it chooses its sizes
+                    said.append(event["text"])
             elif event["event"] in ("done", "error", "crash", "stopped"):
                 outcome.kind, outcome.facts = event["event"], event
             heard(event)

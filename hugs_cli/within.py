@@ -93,7 +93,7 @@ class Promise:
         """The settings of stages for a run with so many seconds left."""
         stages, chosen = self.judge.pipeline.stages, {"train": {}}
         if left < SHORT:
-            for name in SHORTER.keys() & stages.keys():
+            for name in [name for name in SHORTER if name in stages]:
                 own, limits = stages[name].params.model_dump(), SHORTER[name]
                 chosen[name] = {setting: min(own[setting], most) for setting, most in limits.items() if setting in own}
         short = timed(self.judge, chosen).pipeline.stages

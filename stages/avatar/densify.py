@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from stages.avatar.scene import SceneModel
 
 FAR = 0.1  # metres from the body; hair and clothes seldom reach beyond
-LEAST = 1e-6  # of an opacity's distance from 0 and 1 where its logit is taken
+LEAST = 1e-6  # distance of an opacity from 0 and 1 where its logit is taken
 SHRINK = 1.6  # the children of a split are this much smaller (3DGS section 5.2)
 
 
@@ -174,7 +174,7 @@ def thinner(opacities: Tensor, rows: Plan) -> Tensor:
     """What to add to the opacities' logits [M], so that the two that come of one let as much light through as it did.
 
     1 - (1 - opacity)^(1/2) for opacities[N] in 0..1, finite also at both ends (Rota Bulò et al. 2024, "Revising
-    Densification in Gaussian Splatting", section 3.3).
+    Densification in Gaussian Splatting").
     """
     parts = torch.bincount(rows.source, minlength=len(opacities))[rows.source]
     old = opacities[rows.source].clamp(LEAST, 1 - LEAST)

@@ -149,6 +149,15 @@ def test_killed_inside_each_stage_and_run_again(flow, stage):
     assert not list(flow.store.glob("*.part"))
 
 
+def test_what_a_stage_says_twice_is_kept_once(flow):
+    flow.edit(
+        "helper", "# with a comment", "[say(text) for say in (job.note, job.warn) for text in ('again', 'again')]"
+    )
+    flow.ran()
+    stamp = json.loads((flow.work / "clip/default/one/stamp.json").read_text())
+    assert stamp["notes"] == stamp["warnings"] == ["again"]
+
+
 def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
     run = flow.start("--set", "two.delay=30")
     flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))

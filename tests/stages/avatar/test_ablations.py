@@ -84,6 +84,16 @@ def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
         assert changed.nonzero().flatten().tolist() == [3], name
 
 
+def test_a_person_who_grows_stays_as_opaque(clip):
+    fit = fit_of(clip, 80)
+    before = fit.human()[0].opacities
+    fit._grow_human(0.0, 1)
+    after = fit.human()[0].opacities
+    assert len(after) > len(before)
+    light = [(1 - opacities).log().sum().item() for opacities in (before, after)]
+    assert light[1] == pytest.approx(light[0], rel=1e-5)
+
+
 @pytest.mark.parametrize("triplane", [True, False])
 def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
     fit = fit_of(clip, 80, triplane=triplane)
