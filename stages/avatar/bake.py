@@ -14,7 +14,7 @@ from stages.avatar.depths import evened
 from stages.avatar.gaussians import finite_rows
 from stages.avatar.human import Canonical, rest
 from stages.avatar.losses import widened
-from stages.avatar.neighbours import median_near, nearest
+from stages.avatar.neighbours import median_near, nearest, spread_out
 from stages.avatar.rotations import rotation_z_to
 from stages.avatar.views import Person, Views, asked
 
@@ -24,6 +24,9 @@ EDGE_DOUBT = 0.05  # neighbours' pixels for each at an outline; with 1 twice the
 DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 NEIGHBOURS = 24  # that are asked
+FAR = 0.05  # metres to the nearest of them, from where the median of so few is a chance: a pale collar became a stripe
+SPOTS = 200  # spread over what is seen, each the median of its neighbours: far ones ask the nearest of these
+ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
 COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far away as a body vertex has them: what floats beside the person, if it is small, too
 SMALL = 5.0  # times its own size away from them
@@ -82,7 +85,8 @@ def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor
 
 
 def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
-    """Colours that frames have not shown well lean on the nearest that they have: on the median of these.
+    """Colours that frames have not shown well lean on the nearest that they have: on the median of these, over a larger
+    patch where the nearest are far.
 
     At an outline a pixel mixes the person with what is behind, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay.
@@ -92,7 +96,10 @@ def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> Ca
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
         return person
-    around = median_near(person.sh[sure], person.means[sure], person.means, NEIGHBOURS)
+    means, around = person.means, median_near(person.sh[sure], person.means[sure], person.means, NEIGHBOURS)
+    spots = sure.nonzero()[:, 0][spread_out(means[sure], SPOTS)]
+    far = nearest(means[sure], means, 1)[0][:, 0] > FAR
+    around[far] = median_near(around[spots], means[spots], means[far], ASKED)
     own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
     return person._replace(sh=own * person.sh + (1 - own) * around)
 

@@ -66,8 +66,8 @@ def clip(work: Path, seed: int, effect: str | None = None, level: int = 2) -> Pa
 def measured(place: Path, effects: list[str]) -> dict[str, dict]:
     """What `survey` writes of these effects for a clip's folder."""
     facts = json.loads((place / "sfm" / "sfm.json").read_bytes())
-    evidence, params = Evidence(load_clip(place / "sfm", place / "smpl"), facts), survey.Params()
-    return {name: survey.decide(getattr(params, name), DETECTORS[name](evidence)) for name in effects}
+    evidence = Evidence(load_clip(place / "sfm", place / "smpl"), facts)
+    return {name: survey.decide("auto", DETECTORS[name](evidence)) for name in effects}
 
 
 def judge(work: Path, seeds: list[int], effects: list[str], levels: list[int]) -> list[dict]:

@@ -7,6 +7,7 @@ from stages.avatar import bake
 from stages.avatar.body import DA_POSE
 from stages.avatar.compose import compose
 from stages.avatar.human import Canonical, bone_transforms, pose, rest
+from stages.avatar.neighbours import nearest
 from stages.avatar.views import Person, Views
 from tests.stages.avatar.standing import around, stand
 
@@ -127,6 +128,22 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
     assert far.sum() > 300 and through.amax() > 0.1, "the back does shine through"
     out = bake.lean(pale, where, cameras, [0])
     assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()
+
+
+def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(standing, monkeypatch):
+    """A pale collar was all that is near to a strip of the back, through the neck: a pale stripe."""
+    person, where = standing
+    cameras = views(silhouettes(person, where))
+    back = (person.frames[:, 2, 2] < -0.8) & (where.weights[:, [3, 6, 9]].sum(1) > 0.5)
+    inside, edge, _ = bake._painted(person, where, cameras, [0])[0].unbind(1)
+    front = ((inside > bake.SURE * inside.mean()) & (inside > 2 * edge)).nonzero()[:, 0]
+    asked = nearest(person.means[front], person.means[back], bake.NEIGHBOURS)[1].flatten()
+    collar = front[asked.bincount().argsort(descending=True)[:40]]  # nearest to most of the back
+    pale = person._replace(sh=person.sh.index_fill(0, collar, 2.0))
+    striped = lambda: (bake.lean(pale, where, cameras, [0]).sh - person.sh)[back].abs().amax((1, 2)) > 0.5  # noqa: E731
+    assert not striped().any()
+    monkeypatch.setattr(bake, "FAR", torch.inf)
+    assert striped().sum() > 10, "the test can fail"
 
 
 def test_what_floats_beside_the_person_is_left_out(standing):
