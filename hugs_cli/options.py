@@ -77,8 +77,8 @@ def judge_of(
 ) -> Judge:
     """The judge of one clip and one pipeline; UsageError where the options make no sense."""
     chosen = () if person is None else (f"masks.person={person}",)
-    base, _, variant = pipeline.partition(".")
-    within_time = within.is_time(variant)
+    base, dot, last = pipeline.rpartition(".")
+    within_time = bool(dot) and within.is_time(last)
     loaded = pipelines.load(base if within_time else pipeline, (*(set_ or ()), *chosen), pipelines_file)
     sources = {
         "video": video,
@@ -88,7 +88,7 @@ def judge_of(
         "body_model": body_model,
     }
     judge = Judge(Workspace(video, work, pipeline), loaded, sources, seed, Code(work / CODE_MEMORY))
-    return within.remembered(judge, variant) if within_time else judge
+    return within.remembered(judge, last) if within_time else judge
 
 
 def on_clip(command: Callable[..., None]) -> Callable[..., None]:

@@ -127,6 +127,8 @@ def promise(judge: Judge, stages: list[str] | None, text: str) -> Promise:
     wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
     if "train" not in wanted or "seconds" not in type(judge.pipeline.stages["train"].params).model_fields:
         raise UsageError("--within is for runs that train", "leave it out, or name train or a stage after it")
+    if not getattr(judge.pipeline.stages["train"].params, "joint", True):
+        raise UsageError("--within is for trainings of person and scene together", "leave out train.joint, or --within")
     return Promise(named(judge, text.strip()), wanted, seconds)
 
 
@@ -159,7 +161,7 @@ def remembered(judge: Judge, text: str) -> Judge:
     judge = named(judge, text)
     chosen = read_json(judge.workspace.links / CHOSEN)
     if not whole(chosen):
-        base = judge.pipeline.name.partition(".")[0]
+        base = judge.pipeline.name.rpartition(".")[0]
         raise UsageError(
             f"no run of pipeline {base} within {text}", f"`hugs run VIDEO --pipeline {base} --within {text}`"
         )

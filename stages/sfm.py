@@ -39,7 +39,10 @@ class Params(contract.Params):
     features: int = Field(2048, ge=256)
     """SIFT features a frame, about. Matching time grows with its square; 1024 still place a textured room to 1 mm."""
     overlap: int = Field(2, ge=1)
-    """Each frame is matched with this many that follow, besides those 1, 2, 4, 8 ... frames later. Time grows with it."""
+    """Each frame is matched with this many that follow, besides those 1, 2, 4, 8 ... frames later; 1 and 2 add none.
+
+    Time grows with it.
+    """
     min_share: float = Field(0.5, gt=0, le=1)
     """Share of the frames that must get a pose."""
     cameras_from: Literal["auto", 0, 1] = "auto"

@@ -33,6 +33,7 @@ SMALL, SMALL_UNDER = {"rounds": 1, "human_cap": 28_000, "scene_cap": 50_000}, 12
 LARGE, LARGE_FROM = {"human_cap": 60_000, "scene_cap": 160_000}, 9000
 """Sizes where fewer, or more, than so many steps of the settings' own sizes fit into the time."""
 FEWEST = 200  # steps; fewer make no person
+LOOK = "a wrong mask or body fit is the usual cause: look at what `masks` and `smpl` said; else try `--seed 1`"
 COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
 
 
@@ -95,6 +96,9 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     if job.device != "cpu" and params.early_stop != T_STOP:
         hint = "leave `train.early_stop` out, or give `--device cpu`"
         raise StageError(f"a GPU finishes pixels at {T_STOP:g} of the light, not at {params.early_stop:g}", hint)
+    if params.seconds and not params.joint:
+        hint = "give `train.steps` in place of a time, or leave out `train.joint`"
+        raise StageError("only a training of person and scene together can be fitted into a time", hint)
     deadline = _deadline(params) if params.seconds else None
     if job.device == "cpu" and not compiled():
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
@@ -122,9 +126,9 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
                 deadline.judged(mark - paused)
             shown = {"psnr": curve[-1]["psnr"]}
         elif fit.step % 25 == 0:
-            if deadline:
-                deadline.mark(fit)
             shown = {"loss": sum(numbers.values())}
+        if deadline and fit.step % 25 == 0 and fit.step < fit.total:
+            deadline.mark(fit)
         if shown:
             left = deadline and deadline.to_go
             job.progress(fit.step, fit.total, left, **shown, gaussians=sum(fit.sizes().values()))
@@ -174,7 +178,10 @@ def _begun(
         if deadline:
             deadline.load(told["deadline"], fit)
     elif deadline:
-        fit, clip, told["sizes"] = _timed(job, params, folders, deadline, fit, clip)
+        try:
+            fit, clip, told["sizes"] = _timed(job, params, folders, deadline, fit, clip)
+        except (FloatingPointError, ValueError) as error:
+            raise StageError("training broke down in its first steps", LOOK, [str(error)]) from error
     return fit, clip, told
 
 
@@ -191,8 +198,9 @@ def _timed(
     if steps < SMALL_UNDER or steps >= LARGE_FROM:
         pick, wanted = (min, SMALL) if steps < SMALL_UNDER else (max, LARGE)
         sizes = {name: pick(size, getattr(params, name)) for name, size in wanted.items()}
-        fit, clip = _start(job, params.model_copy(update=sizes), *folders)
-        steps = deadline.start(fit, 1)  # once: the sizes stay, and the steps are fitted into the time again and again
+        if any(getattr(params, name) != size for name, size in sizes.items()):
+            fit, clip = _start(job, params.model_copy(update=sizes), *folders)
+            steps = deadline.start(fit, 1)  # once: the sizes stay, the steps are fitted into the time again and again
     if steps < FEWEST:
         lacking = math.ceil(FEWEST * deadline.pace.mean(0.0) - deadline.left)
         raise StageError(
@@ -219,7 +227,7 @@ def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tup
         raise StageError(
             "no frame is left to train on",
             facts=[f"{len(clip.names)} frames registered, {int(clip.heldout.sum())} of them held out"],
-            hint="take more frames: `--set frames.count=80`",
+            hint="give more frames to training in the data set's split",
         )
     return build(clip, train, params, decisions, job), clip
 
@@ -228,11 +236,18 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
     """Everything that is trained, at its initial value."""
     from stages.avatar.start import Start
 
-    if not any(clip.shows_person(i) for i in train):
+    shown = [i for i in train if clip.shows_person(i)]
+    if not shown:
         raise StageError(
             "no training frame shows a person",
             facts=[f"the masks of all {len(train)} training frames are empty"],
             hint="give masks of your own: `hugs run VIDEO --masks DIR`",
+        )
+    if not any(clip.body.confidence[i] > 0 for i in shown):
+        raise StageError(
+            "no training frame has a body fit to learn from",
+            facts=[f"{len(shown)} of {len(train)} training frames show the person, the fit trusts its pose in none"],
+            hint="give a fit of your own: `hugs run VIDEO --smpl-fit FILE`",
         )
     start = Start(clip, train, params, decisions, job.seed, job.device, job.note)
     fit = start.fit(_perceptual(params, job.device))
@@ -275,7 +290,7 @@ def _broken_down(fit: Fit, name: str, job: Job, run: dict[str, Any], error: Exce
             f"gradients or steps left out so far: {fit.guard.left_out}",
             f"`python -m stages.train {path}` takes that step again",
         ],
-        hint="look at the body overlay in the report: a wrong fit or mask is the usual cause; else try `--seed 1`",
+        hint=LOOK,
     )
 
 
@@ -311,9 +326,17 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
 
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
+    from stages.avatar.bake import unseen
+
     person = fit.person._replace(**dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True)))
-    kept = _write_person(fit, clip, job, person._replace(clothing=fit.effects.clothing))
+    worn = {"clothing": fit.effects.clothing, "antialias": fit.options.antialias}
+    kept = _write_person(fit, clip, job, person._replace(**worn))
     broken = kept.broken + (_write_scene(fit, job) if fit.scene else 0)
+    never, behind = int(unseen(fit.taught).sum()), 0 if fit.behind is None else int(fit.behind.sum())
+    if never:
+        job.note(f"{never:,} Gaussians of the person that no frame shows stay as the body is")
+    if behind:
+        job.note(f"{behind:,} Gaussians of the scene that the person hides took the colours seen around them")
     if broken:
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     _write_clip(fit, clip, job, person)
@@ -341,8 +364,12 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
         "broken": broken,
         "strays": kept.strays,
         "evened": kept.evened,
+        "leant": kept.leant,
+        "unseen": never,
+        "behind": behind,
         "lining": kept.lining,
         "left_out": fit.guard.left_out,
+        "clipped": fit.guard.clipped,
         "not_drawn": fit.undrawn,
         "distrusted": distrusted,
         "train_frames": [clip.names[i] for i in fit.train],
@@ -352,6 +379,8 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
     (job.out / "train.json").write_text(json.dumps(facts, indent=1))
     if fit.guard.left_out:
         job.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
+    if fit.guard.clipped:
+        job.note(f"{fit.guard.clipped} gradients of the networks were far larger than usual and were scaled down")
     if fit.undrawn:
         job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
 
@@ -370,6 +399,8 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
     kept = finished(baked, fit.human.defectors(baked.weights), person, seen, fit.train)
     if kept.strays:
         job.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
+    if kept.leant:
+        job.note(f"{kept.leant:,} Gaussians that no frame shows well take the colours seen around them")
     if kept.evened:
         job.note(f"{kept.evened:,} Gaussians put back that stood out of the surface where no frame looks from the side")
     job.note(f"{kept.lining:,} Gaussians put under the skin, so that no pose tears holes")
@@ -384,7 +415,7 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
         parents=person.parents,
         betas=clip.body.betas,
         canonical_pose=_array(person.canonical_pose),
-        antialias=fit.options.antialias,
+        antialias=person.antialias,
         clothes=clothes,
     )
     write_splats(job.out / "avatar.npz", avatar)

@@ -38,12 +38,13 @@ PEELS = 8  # times at most: what goes may have hidden others
 
 
 class Finished(NamedTuple):
-    """The `person` to keep, and how many Gaussians were left out, moved back or added on the way."""
+    """The `person` to keep, and how many Gaussians were left out, moved back, recoloured or added on the way."""
 
     person: Canonical
     broken: int
     strays: int
     evened: int
+    leant: int
     lining: int
 
 
@@ -57,9 +58,9 @@ def finished(person: Canonical, lost: Tensor, body: Person, views: Views, frames
     stray = strays(kept.means, body.vertices) | lost[whole]
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, moved = evened(Canonical(*(part[~stray] for part in kept)), body, views, frames)
-    kept = lean(kept, body, views, frames)
+    kept, leant = lean(kept, body, views, frames)
     done = lined(kept, body, views, frames)
-    return Finished(done, int((~whole).sum()), int(stray.sum()), moved, len(done.means) - len(kept.means))
+    return Finished(done, int((~whole).sum()), int(stray.sum()), moved, leant, len(done.means) - len(kept.means))
 
 
 def floating(person: Canonical, body: Person) -> Tensor:
@@ -79,29 +80,35 @@ def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor
 
     taught[N] >= 0 is the sum of the gradients of each colour. There networks speak to features that are still random.
     """
-    shown = taught > TAUGHT * taught.mean()
+    shown = ~unseen(taught)
     pairs = zip(decoded, untaught, strict=True)
     return Canonical(*(torch.where(shown.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
 
 
-def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
+def unseen(taught: Tensor) -> Tensor:
+    """Which rows [N] no training frame has shown, by the sums taught[N] of the gradients of their colours."""
+    return taught <= TAUGHT * taught.mean()
+
+
+def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
     """Colours that frames have not shown well lean on the nearest that they have: on the median of these, over a larger
     patch where the nearest are far.
 
     At an outline a pixel mixes the person with what is behind, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay.
+    Returned with it: how many colours are more their neighbours' than their own.
     """
     inside, edge, _ = _painted(person, body, views, frames)[0].unbind(1)
     mean = inside.mean()
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
-        return person
+        return person, 0
     means, around = person.means, median_near(person.sh[sure], person.means[sure], person.means, NEIGHBOURS)
     spots = sure.nonzero()[:, 0][spread_out(means[sure], SPOTS)]
     far = nearest(means[sure], means, 1)[0][:, 0] > FAR
     around[far] = median_near(around[spots], means[spots], means[far], ASKED)
     own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
-    return person._replace(sh=own * person.sh + (1 - own) * around)
+    return person._replace(sh=own * person.sh + (1 - own) * around), int((own < 0.5).sum())
 
 
 def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:

@@ -56,8 +56,8 @@ def restore(fit: Fit, state: dict[str, Any]) -> None:
     for name, growth in fit.growth.items():
         growth.load(state["growth"][name])
     fit.guard.load(state["guard"])
-    fit.generator.set_state(state["generator"])
-    fit.order = state["order"].clone()
+    fit.generator.set_state(state["generator"].cpu())  # both live on the CPU, wherever the rest was loaded
+    fit.order = state["order"].cpu().clone()
     fit.reference, fit.reference_at = (t.clone() for t in state["reference"])
     fit.taught = state["taught"].clone()
     fit.behind = None if state["behind"] is None else state["behind"].clone()

@@ -82,7 +82,7 @@ class Plan(NamedTuple):
 def plan(growth: Growth, sizes: Tensor, opacities: Tensor, rules: Rules, room: int, lost: Tensor | None = None) -> Plan:
     """Decide which rows to clone, split and prune; sizes[N] largest scale in metres, opacities[N].
 
-    At most `room` rows are added, those of the largest gradient first, and the result never exceeds `rules.cap`.
+    At most `room` rows are added, those of the largest gradient first, and none where `rules.cap` rows or more stay.
     Rows that are not finite and `lost`[N] ones are pruned. Raises ValueError when nothing would be left.
     """
     finite = sizes.isfinite() & opacities.isfinite()

@@ -34,7 +34,7 @@ from stages.avatar.views import Person, Views
 
 NEIGHBOURS = 8  # of which a Gaussian of the surface is the middle
 GROWN = 2e-4  # mean absolute gradient, in loss per half image side, from which a Gaussian is under-fitted
-FILLS = 4  # each at most doubles a set
+FILLS = 10  # at most; each at most doubles a set
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
@@ -136,7 +136,7 @@ class Fit:
         views = self.small if self.done < self.options.half_until else self.full
         numbers = self._learn(self.frame, views)
         self.step += 1
-        if self.human is not None and self.step % self.options.views_per_decode == 0:
+        if self.human is not None and (self.step % self.options.views_per_decode == 0 or self.step == self.total):
             self._learn_human()
             self.clock.lap("person's networks")
         return numbers
@@ -300,7 +300,8 @@ class Fit:
         if self.canonical.weights.requires_grad:
             prior = losses.skinning(self.canonical.weights, self._reference()) + prior
         decoded = [getattr(self.decoded, n) for n in taught]
-        slopes = [grad / self.options.views_per_decode for grad in taught.values()]
+        views = self.step % self.options.views_per_decode or self.options.views_per_decode
+        slopes = [grad / views for grad in taught.values()]
         torch.autograd.backward([*decoded, prior], [*slopes, torch.ones_like(prior)])
         rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
         self.guard.contain("corrections", {name: p.grad for name, p in rows.items() if p.grad is not None})
@@ -362,16 +363,19 @@ class Fit:
     def fill_up(self) -> None:
         """Bring every set that may grow to its cap at once, as it would be after densification."""
         for _ in range(FILLS):
+            before = self.sizes()
             if self.scene is not None:
                 self._grow_scene(0.0, 1)
             if self.human is not None and self.options.human_densify:
                 self._grow_human(0.0, 1)
+            if self.sizes() == before:
+                return
 
     def _settle(self) -> None:
         """Once growth is over: what the person hides of the scene has its last colours."""
         if self.scene is None or self.behind is not None or not self.phase.scene or self.done <= SETTLE:
             return
-        self.behind = fill_behind(self.scene, self.full, self.train)
+        self.behind = fill_behind(self.scene, self.full._replace(viewmats=self.cameras()), self.train)
         for colors in self.scene.colors():
             self.adam["scene"].state[colors]["exp_avg"][self.behind] = 0
 

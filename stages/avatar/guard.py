@@ -1,4 +1,4 @@
-"""What keeps one bad gradient from all that remembers: rows are masked, networks clipped, both counted (H01, H02).
+"""What keeps one bad gradient from all that remembers: rows are masked, networks clipped, each counted (H01, H02).
 
 Adam never forgets a gradient that is not finite, and one of 1e12 times the usual size takes 47,000 steps to forget.
 """
@@ -31,7 +31,7 @@ class Guard:
         self.usual: dict[str, float] = {}
         self.judged: dict[str, int] = {}
         self.streaks: dict[str, int] = {}
-        self.left_out = 0
+        self.left_out = self.clipped = 0
 
     @property
     def alarmed(self) -> bool:
@@ -84,6 +84,7 @@ class Guard:
         if usual and finite and norm > SPIKE * usual:
             torch._foreach_mul_(grads, SPIKE * usual / norm)
             norm = SPIKE * usual
+            self.clipped += 1
         self._learn(owner, norm if finite else 0.0)
         self.left_out += not finite
         self.judge(owner, not finite, f"a norm of {norm}")
@@ -102,12 +103,13 @@ class Guard:
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
         counts = {"judged": dict(self.judged), "streaks": dict(self.streaks), "left_out": self.left_out}
+        counts["clipped"] = self.clipped
         return {"usual": dict(self.usual)} | counts
 
     def load(self, state: dict[str, Any]) -> None:
         """Continue from `state()`."""
         self.usual, self.judged, self.streaks = (dict(state[name]) for name in ("usual", "judged", "streaks"))
-        self.left_out = state["left_out"]
+        self.left_out, self.clipped = state["left_out"], state["clipped"]
 
 
 def _sizes(grad: Tensor) -> Tensor:

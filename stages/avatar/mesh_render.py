@@ -9,6 +9,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from stages.avatar import rasterize  # noqa: F401  (first: it names the folder of the compiled kernels)
+
 NEAR = 0.05
 SHININESS = 20.0
 NO_LAMPS = np.zeros((0, 3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import time
 from statistics import median
 
@@ -11,11 +12,11 @@ from stages.avatar.fit import Fit
 from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
-TIMED = 4  # steps of one timing; a multiple of views_per_decode
+TIMED = 4, 24  # steps of one timing, at least and at most: all that comes every few steps is in it once or more
 TIMINGS = 3  # at each corner of a Pace, before sizes are chosen: the middle one counts, so one disturbance does not
 OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer
-LATE = 0.99  # share of the schedule at which a step takes as long as drawing what was trained
+LATE = 0.99  # share of the schedule, the last at which steps are timed
 PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed
 HASTE = 300  # seconds; a training that has fewer times its steps once
 HELD = 10**9  # steps of a schedule that hardly moves
@@ -36,6 +37,11 @@ class Pace:
         """Mean seconds a step between two shares of the schedule."""
         shares = [start + (end - start) * (i + 0.5) / PARTS for i in range(PARTS)]
         return self.slow * sum(map(self._at, shares)) / PARTS
+
+    @property
+    def last(self) -> float:
+        """Seconds a full, grown step takes: as long as drawing what was trained."""
+        return self.slow * self.full[1]
 
     def _at(self, done: float) -> float:
         few, many = self.half if done < self.half_until else self.full
@@ -72,7 +78,7 @@ class Deadline:
     @property
     def left(self) -> float:
         """Seconds left for steps."""
-        return self.seconds - self.spent - self.reserve * self.pace.mean(LATE) - self.pauses * self.pause
+        return self.seconds - self.spent - self.reserve * self.pace.last - self.pauses * self.pause
 
     @property
     def to_go(self) -> float:
@@ -82,7 +88,7 @@ class Deadline:
     def start(self, fit: Fit, timings: int = TIMINGS) -> int:
         """Time a few steps of a training that has not begun, see `rehearse`; returns how many fit into the time."""
         self.pace = rehearse(fit, timings if self.seconds >= HASTE else 1)
-        self.pause = PAUSE * self.pace.mean(LATE)
+        self.pause = PAUSE * self.pace.last
         self.leg = self.spent, fit.step, fit.done
         return self.pace.steps(self.left)
 
@@ -118,13 +124,15 @@ def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
 
     Each kind is timed `timings` times, and the middle one counts.
     """
-    before, late = copy.deepcopy(snapshot(fit)), min(fit.options.half_until, LATE)
+    before, options = copy.deepcopy(snapshot(fit)), fit.options
+    late = min(options.half_until, LATE)
+    fit.options = options._replace(half_until=late)  # a full step is timed even where training has none: films are full
     few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
     fit.fill_up()
     many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
     restore(fit, before)
-    fit.clock.seconds = {}
-    return Pace((few[0], many[0]), (few[1], many[1]), fit.options.half_until)
+    fit.options, fit.clock.seconds = options, {}
+    return Pace((few[0], many[0]), (few[1], many[1]), options.half_until)
 
 
 def _timed(fit: Fit, done: float, timings: int) -> float:
@@ -132,10 +140,11 @@ def _timed(fit: Fit, done: float, timings: int) -> float:
     fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
     for _ in range(WARM_UP):
         fit.advance()
-    took = []
+    often, took = math.lcm(fit.options.views_per_decode, fit.options.perceptual_every or 1), []
+    count = min(max(often, TIMED[0]), TIMED[1])
     for _ in range(timings):
         began = time.perf_counter()
-        for _ in range(TIMED):
+        for _ in range(count):
             fit.advance()
-        took.append((time.perf_counter() - began) / TIMED)
+        took.append((time.perf_counter() - began) / count)
     return median(took)

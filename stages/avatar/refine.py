@@ -58,7 +58,7 @@ class FrameCorrections(nn.Module):
     def cameras(self, viewmats: Tensor, trained: Tensor, moments: Tensor | None) -> Tensor:
         """The corrected cameras [F,4,4]; those not trained[F] take their neighbours', as far as these agree."""
         tables = [table.weight - table.weight[trained].mean(0) for table in (self.turn, self.shift)]
-        known = trained[:, None]
+        known = trained[:, None].to(viewmats.device)
         shares = (torch.where(known, 1.0, agreement(table[trained])) for table in tables)
         return corrected(viewmats, *(share * spread(t, trained, moments) for share, t in zip(shares, tables)))
 

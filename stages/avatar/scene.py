@@ -101,7 +101,7 @@ class SceneModel(nn.Module):
     def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float, antialias: bool = False):
         """points[P,3] m, rgb[P,3] in 0..1; raises ValueError when there is none."""
         super().__init__()
-        self.antialias, self.extent, self.shell = antialias, extent, math.inf
+        self.antialias, self.extent, self.shell, self.middle = antialias, extent, math.inf, None
         if len(points) == 0:
             raise ValueError("a scene needs at least one point")
         n = len(points)
@@ -118,12 +118,12 @@ class SceneModel(nn.Module):
         return len(self.means)
 
     @torch.no_grad()
-    def surround(self, points: Tensor, rgb: Tensor, radius: float) -> None:
-        """Add the shell of `effects.sky`: points[P,3] m about `radius` m away, with rgb[P,3] in 0..1."""
+    def surround(self, points: Tensor, rgb: Tensor, middle: Tensor, radius: float) -> None:
+        """Add the shell of `effects.sky`: points[P,3] m about `radius` m away from middle[3], with rgb[P,3] in 0..1."""
         sky = SceneModel(points, rgb, math.isqrt(self.shN.shape[1]), radius, self.antialias)
         for name in self.ROWS:
             setattr(self, name, nn.Parameter(torch.cat([getattr(self, name), getattr(sky, name)])))
-        self.shell = radius
+        self.shell, self.middle = radius, middle
 
     @torch.no_grad()
     def sizes(self) -> Tensor:
@@ -131,7 +131,7 @@ class SceneModel(nn.Module):
         scales = self.log_scales.exp()
         if math.isinf(self.shell):
             return scales
-        away = self.means.norm(dim=1, keepdim=True)
+        away = (self.means - self.middle).norm(dim=1, keepdim=True)
         return torch.where(away > 0.5 * self.shell, scales * self.extent / away, scales)
 
     @torch.no_grad()

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body import DA_POSE, Body
+from stages.avatar.cameras import camera_centers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import casters
@@ -60,8 +61,8 @@ class Start:
         options = Options(
             steps=params.steps,
             views_per_decode=params.views_per_decode,
-            human_cap=max(params.human_cap, len(human)),
-            scene_cap=params.scene_cap,
+            human_cap=self._cap("human", human),
+            scene_cap=self._cap("scene", scene),
             extent=extent,
             refine_pose=on.get("pose_refinement", True),
             exposure=on.get("exposure", False),
@@ -76,6 +77,13 @@ class Start:
         )
         effects = self._effects(person, human, scene, views)
         return Fit(views, self.train, person, human, scene, options, self.generator, perceptual, effects)
+
+    def _cap(self, name: str, begun: HumanModel | SceneModel | None) -> int:
+        """Most Gaussians of a set: what is set, or what it begins with."""
+        cap, count = getattr(self.params, f"{name}_cap"), 0 if begun is None else len(begun)
+        if count > cap:
+            self.say(f"the {name} begins with {count:,} Gaussians, more than {name}_cap ({cap:,}): it gets no more")
+        return max(cap, count)
 
     def _tensor(self, array: Any) -> Tensor:
         return torch.as_tensor(np.asarray(array), dtype=torch.float32, device=self.device)
@@ -140,7 +148,8 @@ class Start:
             far, tints = shell(skies, images, *cameras, extent)
             self.say(f"{len(far):,} Gaussians of the sky, {RADIUS * extent:.0f} m away")
             if len(far):
-                scene.surround(self._tensor(far), self._tensor(tints), RADIUS * extent)
+                middle = self._tensor(camera_centers(cameras[0]).mean(0))
+                scene.surround(self._tensor(far), self._tensor(tints), middle, RADIUS * extent)
         return scene
 
     def _effects(self, person: Person, human: HumanModel, scene: SceneModel | None, views: Views) -> FrameEffects:

@@ -52,8 +52,8 @@ class Person(NamedTuple):
     """The fitted body of all frames, and what the canonical pose needs.
 
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
-    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3], and
-    how their clothes move, if they are known to.
+    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3],
+    how their clothes move, if they are known to, and whether they are drawn antialiased.
     """
 
     global_orient: Tensor
@@ -67,6 +67,7 @@ class Person(NamedTuple):
     weights: Tensor
     faces: Tensor
     clothing: Clothing | None = None
+    antialias: bool = False
 
     def canonical_bones(self) -> Tensor:
         """Transforms [24,4,4] of the bones from rest to the canonical pose."""
@@ -79,12 +80,12 @@ class Person(NamedTuple):
     def posed(self, resting: Resting, frame: int) -> Splats:
         """Someone at rest with this body and these clothes, as they stand in a frame."""
         dressed = resting if self.clothing is None else self.clothing(resting, self.body_pose[frame])
-        return pose(dressed, self.bones(frame), self.transl[frame])
+        return pose(dressed, self.bones(frame), self.transl[frame])._replace(antialias=self.antialias)
 
 
 def asked(body: Person, views: Views, frames: list[int]) -> list[int]:
-    """At most LOOKS of `frames`, spread evenly, without those that do not show the person."""
-    return [i for i in evenly(frames, LOOKS) if body.confidence[i] > 0 and views.masks[i].max() > 0]
+    """At most LOOKS of those `frames` that show the person, spread evenly."""
+    return evenly([i for i in frames if body.confidence[i] > 0 and views.masks[i].max() > 0], LOOKS)
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:

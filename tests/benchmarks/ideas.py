@@ -3,7 +3,8 @@
     python -m tests.benchmarks.ideas work/kitchen/default [--steps 1000] [--seeds 1] [--only NAME ...] [--json out.json]
 
 The argument is the folder of a pipeline that has run; its frames, cameras, poses and decisions are used. Held-out frames
-are rated with the person as training has it, before `bake` finishes it.
+are rated with the person as training has it, before `bake` finishes it. Signed gradients ("absolute gradients") are those
+of all layers of a step together, absolute ones those of the set's own layer.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
+import torch
 
 from stages import train
 from stages.avatar import fit as fit_module
@@ -58,12 +60,19 @@ def redrawn(change) -> list:
     return put(frames_module, compose_layers=draw)
 
 
+def scene_by_others(drawing, rows):
+    """The person's rows have their own gradients, those of the scene are shifted by them, as in the released code."""
+    grad = drawing.screen_grad_abs
+    return torch.cat([grad[:rows], grad.roll(rows, 0)[rows:]])
+
+
 UNSETTLED = put(schedule, SETTLE=0.9999, LAST_OTHERS=1.0) + put(
     fit_module,
     SETTLE=0.9999,
     SCENE_GROWTH=(schedule.SCENE_GROWTH[0], 1.0),
     HUMAN_GROWTH=(schedule.HUMAN_GROWTH[0], 1.0),
 )
+"""Growth to the end, rates that do not fall then; what the person hides keeps the colours it has, too."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +88,7 @@ STILL = {"place": 0.0, "pose": 0.0}
 PLAIN = {"outside_person": lambda image, target, mask: target + (1 - mask)[..., None] * (image - target)}
 WITHOUT = {
     "everything": Idea(),
-    "own gradients for the scene (D1)": Idea(patches=redrawn(lambda d, rows: d.screen_grad_abs.roll(rows, 0))),
+    "own gradients for the scene (D1)": Idea(patches=redrawn(scene_by_others)),
     "refined places (D3)": Idea(patches=put(optimizers, LR_FRAMES=schedule.LR_FRAMES | {"place": 0.0})),
     "refined poses and places": Idea(patches=put(optimizers, LR_FRAMES=schedule.LR_FRAMES | STILL)),
     "settling (D14)": Idea(patches=UNSETTLED),

@@ -1,6 +1,6 @@
 """How many frames a second a finished person is drawn at, posed anew for each, with its scene and alone, 1280x720.
 
-    python -m tests.benchmarks.render work/kitchen/default [--frames 60] [--json out.json]
+    python -m tests.benchmarks.render work/kitchen/default [--frames 60] [--device cuda] [--json out.json]
 
 The argument is the folder of a pipeline that has run. Poses and cameras are the clip's, pictures stretched to the size, so
 that every pixel has something to show. A frame is skeleton, skinning and drawing, no file.
@@ -26,9 +26,9 @@ def stretched(K: np.ndarray, width: int, height: int) -> np.ndarray:
     return K * [[SIZE[0] / width], [SIZE[1] / height], [1]]
 
 
-def measure(folder: Path, frames: int) -> list[dict]:
-    """Milliseconds a frame, for each thread count, with and without the scene."""
-    clip, learned, poses = finished(folder)
+def measure(folder: Path, frames: int, device: str) -> list[dict]:
+    """Milliseconds a frame, for each thread count, with and without the scene, lit as the person stands."""
+    clip, learned, poses = finished(folder, device)
     order = [i % len(clip.names) for i in range(frames)]
     Ks = [stretched(K, clip.width, clip.height) for K in clip.Ks]
     scenes = {"person and scene": learned.scene, "person": None} if learned.scene else {"person": None}
@@ -38,7 +38,9 @@ def measure(folder: Path, frames: int) -> list[dict]:
         for name, scene in scenes.items():
 
             def frame(i: int, scene=scene) -> None:
-                draw(learned.person(poses[clip.names[i]]), scene, clip.viewmats[i], Ks[i], SIZE)
+                pose = poses[clip.names[i]]
+                lit = None if scene is None else learned.lit(scene, pose)
+                draw(learned.person(pose), lit, clip.viewmats[i], Ks[i], SIZE)
 
             frame(0)
             count = len(learned.avatar.resting.means) + (len(scene.means) if scene else 0)
@@ -52,9 +54,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--device", default="cpu")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
-    host, rows = machine(), measure(asked.folder, asked.frames)
+    host, rows = machine(), measure(asked.folder, asked.frames, asked.device)
     print(f"{host['processor']}, load {host['load'][0]:.1f}; {SIZE[0]}x{SIZE[1]}, median of {asked.frames} frames")
     for row in rows:
         ms = row["ms"]

@@ -3,8 +3,8 @@
     python -m tests.benchmarks.scene_only work/kitchen/default [--json out.json]
 
 The argument is the folder of a pipeline that has run. The scene-only model is the same scene of the same code, but it
-learns every pixel, the person's too, and may have as many Gaussians as person and scene had together. Both are rated on
-the same held-out frames; `evaluate` rated the joint one, with poses untouched.
+learns every pixel, the person's too, without effects, and may have as many Gaussians as person and scene had together.
+Both are rated on the same held-out frames; `evaluate` rated the joint one, with poses untouched.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ def scene_only(folder: Path) -> dict:
     seconds = time.perf_counter() - began
     sums = {"full": {"psnr": [], "ssim": []}, "person_crop": {"psnr": [], "ssim": []}}
     with torch.no_grad():
-        splats, views = fit.scene.splats(), both.full
+        splats, views, cameras = fit.scene.splats(), both.full, fit.cameras()
         for i in (i for i in range(len(clip.names)) if clip.heldout[i]):
             image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
-            drawn = compose(None, splats, views.viewmats[i], views.Ks[i], *reversed(mask.shape)).image.clamp(0, 1)
+            drawn = compose(None, splats, cameras[i], views.Ks[i], *reversed(mask.shape)).image.clamp(0, 1)
             for name, crop in (("full", ...), ("person_crop", person_crop(mask))):
                 if crop is not None:
                     score = scores(drawn[crop].contiguous(), image[crop].contiguous())

@@ -2,6 +2,7 @@
 
 import time
 from contextlib import ExitStack
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,8 +11,9 @@ import torch
 
 from stages import train
 from stages.avatar import rasterize
+from stages.estimators.detectors.every import DETECTORS
 from stages.formats.splats import Scene
-from tests.benchmarks import effects_off, ideas
+from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
@@ -46,6 +48,22 @@ def test_exclusive_times_add_up_to_the_total():
     assert 0.9 * total < sum(watch.seconds.values()) <= total
     assert watch.seconds["inside"] >= 0.06
     assert 0.02 <= watch.seconds["outside"] <= total - 0.06
+
+
+def test_benchmarks_that_are_run_by_hand_speak_of_what_there_is(tmp_path):
+    """Settings, effects and lines of code that they name exist: one that named a setting long gone had rotted unseen."""
+    assert set(effects.STRENGTHS) == set(DETECTORS)
+    assert set(effect_models.EFFECTS) <= set(DETECTORS)
+    train.Params(**effect_models.PARAMS)
+    for case in approximations.CASES.values():
+        train.Params(**dict(case.settings))
+        for file, text, _ in case.edits:
+            assert (Path(__file__).parents[2] / file).read_text().count(text) == 1, text
+    size = {"frames": 6, "width": 96, "height": 128, "points": 300}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(effects, "SIZE", size)
+        found = effects.measured(effects.clip(tmp_path, 0), list(effects.STRENGTHS))
+    assert all(isinstance(one["on"], bool) for one in found.values())
 
 
 def test_every_timed_part_of_a_training_step_exists():

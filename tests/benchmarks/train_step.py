@@ -27,6 +27,7 @@ import torch
 
 from stages import train
 from stages.avatar import compose, fit, layers, losses, ssim
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.gaussians import Splats
 from stages.avatar.rasterize import blend, cpu, gaussian_axes, kernels
 from stages.avatar.scene import SceneModel
@@ -62,9 +63,11 @@ def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
         ("other losses", losses, "outside_person"),
         ("other losses", losses, "skinning"),
         ("veil", layers, "veil"),
+        ("effects", FrameEffects, "lit"),
+        ("effects", FrameEffects, "dressed"),
         ("backward, other", torch.Tensor, "backward"),
         ("growth statistics", fit.Growth, "add"),
-        ("optimiser, scene", fit.Fit, "_apply"),
+        ("optimiser, scene and frames", fit.Fit, "_apply"),
         ("optimiser, person", joint.adam["human"], "step"),
         ("nearest body vertices", fit.Fit, "_reference"),
         ("rest", fit.Fit, "advance"),
@@ -137,7 +140,7 @@ def prepared(folder: Path, rounds: int, count: int) -> fit.Fit:
     fresh = train.build(clip, chosen, train.Params(rounds=rounds), decisions | {"scene": True}, Job())
     scene = resized(read_scene(folder / "train" / "scene.npz"), count, np.random.default_rng(Job.seed))
     parts = (fresh.full, chosen, fresh.person, fresh.human, model(scene, fresh.options.extent))
-    joint = fit.Fit(*parts, fresh.options, torch.Generator().manual_seed(Job.seed))
+    joint = fit.Fit(*parts, fresh.options, torch.Generator().manual_seed(Job.seed), effects=fresh.effects)
     every = joint.options.views_per_decode
     joint.step = math.ceil(HALF_UNTIL * joint.options.steps / every) * every
     joint._grow = lambda: None

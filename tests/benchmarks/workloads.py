@@ -10,7 +10,6 @@ from torch import Tensor
 
 from stages.avatar.drawing import Learned, Pose, load_learned
 from stages.avatar.gaussians import Splats, spacing
-from stages.avatar.rasterize.rendering import ALPHA_MIN
 from stages.avatar.rotations import quat_from_matrix
 from stages.formats.clip import Clip, load_clip
 from stages.formats.effects import read_effects
@@ -18,6 +17,7 @@ from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, read_scene
 from tests.benchmarks.naive import Workload, covariances
 
+FAINTEST = 1 / 255  # where a Gaussian ends: of the workload, which must not change with the code
 SIZES = (1.0, 4.0, 12.0)  # of small, medium and large Gaussians
 SHARES = (0.8, 0.17, 0.03)
 
@@ -53,7 +53,7 @@ def _scaled(work: Workload, factor: float) -> Workload:
 def _layers(work: Workload) -> float:
     """Mean number of Gaussians at a pixel, those hidden behind others included."""
     xx, xy, yy = covariances(work)[2].unbind(1)
-    cut = 2 * (work.parts[3] / ALPHA_MIN).log()
+    cut = 2 * (work.parts[3] / FAINTEST).log()
     return (torch.pi * (xx * yy - xy * xy).sqrt() * cut).sum().item() / (work.width * work.height)
 
 
@@ -73,14 +73,14 @@ def garden_works(path: Path, seed: int = 0) -> dict[str, Workload]:
     return {f"garden {i}": Workload(parts, v, K, width, height, v_image) for i, (v, K) in enumerate(zip(views, Ks))}
 
 
-def finished(folder: Path) -> tuple[Clip, Learned, dict[str, Pose]]:
+def finished(folder: Path, device: str = "cpu") -> tuple[Clip, Learned, dict[str, Pose]]:
     """The clip of a pipeline's folder, what training left there, and the person's poses by frame name."""
     train = folder / "train"
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     body = read_poses(train / "body.npz")
     poses = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
-    learned = load_learned(read_avatar(train / "avatar.npz"), scene, read_effects(train / "effects.npz"))
-    return load_clip(folder / "sfm", folder / "smpl"), learned, poses
+    learned = load_learned(read_avatar(train / "avatar.npz"), scene, read_effects(train / "effects.npz"), device)
+    return load_clip(folder / "sfm", folder / "smpl", train), learned, poses
 
 
 def learned_work(folder: Path, seed: int = 0) -> Workload:

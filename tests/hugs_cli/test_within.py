@@ -135,6 +135,12 @@ def test_its_results_have_a_name_for_other_commands(clip):
     assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
 
 
+def test_a_training_in_two_parts_is_refused_before_anything_runs(clip):
+    clip.edit("train", "    size: int = 1", "    size: int = 1\n    joint: bool = True")
+    _, err = run(clip, "--within", "60s", "--set", "train.joint=false", code=2)
+    assert "--within is for trainings of person and scene together" in err and "leave out train.joint" in err
+
+
 def test_where_time_is_short_measuring_takes_less_of_it(clip):
     clip.edit("train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12")
     clip.write("evaluate", AFTER.replace("from stages.contract import Params", FIT_STEPS))

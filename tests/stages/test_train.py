@@ -5,6 +5,7 @@ import pickle
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -491,6 +492,38 @@ def test_a_gpu_keeps_to_its_early_stop(tmp_path, inputs):
     assert train.Params().early_stop == T_STOP
     with pytest.raises(StageError, match="a GPU finishes pixels"):
         train.run(Job(tmp_path, device="cuda"), train.Params(early_stop=0.01), **inputs)
+
+
+def test_a_time_is_for_a_training_of_person_and_scene_together(tmp_path, inputs):
+    with pytest.raises(StageError, match="together can be fitted into a time"):
+        train.run(Job(tmp_path), PARAMS.model_copy(update={"seconds": 60.0, "joint": False}), **inputs)
+
+
+def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
+    poses = read_poses(inputs["smpl"] / "body.npz")
+    write_poses(inputs["smpl"] / "body.npz", replace(poses, confidence=np.zeros(FRAMES)))
+    with pytest.raises(StageError, match="no training frame has a body fit to learn from"):
+        train.run(fresh(tmp_path, "out"), PARAMS, **inputs)
+
+
+@pytest.mark.parametrize(("steps", "group"), [(1, 2), (3, 5)])
+def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(tmp_path, inputs, monkeypatch, steps, group):
+    taught = []
+    monkeypatch.setattr(train, "_write", lambda fit, *a: taught.append(fit.taught.sum().item()))
+    params = PARAMS.model_copy(update={"steps": steps, "views_per_decode": group})
+    train.run(fresh(tmp_path, "out"), params, **inputs)
+    assert taught[0] > 0
+
+
+def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs):
+    job, said = fresh(tmp_path, "out"), []
+    job.emit = lambda event: said.append(event.get("text", ""))
+    train.run(job, PARAMS.model_copy(update={"human_cap": 100}), **inputs)
+    facts = json.loads((job.out / "train.json").read_text())
+    assert facts["unseen"] > 0 and facts["leant"] > 0 and facts["clipped"] >= 0 and facts["behind"] >= 0
+    assert facts["sizes"]["human_cap"] == 6890
+    assert any("the human begins with 6,890 Gaussians, more than human_cap (100)" in text for text in said)
+    assert any(f"{facts['leant']:,} Gaussians that no frame shows well" in text for text in said)
 
 
 def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, monkeypatch):

@@ -11,6 +11,8 @@ import math
 import numpy as np
 from scipy.ndimage import label
 
+from stages.avatar.cameras import camera_centers
+
 RADIUS = 300.0  # extents: a camera that moves by one sees the shell turn by 0.2 degrees
 DIRECTIONS = 60_000  # over the whole sphere: 0.8 degrees apart, which training divides where it needs to
 CELLS = 24  # along a picture's longer side, to look for SfM points in
@@ -55,6 +57,5 @@ def shell(
         rows, row, column = (part[sky[row, column]] for part in (rows, row, column))
         colours[rows] += image[row, column] / 255
         seen[rows] += 1
-    middle = -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3]).mean(0)
     kept = seen > 0
-    return middle + RADIUS * extent * ways[kept], colours[kept] / seen[kept, None]
+    return camera_centers(viewmats).mean(0) + RADIUS * extent * ways[kept], colours[kept] / seen[kept, None]

@@ -25,6 +25,7 @@ SOURCES = (
     "cpu.py",
     "../ssim.py",
     "../triplane.py",
+    "../mesh_render.py",
 )
 KEPT = 30 * 86400.0  # s; a process marks its folder when it begins, and none runs for a month
 

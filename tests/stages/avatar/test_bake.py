@@ -8,7 +8,7 @@ from stages.avatar.body import DA_POSE
 from stages.avatar.compose import compose
 from stages.avatar.human import Canonical, bone_transforms, pose, rest
 from stages.avatar.neighbours import nearest
-from stages.avatar.views import Person, Views
+from stages.avatar.views import Person, Views, asked
 from tests.stages.avatar.standing import around, stand
 
 SIZE, STILL = 192, torch.zeros(3)
@@ -109,11 +109,12 @@ def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
     assert flank.sum() > 300 and front.sum() > 300
     speckled = person._replace(sh=torch.where(flank[:, None, None], 2.0, person.sh))
     off = lambda p: (p.sh - person.sh).abs().amax((1, 2))  # noqa: E731
-    out = bake.lean(speckled, where, cameras, [0, 1, 2])
+    out, leant = bake.lean(speckled, where, cameras, [0, 1, 2])
+    assert flank.sum() / 2 < leant < len(person.means)
     assert off(out)[flank].mean() < 0.3 * off(speckled)[flank].mean() and off(out)[front].max() < 0.1
     assert all(a is b for name, a, b in zip(person._fields, out, speckled, strict=True) if name != "sh")
     empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    assert bake.lean(speckled, where, empty, [0, 1, 2]) is speckled, "nobody is sure of anything"
+    assert bake.lean(speckled, where, empty, [0, 1, 2])[0] is speckled, "nobody is sure of anything"
 
 
 def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing):
@@ -126,7 +127,7 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
     splats = where.posed(rest(pale, where.canonical_bones()), 0)
     through = compose(splats, None, cameras.viewmats[0], cameras.Ks[0], SIZE, SIZE).image - drawn(sheer, where, 0).image
     assert far.sum() > 300 and through.amax() > 0.1, "the back does shine through"
-    out = bake.lean(pale, where, cameras, [0])
+    out, _ = bake.lean(pale, where, cameras, [0])
     assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()
 
 
@@ -140,10 +141,28 @@ def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(s
     asked = nearest(person.means[front], person.means[back], bake.NEIGHBOURS)[1].flatten()
     collar = front[asked.bincount().argsort(descending=True)[:40]]  # nearest to most of the back
     pale = person._replace(sh=person.sh.index_fill(0, collar, 2.0))
-    striped = lambda: (bake.lean(pale, where, cameras, [0]).sh - person.sh)[back].abs().amax((1, 2)) > 0.5  # noqa: E731
+    striped = lambda: (bake.lean(pale, where, cameras, [0])[0].sh - person.sh)[back].abs().amax((1, 2)) > 0.5  # noqa: E731
     assert not striped().any()
     monkeypatch.setattr(bake, "FAR", torch.inf)
     assert striped().sum() > 10, "the test can fail"
+
+
+def test_frames_are_asked_among_those_that_show_the_person(standing):
+    _, where = standing
+    masks = torch.zeros(200, 8, 8)
+    masks[[37, 41, 90]] = 1
+    where = where._replace(confidence=torch.ones(200).index_fill(0, torch.tensor([41]), 0))
+    look = Views(
+        masks[..., None].expand(-1, -1, -1, 3), masks, torch.eye(4).expand(200, 4, 4), torch.eye(3).expand(200, 3, 3)
+    )
+    assert asked(where, look, list(range(200))) == [37, 90], "few of many"
+    assert asked(where, look, [0, 1]) == []
+
+
+def test_a_person_is_judged_as_it_is_drawn(standing):
+    person, where = standing
+    resting = rest(person, where.canonical_bones())
+    assert where._replace(antialias=True).posed(resting, 0).antialias and not where.posed(resting, 0).antialias
 
 
 def test_what_floats_beside_the_person_is_left_out(standing):

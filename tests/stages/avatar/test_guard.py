@@ -143,7 +143,7 @@ def test_h02_the_norm_of_networks_is_clipped_and_one_that_is_not_finite_leaves_t
     louder = [1e6 * g for g in grads]
     assert guard.clip("networks", louder)
     assert torch.nn.utils.get_total_norm(louder).item() == pytest.approx(10 * 24**0.5)
-    assert not guard.clip("networks", [torch.tensor([torch.nan])]) and guard.left_out == 1
+    assert not guard.clip("networks", [torch.tensor([torch.nan])]) and guard.left_out == 1 and guard.clipped == 1
 
 
 def test_h01_many_bad_steps_in_a_row_stop_and_name_the_first_row_and_few_do_not():
@@ -173,9 +173,10 @@ def test_h11_a_guard_goes_on_where_it_was():
     guard, again = Guard(), Guard()
     guard.contain("scene", gradients(0))
     guard.judge("loss", True, "nan")
+    guard.clipped = 3
     again.load(guard.state())
     assert again.state() == guard.state() and again.streaks == {"scene": 0, "loss": 1}
-    assert again.judged == {"scene": 1}
+    assert again.judged == {"scene": 1} and again.clipped == 3
 
 
 def test_without_rows_there_is_nothing_to_judge():

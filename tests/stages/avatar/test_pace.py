@@ -45,12 +45,25 @@ def test_a_rehearsal_leaves_no_trace(clip):
     assert all(seconds > 0 for seconds in (*pace.half, *pace.full))
 
 
+def test_what_is_timed_is_whole_groups_of_steps_and_a_full_step_even_where_training_has_none(clip, monkeypatch):
+    fit, seen = fit_of(clip), []
+    advance = fit.advance
+    fit.options = fit.options._replace(half_until=1.0, views_per_decode=6)
+    monkeypatch.setattr(fit, "advance", lambda: (seen.append(fit.done < fit.options.half_until), advance())[1])
+    rehearse(fit, 1)
+    assert seen == 2 * (8 * [True] + 8 * [False]), "two to warm up and six, small and large, at two sizes"
+    assert fit.options.half_until == 1.0
+
+
 def test_filled_up_sets_are_at_their_caps(clip):
     fit = fit_of(clip)
     run(fit, 4)
     fit.fill_up()
     assert fit.sizes() == {"human": fit.options.human_cap, "scene": fit.options.scene_cap}
     run(fit, 6)
+    fit.options = fit.options._replace(scene_cap=20 * fit.options.scene_cap)
+    fit.fill_up()
+    assert fit.sizes()["scene"] == fit.options.scene_cap, "more than four doublings away"
 
 
 def test_a_run_with_other_steps_goes_through_the_whole_schedule(clip):

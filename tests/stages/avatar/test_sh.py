@@ -39,5 +39,18 @@ def test_b15_dark_colour_is_clamped_but_can_return():
     sh = torch.full((1, 1, 3), -5.0, requires_grad=True)
     color = sh_colors(sh, None)
     assert torch.equal(color, torch.zeros(1, 3))
-    color.sum().backward()
-    assert torch.allclose(sh.grad, torch.full_like(sh, SH_C0))
+    (brighter,) = torch.autograd.grad(-color.sum(), sh, retain_graph=True)
+    assert torch.allclose(brighter, torch.full_like(sh, -SH_C0))
+    (darker,) = torch.autograd.grad(color.sum(), sh)
+    assert (darker == 0).all()
+
+
+def test_b15_black_that_is_wanted_darker_still_does_not_sink():
+    """A sum of two is too bright and one of them is black: Adam would take it down for ever, at the speed of its rate."""
+    sh = torch.nn.Parameter(sh_from_rgb(torch.tensor([[0.0, 0.0, 0.0], [0.9, 0.9, 0.9]]))[:, None])
+    adam = torch.optim.Adam([sh], lr=0.01, eps=1e-15)
+    for _ in range(300):
+        adam.zero_grad()
+        (sh_colors(sh, None).sum(0) - 0.5).clamp_min(0).sum().backward()
+        adam.step()
+    assert (0.5 + SH_C0 * sh[0]).min() > -0.05 and (sh_colors(sh, None).sum(0) < 0.51).all()

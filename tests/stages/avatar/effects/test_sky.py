@@ -77,9 +77,10 @@ def test_nothing_is_filled_in_before_the_sky():
 
 
 def surrounded(count: int = 40) -> SceneModel:
-    scene = SceneModel(torch.rand(30, 3), torch.rand(30, 3), 1, 1.0)
+    middle = torch.tensor([500.0, 0, 0])  # farther from the origin than the shell from it
+    scene = SceneModel(middle + torch.rand(30, 3), torch.rand(30, 3), 1, 1.0)
     far = torch.nn.functional.normalize(torch.randn(count, 3), dim=1) * RADIUS
-    scene.surround(far, torch.rand(count, 3), RADIUS)
+    scene.surround(middle + far, torch.rand(count, 3), middle, RADIUS)
     return scene
 
 
