@@ -51,9 +51,9 @@ class Params(contract.Params):
     rounds: int = Field(1, ge=0, le=3)
     """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
     human_cap: int = Field(40_000, gt=0)
-    """Most Gaussians the person may have."""
+    """Most Gaussians the person may have, unless it begins with more."""
     scene_cap: int = Field(80_000, gt=0)
-    """Most Gaussians the scene may have."""
+    """Most Gaussians the scene may have, unless it begins with more."""
     scene_fill: int = Field(20_000, ge=0)
     """Points added to those of SfM before training, where SfM saw no texture."""
     human_sh: int = Field(0, ge=0, le=3)
@@ -334,7 +334,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
     broken = kept.broken + (_write_scene(fit, job) if fit.scene else 0)
     never, behind = int(unseen(fit.taught).sum()), 0 if fit.behind is None else int(fit.behind.sum())
     if never:
-        job.note(f"{never:,} Gaussians of the person that no frame shows stay as the body is")
+        job.note(f"{never:,} Gaussians of the person that no frame shows have the place and shape of the body")
     if behind:
         job.note(f"{behind:,} Gaussians of the scene that the person hides took the colours seen around them")
     if broken:
@@ -380,7 +380,9 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
     if fit.guard.left_out:
         job.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
     if fit.guard.clipped:
-        job.note(f"{fit.guard.clipped} gradients of the networks were far larger than usual and were scaled down")
+        job.note(
+            f"{fit.guard.clipped} gradients of networks or effects were far larger than usual and were scaled down"
+        )
     if fit.undrawn:
         job.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
 

@@ -15,12 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar import synthetic
 from stages.avatar import synthetic_person as person
-from stages.avatar.cameras import align_viewmats, look_at, pinhole
+from stages.avatar.cameras import look_at, pinhole
 from stages.avatar.synthetic_effects import NO_EFFECTS, Effects
 from stages.avatar.synthetic_room import make_room
 from stages.formats.body_model import read_body_model
 from stages.formats.images import write_image, write_mask
 from stages.formats.synthetic_clip import write_views
+from tests.worlds import align_viewmats
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
 SHIFT = np.array([3.0, -1.2, 0.8])

@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar import synthetic
 from stages.avatar.body import Body
-from stages.avatar.cameras import align_viewmats
 from stages.formats.body_model import BodyModel, read_body_model
 from tests.datasets import SHIFT, TURN, UNITS
+from tests.worlds import align_viewmats
 
 SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
 STRANGER = np.array([1.1, 0.05, 0.6])  # m, in each camera, from the person to somebody else

@@ -236,6 +236,13 @@ MUTANTS = (
         TESTS + "test_human.py::scales_are_positive_and_alive_whatever_the_network_says",
     ),
     Mutant(
+        "B15 black that sinks",
+        AVATAR + "sh.py",
+        "torch.where((colors < 0) & (slope > 0), 0, slope)",
+        "slope",
+        TESTS + "test_sh.py::black_that_is_wanted_darker_still_does_not_sink",
+    ),
+    Mutant(
         "C04 an opacity that freezes",
         AVATAR + "fit.py",
         "self.scene.keep_movable()",

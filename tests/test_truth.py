@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.cameras import align_viewmats, project
+from stages.avatar.cameras import project
 from stages.avatar.synthetic import make_clip
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.poses import read_poses
 from stages.formats.synthetic_clip import write_clip
 from tests.truth import align, camera_errors, in_result_world, joint_errors, joints_of, mask_ious
+from tests.worlds import align_viewmats
 
 SCALE, R, T = 0.37, Rotation.from_rotvec([0.4, -2.0, 0.7]).as_matrix(), np.array([1.0, -2.0, 0.3])
 

@@ -14,11 +14,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body import Body
-from stages.avatar.cameras import align_viewmats
 from stages.formats.body_model import BodyModel, read_body_model
 from stages.formats.cameras import Cameras, read_cameras, write_cameras
 from stages.formats.images import read_image, read_mask
 from stages.formats.poses import BodyPoses, read_poses, write_poses
+from tests.worlds import align_viewmats
 
 
 @dataclass(frozen=True)

@@ -63,10 +63,6 @@ class Body(nn.Module):
         """As `joint_transforms`, from the local rotations [..., 24, 3, 3] of all joints, root first."""
         return rest_relative_transforms(joints, rotations, self.parents)
 
-    def da_transforms(self, joints: Tensor) -> Tensor:
-        """`joint_transforms` [24,4,4] of the canonical pose, for `joints` [24,3] at rest."""
-        return self.joint_transforms(joints, joints.new_zeros(3), DA_POSE.to(joints))
-
     def forward(self, betas: Tensor, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Posed vertices [F,V,3] and joints [F,24,3] in metres, pose correctives included.
 

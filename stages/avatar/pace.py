@@ -12,7 +12,8 @@ from stages.avatar.fit import Fit
 from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
-TIMED = 4, 24  # steps of one timing, at least and at most: all that comes every few steps is in it once or more
+TIMED = 4  # steps of one timing, at least: whole groups of all that comes every few steps
+LONG = 24  # steps, at which LPIPS that comes more rarely is no longer waited for
 TIMINGS = 3  # at each corner of a Pace, before sizes are chosen: the middle one counts, so one disturbance does not
 OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer
@@ -140,8 +141,10 @@ def _timed(fit: Fit, done: float, timings: int) -> float:
     fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
     for _ in range(WARM_UP):
         fit.advance()
-    often, took = math.lcm(fit.options.views_per_decode, fit.options.perceptual_every or 1), []
-    count = min(max(often, TIMED[0]), TIMED[1])
+    views, took = fit.options.views_per_decode, []
+    often = math.lcm(views, fit.options.perceptual_every or 1)
+    often = often if often <= LONG else views
+    count = often * math.ceil(TIMED / often)
     for _ in range(timings):
         began = time.perf_counter()
         for _ in range(count):

@@ -5,22 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stages.avatar.body import affine
 from stages.avatar.neighbours import nearest
 
 WEIGHT_GAP = 0.0021
 """A neighbour counts if its weights are this close (sum of absolute differences) to the nearest vertex's: HUGS keeps
 exp(-gap / (2 * 0.1**2)) > 0.9, so that a finger does not borrow from the thigh it touches."""
-
-
-def canonical_to_posed(posed: Tensor, canonical: Tensor) -> Tensor:
-    """Bone transforms B [...,24,4,4] from the canonical to the posed body, out of both poses' joint transforms.
-
-    `posed` [...,24,4,4] and `canonical` [24,4,4] carry the rest pose to each; B = posed inverse(canonical), the inverse
-    by transposing the rotation.
-    """
-    back = canonical[..., :3, :3].mT
-    return posed @ affine(back, -(back @ canonical[..., :3, 3:])[..., 0])
 
 
 def skin(points: Tensor, weights: Tensor, bones: Tensor) -> tuple[Tensor, Tensor]:

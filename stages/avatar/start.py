@@ -79,10 +79,11 @@ class Start:
         return Fit(views, self.train, person, human, scene, options, self.generator, perceptual, effects)
 
     def _cap(self, name: str, begun: HumanModel | SceneModel | None) -> int:
-        """Most Gaussians of a set: what is set, or what it begins with."""
+        """Most Gaussians of the person or the scene: what is set, or what it begins with."""
         cap, count = getattr(self.params, f"{name}_cap"), 0 if begun is None else len(begun)
         if count > cap:
-            self.say(f"the {name} begins with {count:,} Gaussians, more than {name}_cap ({cap:,}): it gets no more")
+            who = "person" if name == "human" else name
+            self.say(f"the {who} begins with {count:,} Gaussians, more than {name}_cap ({cap:,}), and gets no more")
         return max(cap, count)
 
     def _tensor(self, array: Any) -> Tensor:

@@ -15,7 +15,7 @@ def test_every_level_of_every_axis_is_a_pipeline_with_those_settings_and_no_othe
         stage = base.stages[axis.stage]
         own = tuple(getattr(stage.params, setting) for setting in axis.settings)
         levels = axis.of(own)
-        assert own not in levels and len(levels) >= 2 and min(levels.values()) > 0
+        assert own not in levels and levels and min(levels.values()) > 0
         for level in levels:
             variant = load(f"{name}.{level_name(axis_name, level)}")
             new = variant.stages[axis.stage].params

@@ -135,6 +135,15 @@ def test_its_results_have_a_name_for_other_commands(clip):
     assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
 
 
+def test_a_variant_within_a_time_has_a_name_too(clip):
+    clip.edit("train", "    size: int = 1", "    size: int = 1\n    lbs_learning: bool = True")
+    clip.hugs("--pipeline", "tiny.no_lbs", "--within", "60s")
+    states = json.loads(clip.hugs("--pipeline", "tiny.no_lbs.60s", "--json", command="status")[0])
+    assert [row["state"] for row in states] == ["fresh"] * 3
+    _, err = clip.hugs("--pipeline", "tiny.no_lbs.5m", command="status", code=2)
+    assert "no run of pipeline tiny.no_lbs within 5m" in err
+
+
 def test_a_training_in_two_parts_is_refused_before_anything_runs(clip):
     clip.edit("train", "    size: int = 1", "    size: int = 1\n    joint: bool = True")
     _, err = run(clip, "--within", "60s", "--set", "train.joint=false", code=2)

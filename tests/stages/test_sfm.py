@@ -12,6 +12,7 @@ from stages.estimators.sparse_model import write_ignored
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points
+from tests.worlds import umeyama
 
 WIDTH, HEIGHT, FOCAL, K1 = 320, 240, 300.0, 0.06
 
@@ -102,7 +103,7 @@ def test_i04_i07_a_walk_past_a_room_is_reconstructed_with_its_lens(tmp_path):
     assert facts["distortion"]["params"][0] == pytest.approx(K1, abs=0.02) and facts["reprojection_px"] < 1
     found = read_cameras(tmp_path / "out/cameras.npz")
     truth = cameras.camera_centers(views[[int(name) // 3 for name in found.names]])
-    scale, R, t = cameras.umeyama(found.centers, truth)
+    scale, R, t = umeyama(found.centers, truth)
     off = np.linalg.norm(scale * found.centers @ R.T + t - truth, axis=1)
     assert off.max() < 0.02 * 2.4  # of the path's length
     xyz, rgb = read_points(tmp_path / "out/points.ply")

@@ -515,22 +515,52 @@ def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(tmp_path
     assert taught[0] > 0
 
 
-def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs):
+def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs, monkeypatch):
     job, said = fresh(tmp_path, "out"), []
     job.emit = lambda event: said.append(event.get("text", ""))
-    train.run(job, PARAMS.model_copy(update={"human_cap": 100}), **inputs)
+
+    def loud(fit, *args, write=train._write):
+        fit.guard.clipped, fit.behind = 3, torch.arange(len(fit.scene)) < 5
+        write(fit, *args)
+
+    monkeypatch.setattr(train, "_write", loud)
+    train.run(job, PARAMS.model_copy(update={"human_cap": 100, "scene_cap": 10}), **inputs)
     facts = json.loads((job.out / "train.json").read_text())
-    assert facts["unseen"] > 0 and facts["leant"] > 0 and facts["clipped"] >= 0 and facts["behind"] >= 0
-    assert facts["sizes"]["human_cap"] == 6890
-    assert any("the human begins with 6,890 Gaussians, more than human_cap (100)" in text for text in said)
-    assert any(f"{facts['leant']:,} Gaussians that no frame shows well" in text for text in said)
+    assert facts["unseen"] > 0 and facts["leant"] > 0 and facts["clipped"] == 3 and facts["behind"] == 5
+    assert facts["sizes"]["human_cap"] == 6890 and facts["sizes"]["scene_cap"] > 10
+    for part in (
+        "the person begins with 6,890 Gaussians, more than human_cap (100)",
+        "Gaussians, more than scene_cap (10)",
+        f"{facts['leant']:,} Gaussians that no frame shows well",
+        f"{facts['unseen']:,} Gaussians of the person that no frame shows",
+        "5 Gaussians of the scene that the person hides",
+        "3 gradients of networks or effects",
+    ):
+        assert any(part in text for text in said), part
+
+
+def test_a_training_that_breaks_down_while_it_is_timed_says_so(tmp_path, inputs, monkeypatch):
+    def broken(fit, timings):
+        raise FloatingPointError("20 bad steps in a row")
+
+    monkeypatch.setattr("stages.avatar.pace.rehearse", broken)
+    with pytest.raises(StageError, match="broke down in its first steps") as error:
+        train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={"seconds": 60.0}), **inputs)
+    assert error.value.facts == ("20 bad steps in a row",)
 
 
 def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, monkeypatch):
-    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit, timings: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    timed = []
+
+    def second(fit, timings):
+        timed.append(timings)
+        return Pace((1.0, 1.0), (1.0, 1.0), 0.4)
+
+    monkeypatch.setattr("stages.avatar.pace.rehearse", second)
     monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: 0.0)
     monkeypatch.setattr("stages.avatar.pace.PAUSE", 0.0)
     with pytest.raises(StageError, match="too short to train") as error:
         train.run(fresh(tmp_path, "job"), PARAMS.model_copy(update={"seconds": 50.0}), **inputs)
     assert "50 steps would fit into 50 s, 200 are the least" in error.value.facts[0]
     assert error.value.hint == "give 150 s more"
+    assert len(timed) == 1, "the sizes of a short training are no smaller than these"

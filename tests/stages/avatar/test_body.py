@@ -114,9 +114,7 @@ def test_da_pose_spreads_the_legs(small_body):
     assert DA_POSE.shape == (69,) and DA_POSE.nonzero().flatten().tolist() == [2, 5]
     body = Body(small_body(), F64)
     joints = body.rest(torch.zeros(10, dtype=F64))[1]
-    expected = body.joint_transforms(joints, torch.zeros(3).double(), DA_POSE.double())
-    assert torch.equal(body.da_transforms(joints), expected)
-    left = body.da_transforms(joints)[1, :3, :3]
+    left = body.joint_transforms(joints, torch.zeros(3).double(), DA_POSE.double())[1, :3, :3]
     assert torch.allclose(left, matrix_from_rotvec(torch.tensor([0, 0, 1.0], dtype=F64)), atol=1e-12)
 
 

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stages.avatar import cameras
+from tests.worlds import align_viewmats, umeyama, unproject
 
 K = np.array([[500.0, 0, 320], [0, 480.0, 200], [0, 0, 1]])
 WORLD = cameras.look_at(np.array([1.0, 2, 3]), np.array([0.0, 0, 0]), np.array([0.0, 1, 0]))
@@ -31,8 +32,8 @@ def test_project_agrees_in_numpy_and_torch_and_unproject_inverts_it():
     pixels, z = cameras.project(points, WORLD, K)
     t_pixels, t_z = cameras.project(*(torch.from_numpy(a) for a in (points, WORLD, K)))
     assert np.allclose(pixels, t_pixels.numpy()) and np.allclose(z, t_z.numpy())
-    assert np.allclose(cameras.unproject(pixels, z, WORLD, K), points)
-    assert np.allclose(cameras.unproject(t_pixels, t_z, torch.from_numpy(WORLD), torch.from_numpy(K)).numpy(), points)
+    assert np.allclose(unproject(pixels, z, WORLD, K), points)
+    assert np.allclose(unproject(t_pixels, t_z, torch.from_numpy(WORLD), torch.from_numpy(K)).numpy(), points)
 
 
 def test_batches_of_cameras():
@@ -53,7 +54,7 @@ def test_c03_a_point_in_the_camera_plane_is_finite_in_value_and_gradient():
 
 
 def test_first_pixel_centre_is_at_one_half():
-    corner = cameras.unproject(np.array([[0.5, 0.5]]), np.array([1.0]), np.eye(4), cameras.pinhole(2.0, 4, 6))
+    corner = unproject(np.array([[0.5, 0.5]]), np.array([1.0]), np.eye(4), cameras.pinhole(2.0, 4, 6))
     assert np.allclose(corner, [[(0.5 - 2) / 2, (0.5 - 3) / 2, 1]])
 
 
@@ -67,9 +68,9 @@ def test_umeyama_finds_the_similarity_and_moves_cameras_with_it(scale, rotvec, s
     R, t = Rotation.from_rotvec(rotvec).as_matrix(), np.array(shift)
     source = np.random.default_rng(2).normal(size=(12, 3))
     target = scale * source @ R.T + t
-    found, found_R, found_t = cameras.umeyama(source, target)
+    found, found_R, found_t = umeyama(source, target)
     assert found == pytest.approx(scale, rel=1e-6) and np.allclose(found_R, R, atol=1e-6)
-    moved = cameras.align_viewmats(WORLD[None], found, found_R, found_t)[0]
+    moved = align_viewmats(WORLD[None], found, found_R, found_t)[0]
     before, z = cameras.project(source * 0.1, WORLD, K)
     after, z_after = cameras.project(0.1 * scale * source @ R.T + t, moved, K)
     assert np.allclose(before, after, atol=1e-2) and np.allclose(z * scale, z_after, rtol=1e-5)
@@ -77,10 +78,10 @@ def test_umeyama_finds_the_similarity_and_moves_cameras_with_it(scale, rotvec, s
 
 def test_j11_umeyama_never_mirrors_and_refuses_a_line():
     flat = np.random.default_rng(3).normal(size=(10, 3)) * [1, 1, 0]
-    _, R, _ = cameras.umeyama(flat, flat * [-1, 1, 1])
+    _, R, _ = umeyama(flat, flat * [-1, 1, 1])
     assert np.linalg.det(R) == pytest.approx(1)
     with pytest.raises(ValueError, match="one line"):
-        cameras.umeyama(np.outer(np.arange(5.0), [1, 2, 3]), np.outer(np.arange(5.0), [1, 2, 3]))
+        umeyama(np.outer(np.arange(5.0), [1, 2, 3]), np.outer(np.arange(5.0), [1, 2, 3]))
 
 
 def test_rescaled_world_gives_the_same_pixels():
@@ -97,4 +98,4 @@ def test_j11_points_that_are_not_finite_fix_no_rotation(bad):
     broken[2, 1] = bad
     for pair in ((broken, points), (points, broken)):
         with pytest.raises(ValueError, match="not finite"):
-            cameras.umeyama(*pair)
+            umeyama(*pair)

@@ -45,13 +45,19 @@ def test_a_rehearsal_leaves_no_trace(clip):
     assert all(seconds > 0 for seconds in (*pace.half, *pace.full))
 
 
-def test_what_is_timed_is_whole_groups_of_steps_and_a_full_step_even_where_training_has_none(clip, monkeypatch):
+@pytest.mark.parametrize(
+    ("group", "lpips", "timed"), [(6, 0, 6), (3, 0, 6), (4, 0, 4), (4, 3, 12), (5, 7, 5), (30, 0, 30)]
+)
+def test_what_is_timed_is_whole_groups_of_steps_and_a_full_step_even_where_training_has_none(
+    clip, monkeypatch, group, lpips, timed
+):
     fit, seen = fit_of(clip), []
     advance = fit.advance
-    fit.options = fit.options._replace(half_until=1.0, views_per_decode=6)
+    fit.options = fit.options._replace(half_until=1.0, views_per_decode=group, perceptual_every=lpips)
     monkeypatch.setattr(fit, "advance", lambda: (seen.append(fit.done < fit.options.half_until), advance())[1])
     rehearse(fit, 1)
-    assert seen == 2 * (8 * [True] + 8 * [False]), "two to warm up and six, small and large, at two sizes"
+    steps = 2 + timed  # two to warm up
+    assert seen == 2 * (steps * [True] + steps * [False]), "small and large, at two sizes"
     assert fit.options.half_until == 1.0
 
 
@@ -100,8 +106,7 @@ def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, mon
             pauses += 1
             clock.now += pause
             deadline.judged(pause)
-        else:
-            deadline.mark(fit)
+        deadline.mark(fit)
     left_over = 10 * 0.6 * slower
     assert pauses == 12 and abs(clock.now + left_over - 300) < 0.02 * 300
     if disturbed != 1:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.cameras import camera_centers, project, unproject
+from stages.avatar.cameras import camera_centers, project
 from stages.avatar.synthetic import camera_path, make_clip
 from stages.formats.body_model import read_body_model
+from tests.worlds import unproject
 
 SIZE = {"width": 120, "height": 160, "frames": 7, "fps": 1.4}
 

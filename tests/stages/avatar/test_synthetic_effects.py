@@ -9,11 +9,12 @@ from scipy.ndimage import map_coordinates
 
 from stages.avatar import lens, synthetic
 from stages.avatar import synthetic_person as person
-from stages.avatar.cameras import camera_centers, pinhole, unproject
+from stages.avatar.cameras import camera_centers, pinhole
 from stages.avatar.synthetic_effects import Course, Effects, gains, open_times, read_out, to_linear, to_srgb
 from stages.avatar.synthetic_passers import make_passers
 from stages.avatar.synthetic_room import make_room
 from stages.formats.body_model import read_body_model
+from tests.worlds import unproject
 
 WIDTH, HEIGHT, FRAMES = 90, 120, 5
 AS_BEFORE = "c1315ebb4ed884f43a57dd9f56baa6f9d9f7296d6da8dffd6167bfc78ac2bcb6"
