@@ -76,7 +76,8 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
         if measures[name]["verdict"] in ("weak", "loose", "small"):
             job.warn(f"{name.replace('_', ' ')} is {measures[name]['verdict']}: {said(measures[name])}")
     decisions = {"scene": scene} | {name: effect["on"] for name, effect in effects.items()}
-    found = {"measures": measures, "effects": effects, "decisions": decisions}
+    starts = {name: list(finding.start) for name, finding in findings.items() if finding.start}
+    found = {"measures": measures, "effects": effects, "decisions": decisions, "starts": starts}
     (job.out / "survey.json").write_text(json.dumps(found, indent=1) + "\n")
 
 

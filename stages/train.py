@@ -219,7 +219,7 @@ def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tup
     from stages.formats.clip import load_clip
     from stages.formats.facts import read_facts
 
-    decisions = read_facts(survey / "survey.json", {"decisions": {str: bool}})["decisions"]
+    facts = read_facts(survey / "survey.json", {"decisions": {str: bool}, "starts": {str: [float]}})
     clip = load_clip(sfm, smpl)
     train = [i for i in range(len(clip.names)) if clip.training[i]]
     train = evenly(train, params.frames_used or len(train))
@@ -229,11 +229,18 @@ def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tup
             facts=[f"{len(clip.names)} frames registered, {int(clip.heldout.sum())} of them held out"],
             hint="give more frames to training in the data set's split",
         )
-    return build(clip, train, params, decisions, job), clip
+    return build(clip, train, params, facts["decisions"], job, facts["starts"]), clip
 
 
-def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any], job: Job) -> Fit:
-    """Everything that is trained, at its initial value."""
+def build(
+    clip: Clip,
+    train: list[int],
+    params: Params,
+    decisions: dict[str, Any],
+    job: Job,
+    starts: dict[str, list[float]] | None = None,
+) -> Fit:
+    """Everything that is trained, at its initial value; `starts` are those of survey.json, by effect."""
     from stages.avatar.start import Start
 
     shown = [i for i in train if clip.shows_person(i)]
@@ -249,7 +256,7 @@ def build(clip: Clip, train: list[int], params: Params, decisions: dict[str, Any
             facts=[f"{len(shown)} of {len(train)} training frames show the person, the fit trusts its pose in none"],
             hint="give a fit of your own: `hugs run VIDEO --smpl-fit FILE`",
         )
-    start = Start(clip, train, params, decisions, job.seed, job.device, job.note)
+    start = Start(clip, train, params, decisions, starts or {}, job.seed, job.device, job.note)
     fit = start.fit(_perceptual(params, job.device))
     if fit.scene is None and not (params.human_loss and params.joint):
         raise StageError(

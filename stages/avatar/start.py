@@ -34,7 +34,8 @@ FILLED = 16  # frames from which points of the scene are filled in
 class Start:
     """Makes the parts of a training, in this order, from `train`, the frames of a clip that may be learned from.
 
-    `params` has the settings of stages/train.py, `decisions` those of survey.json; `say` hears what is worth knowing.
+    `params` has the settings of stages/train.py; `decisions`, and by effect where to begin, `starts`, are those of
+    survey.json; `say` hears what is worth knowing.
     """
 
     def __init__(
@@ -43,11 +44,12 @@ class Start:
         train: list[int],
         params: Any,
         decisions: dict[str, bool],
+        starts: dict[str, list[float]],
         seed: int,
         device: str,
         say: Callable[[str], None],
     ):
-        self.clip, self.train, self.params, self.decisions = clip, train, params, decisions
+        self.clip, self.train, self.params, self.decisions, self.starts = clip, train, params, decisions, starts
         self.seed, self.device, self.say = seed, device, say
         self.generator = torch.Generator().manual_seed(seed)
 
@@ -155,10 +157,10 @@ class Start:
 
     def _effects(self, person: Person, human: HumanModel, scene: SceneModel | None, views: Views) -> FrameEffects:
         on, orient = self.decisions, self.clip.body.global_orient
-        up = torch.as_tensor(upright(orient, orient[0])[:, 1]).to(person.joints)
+        light = torch.as_tensor(self.starts.get("shadow", upright(orient, orient[0])[:, 1])).to(person.joints)
         takes = {name: on.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
         parts = casters(person.vertices, person.weights).moved(torch.linalg.inv(person.canonical_bones()))
-        effects = FrameEffects.starting(up, parts, **takes)
+        effects = FrameEffects.starting(light, parts, **takes)
         if on.get("clothing", False):
             bare = rest(human.untaught(), person.canonical_bones()).means
             effects.clothing = Clothing.start(bare, person.body_pose[self.train])

@@ -26,6 +26,8 @@ from stages.avatar.refine import FrameCorrections
 from stages.avatar.synthetic_effects import Effects
 from stages.avatar.views import Views
 from stages.contract import Job
+from stages.estimators.detectors.every import DETECTORS
+from stages.estimators.detectors.evidence import Evidence
 from stages.formats.clip import load_clip
 from tests import datasets
 
@@ -74,7 +76,12 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
     """Train, and judge on all frames that were not trained on: as taken, or as the clip `truth` has them."""
     clip, job = load_clip(*folders), Job(out=folders[0].parent, seed=args.seed)
     trained, others = (np.flatnonzero(which).tolist() for which in (clip.training, ~clip.training))
-    fit = train.build(clip, trained, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, job)
+    starts = {}
+    if decisions.get("shadow"):
+        starts["shadow"] = list(
+            DETECTORS["shadow"](Evidence(clip, json.loads((folders[0] / "sfm.json").read_bytes()))).start
+        )
+    fit = train.build(clip, trained, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, job, starts)
     began = time.process_time()
     while fit.step < args.steps:
         fit.advance()

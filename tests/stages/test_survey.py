@@ -110,7 +110,7 @@ def test_the_stage_on_a_static_clip(body_clip, tmp_path):
     out.mkdir()
     survey.run(Job(out, emit=events.append), survey.Params(), frames=tmp_path, masks=tmp_path, sfm=sfm, smpl=smpl)
     found = json.loads((out / "survey.json").read_text())
-    assert found["decisions"] == dict.fromkeys(EFFECTS | {"scene"}, False)
+    assert found["decisions"] == dict.fromkeys(EFFECTS | {"scene"}, False) and found["starts"] == {}
     assert found["effects"]["pose_refinement"]["value"] == pytest.approx(0)
     assert found["measures"]["camera_parallax"]["verdict"] == "unknown"
     unknown_ones = {name for name, effect in found["effects"].items() if effect["value"] is None}

@@ -38,11 +38,11 @@ class FrameEffects(nn.Module):
 
     @classmethod
     def starting(
-        cls, up: Tensor, body: Casters, shadow: bool, motion_blur: bool, rolling_shutter: bool
+        cls, light: Tensor, body: Casters, shadow: bool, motion_blur: bool, rolling_shutter: bool
     ) -> FrameEffects:
-        """Those that are on, before any is learned; `up`[3] points away from the floor, `body` is at rest."""
+        """Those that are on, before any is learned; `light`[3] points to where the lamp may be, `body` is at rest."""
         times = START if motion_blur else None, 0.0 if rolling_shutter else None
-        return cls(Shadow(up, body) if shadow else None, *times).to(up)
+        return cls(Shadow(light, body) if shadow else None, *times).to(light)
 
     @property
     def takes_time(self) -> bool:

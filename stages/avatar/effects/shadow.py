@@ -58,7 +58,7 @@ def casters(vertices: Tensor, weights: Tensor) -> Casters:
 class Shadow(nn.Module):
     """The light that a body, its parts at rest, keeps off the scene: its direction and four numbers, learned for a clip.
 
-    `slope` [2] is how far light from the direction `up` [3] leans, so that straight down is no special case; `darkness`
+    `slope` [2] is how far light from the direction `first` [3] leans, where it is looked for first; `darkness`
     (logit) the share of all light that comes from there, `softness` (log m) the blur of edges, `density` (log) the
     optical depth through the middle of a part, and `size` (log) how much of its covariance casts: with a small and dense
     part the shadow is even and its edge is sharp.
@@ -66,7 +66,7 @@ class Shadow(nn.Module):
 
     def __init__(
         self,
-        up: Tensor,
+        first: Tensor,
         body: Casters,
         darkness: float = DARKNESS,
         softness: float = SOFTNESS,
@@ -74,14 +74,14 @@ class Shadow(nn.Module):
         size: float = SIZE,
     ):
         super().__init__()
-        self.register_buffer("frame", rotation_z_to(up))
-        self.register_buffer("middles", body.middles.to(up))
-        self.register_buffer("covariances", body.covariances.to(up))
-        self.slope = nn.Parameter(torch.zeros(2).to(up))
-        self.darkness = nn.Parameter(torch.tensor([darkness]).to(up).logit())
-        self.softness = nn.Parameter(torch.tensor([softness]).to(up).log())
-        self.density = nn.Parameter(torch.tensor([density]).to(up).log())
-        self.size = nn.Parameter(torch.tensor([size]).to(up).log())
+        self.register_buffer("frame", rotation_z_to(first))
+        self.register_buffer("middles", body.middles.to(first))
+        self.register_buffer("covariances", body.covariances.to(first))
+        self.slope = nn.Parameter(torch.zeros(2).to(first))
+        self.darkness = nn.Parameter(torch.tensor([darkness]).to(first).logit())
+        self.softness = nn.Parameter(torch.tensor([softness]).to(first).log())
+        self.density = nn.Parameter(torch.tensor([density]).to(first).log())
+        self.size = nn.Parameter(torch.tensor([size]).to(first).log())
 
     def light(self) -> Tensor:
         """The direction [3] towards the light, of length 1."""

@@ -13,7 +13,8 @@ SHOWN = 3  # frames named with a finding
 class Finding:
     """A measured `value` beside its `threshold`, a `verdict` in a word or two, and the `frames` that show it best.
 
-    `confidence` is 0 where the value is the threshold and where nothing was measured, and 0.75 at half or twice it.
+    `confidence` is 0 where the value is the threshold and where nothing was measured, and 0.75 at half or twice it. `start`
+    is where training may begin to learn what was seen: of a shadow the direction [3] to the lamp.
     """
 
     value: float | None
@@ -23,12 +24,12 @@ class Finding:
     called_for: bool
     confidence: float
     frames: tuple[str, ...] = ()
+    start: tuple[float, ...] = ()
 
     def entry(self) -> dict:
         """As survey.json has it, without what the settings make of it."""
-        return {key: value for key, value in asdict(self).items() if key != "called_for"} | {
-            "frames": list(self.frames)
-        }
+        known = {key: value for key, value in asdict(self).items() if key not in ("called_for", "start")}
+        return known | {"frames": list(self.frames)}
 
 
 def unknown(unit: str, threshold: float, why: str) -> Finding:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -48,11 +49,12 @@ def detect(evidence: Evidence) -> Finding:
         tilt, turn = best[-1]
         near = [(tilt + share * a * TILTS[1], turn + share * b * TURNS[1]) for a in (-1, 0, 1) for b in (-1, 0, 1)]
         best = min([best, *(tried(*lamp) for lamp in near if lamp != best[-1])], key=lambda found: found[0])
-    likeness, slope, seen, _ = best
+    likeness, slope, seen, lamp = best
     strength = np.full(len(evidence.clip.names), np.nan)
     strength[evidence.some] = seen
-    return above(max(1 - np.exp(slope), 0.0), UNIT, DARKNESS, ("darkens the floor", "none"),
-                 strongest(evidence.clip.names, strength), -likeness > LIKENESS)  # fmt: skip
+    found = above(max(1 - np.exp(slope), 0.0), UNIT, DARKNESS, ("darkens the floor", "none"),
+                  strongest(evidence.clip.names, strength), -likeness > LIKENESS)  # fmt: skip
+    return replace(found, start=tuple(floor.towards(*lamp).tolist()))
 
 
 def _explained(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.ndarray]:
@@ -100,6 +102,11 @@ class _Floor:
         inside &= free[tuple(pixels.astype(int).T[::-1])]
         gain = evidence.gains[i]
         return np.where(inside & (value > 4), np.log(np.maximum(value, 1)), np.nan) - (gain if np.isfinite(gain) else 0)
+
+    def towards(self, tilt: float, turn: float) -> np.ndarray:
+        """The direction [3] to a lamp `tilt` rad from overhead, towards `turn`; of length 1."""
+        level = np.cos(turn) * self.right + np.sin(turn) * self.ahead
+        return np.cos(tilt) * self.up + np.sin(tilt) * level
 
     def shadow(self, body: np.ndarray, tilt: float, turn: float) -> np.ndarray:
         """bool [P]: the spots that a body [V,3] hides from a lamp `tilt` rad from overhead, towards `turn`."""
