@@ -13,7 +13,7 @@ from stages.avatar.body import DA_POSE, Body
 from stages.avatar.cameras import camera_centers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.effects.shadow import casters
+from stages.avatar.effects.shadow import DARKNESS, casters
 from stages.avatar.effects.sky import RADIUS, open_sky, shell
 from stages.avatar.effects.transients import Transients
 from stages.avatar.fit import Fit
@@ -28,6 +28,7 @@ from stages.avatar.sh import sh_from_rgb
 from stages.avatar.views import Person, Views
 
 PAINTED = 24  # frames from which the person's first colours are read
+LEAST_DARK = 0.05  # share of the light, at least, that a shadow begins with: at 0 it would learn nothing
 FILLED = 16  # frames from which points of the scene are filled in
 
 
@@ -157,8 +158,10 @@ class Start:
 
     def _effects(self, person: Person, human: HumanModel, scene: SceneModel | None, views: Views) -> FrameEffects:
         on, orient = self.decisions, self.clip.body.global_orient
-        light = torch.as_tensor(self.starts.get("shadow", upright(orient, orient[0])[:, 1])).to(person.joints)
-        takes = {name: on.get(name, False) for name in ("shadow", "motion_blur", "rolling_shutter")}
+        *light, darkness = self.starts.get("shadow", [*upright(orient, orient[0])[:, 1], DARKNESS])
+        light = torch.as_tensor(light).to(person.joints)
+        takes = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
+        takes["shadow"] = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
         parts = casters(person.vertices, person.weights).moved(torch.linalg.inv(person.canonical_bones()))
         effects = FrameEffects.starting(light, parts, **takes)
         if on.get("clothing", False):

@@ -33,7 +33,7 @@ from stages.formats.poses import BodyPoses, read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
 
 FRAMES, WIDTH, HEIGHT = 8, 48, 40
-STARTS = {"shadow": [0.6, 0.0, -0.8]}
+STARTS = {"shadow": [0.6, 0.0, -0.8, 0.3]}
 PARAMS = train.Params(
     steps=8,
     rounds=0,
@@ -333,7 +333,8 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     said = {name: np.asarray(value) for name, value in kept[0].effects.known().items()}
     assert effects.known().keys() == said.keys() == {*SHADOW, "shutter", "readout"}
     held(max(np.abs(value - said[name]).max() for name, value in effects.known().items()), 1e-6)
-    assert said["light"] @ STARTS["shadow"] > 0.97, "eight steps from where survey saw the lamp"
+    *lamp, darkness = STARTS["shadow"]
+    assert said["light"] @ lamp > 0.97 and abs(said["darkness"] - darkness) < 0.1, "eight steps from what survey saw"
     clip, given = (load_clip(inputs["sfm"], inputs["smpl"], folder) for folder in (job.out, None))
     held(np.abs(clip.viewmats - kept[0].cameras().numpy()).max(), 1e-6)
     moved = np.abs(clip.viewmats - given.viewmats)[clip.training].max((1, 2))

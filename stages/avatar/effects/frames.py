@@ -38,11 +38,14 @@ class FrameEffects(nn.Module):
 
     @classmethod
     def starting(
-        cls, light: Tensor, body: Casters, shadow: bool, motion_blur: bool, rolling_shutter: bool
+        cls, light: Tensor, body: Casters, shadow: float | None, motion_blur: bool, rolling_shutter: bool
     ) -> FrameEffects:
-        """Those that are on, before any is learned; `light`[3] points to where the lamp may be, `body` is at rest."""
+        """Those that are on, before any is learned; `light`[3] points to where the lamp may be, `body` is at rest.
+
+        `shadow` is the share of light that the body takes.
+        """
         times = START if motion_blur else None, 0.0 if rolling_shutter else None
-        return cls(Shadow(light, body) if shadow else None, *times).to(light)
+        return cls(None if shadow is None else Shadow(light, body, shadow), *times).to(light)
 
     @property
     def takes_time(self) -> bool:

@@ -14,7 +14,7 @@ class Finding:
     """A measured `value` beside its `threshold`, a `verdict` in a word or two, and the `frames` that show it best.
 
     `confidence` is 0 where the value is the threshold and where nothing was measured, and 0.75 at half or twice it. `start`
-    is where training may begin to learn what was seen: of a shadow the direction [3] to the lamp.
+    is where training may begin to learn what was seen: of a shadow the direction [3] to the lamp and the share of light taken.
     """
 
     value: float | None

@@ -54,7 +54,7 @@ def detect(evidence: Evidence) -> Finding:
     strength[evidence.some] = seen
     found = above(max(1 - np.exp(slope), 0.0), UNIT, DARKNESS, ("darkens the floor", "none"),
                   strongest(evidence.clip.names, strength), -likeness > LIKENESS)  # fmt: skip
-    return replace(found, start=tuple(floor.towards(*lamp).tolist()))
+    return replace(found, start=(*floor.towards(*lamp).tolist(), found.value))
 
 
 def _explained(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.ndarray]:

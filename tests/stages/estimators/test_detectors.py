@@ -235,4 +235,5 @@ def test_a_clip_with_the_effect_calls_for_it(filmed, name, strength):
     found = DETECTORS[name](filmed(passers, **{name: strength}))
     assert found.called_for and found.confidence > 0 and found.frames, found
     if name == "shadow":
-        assert np.dot(found.start, synthetic.LIGHT) > np.cos(np.radians(12)), "the lamp, where training looks first"
+        *lamp, darkness = found.start
+        assert np.dot(lamp, synthetic.LIGHT) > np.cos(np.radians(12)) and darkness == found.value

@@ -38,12 +38,12 @@ def fit_with(clip, effects: FrameEffects, steps: int = 40, **more) -> Fit:
 
 
 def everything() -> FrameEffects:
-    return FrameEffects.starting(UP, BODY, shadow=True, motion_blur=True, rolling_shutter=True)
+    return FrameEffects.starting(UP, BODY, shadow=0.5, motion_blur=True, rolling_shutter=True)
 
 
 def test_off_is_bit_identical_and_draws_through_nothing(clip, monkeypatch):
     plain = fit_of(clip, exposure=False)
-    off = fit_with(clip, FrameEffects.starting(UP, BODY, shadow=False, motion_blur=False, rolling_shutter=False))
+    off = fit_with(clip, FrameEffects.starting(UP, BODY, shadow=None, motion_blur=False, rolling_shutter=False))
     run(plain, 6), run(off, 6)
     assert same(plain, off) and not off.effects.known() and "effects" not in off.adam
     assert off.cameras() is off.full.viewmats and off.motion(1, None) is None
