@@ -229,7 +229,7 @@ def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tup
             facts=[f"{len(clip.names)} frames registered, {int(clip.heldout.sum())} of them held out"],
             hint="give more frames to training in the data set's split",
         )
-    return build(clip, train, params, facts["decisions"], job, facts["starts"]), clip
+    return build(clip, train, params, facts["decisions"], facts["starts"], job), clip
 
 
 def build(
@@ -237,10 +237,10 @@ def build(
     train: list[int],
     params: Params,
     decisions: dict[str, Any],
+    starts: dict[str, list[float]],
     job: Job,
-    starts: dict[str, list[float]] | None = None,
 ) -> Fit:
-    """Everything that is trained, at its initial value; `starts` are those of survey.json, by effect."""
+    """Everything that is trained, at its initial value; `decisions` and `starts` are those of survey.json, by effect."""
     from stages.avatar.start import Start
 
     shown = [i for i in train if clip.shows_person(i)]
@@ -256,7 +256,7 @@ def build(
             facts=[f"{len(shown)} of {len(train)} training frames show the person, the fit trusts its pose in none"],
             hint="give a fit of your own: `hugs run VIDEO --smpl-fit FILE`",
         )
-    start = Start(clip, train, params, decisions, starts or {}, job.seed, job.device, job.note)
+    start = Start(clip, train, params, decisions, starts, job.seed, job.device, job.note)
     fit = start.fit(_perceptual(params, job.device))
     if fit.scene is None and not (params.human_loss and params.joint):
         raise StageError(

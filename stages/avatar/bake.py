@@ -80,9 +80,9 @@ def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor
 
     taught[N] >= 0 is the sum of the gradients of each colour. There networks speak to features that are still random.
     """
-    shown = ~unseen(taught)
-    pairs = zip(decoded, untaught, strict=True)
-    return Canonical(*(torch.where(shown.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
+    never = unseen(taught)
+    pairs = zip(untaught, decoded, strict=True)
+    return Canonical(*(torch.where(never.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
 
 
 def unseen(taught: Tensor) -> Tensor:
@@ -103,9 +103,10 @@ def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> tu
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
         return person, 0
-    means, around = person.means, median_near(person.sh[sure], person.means[sure], person.means, NEIGHBOURS)
+    means = person.means
+    away, rows = nearest(means[sure], means, NEIGHBOURS)
+    around, far = person.sh[sure][rows].median(1).values, away[:, 0] > FAR
     spots = sure.nonzero()[:, 0][spread_out(means[sure], SPOTS)]
-    far = nearest(means[sure], means, 1)[0][:, 0] > FAR
     around[far] = median_near(around[spots], means[spots], means[far], ASKED)
     own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
     return person._replace(sh=own * person.sh + (1 - own) * around), int((own < 0.5).sum())

@@ -300,8 +300,8 @@ class Fit:
         if self.canonical.weights.requires_grad:
             prior = losses.skinning(self.canonical.weights, self._reference()) + prior
         decoded = [getattr(self.decoded, n) for n in taught]
-        views = self.step % self.options.views_per_decode or self.options.views_per_decode
-        slopes = [grad / views for grad in taught.values()]
+        drawn = self.step % self.options.views_per_decode or self.options.views_per_decode
+        slopes = [grad / drawn for grad in taught.values()]
         torch.autograd.backward([*decoded, prior], [*slopes, torch.ones_like(prior)])
         rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
         self.guard.contain("corrections", {name: p.grad for name, p in rows.items() if p.grad is not None})

@@ -102,9 +102,8 @@ class Guard:
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        counts = {"judged": dict(self.judged), "streaks": dict(self.streaks), "left_out": self.left_out}
-        counts["clipped"] = self.clipped
-        return {"usual": dict(self.usual)} | counts
+        counts = {"left_out": self.left_out, "clipped": self.clipped}
+        return {"usual": dict(self.usual), "judged": dict(self.judged), "streaks": dict(self.streaks)} | counts
 
     def load(self, state: dict[str, Any]) -> None:
         """Continue from `state()`."""

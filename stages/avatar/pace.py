@@ -13,7 +13,7 @@ from stages.avatar.schedule import SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
 TIMED = 4  # steps of one timing, at least: whole groups of all that comes every few steps
-LONG = 24  # steps, at which LPIPS that comes more rarely is no longer waited for
+LONG = 24  # steps; an LPIPS that comes more rarely is not waited for
 TIMINGS = 3  # at each corner of a Pace, before sizes are chosen: the middle one counts, so one disturbance does not
 OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer

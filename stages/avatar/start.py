@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body import DA_POSE, Body
-from stages.avatar.cameras import camera_centers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import DARKNESS, casters
@@ -149,11 +148,10 @@ class Start:
         degree = self.params.scene_sh if on.get("view_dependence", False) else 0
         scene = SceneModel(points[clear], colors[clear], degree, extent, on.get("antialias", False))
         if skies:
-            far, tints = shell(skies, images, *cameras, extent)
+            far, tints, middle = shell(skies, images, *cameras, extent)
             self.say(f"{len(far):,} Gaussians of the sky, {RADIUS * extent:.0f} m away")
             if len(far):
-                middle = self._tensor(camera_centers(cameras[0]).mean(0))
-                scene.surround(self._tensor(far), self._tensor(tints), middle, RADIUS * extent)
+                scene.surround(self._tensor(far), self._tensor(tints), self._tensor(middle), RADIUS * extent)
         return scene
 
     def _effects(self, person: Person, human: HumanModel, scene: SceneModel | None, views: Views) -> FrameEffects:

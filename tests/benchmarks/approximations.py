@@ -109,13 +109,14 @@ def trained(folder: Path, settings: dict[str, Any], steps: int, seed: int) -> di
     from stages.estimators.assets import fetch
     from stages.formats.clip import load_clip
     from tests.benchmarks.host import clock, summary
+    from tests.benchmarks.workloads import surveyed
 
     clip = load_clip(folder / "sfm", folder / "smpl")
-    decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
+    decisions, starts = surveyed(folder)
     heldout = [i for i in np.flatnonzero(clip.heldout).tolist() if (clip.mask(i) > 127).any()]
     job = SimpleNamespace(seed=seed, device="cpu", note=lambda text: None)
     params = train.Params(steps=steps, **settings)
-    fit = train.build(clip, np.flatnonzero(clip.training).tolist(), params, decisions, job)
+    fit = train.build(clip, np.flatnonzero(clip.training).tolist(), params, decisions, starts, job)
     times = []
     while fit.step < steps:
         late = fit.done >= HALF_UNTIL

@@ -78,10 +78,9 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
     trained, others = (np.flatnonzero(which).tolist() for which in (clip.training, ~clip.training))
     starts = {}
     if decisions.get("shadow"):
-        starts["shadow"] = list(
-            DETECTORS["shadow"](Evidence(clip, json.loads((folders[0] / "sfm.json").read_bytes()))).start
-        )
-    fit = train.build(clip, trained, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, job, starts)
+        evidence = Evidence(clip, json.loads((folders[0] / "sfm.json").read_bytes()))
+        starts["shadow"] = DETECTORS["shadow"](evidence).start
+    fit = train.build(clip, trained, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, starts, job)
     began = time.process_time()
     while fit.step < args.steps:
         fit.advance()

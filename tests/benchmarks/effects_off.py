@@ -60,7 +60,7 @@ def pair(work: Path, steps: int) -> tuple[Fit, Fit]:
     place = work / "plain_seed0"
     clip, job = load_clip(*inputs(place)), Job(out=place)
     trained, params = np.flatnonzero(clip.training).tolist(), train.Params(steps=steps, **PARAMS)
-    off, without = (train.build(clip, trained, params, ALWAYS, job) for _ in range(2))
+    off, without = (train.build(clip, trained, params, ALWAYS, {}, job) for _ in range(2))
     return off, bare(without)
 
 

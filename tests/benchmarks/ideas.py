@@ -32,6 +32,7 @@ from stages.avatar.perceptual import Lpips
 from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
 from tests.benchmarks import mcmc
+from tests.benchmarks.workloads import surveyed
 
 
 def put(owner, **values) -> list:
@@ -115,7 +116,7 @@ WITHOUT = {
 def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[dict]:
     """Train each variant with each seed, and rate it."""
     clip = load_clip(folder / "sfm", folder / "smpl")
-    decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
+    decisions, starts = surveyed(folder)
     chosen = np.flatnonzero(clip.training).tolist()
     heldout = [i for i in np.flatnonzero(clip.heldout).tolist() if (clip.mask(i) > 127).any()]
     with np.load(fetch("lpips_alex.npz")) as weights:
@@ -128,7 +129,7 @@ def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[di
                 for patch in idea.patches:
                     stack.enter_context(patch)
                 fit = train.build(
-                    clip, chosen, train.Params(steps=steps, **idea.settings), decisions | idea.decisions, job
+                    clip, chosen, train.Params(steps=steps, **idea.settings), decisions | idea.decisions, starts, job
                 )
                 began = time.perf_counter()
                 while fit.step < steps:

@@ -21,6 +21,7 @@ from stages.avatar.compose import compose
 from stages.avatar.fit import Fit
 from stages.avatar.metrics import person_crop, scores
 from stages.formats.clip import load_clip
+from tests.benchmarks.workloads import surveyed
 
 
 class Job:
@@ -37,9 +38,10 @@ def scene_only(folder: Path) -> dict:
     clip = load_clip(folder / "sfm", folder / "smpl")
     joint = json.loads((folder / "evaluate" / "metrics.json").read_text())
     known = json.loads((folder / "train" / "train.json").read_text())
-    decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
+    decisions, starts = surveyed(folder)
     chosen = [i for i in range(len(clip.names)) if clip.training[i]]
-    both = build(clip, chosen, known, decisions)
+    params = train.Params(steps=known["steps"])
+    both = train.build(clip, chosen, params, decisions | {"scene": True}, starts, Job())
     options = both.options._replace(scene_cap=sum(known["gaussians"].values()), exposure=False)
     everything = both.full._replace(masks=torch.zeros_like(both.full.masks))
     fit = Fit(everything, chosen, None, None, both.scene, options, torch.Generator().manual_seed(Job.seed))
@@ -69,12 +71,6 @@ def scene_only(folder: Path) -> dict:
         "scene_only_gaussians": len(fit.scene),
         "scene_only_seconds": round(seconds, 1),
     }
-
-
-def build(clip, chosen: list[int], known: dict, decisions: dict) -> Fit:
-    """The joint model as it was before its first step."""
-    params = train.Params(steps=known["steps"])
-    return train.build(clip, chosen, params, decisions | {"scene": True}, Job())
 
 
 def main() -> None:

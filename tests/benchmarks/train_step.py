@@ -36,6 +36,7 @@ from stages.formats.clip import load_clip
 from stages.formats.splats import Scene, read_scene
 from tests.benchmarks.host import machine, summary
 from tests.benchmarks.scene_only import Job
+from tests.benchmarks.workloads import surveyed
 
 SIZES = ((1, 50_000), (1, 60_000), (1, 200_000), (2, 50_000), (2, 200_000))  # subdivisions of the body, scene Gaussians
 
@@ -135,9 +136,9 @@ def model(scene: Scene, extent: float) -> SceneModel:
 def prepared(folder: Path, rounds: int, count: int) -> fit.Fit:
     """The joint model of one size, at the first step of full resolution."""
     clip = load_clip(folder / "sfm", folder / "smpl")
-    decisions = json.loads((folder / "survey" / "survey.json").read_text())["decisions"]
+    decisions, starts = surveyed(folder)
     chosen = [i for i in range(len(clip.names)) if clip.training[i]]
-    fresh = train.build(clip, chosen, train.Params(rounds=rounds), decisions | {"scene": True}, Job())
+    fresh = train.build(clip, chosen, train.Params(rounds=rounds), decisions | {"scene": True}, starts, Job())
     scene = resized(read_scene(folder / "train" / "scene.npz"), count, np.random.default_rng(Job.seed))
     parts = (fresh.full, chosen, fresh.person, fresh.human, model(scene, fresh.options.extent))
     joint = fit.Fit(*parts, fresh.options, torch.Generator().manual_seed(Job.seed), effects=fresh.effects)

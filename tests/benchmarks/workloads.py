@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,12 @@ def garden_works(path: Path, seed: int = 0) -> dict[str, Workload]:
     parts = (means, torch.tensor([1.0, 0, 0, 0]).repeat(count, 1), scales, opacities, colors / 255)
     v_image = torch.rand(height, width, 3, generator=g)
     return {f"garden {i}": Workload(parts, v, K, width, height, v_image) for i, (v, K) in enumerate(zip(views, Ks))}
+
+
+def surveyed(folder: Path) -> tuple[dict[str, bool], dict[str, list[float]]]:
+    """What `survey` decided about a pipeline's clip, and where training begins with what it saw."""
+    facts = json.loads((folder / "survey" / "survey.json").read_text())
+    return facts["decisions"], facts["starts"]
 
 
 def finished(folder: Path, device: str = "cpu") -> tuple[Clip, Learned, dict[str, Pose]]:

@@ -38,8 +38,9 @@ def open_sky(points: np.ndarray, mask: np.ndarray, viewmat: np.ndarray, K: np.nd
 
 def shell(
     skies: list[np.ndarray], images: list[np.ndarray], viewmats: np.ndarray, Ks: np.ndarray, extent: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points [N,3] m on the shell, in directions that a view sees in its open sky, and their mean colours [N,3] in 0..1.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points [N,3] m on the shell, in directions that a view sees in its open sky, their mean colours [N,3] in 0..1, and
+    the middle [3] of the shell.
 
     Per view: sky bool[H,W], image uint8[H,W,3], viewmat[4,4], K[3,3] px. Lengths go by the scene's `extent` m.
     """
@@ -58,4 +59,5 @@ def shell(
         colours[rows] += image[row, column] / 255
         seen[rows] += 1
     kept = seen > 0
-    return camera_centers(viewmats).mean(0) + RADIUS * extent * ways[kept], colours[kept] / seen[kept, None]
+    middle = camera_centers(viewmats).mean(0)
+    return middle + RADIUS * extent * ways[kept], colours[kept] / seen[kept, None], middle

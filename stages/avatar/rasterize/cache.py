@@ -65,7 +65,8 @@ def tidy(root: Path, before: float) -> None:
 
 def compiled() -> bool:
     """Whether an earlier process has left the kernels of these sources, for this processor or another."""
-    return any(Path(numba.config.CACHE_DIR).glob("*/blend.draw_backward*.nbi"))
+    return any(FOLDER.glob("*/blend.draw_backward*.nbi"))
 
 
-numba.config.CACHE_DIR = str(folder())
+FOLDER = folder()
+numba.config.CACHE_DIR = str(FOLDER)  # read where a kernel is defined; Numba forgets it when its environment changes

@@ -72,7 +72,7 @@ def test_an_older_processor_without_a_cache_folder_draws_the_same(tmp_path):
 def test_kernels_of_an_earlier_process_are_noticed(tmp_path, monkeypatch):
     draw(cpu, gaussians(20), *camera())
     assert cache.compiled()
-    monkeypatch.setattr(cache.numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(cache, "FOLDER", tmp_path)
     assert not cache.compiled()
 
 

@@ -49,16 +49,16 @@ def test_the_shell_is_far_in_all_directions_of_the_sky_and_has_its_colours():
     moved = VIEW.copy()
     moved[:3, 3] = [0.5, 0, 0]
     views, Ks = np.stack([VIEW, moved]), np.stack([K, K])
-    points, colours = shell([sky, sky], [image, image], views, Ks, 2.0)
-    centres = np.array([-0.25, 0, 0])
-    np.testing.assert_allclose(np.linalg.norm(points - centres, axis=1), RADIUS * 2, rtol=1e-6)
+    points, colours, middle = shell([sky, sky], [image, image], views, Ks, 2.0)
+    np.testing.assert_allclose(middle, [-0.25, 0, 0])
+    np.testing.assert_allclose(np.linalg.norm(points - middle, axis=1), RADIUS * 2, rtol=1e-6)
     seen = points / points[:, 2:] @ K.T
     assert (points[:, 2] > 0).all() and seen[:, 1].max() < 25 and len(points) > 500
     left = seen[:, 0] < 29
     np.testing.assert_allclose(colours[left], np.tile([200 / 255, 0, 0], (left.sum(), 1)))
     found = np.unique(seen[:, :2].astype(int) // 4, axis=0)
     assert len(found) == len(np.unique(np.argwhere(sky)[:, ::-1] // 4, axis=0)), "no hole"
-    points, colours = shell([np.zeros_like(sky)], [image], VIEW[None], K[None], 2.0)
+    points, colours, _ = shell([np.zeros_like(sky)], [image], VIEW[None], K[None], 2.0)
     assert points.shape == colours.shape == (0, 3)
 
 
