@@ -24,6 +24,12 @@ CURVE = (
     "The clock stands still while accuracy is measured. `hugs costs VIDEO --plot` sets all pipelines that were run on "
     "this clip beside each other."
 )
+CALLED = (
+    "Each effect was measured before training; it is modelled where the value is beyond the threshold, unless the settings "
+    "say always or never. What could not be measured is off. Gained: what the held-out frames of the curve lose when what "
+    "was trained is drawn without it; a training without it may lose less, since the rest would have made up for it "
+    "(`--set survey.NAME=never` tells). Cost: of the time of training, by steps timed with and without at the end."
+)
 AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
     "heldout": "held out",
@@ -39,7 +45,8 @@ METRICS |= {"seconds": {"total": float}, "peak_memory_bytes": int}
 MEASURE = {"value": (float, None), "unit": str, "verdict": str}
 EFFECT = MEASURE | {"threshold": float, "confidence": float, "frames": [str], "on": bool}
 SURVEY = {"measures": {str: MEASURE}, "effects": {str: EFFECT}, "decisions": {str: bool}}
-TRAINED = {"seconds_by_part": {str: float}}
+WORTH = {"psnr": (float, None), "psnr_person": (float, None), "seconds": float}
+TRAINED = {"seconds_by_part": {str: float}, "effects": {str: WORTH}}
 RUNGS = {"of?": int, "rungs?": [{"how": str, "models": [{"registered": int}]}], "mapper?": str}
 """What is taken from stamp.json, metrics.json, survey.json, train.json, and sfm.json (rungs where cameras were mapped)."""
 
@@ -72,6 +79,7 @@ def run(
     stamps = {name: read_facts(folder / "stamp.json", STAMP) for name, folder in zip(names, folders, strict=True)}
     listing = read_facts(frames / "frames.json", {"video": {"path": str}})
     metrics, found = read_facts(evaluate / "metrics.json", METRICS), read_facts(survey / "survey.json", SURVEY)
+    trained = read_facts(train / "train.json", TRAINED)
     clip = load_clip(sfm, smpl)
     name = Path(listing["video"]["path"]).name
     sizes = metrics["gaussians"]
@@ -91,7 +99,9 @@ def run(
         page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics["protocol"]),
         *_beside_the_paper(listing.get("dataset"), metrics),
         page.section("Accuracy over time", _curve(train), note=CURVE),
-        page.section("Where the time went", _times(stamps), "<p>Training, step by step:</p>", _parts(train)),
+        page.section(
+            "Where the time went", _times(stamps), "<p>Training, step by step:</p>", _parts(trained["seconds_by_part"])
+        ),
         page.section(
             "The body fit",
             page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
@@ -99,9 +109,8 @@ def run(
         ),
         page.section(
             "What this clip called for",
-            _effects(found),
-            note="Each effect was measured before training; it is modelled where the value is beyond the threshold, unless "
-            "the settings say always or never. What could not be measured is off.",
+            _effects(found, trained["effects"]),
+            note=CALLED,
         ),
         page.section("What else was measured", _measures(found) + _rungs(read_facts(sfm / "sfm.json", RUNGS))),
         page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
@@ -207,12 +216,10 @@ def _times(stamps: dict[str, dict[str, Any]]) -> str:
     return page.table(["stage", "time", "peak memory", ""], rows, numeric=(1, 2))
 
 
-def _parts(train: Path) -> str:
+def _parts(spent: dict[str, float]) -> str:
     """What the seconds of training went into; accuracy is measured with the clock stopped."""
     from stages.formats import page
-    from stages.formats.facts import read_facts
 
-    spent = read_facts(train / "train.json", TRAINED)["seconds_by_part"]
     total = sum(spent.values()) or 1.0
     rows = [[name, _duration(s), f"{100 * s / total:.0f} %", page.bar(s / total)] for name, s in spent.items()]
     return page.table(["part", "time", "share", ""], rows, numeric=(1, 2))
@@ -250,18 +257,20 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
     return shots
 
 
-def _effects(found: dict[str, Any]) -> str:
-    """A row for each effect of survey.json, those that are modelled first."""
+def _effects(found: dict[str, Any], worth: dict[str, dict[str, float | None]]) -> str:
+    """A row for each effect of survey.json, those that are modelled first; `worth` is what train.json says of them."""
     from stages.formats import page
 
     rows = []
     for name, effect in sorted(found["effects"].items(), key=lambda item: not item[1]["on"]):
         value = "" if effect["value"] is None else f"{effect['value']:.3g} {effect['unit']}"
+        gains = [worth.get(name, {}).get(key) for key in ("psnr", "psnr_person")]
+        gained = " / ".join(f"{gain:+.2f} dB" for gain in gains if gain is not None)
+        cost = f"{worth[name]['seconds']:.0f} s" if name in worth else ""
         rows.append([name.replace("_", " "), "on" if effect["on"] else "off", value, f"{effect['threshold']:g}"]
-                    + [effect["verdict"], f"{effect['confidence']:.0%}", ", ".join(effect["frames"])])  # fmt: skip
-    return page.table(
-        ["effect", "", "measured", "threshold", "verdict", "confidence", "most in frames"], rows, numeric=(3, 5)
-    )
+                    + [effect["verdict"], f"{effect['confidence']:.0%}", gained, cost, ", ".join(effect["frames"])])  # fmt: skip
+    head = ["effect", "", "measured", "threshold", "verdict", "confidence", "gained, whole / person", "cost"]
+    return page.table([*head, "most in frames"], rows, numeric=(3, 5, 6, 7))
 
 
 def _measures(found: dict[str, Any]) -> str:

@@ -92,6 +92,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     from stages.avatar.neighbours import evenly
     from stages.avatar.rasterize.cache import compiled
     from stages.avatar.rasterize.rendering import T_STOP
+    from stages.avatar.worth import worth
 
     if job.device != "cpu" and params.early_stop != T_STOP:
         hint = "leave `train.early_stop` out, or give `--device cpu`"
@@ -139,7 +140,8 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
             save(job.out / CHECKPOINT, fit, told)
             if job.stop_asked:
                 raise Stopped(f"stopped after step {fit.step} of {fit.total}; the next run goes on from there")
-    _write(fit, clip, job, curve)
+    effects = _told(worth(fit, judged), curve[-1]["seconds"], job)
+    _write(fit, clip, job, curve, effects)
     for name in (CHECKPOINT, "failure.npz"):
         (job.out / name).unlink(missing_ok=True)
 
@@ -157,6 +159,7 @@ def _begun(
     import torch
 
     from stages.avatar.checkpoint import load, resume
+    from stages.avatar.worth import PAUSES, effects_of
 
     told = {"curve": [], "seconds": 0.0, "parts": {}, "sizes": {}, "deadline": None}
     path = job.out / CHECKPOINT
@@ -165,6 +168,8 @@ def _begun(
     except ValueError as error:
         raise _unusable(error) from error
     fit, clip = _start(job, params.model_copy(update=saved["sizes"] if saved else {}), *folders)
+    if deadline and (effects := effects_of(fit)):
+        deadline.pauses += PAUSES * (len(effects) + 1)
     if saved:
         try:
             resume(fit, saved["fit"], path)
@@ -331,7 +336,19 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
     return {key: numbers[key] for key in COLUMNS[2:6]} | fit.sizes() | {"memory_bytes": memory}
 
 
-def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
+def _told(found: dict[str, dict[str, Any]], seconds: float, job: Job) -> dict[str, dict[str, Any]]:
+    """What train.json says of the effects that training had: dB on the curve's frames, and of its `seconds`."""
+    told = {}
+    for name, effect in found.items():
+        gains = {key: None if effect[key] is None else round(effect[key], 3) for key in ("psnr", "psnr_person")}
+        told[name] = gains | {"seconds": round(effect["share"] * seconds, 1)}
+        known = " / ".join(f"{gain:+.1f}" for gain in gains.values() if gain is not None)
+        gained = f"{known} dB on held-out frames, " if known else ""
+        job.note(f"{name.replace('_', ' ')}: {gained}{told[name]['seconds']:.0f} s of training")
+    return told
+
+
+def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], effects: dict[str, dict[str, Any]]) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
     from stages.avatar.bake import unseen
 
@@ -366,6 +383,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]]) -> None:
         "sizes": {"human_cap": fit.options.human_cap, "scene_cap": fit.options.scene_cap},
         "seconds": curve[-1]["seconds"],
         "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
+        "effects": effects,
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(kept.person.means)},
         "broken": broken,

@@ -394,10 +394,14 @@ class Fit:
 
     def bodies(self) -> tuple[Tensor, Tensor, Tensor]:
         """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; untrained frames take their neighbours' correction."""
+        if not self.options.refine_pose:
+            return self.person.global_orient, self.person.body_pose, self.person.transl
         return self.frames.bodies(self.person, self.trained, self.full.moments)
 
     def gains(self) -> Tensor:
         """Exposure factors [F,3], of geometric mean 1 over the training frames."""
+        if not self.options.exposure:
+            return torch.ones_like(self.frames.gain.weight)
         return self.frames.all_gains(self.trained, self.full.moments)
 
     def cameras(self) -> Tensor:

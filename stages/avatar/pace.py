@@ -128,16 +128,16 @@ def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
     before, options = copy.deepcopy(snapshot(fit)), fit.options
     late = min(options.half_until, LATE)
     fit.options = options._replace(half_until=late)  # a full step is timed even where training has none: films are full
-    few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
+    few = timed(fit, 0.0, timings), timed(fit, late, timings)
     fit.fill_up()
-    many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
+    many = timed(fit, 0.0, timings), timed(fit, late, timings)
     restore(fit, before)
     fit.options, fit.clock.seconds = options, {}
     return Pace((few[0], many[0]), (few[1], many[1]), options.half_until)
 
 
-def _timed(fit: Fit, done: float, timings: int) -> float:
-    """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`."""
+def timed(fit: Fit, done: float, timings: int = TIMINGS) -> float:
+    """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`. The steps are taken."""
     fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
     for _ in range(WARM_UP):
         fit.advance()

@@ -41,6 +41,7 @@ def test_everything_is_told(page):
     assert "<h1>dance &lt;1&gt;.mp4</h1>" in text and "sfm: the camera &lt;b&gt;barely&lt;/b&gt; moved" in text
     assert "1,723 Gaussians in the person, 441 in the scene" in text and "The scene is modelled" in text
     assert "What this clip called for" in text and "<td>shadow</td><td>on</td><td>0.21 of the light</td>" in text
+    assert "<td class=n>+0.50 dB / +1.25 dB</td><td class=n>7 s</td>" in text, "what an effect is worth"
     assert "too small" in text, "LPIPS of a crop under 64 px"
     assert [name for name in tiny_clip.STAGES if f"<td>{name}</td>" not in text] == []
     assert text.count("<polyline") == 2
