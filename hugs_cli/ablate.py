@@ -6,7 +6,7 @@ from statistics import fmean
 from typing import Any
 
 from hugs_cli import comparison, engine
-from hugs_cli.comparison import METRICS, REGIONS, Case, Quiet, Scores, cell, heldout, measured, over_seeds
+from hugs_cli.comparison import METRICS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
 from hugs_cli.console import Console
 from hugs_cli.freshness import Judge
 from hugs_cli.variants import ABLATIONS
@@ -66,11 +66,12 @@ def compared(name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    """The comparison as lines: a block for the whole picture and one for the person, a line a variant."""
+    """The comparison as lines: a block for the whole picture, one for the person and one for the person over white."""
     found, name, seeds = result["heldout"], result["pipeline"], result["seeds"]
     spread = f"mean and standard deviation over {count(len(seeds), 'seed')}" if len(seeds) > 1 else "one seed"
     lines = [f"frames never trained on, {spread}, difference to {name}"]
-    for region in measured([found[name]]) or ["person_white"]:
+    known = [region for region in REGIONS if found[name][region]["psnr"]["mean"] is not None]
+    for region in known or ["person_white"]:
         lines += ["", "".join([f"{REGIONS[region]:<26}", *(f"{metric.upper():<26}" for metric in METRICS)]).rstrip()]
         for variant, rows in found.items():
             cells = [f"{cell(rows[region][metric], digits):<26}" for metric, digits in METRICS.items()]
