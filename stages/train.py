@@ -169,7 +169,7 @@ def _begun(
         raise _unusable(error) from error
     fit, clip = _start(job, params.model_copy(update=saved["sizes"] if saved else {}), *folders)
     if deadline and (effects := effects_of(fit)):
-        deadline.pauses += PAUSES * (len(effects) + 1)
+        deadline.pauses += PAUSES * len(effects) + 1
     if saved:
         try:
             resume(fit, saved["fit"], path)

@@ -128,17 +128,22 @@ def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
     before, options = copy.deepcopy(snapshot(fit)), fit.options
     late = min(options.half_until, LATE)
     fit.options = options._replace(half_until=late)  # a full step is timed even where training has none: films are full
-    few = timed(fit, 0.0, timings), timed(fit, late, timings)
+    few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
     fit.fill_up()
-    many = timed(fit, 0.0, timings), timed(fit, late, timings)
+    many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
     restore(fit, before)
     fit.options, fit.clock.seconds = options, {}
     return Pace((few[0], many[0]), (few[1], many[1]), options.half_until)
 
 
-def timed(fit: Fit, done: float, timings: int = TIMINGS) -> float:
-    """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`. The steps are taken."""
+def held(fit: Fit, done: float = LATE) -> None:
+    """From now on a training stays at a share of its schedule, however many steps it takes."""
     fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
+
+
+def _timed(fit: Fit, done: float, timings: int) -> float:
+    """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`."""
+    held(fit, done)
     for _ in range(WARM_UP):
         fit.advance()
     views, took = fit.options.views_per_decode, []

@@ -475,7 +475,7 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: now[0])
     monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit, timings: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
     monkeypatch.setattr("stages.avatar.pace.PAUSE", 0.0)
-    monkeypatch.setattr("stages.avatar.worth.timed", lambda fit, done: 1.0)
+    monkeypatch.setattr("stages.avatar.worth._seconds", lambda fit: 1.0)
     monkeypatch.setattr(train, "FEWEST", 10)
     advance = Fit.advance
     monkeypatch.setattr(Fit, "advance", lambda fit: (now.__setitem__(0, now[0] + 1), advance(fit))[1])

@@ -71,7 +71,7 @@ def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
 def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
     """A made-up clock: three pictures take three times as long as one."""
     fit = changing(clip)
-    monkeypatch.setattr("stages.avatar.worth.timed", lambda fit, done: 3.0 if fit.effects.blurs else 1.0)
+    monkeypatch.setattr("stages.avatar.worth._seconds", lambda fit: 3.0 if fit.effects.blurs else 1.0)
     whole = judge(fit, HELD_OUT)
     found = worth(fit, HELD_OUT)
     for effect in ("shadow", "clothing", "exposure"):
