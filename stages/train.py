@@ -344,7 +344,7 @@ def _told(found: dict[str, dict[str, Any]], seconds: float, job: Job) -> dict[st
         told[name] = gains | {"seconds": round(effect["share"] * seconds, 1)}
         known = " / ".join(f"{gain:+.1f}" for gain in gains.values() if gain is not None)
         gained = f"{known} dB on held-out frames, " if known else ""
-        job.note(f"{name.replace('_', ' ')}: {gained}{told[name]['seconds']:.0f} s of training")
+        job.note(f"{name.replace('_', ' ')}: {gained}{round(told[name]['seconds'])} s of training")
     return told
 
 
