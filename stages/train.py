@@ -140,7 +140,11 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
             save(job.out / CHECKPOINT, fit, told)
             if job.stop_asked:
                 raise Stopped(f"stopped after step {fit.step} of {fit.total}; the next run goes on from there")
-    effects = _told(worth(fit, judged), curve[-1]["seconds"], job)
+    try:
+        effects = _told(worth(fit, judged), curve[-1]["seconds"], job)
+    except (FloatingPointError, ValueError) as error:  # of a step taken to be timed: the training is over, and is kept
+        job.warn(f"what effects are worth could not be measured: {error}")
+        effects = {}
     _write(fit, clip, job, curve, effects)
     for name in (CHECKPOINT, "failure.npz"):
         (job.out / name).unlink(missing_ok=True)

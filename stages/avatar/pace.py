@@ -136,14 +136,14 @@ def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
     return Pace((few[0], many[0]), (few[1], many[1]), options.half_until)
 
 
-def held(fit: Fit, done: float = LATE) -> None:
+def hold(fit: Fit, done: float = LATE) -> None:
     """From now on a training stays at a share of its schedule, however many steps it takes."""
     fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
 
 
 def _timed(fit: Fit, done: float, timings: int) -> float:
     """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`."""
-    held(fit, done)
+    hold(fit, done)
     for _ in range(WARM_UP):
         fit.advance()
     views, took = fit.options.views_per_decode, []

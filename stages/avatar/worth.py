@@ -14,7 +14,7 @@ from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.fit import Fit
 from stages.avatar.judge import judge
 from stages.avatar.neighbours import evenly
-from stages.avatar.pace import held
+from stages.avatar.pace import hold
 
 OPTIONS = {
     "pose_refinement": "refine_pose",
@@ -71,7 +71,7 @@ def worth(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | None]]:
     """Of each effect `psnr` and `psnr_person`, dB that `frames` lose drawn without it, and `share` of a step's time it takes.
 
     The rest was trained beside it: a training without it may lose less. None where nothing tells. The training is then
-    as it was, bit for bit.
+    as it was, bit for bit, also where a step fails as in `Fit.advance`.
     """
     effects = effects_of(fit)
     if not effects:
@@ -82,16 +82,18 @@ def worth(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | None]]:
             drawn = judge(fit, frames) if name not in ONLY_TAUGHT else {}
         found[name] = {key: _less(whole[key], drawn.get(key)) for key in ("psnr", "psnr_person")}
     before, spent = copy.deepcopy(snapshot(fit)), dict(fit.clock.seconds)
-    held(fit)
-    for name in effects:
-        least = [math.inf, math.inf]
-        for _ in range(TURNS):
-            least[0] = min(least[0], _seconds(fit))
-            with without(fit, name):
-                least[1] = min(least[1], _seconds(fit))
-        found[name]["share"] = 1 - least[1] / least[0]
-    restore(fit, before)
-    fit.clock.seconds = spent
+    hold(fit)
+    try:
+        for name in effects:
+            least = [math.inf, math.inf]
+            for _ in range(TURNS):
+                least[0] = min(least[0], _seconds(fit))
+                with without(fit, name):
+                    least[1] = min(least[1], _seconds(fit))
+            found[name]["share"] = 1 - least[1] / least[0]
+    finally:
+        restore(fit, before)
+        fit.clock.seconds = spent
     return found
 
 

@@ -494,6 +494,19 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     assert begun in (8.0, 9.0)
 
 
+def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path, inputs, monkeypatch):
+    def breaks(fit, frames):
+        raise FloatingPointError("too many bad steps")
+
+    monkeypatch.setattr("stages.avatar.worth.worth", breaks)
+    said = []
+    job = fresh(tmp_path, "out")
+    job.emit = lambda event: said.append(event.get("text", ""))
+    train.run(job, PARAMS, **inputs)
+    assert json.loads((job.out / "train.json").read_text())["effects"] == {}
+    assert any("could not be measured: too many bad steps" in text for text in said)
+
+
 def test_a_gpu_keeps_to_its_early_stop(tmp_path, inputs):
     assert train.Params().early_stop == T_STOP
     with pytest.raises(StageError, match="a GPU finishes pixels"):

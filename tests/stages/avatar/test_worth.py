@@ -93,3 +93,18 @@ def test_without_held_out_frames_there_is_only_a_cost(clip):
     run(fit, 6)
     found = worth(fit, [])
     assert all(effect["psnr"] is None and effect["share"] < 1 for effect in found.values())
+
+
+def test_a_step_that_fails_while_it_is_timed_leaves_no_trace(clip, monkeypatch):
+    fit, other = everything(clip, 6), everything(clip, 6)
+    run(fit, 6), run(other, 6)
+    advance = fit.advance
+
+    def breaks():
+        advance()
+        raise FloatingPointError("too many bad steps")
+
+    monkeypatch.setattr(fit, "advance", breaks)
+    with pytest.raises(FloatingPointError):
+        worth(fit, HELD_OUT)
+    assert same(fit, other) and fit.total == other.total
