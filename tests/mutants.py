@@ -42,7 +42,7 @@ MUTANTS = (
     Mutant(
         "14-1 A01 the determinant as a difference",
         AVATAR + "rasterize/reference.py",
-        "det = sharp + BLUR * (aa + bb - BLUR)",
+        "det = sharp + blur * (aa + bb - blur)",
         "det = aa * bb - ab * ab",
         TESTS + "test_rasterize_projection.py::a_needle_along_a_row_of_pixels_is_nowhere_above_its_opacity",
     ),
@@ -59,6 +59,13 @@ MUTANTS = (
         "(sharp / det).clamp_min(COMPENSATION_MIN**2).sqrt()",
         "(sharp / det).sqrt()",
         TESTS + "test_rasterize_projection.py::flat_and_pointlike_gaussians",
+    ),
+    Mutant(
+        "14-1 A15 antialiased with the blur of pictures that are not",
+        AVATAR + "rasterize/kernels.py",
+        "blur = PIXEL if antialias else BLUR\n    bad",
+        "blur = BLUR\n    bad",
+        TESTS + "test_rasterize_projection.py::antialiasing_makes_a_small_picture_the_mean_of_the_large_one",
     ),
     Mutant(
         "14-2 A23 a row that is not finite",

@@ -5,7 +5,9 @@
 A clip is a NeuMan folder with true inputs (see tests/datasets.py), or with the noise that EFFECTS says. Frames that were
 not trained on are drawn as their camera took them and compared: PSNR of the whole picture and of the person's box. Where
 TRULY says so they are drawn sharp, from true cameras and with true poses, and compared with those of the clip without the
-effect. The seed is that of the clip and of the training. A model pays if it brings back half of what the effect costs.
+effect; where AFAR does, as from four times as far away, and in place of the clip without stands the same training drawn
+large and averaged (Yu et al. 2024, trained at one size and seen at another). The seed is that of the clip and of the
+training. A model pays if it brings back half of what the effect costs.
 """
 
 from __future__ import annotations
@@ -13,14 +15,17 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from stages import calibrated, masks, neuman, smpl, train
 from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.fit import Fit
 from stages.avatar.judge import judge
 from stages.avatar.refine import FrameCorrections
 from stages.avatar.synthetic_effects import Effects
@@ -50,7 +55,9 @@ EFFECTS: dict[str, dict[str, Any]] = {
 """Effect -> what `tests.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
 TRULY = ("motion_blur", "camera_refinement", "pose_refinement", "transients")
 """Blurred pictures are easier to meet than sharp ones; no model knows the errors of a frame it has not seen, nor who passes."""
-
+AFAR = ("antialias",)
+"""On the frames of the clip both are fitted to the sizes that they see, and another camera path shows another picture."""
+TIMES = 4  # smaller
 
 POSE = ("global_orient", "body_pose", "transl")
 
@@ -72,19 +79,37 @@ def inputs(place: Path, **made: Any) -> tuple[Path, Path]:
     return stages["sfm"], stages["smpl"]
 
 
-def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | None, **decisions: bool) -> dict[str, Any]:
-    """Train, and judge on all frames that were not trained on: as taken, or as the clip `truth` has them."""
+class Averaged(FrameEffects):
+    """No effects; pictures are drawn TIMES as large and averaged, as a lens does."""
+
+    def draw(self, human, scene, motion, viewmat, K, width, height, layers):
+        K = K * K.new_tensor([TIMES, TIMES, 1.0])[:, None]
+        drawn = super().draw(human, scene, motion, viewmat, K, TIMES * width, TIMES * height, layers)
+        return [replace(one, image=smaller(one.image)) for one in drawn]
+
+
+def smaller(image: torch.Tensor) -> torch.Tensor:
+    """A picture [H,W,C] at a TIMES-th of its size, by area."""
+    return F.avg_pool2d(image.permute(2, 0, 1), TIMES).permute(1, 2, 0)
+
+
+def trained(folders: tuple[Path, Path], args: argparse.Namespace, **decisions: bool) -> tuple[Fit, float]:
+    """The training of a clip, and the seconds of processor that it took."""
     clip, job = load_clip(*folders), Job(out=folders[0].parent, seed=args.seed)
-    trained, others = (np.flatnonzero(which).tolist() for which in (clip.training, ~clip.training))
-    starts = {}
+    frames, starts = np.flatnonzero(clip.training).tolist(), {}
     if decisions.get("shadow"):
         evidence = Evidence(clip, json.loads((folders[0] / "sfm.json").read_bytes()))
         starts["shadow"] = DETECTORS["shadow"](evidence).start
-    fit = train.build(clip, trained, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, starts, job)
+    fit = train.build(clip, frames, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, starts, job)
     began = time.process_time()
     while fit.step < args.steps:
         fit.advance()
-    seconds = time.process_time() - began
+    return fit, time.process_time() - began
+
+
+def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | None, **decisions: bool) -> dict[str, Any]:
+    """Train, and judge on all frames that were not trained on: as taken, or as the clip `truth` has them."""
+    fit, seconds = trained(folders, args, **decisions)
     found = {name: p.detach().tolist() for name, p in fit.effects.named_parameters() if p.numel() < 4}
     if truth is not None:
         still = load_clip(truth / "sfm", truth / "smpl")
@@ -94,7 +119,26 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
         fit.full, fit.frames = Views(images, masks, viewmats, *fit.full[3:]), FrameCorrections(len(images))
         poses = {name: torch.as_tensor(getattr(still.body, name)).float() for name in POSE}
         fit.person, fit.effects, fit.speeds = fit.person._replace(**poses), FrameEffects(), None
-    return judge(fit, others) | {"cpu_seconds": seconds, "found": found}
+    return judge(fit, others(folders)) | {"cpu_seconds": seconds, "found": found}
+
+
+def rate_afar(folders: tuple[Path, Path], args: argparse.Namespace, effect: str) -> dict[str, dict[str, Any]]:
+    """Train without the model and with it, and judge from afar; 'without' is the first of them, drawn large and averaged."""
+    rows = {}
+    for arm, on in (("ignored", False), ("modelled", True)):
+        fit, seconds = trained(folders, args, **{effect: on})
+        for _ in range(TIMES.bit_length() - 1):
+            fit.full = fit.full.half()
+        rows[arm] = judge(fit, others(folders)) | {"cpu_seconds": seconds, "found": {}}
+        if not on:
+            fit.effects = Averaged()
+            rows["without"] = judge(fit, others(folders)) | {"cpu_seconds": seconds}
+    return rows
+
+
+def others(folders: tuple[Path, Path]) -> list[int]:
+    """Frames that are not trained on."""
+    return np.flatnonzero(~load_clip(*folders).training).tolist()
 
 
 def main() -> None:
@@ -105,19 +149,26 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    rows, still = {}, args.work / f"plain_seed{args.seed}"
-    plain = rate(inputs(still, seed=args.seed), args, None)
+    rows, still, plain = {}, args.work / f"plain_seed{args.seed}", None
     for name in args.effects or EFFECTS:
         clip = inputs(args.work / f"{name}_seed{args.seed}", seed=args.seed, **EFFECTS[name])
-        truth = still if name in TRULY else None
-        ignored, modelled = (rate(clip, args, truth, **{name: on}) for on in (False, True))
-        rows[name] = {"without": plain, "ignored": ignored, "modelled": modelled}
+        if name in AFAR:
+            rows[name] = rate_afar(clip, args, name)
+        else:
+            sharp = inputs(still, seed=args.seed)
+            plain = plain or rate(sharp, args, None)
+            arms = {
+                arm: rate(clip, args, still if name in TRULY else None, **{name: arm == "modelled"})
+                for arm in ("ignored", "modelled")
+            }
+            rows[name] = {"without": plain} | arms
         for key in ("psnr", "psnr_person"):
-            cost, gain = plain[key] - ignored[key], modelled[key] - ignored[key]
-            numbers = "  ".join(f"{arm} {found[key]:.2f}" for arm, found in rows[name].items())
+            without, ignored, modelled = (rows[name][arm][key] for arm in ("without", "ignored", "modelled"))
+            cost, gain = without - ignored, modelled - ignored
+            numbers = f"without {without:.2f}  ignored {ignored:.2f}  modelled {modelled:.2f}"
             print(f"{name:<18} {key:<12} {numbers}   costs {cost:.2f} dB, the model brings back {gain:.2f}")
         seconds = ", ".join(f"{arm} {found['cpu_seconds']:.0f} s" for arm, found in rows[name].items())
-        print(f"{name:<18} {seconds}; learned {modelled['found']}", flush=True)
+        print(f"{name:<18} {seconds}; learned {rows[name]['modelled']['found']}", flush=True)
         if args.json:
             args.json.write_text(json.dumps(rows, indent=1))
 

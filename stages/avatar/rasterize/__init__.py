@@ -40,9 +40,9 @@ def rasterize(
 
     means[N,3] m; axes[N,3,3], whose columns are the scaled axes: the covariance is axes axes^T, so a Gaussian moved by
     any linear blend needs no polar decomposition; opacities[N] in 0..1; colors[N,3]; viewmat[4,4] camera_from_world
-    with OpenCV axes; K[3,3] px, the first pixel centre at (0.5, 0.5). With `antialias` opacity is lowered as the screen
-    blur widens a Gaussian. Gaussians nearer than `near` m are not drawn. At most LAYERS of them; projection and depth
-    order are theirs together, and gradients add up.
+    with OpenCV axes; K[3,3] px, the first pixel centre at (0.5, 0.5). With `antialias` the screen blur is about a pixel
+    wide and lowers opacity as it widens a Gaussian (Yu et al. 2024). Gaussians nearer than `near` m are not drawn. At
+    most LAYERS of them; projection and depth order are theirs together, and gradients add up.
     Differentiable in means, axes, opacities, colors, viewmat and backgrounds. A row that is not finite is left out and
     counted. Float32 goes to the fast kernel of its device (Numba on a CPU, gsplat on a GPU), float64 to the reference.
     """

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize.rendering import BLUR, T_STOP, Layer, Rendering
+from stages.avatar.rasterize.rendering import BLUR, PIXEL, T_STOP, Layer, Rendering
 
 
 def rasterize(
@@ -69,7 +69,7 @@ def _draw(
         width=right - left,
         height=bottom - top,
         near_plane=near,
-        eps2d=BLUR,
+        eps2d=PIXEL if antialias else BLUR,
         packed=False,
         backgrounds=None if layer.background is None else layer.background[None],
         render_mode="RGB+D",

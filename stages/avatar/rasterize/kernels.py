@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from stages.avatar.rasterize.rendering import ALPHA_MIN, BLUR, COMPENSATION_MIN, FRUSTUM_MARGIN
+from stages.avatar.rasterize.rendering import ALPHA_MIN, BLUR, COMPENSATION_MIN, FRUSTUM_MARGIN, PIXEL
 
 LOG2E = 1.4426950408889634
 ROW = 16  # floats in a record and in a gradient row: one cache line
@@ -70,6 +70,7 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
     """
     n = len(means)
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    blur = PIXEL if antialias else BLUR
     bad = np.zeros(chunks, np.int64)
     for chunk in prange(chunks):
         for i in range(chunk * n // chunks, (chunk + 1) * n // chunks):
@@ -92,8 +93,8 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             b = _plus(fy / z, _turned(view, axes, i, 1), -fy / z * v, forward)
             px, py = fx * x / z + cx, fy * y / z + cy
             means2d[i, 0], means2d[i, 1] = px, py
-            sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + BLUR, _dot(b, b) + BLUR, _dot(a, b)
-            det = sharp + BLUR * (aa + bb - BLUR)
+            sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + blur, _dot(b, b) + blur, _dot(a, b)
+            det = sharp + blur * (aa + bb - blur)
             opacity = np.float64(opacities[i])
             if antialias:
                 opacity *= math.sqrt(max(sharp / det, COMPENSATION_MIN**2))
@@ -132,6 +133,7 @@ def project_backward(
     d_means, d_axes, d_opacities, d_colors, d_screen, d_screen_abs = upstream
     n = len(means)
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    blur = PIXEL if antialias else BLUR
     d_views = np.zeros((chunks, 4, 4))
     for chunk in prange(chunks):
         s, d_view = np.empty(ROW), d_views[chunk]
@@ -148,8 +150,8 @@ def project_backward(
             forward = _turned(view, axes, i, 2)
             a = _plus(fx / z, _turned(view, axes, i, 0), -fx / z * u, forward)
             b = _plus(fy / z, _turned(view, axes, i, 1), -fy / z * v, forward)
-            sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + BLUR, _dot(b, b) + BLUR, _dot(a, b)
-            det = sharp + BLUR * (aa + bb - BLUR)
+            sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + blur, _dot(b, b) + blur, _dot(a, b)
+            det = sharp + blur * (aa + bb - blur)
             A, B, C = bb / det, -ab / det, aa / det
             d_px, d_py = A * s[GX] + B * s[GY], B * s[GX] + C * s[GY]
             # dL/dSigma = -P (dL/dP) P with dL/dP = -1/2 sum g d d^T
@@ -160,8 +162,8 @@ def project_backward(
             if antialias and sharp > COMPENSATION_MIN**2 * det:
                 # log of the compensation = (log sharp - log det) / 2
                 d_log = 0.5 * s[G]
-                d_aa += d_log * ((bb - BLUR) / sharp - bb / det)
-                d_bb += d_log * ((aa - BLUR) / sharp - aa / det)
+                d_aa += d_log * ((bb - blur) / sharp - bb / det)
+                d_bb += d_log * ((aa - blur) / sharp - aa / det)
                 d_ab += d_log * (-2 * ab / sharp + 2 * ab / det)
             ga, gb = _plus(2 * d_aa, a, d_ab, b), _plus(2 * d_bb, b, d_ab, a)
             p, q = fx / z, fy / z

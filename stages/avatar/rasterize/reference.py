@@ -13,6 +13,7 @@ from stages.avatar.rasterize.rendering import (
     BLUR,
     COMPENSATION_MIN,
     FRUSTUM_MARGIN,
+    PIXEL,
     Layer,
     Rendering,
 )
@@ -77,9 +78,10 @@ def _draw(
         rows = rows[z[rows].argsort(stable=True)]
     local = means[rows] @ viewmat[:3, :3].T + viewmat[:3, 3]
     means2d, a, b = _project(local, viewmat[:3, :3] @ axes[rows], K, width, height)
-    aa, bb, ab = (a * a).sum(1) + BLUR, (b * b).sum(1) + BLUR, (a * b).sum(1)
+    blur = PIXEL if antialias else BLUR
+    aa, bb, ab = (a * a).sum(1) + blur, (b * b).sum(1) + blur, (a * b).sum(1)
     sharp = torch.linalg.cross(a, b).square().sum(1)
-    det = sharp + BLUR * (aa + bb - BLUR)
+    det = sharp + blur * (aa + bb - blur)
     opacity = opacities[rows]
     if antialias:
         opacity = opacity * (sharp / det).clamp_min(COMPENSATION_MIN**2).sqrt()

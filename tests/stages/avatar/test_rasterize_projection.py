@@ -339,7 +339,7 @@ def test_a15_antialiasing_makes_a_small_picture_the_mean_of_the_large_one(held):
     K = torch.diag(torch.tensor([0.25, 0.25, 1])) @ K
     errors = [(show(cpu, parts, view, K, 32, 24, antialias=on).image - mean).square().mean() for on in (True, False)]
     assert errors[1] > 5 * errors[0]
-    held(errors[0], 10 ** (-30 / 10), "under 30 dB:")
+    held(errors[0], 10 ** (-40 / 10), "under 40 dB:")
 
 
 @pytest.mark.parametrize("maker, dtype", [*MAKERS, (reference, torch.float32)])
@@ -348,7 +348,7 @@ def test_a16_compensation_of_tiny_gaussians_has_finite_gradients(maker, dtype):
     parts = ball(20, sigma=1e-4, opacity=0.99)
     parts[2] = parts[2] * torch.linspace(1, 3000, 20)[:, None] * torch.tensor([1.0, 0.7, 1.3])
     parts[1] = torch.randn(20, 4, generator=torch.Generator().manual_seed(0))
-    K = torch.tensor([[0.03, 0, 1.6], [0, 0.03, 1.7], [0, 0, 1]])
+    K = torch.tensor([[0.03, 0, 1.55], [0, 0.03, 1.6], [0, 0, 1]])
     torch.set_flush_denormal(True)
     try:
         drawn, grads = draw(maker, parts, STRAIGHT, K, 4, 4, dtype, antialias=True)
