@@ -34,6 +34,8 @@ def run(job: Job, params: Params, *, train: Path) -> None:
             f"clothes that move with the pose (by up to {away:.1f} cm) are in avatar.npz alone: .ply knows no poses"
         )
     if avatar.antialias:
-        job.note(f"learned with antialiasing ({PIXEL} px^2): viewers must have it on, else what is small looks too strong")
+        job.note(
+            f"learned with antialiasing ({PIXEL} px^2): viewers must have it on, else what is small looks too strong"
+        )
     if bounded:
         job.note(f"{bounded} opacities of 0 or 1 written as logits of +-15")
