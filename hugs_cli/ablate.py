@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from statistics import fmean
 from typing import Any
 
@@ -9,6 +10,7 @@ from hugs_cli import comparison, engine
 from hugs_cli.comparison import METRICS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
 from hugs_cli.console import Console
 from hugs_cli.freshness import Judge
+from hugs_cli.pipelines import unknown
 from hugs_cli.variants import ABLATIONS
 from hugs_cli.words import count, duration
 from hugs_cli.workspace import Stamp
@@ -16,9 +18,15 @@ from hugs_cli.workspace import Stamp
 NEEDS_SCENE = ("no_human_loss", "no_joint")
 
 
-def cases(judge: Judge, seeds: int) -> list[Case]:
-    """Every training of a comparison, seed by seed, the full method first."""
-    return comparison.cases(judge, ("", *ABLATIONS), seeds)
+def cases(judge: Judge, parts: Sequence[str], seeds: int) -> list[Case]:
+    """Every training of a comparison, seed by seed, the full method first; of all `parts`, or of these.
+
+    UsageError for a part that is not known; "none" is no part.
+    """
+    for part in parts:
+        if part not in (*ABLATIONS, "none"):
+            raise unknown("part", part, [*ABLATIONS, "none"], "hugs ablate --part")
+    return comparison.cases(judge, ("", *(part for part in ABLATIONS if not parts or part in parts)), seeds)
 
 
 def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:

@@ -17,6 +17,9 @@ from hugs_cli.pipelines import UsageError
 @on_clip
 def ablate(
     judge: Judge,
+    part: Annotated[
+        list[str] | None, Option(help="Only without this part (may be repeated); none: the pipeline alone.")
+    ] = None,
     seeds: Annotated[int, Option(min=1, help="Trainings of each, from --seed on; what lies before is shared.")] = 3,
     device: DeviceName = options.Device.cpu,
     dry_run: DryRun = False,
@@ -25,7 +28,7 @@ def ablate(
     """What each part of the method is worth on this clip: the pipeline, and five times the same without one part."""
     from hugs_cli import ablate as ablations
 
-    console, cases = Console(), ablations.cases(judge, seeds)
+    console, cases = Console(), ablations.cases(judge, part or (), seeds)
     judge.check_sources()
     if not dry_run:
         judge.workspace.create()

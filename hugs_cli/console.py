@@ -68,6 +68,7 @@ class Console:
         self.name_width = name_width
         self.progress: Progress | None = None
         self.reasons = ""
+        self.told: list[str] = []
         self.said = 0.0
 
     # results
@@ -124,7 +125,7 @@ class Console:
     def started(self, stage: str, reasons: tuple[Reason, ...]) -> None:
         """A stage's process begins."""
         self.progress = Progress(self.clock())
-        self.reasons = reasons_text(reasons)
+        self.reasons, self.told = reasons_text(reasons), []
         self.said = self.clock()
         self.draw(stage)
 
@@ -133,6 +134,9 @@ class Console:
         kind = event.get("event")
         if kind == "progress":
             self.progress.take(event, self.clock())
+        if event.get("at_once"):
+            self.told.append(event["text"])
+            self.say(f"  {stage:<{self.name_width}}{event['text']}")
         if kind in (None, "progress"):
             self.draw(stage)
 
@@ -140,10 +144,11 @@ class Console:
         """A stage's process has ended: its row for good, its notes and warnings below."""
         state = ENDINGS.get(outcome.kind, "failed")
         text = self.reasons
-        short = "; ".join([text, *outcome.notes]) if outcome.kind == "done" else text
+        notes = [note for note in outcome.notes if note not in self.told]
+        short = "; ".join([text, *notes]) if outcome.kind == "done" else text
         together = len(self.row(stage, state, "", short)) <= 118
         self.say(self.row(stage, state, duration(outcome.seconds), short if together else text))
-        for note in [] if together else outcome.notes:
+        for note in [] if together else notes:
             self.below(note)
         for warning in outcome.warnings:
             self.warning(warning)

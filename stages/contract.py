@@ -57,9 +57,9 @@ class Job:
         known = {} if left is None else {"left": left}
         self.emit({"event": "progress", "done": done, "total": total, "numbers": numbers} | known)
 
-    def note(self, text: str) -> None:
-        """Say one fact about the result; it is shown beside the stage and kept in its stamp."""
-        self.emit({"event": "note", "text": text})
+    def note(self, text: str, at_once: bool = False) -> None:
+        """Say one fact about the result; it is shown beside the stage when it ends, or at once, and kept in its stamp."""
+        self.emit({"event": "note", "text": text} | ({"at_once": True} if at_once else {}))
 
     def warn(self, text: str) -> None:
         """Say what a user should know before trusting the result; shown, kept in the stamp and put in the report."""

@@ -15,7 +15,6 @@ class Params(contract.Params):
 
 def run(job: Job, params: Params, *, train: Path) -> None:
     """Write avatar.ply (canonical pose, y up), avatar.npz (skeleton and weights) and scene.ply (world), in metres."""
-    from stages.avatar.rasterize.rendering import PIXEL
     from stages.formats.ply import write_ply
     from stages.formats.splats import read_avatar, read_scene
 
@@ -34,8 +33,6 @@ def run(job: Job, params: Params, *, train: Path) -> None:
             f"clothes that move with the pose (by up to {away:.1f} cm) are in avatar.npz alone: .ply knows no poses"
         )
     if avatar.antialias:
-        job.note(
-            f"learned with antialiasing ({PIXEL} px^2): viewers must have it on, else what is small looks too strong"
-        )
+        job.note("learned with antialiasing: viewers must have it on, else what is small looks too strong")
     if bounded:
         job.note(f"{bounded} opacities of 0 or 1 written as logits of +-15")

@@ -28,7 +28,9 @@ CALLED = (
     "Each effect was measured before training; it is modelled where the value is beyond the threshold, unless the settings "
     "say always or never. What could not be measured is off. Gained: what the held-out frames of the curve lose when what "
     "was trained is drawn without it; a training without it may lose less, since the rest would have made up for it "
-    "(`--set survey.NAME=never` tells). Cost: of the time of training, by steps timed with and without at the end."
+    "(`--set survey.NAME=never` tells). Empty for passers-by, whom no held-out frame is to show, for a sky, which is part "
+    "of the scene, and for a lens, which sfm takes out before training (`--set sfm.undistort=never` tells). Cost: of the "
+    "time of training, by steps timed with and without at the end."
 )
 AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {

@@ -43,6 +43,8 @@ class Params(contract.Params):
 
     Time grows with it.
     """
+    undistort: Literal["auto", "always", "never"] = "auto"
+    """Whether the lens is taken out of the frames. auto: where it moves pixels enough to be seen."""
     min_share: float = Field(0.5, gt=0, le=1)
     """Share of the frames that must get a pose."""
     cameras_from: Literal["auto", 0, 1] = "auto"
@@ -119,7 +121,9 @@ def mapped(
     else:
         solution = solve(job, params, names, frames, masks, width, height, scratch)
     shift, pinhole, grid = lens.max_shift(solution.focal, solution.k, width, height), solution.focal, None
-    if shift >= lens.NO_SHIFT:
+    if params.undistort == "never":
+        shift = 0.0
+    if params.undistort == "always" or shift >= lens.NO_SHIFT:
         center = np.array(solution.center)
         pinhole = lens.pinhole_focal(solution.focal, center, solution.k, width, height)
         grid = lens.remap_grid(solution.focal, center, solution.k, pinhole, width, height)

@@ -219,7 +219,7 @@ def _timed(
         )
     fit.retime(steps)
     caps = f"at most {fit.options.human_cap:,} Gaussians of the person and {fit.options.scene_cap:,} of the scene"
-    job.note(f"{steps:,} steps of {1000 * deadline.pace.mean(0.0):.0f} ms fit into the time, with {caps}")
+    job.note(f"{steps:,} steps of {1000 * deadline.pace.mean(0.0):.0f} ms fit into the time, with {caps}", at_once=True)
     return fit, clip, sizes
 
 

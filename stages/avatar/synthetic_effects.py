@@ -32,6 +32,8 @@ class Effects:
     """Weight of the blurred mirror on all surfaces of the room."""
     exposure: float = 0.0
     """Standard deviation of the log gain over the frames; the colours drift by a quarter of it."""
+    white_balance: float = 0.0
+    """Standard deviation of the log gains of the colours over the frames; brightness stays."""
     lens: float = 0.0
     """k of a SIMPLE_RADIAL lens; negative for a barrel."""
     rolling_shutter: float = 0.0
@@ -51,7 +53,9 @@ class Effects:
 
     def of_the_scene(self) -> Effects:
         """Without what belongs to one recording: camera, lens, shutter, strangers."""
-        return replace(self, exposure=0.0, lens=0.0, rolling_shutter=0.0, motion_blur=0.0, transients=0.0)
+        return replace(
+            self, exposure=0.0, white_balance=0.0, lens=0.0, rolling_shutter=0.0, motion_blur=0.0, transients=0.0
+        )
 
 
 NO_EFFECTS = Effects()
@@ -127,14 +131,15 @@ def seen_from(course: Course, things, t: float, effects: Effects, K: np.ndarray,
 
 def gains(effects: Effects, frames: int, rng: np.random.Generator) -> np.ndarray:
     """Factors [F,3] of the colours of each frame: a drift in two slow waves, mean log gain 0."""
-    if not effects.exposure:
+    if not (effects.exposure or effects.white_balance):
         return np.ones((frames, 3))
     u = np.linspace(0, 1, frames)[:, None]
     phase = rng.uniform(0, 2 * np.pi, (2, 4))
     waves = np.sin(2 * np.pi * u + phase[0]) + 0.7 * np.sin(5 * np.pi * u + phase[1])
     waves = (waves - waves.mean(0)) / waves.std(0)
     colour = waves[:, 1:] - waves[:, 1:].mean(1, keepdims=True)
-    return np.exp(effects.exposure * (waves[:, :1] + DRIFT * colour))
+    tint = waves[:, 1:] - waves[:, 1:] @ [[0.299], [0.587], [0.114]]  # of grey, as pictures are made grey
+    return np.exp(effects.exposure * (waves[:, :1] + DRIFT * colour) + effects.white_balance * tint)
 
 
 def to_linear(colours: np.ndarray) -> np.ndarray:

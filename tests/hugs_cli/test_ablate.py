@@ -25,6 +25,17 @@ def test_a_dry_run_lists_every_training_and_runs_none(clip):
     assert len(json.loads(ablate_(clip, "--dry-run", "--json")[0])) == 18
 
 
+def test_parts_can_be_chosen_or_none_for_the_spread_of_seeds_alone(clip):
+    out, _ = ablate_(clip, "--dry-run", "--seeds", "1", "--part", "no_lbs", "--part", "no_joint")
+    assert [row.split()[0] for row in out.splitlines()[1:]] == ["tiny", "tiny.no_lbs", "tiny.no_joint"]
+    lines = ablate_(clip, "--part", "none")[0].splitlines()
+    assert [line.split()[0] for line in lines if line.startswith("tiny")] == ["tiny"] * sum(
+        "PSNR" in line for line in lines
+    )
+    assert all("±" in line for line in lines if line.startswith("tiny"))
+    assert "no part 'no_lbz'" in ablate_(clip, "--part", "no_lbz", code=2)[1]
+
+
 def test_all_share_what_lies_before_training_and_are_cached(clip):
     clip.hugs("--pipeline", "tiny")
     out, err = ablate_(clip, "--seeds", "2")

@@ -95,6 +95,17 @@ def test_a_stage_that_knows_how_long_it_takes_is_believed():
     assert err.getvalue().count("about 1m 40s left") == 2
 
 
+def test_what_cannot_wait_is_said_at_once_and_once():
+    err = io.StringIO()
+    console = Console(io.StringIO(), err, lambda: 0.0)
+    console.started("train", ())
+    console.heard("train", {"event": "note", "text": "812 steps fit into the time", "at_once": True})
+    assert err.getvalue() == "  train    812 steps fit into the time\n"
+    console.heard("train", {"event": "note", "text": "40 frames"})
+    console.ended("train", Outcome("done", seconds=3.0, notes=["812 steps fit into the time", "40 frames"]))
+    assert err.getvalue().count("812 steps") == 1 and "40 frames" in err.getvalue()
+
+
 def test_a_run_without_a_terminal():
     clock, err = [100.0], io.StringIO()
     a_run(Console(io.StringIO(), err, lambda: clock[0]), clock)

@@ -169,6 +169,21 @@ def test_a_fixed_camera_needs_no_features(tmp_path):
     assert len(read_points(tmp_path / "out/points.ply")[0]) == 0
 
 
+@pytest.mark.parametrize(("how", "k", "straightened"), [
+    ("auto", K1, True), ("never", K1, False), ("auto", -1e-3, False), ("always", -1e-3, True),
+])  # fmt: skip
+def test_a_lens_is_taken_out_where_it_shows_unless_settings_say_otherwise(how, k, straightened, tmp_path, monkeypatch):
+    write_clip(tmp_path, walk(3, 0.2))
+    names, center = [f"{3 * i:06d}" for i in range(3)], (WIDTH / 2, HEIGHT / 2)
+    found = sfm.Solution("static camera", names, np.tile(np.eye(4), (3, 1, 1)), FOCAL, center, k)
+    monkeypatch.setattr(sfm, "solve", lambda *_: found)
+    facts, _ = run(tmp_path, undistort=how)
+    before, after = (read_image(tmp_path / where / f"{names[1]}.png") for where in ("frames/images", "out/images"))
+    assert facts["distortion"]["params"] == [k] and (facts["distortion"]["max_shift_px"] > 0) == (how != "never")
+    assert (before != after).any() == straightened
+    assert (facts["pinhole_focal_px"] != FOCAL) == straightened
+
+
 def test_i02_blank_frames_are_an_error_with_numbers(tmp_path):
     write_clip(tmp_path, np.tile(np.eye(4), (3, 1, 1)))
     for path in (tmp_path / "frames/images").iterdir():

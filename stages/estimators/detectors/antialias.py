@@ -21,7 +21,7 @@ def detect(evidence: Evidence) -> Finding:
     """Largest over smallest scale (focal length over depth) of the median point, and of the person if that is more."""
     clip = evidence.clip
     things = [clip.points, evidence.posed.mean((0, 1))[None]]
-    ratios, scales = [], np.ones(len(clip.names))
+    ratios, frames = [], []
     for points in things:
         seen = np.full((len(clip.names), len(points)), np.nan)
         for i in range(len(clip.names) if len(points) else 0):
@@ -32,7 +32,9 @@ def detect(evidence: Evidence) -> Finding:
         if known.any():
             seen = seen[:, known]
             ratios.append(float(np.median(np.nanmax(seen, 0) / np.nanmin(seen, 0))))
-            scales = np.nan_to_num(np.nanmedian(seen, 1), nan=1.0) if len(points) == 1 else scales
+            sizes = seen / np.nanmedian(seen, 0)
+            frames.append([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in sizes])
     if not ratios:
         return unknown(UNIT, RATIO, "nothing is seen often enough")
-    return above(max(ratios), UNIT, RATIO, ("sizes differ", "one size"), strongest(clip.names, scales))
+    most = int(np.argmax(ratios))
+    return above(ratios[most], UNIT, RATIO, ("sizes differ", "one size"), strongest(clip.names, np.array(frames[most])))

@@ -1,4 +1,4 @@
-"""Exposure and white balance: does the background's brightness drift or jump?"""
+"""Exposure and white balance: does the background's brightness, or its tint, drift or jump?"""
 
 from __future__ import annotations
 
@@ -15,20 +15,28 @@ if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import Evidence
     from stages.formats.clip import Clip
 
-STD, STEP = 0.02, 0.05  # of the log gain: over the clip, and between neighbouring frames
+STD, STEP = (
+    0.02,
+    0.05,
+)  # of the log gain, of all light or of red or blue beside green: over the clip, and from frame to frame
 UNIT = "std of the log gain"
 MIN_SAMPLES = 30  # points that must be seen in a frame before its exposure is believed
 
 
 def detect(evidence: Evidence) -> Finding:
-    """The standard deviation of the log gain; a single jump of more than STEP calls for it too."""
-    gains = evidence.gains
-    seen = gains[np.isfinite(gains)]
-    if len(seen) < 3:
+    """The standard deviation of the log gain or of a tint; a single jump of more than STEP calls for it too."""
+    if np.isfinite(evidence.gains).sum() < 3:
         return unknown(UNIT, STD, "too few points of the background")
-    step = np.abs(np.diff(seen)).max()
-    return above(max(seen.std(), step * STD / STEP), UNIT, STD, ("drifts", "steady"),
-                 strongest(evidence.clip.names, np.abs(gains)))  # fmt: skip
+    all_light = evidence.gains, ("drifts", "steady")
+    tints = [(tint, ("changes tint", "steady")) for tint in tints_of(evidence.clip).T]
+    drift, (series, words) = max(((_drift(one[0]), one) for one in (all_light, *tints)), key=lambda found: found[0])
+    return above(drift, UNIT, STD, words, strongest(evidence.clip.names, np.abs(series)))
+
+
+def _drift(series: np.ndarray) -> float:
+    """Standard deviation of log gains [F], NaN left out; that for which a jump stands, if it is more."""
+    seen = series[np.isfinite(series)]
+    return max(seen.std(), np.abs(np.diff(seen)).max() * STD / STEP) if len(seen) > 1 else 0.0
 
 
 def gains_of(clip: Clip) -> np.ndarray:
@@ -38,6 +46,17 @@ def gains_of(clip: Clip) -> np.ndarray:
         pixels, z = project(clip.points, clip.viewmats[i], clip.Ks[i])
         logs[i] = point_logs(clip.images(i), clip.mask(i), pixels, z)
     return robust_gains(logs)
+
+
+def tints_of(clip: Clip) -> np.ndarray:
+    """Log gain [F,2] of red and of blue beside green, from SfM points outside the person; NaN where too few are seen."""
+    logs = np.full((2, len(clip.names), len(clip.points)), np.nan)
+    for i in range(len(clip.names) if len(clip.points) else 0):
+        pixels, z = project(clip.points, clip.viewmats[i], clip.Ks[i])
+        image, mask = clip.images(i), clip.mask(i)
+        red, green, blue = (point_logs(np.stack([one] * 3, 2), mask, pixels, z) for one in np.moveaxis(image, 2, 0))
+        logs[:, i] = red - green, blue - green
+    return np.stack([robust_gains(one) for one in logs], 1)
 
 
 def point_logs(image: np.ndarray, mask: np.ndarray, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -107,7 +107,7 @@ def test_c02_agrees_with_the_reference(kind, antialias, held):
         assert torch.cosine_similarity(a.double().flatten(), b.flatten(), 0) > 1 - 1e-7 and bias < BOUNDS[kind], name
     assert apart(fast.screen_grad, true.screen_grad) < BOUNDS[kind]
     assert apart(fast.screen_grad_abs, true.screen_grad_abs) < BOUNDS[kind]
-    assert (fast.screen_grad_abs.norm() > 1.3 * fast.screen_grad.norm()) or kind == "huge"
+    assert (fast.screen_grad_abs.norm() > (1.3 if antialias else 1.5) * fast.screen_grad.norm()) or kind == "huge"
     assert torch.equal(fast.radii > 0, true.radii > 0)
 
 

@@ -61,6 +61,26 @@ def test_point_colours_leave_out_person_border_and_clipped():
     assert logs[0] == pytest.approx(np.log(100), abs=1e-3) and np.isnan(logs[1:]).all()
 
 
+@pytest.mark.parametrize(("effects", "verdict"), [({}, "steady"), ({"white_balance": 0.08}, "changes tint")])
+def test_a_tint_that_drifts_at_one_brightness_is_seen(effects, verdict):
+    frames, rng = 12, np.random.default_rng(0)
+    colours = synthetic.gains(Effects(**effects), frames, np.random.default_rng(3))
+    grey = np.log(colours @ [0.299, 0.587, 0.114])
+    assert np.abs(grey).max() < 0.02, "brightness alone says nothing"
+    base = cv2.resize(rng.uniform(60, 150, (12, 16, 3)), (160, 120))
+    pictures = [(base * colour).clip(0, 255).astype(np.uint8) for colour in colours]
+    K = pinhole(150.0, 160, 120)
+    points = np.stack([*rng.uniform(-0.4, 0.4, (2, 200)), np.full(200, 1.2)], 1)
+    clip = SimpleNamespace(
+        names=[str(i) for i in range(frames)], points=points, Ks=np.tile(K, (frames, 1, 1)),
+        viewmats=np.tile(np.eye(4), (frames, 1, 1)), images=lambda i: pictures[i],
+        mask=lambda i: np.zeros((120, 160), np.uint8))  # fmt: skip
+    found = exposure.detect(SimpleNamespace(clip=clip, gains=exposure.gains_of(clip)))
+    assert found.verdict == verdict
+    if effects:
+        assert found.value == pytest.approx(0.1, rel=0.5) and len(found.frames) == 3
+
+
 # cameras, lens and shutter, from tracks alone
 
 
