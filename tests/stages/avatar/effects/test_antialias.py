@@ -43,11 +43,22 @@ def test_sets_that_are_drawn_together_are_drawn_alike():
 
 
 def test_the_sum_of_a_dot_is_what_it_covers_however_far_away():
-    """Hard case A15: alpha summed over the picture is opacity x 2 pi x the dot's own area in pixels."""
-    for size in (0.02, 0.1, 0.5):
-        dot = Splats(torch.tensor([[0.0, 0, 3]]), size * torch.eye(3)[None], torch.tensor([0.5]), torch.ones(1, 1, 3))
-        covered = compose(None, dot._replace(antialias=True), VIEW, K, SIDE, SIDE).alpha.sum().item()
-        assert covered == pytest.approx(0.5 * 2 * np.pi * (30 * size / 3) ** 2, rel=0.15), "the rest is under 1/255"
+    """Hard case A15: alpha summed over the picture is opacity x 2 pi x the dot's own area in pixels.
+
+    That is so on average over places: with a blur as narrow as a pixel a lone dot is more where a pixel's middle is.
+    """
+    for size, swing in ((0.02, 0.4), (0.1, 0.05), (0.5, 0.05)):
+        dot, covered = (
+            Splats(torch.zeros(1, 3), size * torch.eye(3)[None], torch.tensor([0.5]), torch.ones(1, 1, 3)),
+            [],
+        )
+        for x in torch.arange(0, 0.1, 0.02):  # a pixel is 0.1 m there
+            for y in torch.arange(0, 0.1, 0.02):
+                moved = dot._replace(means=torch.tensor([[x, y, 3.0]]), antialias=True)
+                covered.append(compose(None, moved, VIEW, K, SIDE, SIDE).alpha.sum().item())
+        area = 0.5 * 2 * np.pi * (30 * size / 3) ** 2
+        assert np.mean(covered) == pytest.approx(area, rel=0.05), "the rest is under 1/255"
+        assert np.abs(np.array(covered) / area - 1).max() < swing
 
 
 def scene_arrays(antialias: bool) -> Scene:
