@@ -117,3 +117,9 @@ def test_the_stage_on_a_static_clip(body_clip, tmp_path):
     assert unknown_ones == EFFECTS - {"pose_refinement"}, "two frames of a camera that stands still show little"
     assert any("static camera" in event.get("text", "") for event in events)
     assert {"value", "unit", "threshold", "verdict", "frames"} == set(found["measures"]["coverage"])
+    never = survey.Params(**dict.fromkeys(EFFECTS - {"lens"}, "never"))
+    survey.run(Job(out), never, frames=tmp_path, masks=tmp_path, sfm=sfm, smpl=smpl)
+    again = json.loads((out / "survey.json").read_text())
+    assert all(again[part] == found[part] for part in ("decisions", "starts")), (
+        "all that training reads: quiet is never"
+    )
