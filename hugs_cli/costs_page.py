@@ -30,20 +30,22 @@ def panels(result: dict[str, Any]) -> tuple[list[plot.Panel], int]:
                 numbers, name = row["scores"][region][metric], row["pipeline"]
                 spread = numbers.get("noise", numbers["spread"]) or 0.0
                 dots[name] = plot.Dot(x_of(row), numbers["mean"], spread, name)
-            front = region if metric == "psnr" and x_of is MINUTES[1] else None
-            lines = swept(result, dots) if "pipeline" in result else alone(result, dots, front)
+            front = best(result, dots, region) if metric == "psnr" and x_of is MINUTES[1] else []
+            if "pipeline" in result:
+                lines = [*front, *swept(result, dots)]
+            else:
+                lines = [plot.Line("", tuple(dots.values()), joined=False, ink="ink"), *front]
             found.append(plot.Panel(across, f"{said}, {REGIONS[region]}", tuple(lines), log=True))
     return found, len(regions)
 
 
-def alone(result: dict[str, Any], dots: dict[str, plot.Dot], front: str | None) -> list[plot.Line]:
-    """Every pipeline a point, the front of a region joined, its knee in a colour of its own."""
-    lines = [plot.Line("", tuple(dots.values()), joined=False, ink="ink")]
-    if front:
-        best = [bare(dots, row["pipeline"]) for row in result["rows"] if front in row["front"]]
-        lines.append(plot.Line("Pareto front", tuple(best), ink="blue"))
-        if front in result["knee"]:
-            lines.append(plot.Line("knee", (bare(dots, result["knee"][front]),), ink="mark"))
+def best(result: dict[str, Any], dots: dict[str, plot.Dot], region: str) -> list[plot.Line]:
+    """The front of a region joined, its knee in a colour of its own; grey under the lines of a sweep."""
+    inks = ("soft", "soft") if "pipeline" in result else ("blue", "mark")
+    front = [bare(dots, row["pipeline"]) for row in result["rows"] if region in row["front"]]
+    lines = [plot.Line("Pareto front", tuple(sorted(front)), ink=inks[0])]
+    if region in result["knee"]:
+        lines.append(plot.Line("knee", (bare(dots, result["knee"][region]),), ink=inks[1]))
     return lines
 
 

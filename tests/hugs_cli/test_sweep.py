@@ -29,6 +29,8 @@ def test_a_dry_run_lists_every_case_and_runs_none(clip):
 
 def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     out, err = sweep_(clip, "--axis", "sh", "--seeds", "2", "--plot")
+    drawn = (clip.work / "clip" / "sweep-tiny.svg").read_text()
+    assert "Pareto front" in drawn and ">sh<" in drawn
     assert err.startswith("8 trainings: 0 cached, 8 to do; how long is known when the first is done\n")
     assert "8 trainings: 1 cached, 7 to do, about " in err, "said again when it is known"
     assert "error: too many colours" in err and "note: tiny.sh_3.seed1 failed: too many colours\n" in out
