@@ -268,7 +268,8 @@ def _effects(found: dict[str, Any], worth: dict[str, dict[str, float | None]]) -
         value = "" if effect["value"] is None else f"{effect['value']:.3g} {effect['unit']}"
         gains = [worth.get(name, {}).get(key) for key in ("psnr", "psnr_person")]
         gained = " / ".join(f"{gain:+.2f} dB" for gain in gains if gain is not None)
-        cost = f"{round(worth[name]['seconds'])} s" if name in worth else ""
+        seconds = worth.get(name, {}).get("seconds")
+        cost = "" if seconds is None else f"{round(seconds)} s" if seconds > 0 else "not measurable"
         rows.append([name.replace("_", " "), "on" if effect["on"] else "off", value, f"{effect['threshold']:g}"]
                     + [effect["verdict"], f"{effect['confidence']:.0%}", gained, cost, ", ".join(effect["frames"])])  # fmt: skip
     head = ["effect", "", "measured", "threshold", "verdict", "confidence", "gained, whole / person", "cost"]
