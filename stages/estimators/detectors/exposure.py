@@ -15,10 +15,8 @@ if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import Evidence
     from stages.formats.clip import Clip
 
-STD, STEP = (
-    0.02,
-    0.05,
-)  # of the log gain, of all light or of red or blue beside green: over the clip, and from frame to frame
+STD, STEP = 0.02, 0.05
+"""Of the log gain, of all light or of red or blue beside green: over the clip, and between neighbouring frames."""
 UNIT = "std of the log gain"
 MIN_SAMPLES = 30  # points that must be seen in a frame before its exposure is believed
 
