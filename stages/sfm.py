@@ -44,7 +44,10 @@ class Params(contract.Params):
     Time grows with it.
     """
     undistort: Literal["auto", "always", "never"] = "auto"
-    """Whether the lens is taken out of the frames. auto: where it moves pixels enough to be seen."""
+    """Whether the lens found by SfM is taken out of the frames. auto: where it moves pixels enough to be seen.
+
+    That of cameras given by `--cameras` always is.
+    """
     min_share: float = Field(0.5, gt=0, le=1)
     """Share of the frames that must get a pose."""
     cameras_from: Literal["auto", 0, 1] = "auto"
@@ -122,7 +125,7 @@ def mapped(
         solution = solve(job, params, names, frames, masks, width, height, scratch)
     shift, pinhole, grid = lens.max_shift(solution.focal, solution.k, width, height), solution.focal, None
     if params.undistort == "never":
-        shift = 0.0
+        shift = 0.0  # taken out, which is what sfm.json says
     if params.undistort == "always" or shift >= lens.NO_SHIFT:
         center = np.array(solution.center)
         pinhole = lens.pinhole_focal(solution.focal, center, solution.k, width, height)

@@ -348,7 +348,7 @@ def _told(found: dict[str, dict[str, Any]], seconds: float, job: Job) -> dict[st
         told[name] = gains | {"seconds": round(effect["share"] * seconds, 1)}
         known = " / ".join(f"{gain:+.1f}" for gain in gains.values() if gain is not None)
         gained = f"{known} dB on held-out frames, " if known else ""
-        cost = f"{round(told[name]['seconds'])} s" if effect["share"] > 0 else "no measurable time"
+        cost = f"{round(told[name]['seconds'])} s" if told[name]["seconds"] > 0 else "no measurable time"
         job.note(f"{name.replace('_', ' ')}: {gained}{cost} of training")
     return told
 

@@ -44,9 +44,14 @@ class Evidence:
         return leftover(self.tracks, self.clip.viewmats, self.clip.Ks, self.clip.height) if self.moving else None
 
     @cached_property
-    def gains(self) -> np.ndarray:
-        """Log gain [F] of each frame, NaN where too few points are seen."""
+    def light(self) -> np.ndarray:
+        """Log gains [F,3] of each frame, of all light and of red and blue beside green; NaN where too few points are seen."""
         return gains_of(self.clip)
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Log gain [F] of each frame, of all light."""
+        return self.light[:, 0]
 
     @cached_property
     def some(self) -> list[int]:

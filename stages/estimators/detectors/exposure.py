@@ -9,7 +9,7 @@ import numpy as np
 
 from stages.avatar.cameras import project
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
-from stages.estimators.detectors.pictures import brightness
+from stages.estimators.detectors.pictures import brightness, softened
 
 if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import Evidence
@@ -23,12 +23,13 @@ MIN_SAMPLES = 30  # points that must be seen in a frame before its exposure is b
 
 def detect(evidence: Evidence) -> Finding:
     """The standard deviation of the log gain or of a tint; a single jump of more than STEP calls for it too."""
-    if np.isfinite(evidence.gains).sum() < 3:
+    light = evidence.light.T
+    if np.isfinite(light[0]).sum() < 3:
         return unknown(UNIT, STD, "too few points of the background")
-    all_light = evidence.gains, ("drifts", "steady")
-    tints = [(tint, ("changes tint", "steady")) for tint in tints_of(evidence.clip).T]
-    drift, (series, words) = max(((_drift(one[0]), one) for one in (all_light, *tints)), key=lambda found: found[0])
-    return above(drift, UNIT, STD, words, strongest(evidence.clip.names, np.abs(series)))
+    drifts = [_drift(series) for series in light]
+    most = int(np.argmax(drifts))
+    words = ("changes tint" if most else "drifts", "steady")
+    return above(drifts[most], UNIT, STD, words, strongest(evidence.clip.names, np.abs(light[most])))
 
 
 def _drift(series: np.ndarray) -> float:
@@ -38,35 +39,27 @@ def _drift(series: np.ndarray) -> float:
 
 
 def gains_of(clip: Clip) -> np.ndarray:
-    """Log gain [F] of each frame, from the colours of SfM points outside the person."""
-    logs = np.full((len(clip.names), len(clip.points)), np.nan)
+    """Log gains [F,3] of each frame: of all light, of red and of blue beside green; from SfM points outside the person."""
+    logs = np.full((3, len(clip.names), len(clip.points)), np.nan)
     for i in range(len(clip.names) if len(clip.points) else 0):
         pixels, z = project(clip.points, clip.viewmats[i], clip.Ks[i])
-        logs[i] = point_logs(clip.images(i), clip.mask(i), pixels, z)
-    return robust_gains(logs)
-
-
-def tints_of(clip: Clip) -> np.ndarray:
-    """Log gain [F,2] of red and of blue beside green, from SfM points outside the person; NaN where too few are seen."""
-    logs = np.full((2, len(clip.names), len(clip.points)), np.nan)
-    for i in range(len(clip.names) if len(clip.points) else 0):
-        pixels, z = project(clip.points, clip.viewmats[i], clip.Ks[i])
-        image, mask = clip.images(i), clip.mask(i)
-        red, green, blue = (point_logs(np.stack([one] * 3, 2), mask, pixels, z) for one in np.moveaxis(image, 2, 0))
-        logs[:, i] = red - green, blue - green
+        logs[:, i] = point_logs(clip.images(i), clip.mask(i), pixels, z)
     return np.stack([robust_gains(one) for one in logs], 1)
 
 
 def point_logs(image: np.ndarray, mask: np.ndarray, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Log brightness [P] of a frame at `pixels` [P,2]; NaN outside it, on the person, and where clipped or dark."""
+    """Log [3,P] of brightness, red / green and blue / green of a frame at `pixels` [P,2].
+
+    NaN outside it, on the person, and where brightness, or any of the colours, is clipped or dark.
+    """
     height, width = mask.shape
-    grey = brightness(image)
     person = cv2.dilate(mask, np.ones((9, 9), np.uint8)) > 64
     inside = (z > 0) & (pixels >= 0).all(1) & (pixels < [width, height]).all(1)
     x, y = np.where(inside[:, None], pixels, 0).astype(int).T
-    value = grey[y, x]
-    usable = inside & ~person[y, x] & (value > 20) & (value < 235)
-    return np.where(usable, np.log(np.where(usable, value, 1.0)), np.nan)
+    values = np.column_stack([brightness(image)[y, x], softened(image)[y, x]])
+    clear = (values > 20) & (values < 235) & (inside & ~person[y, x])[:, None]
+    grey, red, green, blue = np.where(clear, np.log(np.where(clear, values, 1.0)), np.nan).T
+    return np.stack([grey, red - green, blue - green])
 
 
 def robust_gains(logs: np.ndarray) -> np.ndarray:

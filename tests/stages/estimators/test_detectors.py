@@ -58,7 +58,7 @@ def test_point_colours_leave_out_person_border_and_clipped():
     mask[:, :5] = 255
     pixels = np.array([[12.0, 10], [2, 10], [27, 10], [40, 10], [-3, 5], [12, 10]])
     logs = exposure.point_logs(image, mask, pixels, np.array([1.0, 1, 1, 1, 1, -1]))
-    assert logs[0] == pytest.approx(np.log(100), abs=1e-3) and np.isnan(logs[1:]).all()
+    assert logs[:, 0] == pytest.approx([np.log(100), 0, 0], abs=1e-3) and np.isnan(logs[:, 1:]).all()
 
 
 @pytest.mark.parametrize(("effects", "verdict"), [({}, "steady"), ({"white_balance": 0.08}, "changes tint")])
@@ -75,7 +75,7 @@ def test_a_tint_that_drifts_at_one_brightness_is_seen(effects, verdict):
         names=[str(i) for i in range(frames)], points=points, Ks=np.tile(K, (frames, 1, 1)),
         viewmats=np.tile(np.eye(4), (frames, 1, 1)), images=lambda i: pictures[i],
         mask=lambda i: np.zeros((120, 160), np.uint8))  # fmt: skip
-    found = exposure.detect(SimpleNamespace(clip=clip, gains=exposure.gains_of(clip)))
+    found = exposure.detect(SimpleNamespace(clip=clip, light=exposure.gains_of(clip)))
     assert found.verdict == verdict
     if effects:
         assert found.value == pytest.approx(0.1, rel=0.5) and len(found.frames) == 3

@@ -48,10 +48,8 @@ def test_the_sum_of_a_dot_is_what_it_covers_however_far_away():
     That is so on average over places: with a blur as narrow as a pixel a lone dot is more where a pixel's middle is.
     """
     for size, swing in ((0.02, 0.4), (0.1, 0.05), (0.5, 0.05)):
-        dot, covered = (
-            Splats(torch.zeros(1, 3), size * torch.eye(3)[None], torch.tensor([0.5]), torch.ones(1, 1, 3)),
-            [],
-        )
+        covered = []
+        dot = Splats(torch.zeros(1, 3), size * torch.eye(3)[None], torch.tensor([0.5]), torch.ones(1, 1, 3))
         for x in torch.arange(0, 0.1, 0.02):  # a pixel is 0.1 m there
             for y in torch.arange(0, 0.1, 0.02):
                 moved = dot._replace(means=torch.tensor([[x, y, 3.0]]), antialias=True)
