@@ -69,11 +69,11 @@ def costs(
         plan = sweeps.plan(cases, 60 * budget)
         if dry_run:
             rows = [{"pipeline": c.judge.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
-            lines = [sweeps.announced(plan, 60 * budget), *sweeps.listed(plan)]
+            lines = [sweeps.announced(cases, plan, 60 * budget), *sweeps.listed(plan)]
             console.result(json.dumps(rows, indent=1) if as_json else "\n".join(lines))
             return
         judge.workspace.create()
-        console.say(sweeps.announced(plan, 60 * budget))
+        console.say(sweeps.announced(cases, plan, 60 * budget))
         result = sweeps.run(cases, 60 * budget, device.value, console)
     else:
         result = accounts.compared(accounts.runs(judge.workspace))

@@ -21,6 +21,11 @@ from hugs_cli.freshness import Judge, Verdict
 from hugs_cli.pipelines import UsageError, unknown
 from hugs_cli.variants import AXES, level_name
 from hugs_cli.words import count, duration
+from hugs_cli.workspace import decisions
+
+BEFORE, STEP, AFTER = 1.6, 0.2, 1.0
+"""Seconds of what lies before training for each frame, of a step, and of measuring for each frame: the phone clip on 2 cores."""
+FRAMES = 80  # where a pipeline has no setting for it
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Sweep:
     levels: dict[str, Level]
     cases: list[Case]
     left_out: list[str]
-    """Axes that the pipeline does not have."""
+    """Axes that the pipeline does not have, or that change nothing on the clip, and why."""
 
 
 @dataclass
@@ -67,7 +72,7 @@ class Forecast:
 def sweep(judge: Judge, axes: Sequence[str], seeds: int) -> Sweep:
     """All cases: the pipeline with every seed (the noise), then each level of each axis, seed by seed.
 
-    UsageError for an axis that is not known, and where the pipeline has none of them.
+    UsageError for an axis that is not known, and where there is nothing to vary.
     """
     for axis in axes:
         if axis not in AXES:
@@ -76,17 +81,46 @@ def sweep(judge: Judge, axes: Sequence[str], seeds: int) -> Sweep:
     for name in axes or AXES:
         axis, stage = AXES[name], judge.pipeline.stages.get(AXES[name].stage)
         if stage is None or not set(axis.settings) <= set(type(stage.params).model_fields):
-            left_out.append(name)
+            left_out.append(f"{judge.pipeline.name} has no setting for {name}")
             continue
         own = tuple(getattr(stage.params, setting) for setting in axis.settings)
         levels |= {level_name(name, level): Level(name, axis.stage, times) for level, times in axis.of(own).items()}
-    if not levels:
+    found = comparison.cases(judge, ("", *levels), seeds) if levels else []
+    called = called_for(Sweep(levels, sorted(found, key=lambda case: case.variant != ""), left_out))
+    if not called.levels:
         hint = "`hugs stages` shows the settings of a pipeline"
-        raise UsageError(
-            f"pipeline {judge.pipeline.name} has none of the settings to vary", hint, [", ".join(left_out)]
-        )
-    found = comparison.cases(judge, ("", *levels), seeds)
-    return Sweep(levels, sorted(found, key=lambda case: case.variant != ""), left_out)
+        raise UsageError(f"pipeline {judge.pipeline.name} has none of the settings to vary", hint, called.left_out)
+    return called
+
+
+def called_for(sweep: Sweep) -> Sweep:
+    """A sweep without the axes that change nothing: survey has found that the clip does not call for what they are about."""
+    about = {level.axis: AXES[level.axis].effect for level in sweep.levels.values() if AXES[level.axis].effect}
+    if not about or "survey" not in sweep.cases[0].judge.pipeline.stages:
+        return sweep
+    judge = sweep.cases[0].judge
+    verdict = judge.all(judge.pipeline.upstream(["survey"]))["survey"]
+    found = decisions(verdict.folder, "survey") if verdict.fresh else {}
+    idle = {axis: effect for axis, effect in about.items() if found.get(effect) is False}
+    levels = {name: level for name, level in sweep.levels.items() if level.axis not in idle}
+    cases = [case for case in sweep.cases if not case.variant or case.variant in levels]
+    said = [
+        f"{axis} changes nothing where {effect} is off: `--set survey.{effect}=always`" for axis, effect in idle.items()
+    ]
+    return Sweep(levels, cases, [*sweep.left_out, *said])
+
+
+def guessed(sweep: Sweep) -> float:
+    """Seconds of all cases, nothing of which is known but settings: about what they take on 2 cores."""
+    stages = sweep.cases[0].judge.pipeline.stages
+    taken = stages["frames"].params.model_dump() if "frames" in stages else {}
+    frames, steps = taken.get("count", FRAMES), getattr(stages["train"].params, "steps", 0)
+    seconds = BEFORE * frames
+    for level in (sweep.levels.get(case.variant) for case in sweep.cases):
+        times = {level.stage: level.times} if level else {}
+        seconds += STEP * steps * times.get("train", 1.0) + AFTER * frames
+        seconds += BEFORE * frames * ("train" not in times and bool(times))
+    return seconds
 
 
 def plan(sweep: Sweep, budget: float) -> list[tuple[Case, str, float | None]]:
@@ -113,7 +147,7 @@ def plan(sweep: Sweep, budget: float) -> list[tuple[Case, str, float | None]]:
     return planned
 
 
-def announced(planned: list[tuple[Case, str, float | None]], budget: float) -> str:
+def announced(sweep: Sweep, planned: list[tuple[Case, str, float | None]], budget: float) -> str:
     """How much there is to do: '57 trainings: 6 cached, 51 to do, about 8h 10m; budget 2h 00m: 12 of them now'."""
     states = [state for _, state, _ in planned]
     cached, now, left = states.count("cached"), states.count("now"), len(states) - states.count("cached")
@@ -122,7 +156,7 @@ def announced(planned: list[tuple[Case, str, float | None]], budget: float) -> s
         return said
     seconds = [need for _, state, need in planned if state != "cached"]
     if None in seconds:
-        return f"{said}; how long is known when the first is done"
+        return f"{said}, some {duration(guessed(sweep))} on 2 cores; better known when the first is done"
     return f"{said}, about {duration(sum(seconds))}; budget {duration(budget)}: {now} of them now"
 
 
@@ -142,6 +176,8 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
     """
     began, forecast, done, failed = time.monotonic(), Forecast(sweep.levels), [], {}
     for i, case in enumerate(sweep.cases):
+        if case not in sweep.cases:
+            continue
         known = forecast.of(case, case.judge.all(case.stages))
         left = max(0.0, budget - (time.monotonic() - began))
         fits = left > 0 if known is None else sum(known.values()) <= left
@@ -159,8 +195,8 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
         done.append(case)
         forecast.learn(case, ran)
         if known is None and any(one.state == "done" for one in ran):
-            left = max(0.0, budget - (time.monotonic() - began))
-            console.say(announced(plan(sweep, left), left))
+            left, sweep = max(0.0, budget - (time.monotonic() - began)), called_for(sweep)  # survey has looked now
+            console.say(announced(sweep, plan(sweep, left), left))
     if not done:
         raise UsageError("nothing of this sweep has been run", "give it a budget in minutes: `--budget 120`")
     return result(sweep, done, failed)
@@ -187,7 +223,7 @@ def result(sweep: Sweep, done: Sequence[Case], failed: dict[str, str]) -> dict[s
         for region, metric in product(REGIONS, METRICS):
             set_beside(row["scores"][region][metric], base["scores"][region][metric] if variant else None)
     found["notes"] += [f"{links} failed: {problem}" for links, problem in failed.items()]
-    found["notes"] += [f"{name} has no setting for: {', '.join(sweep.left_out)}"] if sweep.left_out else []
+    found["notes"] += sweep.left_out
     left = len(sweep.cases) - len(done) - len(failed)
     found["notes"] += [f"{count(left, 'training')} left for another budget; run it again"] if left else []
     return {"pipeline": name, "seeds": sorted({case.seed for case in done}), "left": left, "failed": failed} | found

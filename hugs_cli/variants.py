@@ -27,6 +27,8 @@ class Axis(NamedTuple):
     """Values of the settings -> how many times as long the stage takes, about; only used to say how long a sweep takes."""
     relative: bool = False
     """Levels are factors of what the pipeline has."""
+    effect: str = ""
+    """The settings only count where survey finds that the clip calls for this."""
 
     def of(self, own: tuple[Any, ...]) -> dict[tuple[Any, ...], float]:
         """The levels around a pipeline that has the values `own`, which is none of them, and times beside its time."""
@@ -43,8 +45,7 @@ AXES = {
     "frames": Axis("train", ("frames_used",), {(8,): 1.0, (16,): 1.0, (32,): 1.0, (0,): 1.0}),
     "points": Axis("train", ("rounds",), {(0,): 0.6, (1,): 1.0, (2,): 2.7}),
     "caps": Axis("train", ("human_cap", "scene_cap"), {(0.5, 0.5): 0.8, (2, 2): 1.4}, relative=True),
-    # counts where survey.view_dependence is on
-    "sh": Axis("train", ("scene_sh",), {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2}),
+    "sh": Axis("train", ("scene_sh",), {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2}, effect="view_dependence"),
     "stop": Axis("train", ("early_stop",), {(1e-6,): 1.1, (1e-4,): 1.0, (1e-3,): 1.0, (1e-2,): 0.95}),
     "perceptual": Axis(
         "train",

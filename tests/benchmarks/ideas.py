@@ -23,8 +23,8 @@ import numpy as np
 import torch
 
 from stages import train
+from stages.avatar import densify, losses, optimizers, schedule
 from stages.avatar import fit as fit_module
-from stages.avatar import losses, optimizers, schedule
 from stages.avatar.compose import compose_layers
 from stages.avatar.effects import frames as frames_module
 from stages.avatar.judge import judge
@@ -67,6 +67,26 @@ def scene_by_others(drawing, rows):
     return torch.cat([grad[:rows], grad.roll(rows, 0)[rows:]])
 
 
+def by_area_of_the_person() -> list:
+    """The difference of the whole picture counts as if averaged over the person's pixels, as the released code does."""
+    area, outside, photometric = [1.0], losses.outside_person, losses.photometric
+
+    def remember(image, target, mask):
+        area[0] = mask.numel() / mask.sum().clamp(min=1.0)
+        return outside(image, target, mask)
+
+    def larger(image, target):
+        by, area[0] = area[0], 1.0
+        return photometric(image, target) + (by - 1) * (1 - losses.SSIM_SHARE) * (image - target).abs().mean()
+
+    return put(losses, outside_person=remember, photometric=larger)
+
+
+def of_one_metre(frames, human, scene, extent, effects=None):
+    """The optimisers with rates of the scene's places that do not know its size."""
+    return optimizers.optimizers(frames, human, scene, 1.0, effects)
+
+
 UNSETTLED = put(schedule, SETTLE=0.9999, LAST_OTHERS=1.0) + put(
     fit_module,
     SETTLE=0.9999,
@@ -90,6 +110,15 @@ PLAIN = {"outside_person": lambda image, target, mask: target + (1 - mask)[..., 
 WITHOUT = {
     "everything": Idea(),
     "own gradients for the scene (D1)": Idea(patches=redrawn(scene_by_others)),
+    "an average over the picture (D8)": Idea(patches=by_area_of_the_person()),
+    "rates by the scene's size": Idea(patches=put(fit_module, optimizers=of_one_metre)),
+    "opacity shared by what comes of one": Idea(
+        patches=put(densify, thinner=lambda opacities, rows: torch.zeros_like(opacities[rows.source]))
+    ),
+    "colours seen around, behind the person": Idea(
+        patches=put(fit_module, fill_behind=lambda scene, *_: torch.zeros(len(scene), dtype=torch.bool))
+    ),
+    "points where SfM saw nothing": Idea(settings={"scene_fill": 0}),
     "refined places (D3)": Idea(patches=put(optimizers, LR_FRAMES=schedule.LR_FRAMES | {"place": 0.0})),
     "refined poses and places": Idea(patches=put(optimizers, LR_FRAMES=schedule.LR_FRAMES | STILL)),
     "settling (D14)": Idea(patches=UNSETTLED),
@@ -106,6 +135,7 @@ WITHOUT = {
     "SSIM": Idea(patches=put(losses, SSIM_SHARE=0.0)),
     "but with LPIPS, AlexNet, every 4th step": Idea(settings={"perceptual_every": 4}),
     "but with 3rd degree colours of the scene": Idea(decisions={"view_dependence": True}),
+    "but with refined cameras": Idea(decisions={"camera_refinement": True}),
     "but antialiased": Idea(decisions={"antialias": True}),
     "but the scene by MCMC": Idea(
         patches=put(fit_module, grow_scene=mcmc.relocate) + put(fit_module.Fit, _apply=mcmc.walking)

@@ -9,8 +9,13 @@ import pytest
 from hugs_cli import costs_page
 from hugs_cli import sweep as sweeps
 from stages.formats.plot import Dot
+from tests.hugs_cli.compared import TRAIN
 
 MADE = (("train", "train.json"), ("evaluate", "metrics.json"))
+SURVEY = """
+def run(job, params, *, one):
+    (job.out / "survey.json").write_text('{"decisions": {"view_dependence": false}}')
+"""
 LEVELS = ["steps_100", "steps_200", "steps_800", "caps_20_40", "caps_80_160", "sh_0", "sh_2", "sh_3"]
 
 
@@ -21,7 +26,7 @@ def sweep_(clip, *args: str, code: int = 0) -> tuple[str, str]:
 def test_a_dry_run_lists_every_case_and_runs_none(clip):
     out, err = sweep_(clip, "--dry-run", "--seeds", "2")
     first, *rows = out.splitlines()
-    assert first == "18 trainings: 0 cached, 18 to do; how long is known when the first is done"
+    assert first == "18 trainings: 0 cached, 18 to do, some 50m 32s on 2 cores; better known when the first is done"
     names = ["tiny", "tiny", *(f"tiny.{level}" for level in LEVELS * 2)]
     assert [row.split()[0] for row in rows] == names and not err and not clip.work.exists()
     assert [row.split()[2] for row in rows] == ["0", "1", *"0" * 8, *"1" * 8]
@@ -31,7 +36,7 @@ def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     out, err = sweep_(clip, "--axis", "sh", "--seeds", "2", "--plot")
     drawn = (clip.work / "clip" / "sweep-tiny.svg").read_text()
     assert "Pareto front" in drawn and ">sh<" in drawn
-    assert err.startswith("8 trainings: 0 cached, 8 to do; how long is known when the first is done\n")
+    assert err.startswith("8 trainings: 0 cached, 8 to do, some ")
     assert "8 trainings: 1 cached, 7 to do, about " in err, "said again when it is known"
     assert "error: too many colours" in err and "note: tiny.sh_3.seed1 failed: too many colours\n" in out
     assert err.endswith("work/clip/sweep-tiny.html\n")
@@ -75,6 +80,22 @@ def test_a_line_goes_through_the_levels_of_an_axis_in_their_order_whatever_the_c
     line, middle = costs_page.swept({"rows": rows}, dots)
     assert (line.name, [dot.label for dot in line.dots]) == ("steps", ["10k", "", "800"])
     assert [dot.x for dot in line.dots] == [2.7, 3.0, 2.5] and middle.name == "tiny" and middle.dots[0].spread == 0.1
+
+
+def test_what_survey_finds_that_a_clip_does_not_call_for_is_not_varied(clip):
+    clip.write("survey", "'''Looks for gloss.'''\nfrom stages.contract import Params\n" + SURVEY)
+    clip.write("train", TRAIN.replace("*, one", "*, one, survey"))
+    needs = {"one": "video", "survey": "one", "train": "one, survey", "evaluate": "train"}
+    lines = "".join(f"    {name}: {{needs: [{need}], module: flow.{name}}}\n" for name, need in needs.items())
+    file = clip.folder / "pipelines.yaml"
+    file.write_text(f"{file.read_text()}dull:\n  doc: Dull.\n  stages:\n{lines}")
+    dull = ("--pipeline", "dull", "--sweep", "--seeds", "1", "--axis", "sh", "--axis", "steps")
+    out, err = clip.hugs(*dull, command="costs")
+    assert err.startswith("7 trainings") and "4 trainings: 1 cached, 3 to do, about" in err, "known after the first"
+    assert "note: sh changes nothing where view_dependence is off" in out and "left for another budget" not in out
+    assert "dull.sh" not in out and "dull.steps_800" in out
+    _, err = clip.hugs(*dull[:5], "--axis", "sh", command="costs", code=2)
+    assert "none of the settings to vary" in err and "`--set survey.view_dependence=always`" in err
 
 
 @pytest.mark.parametrize(
