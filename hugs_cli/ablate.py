@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 from hugs_cli import comparison, engine
-from hugs_cli.comparison import METRICS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
+from hugs_cli.comparison import METRICS, PAPERS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
 from hugs_cli.console import Console
 from hugs_cli.freshness import Judge
 from hugs_cli.pipelines import unknown
 from hugs_cli.variants import ABLATIONS
 from hugs_cli.words import count, duration
-from hugs_cli.workspace import Stamp
+from hugs_cli.workspace import Stamp, read_json
+from stages.formats.published import published
 
 NEEDS_SCENE = ("no_human_loss", "no_joint")
 
@@ -44,7 +46,8 @@ def announced(plan: list[tuple[Case, str, Stamp | None]]) -> str:
 
 
 def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
-    """Bring all cases up to date and compare them: `pipeline`, `seeds`, and `heldout`, see `compared`."""
+    """Bring all cases up to date and compare them: `pipeline`, `seeds`, `heldout`, see `compared`, and `paper`, see
+    `beside_the_paper`."""
     found: dict[str, list[Scores]] = {}
     for i, case in enumerate(cases):
         if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:
@@ -54,7 +57,23 @@ def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
         ran = engine.run(case.judge, case.stages, frozenset(), device, Quiet() if i else console)
         found.setdefault(case.variant, []).append(heldout(ran[-1].folder))
     name, seeds = cases[0].judge.pipeline.name, sorted({case.seed for case in cases})
-    return {"pipeline": name, "seeds": seeds, "heldout": compared(name, found)}
+    paper = beside_the_paper(cases[0].judge.workspace.links / "frames", name, found)
+    return {"pipeline": name, "seeds": seeds, "heldout": compared(name, found), "paper": paper}
+
+
+def beside_the_paper(frames: Path, name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
+    """Region -> "HUGS, CVPR 2024" and each variant -> `over_seeds` of each of PAPERS; empty for a clip that it does not have."""
+    dataset = read_json(frames / "frames.json").get("dataset")
+    table: dict[str, Any] = {}
+    for region, theirs in (published(dataset["name"], dataset["sequence"]) if dataset else {}).items():
+        rows = table[region] = {
+            f"{name}.{part}" if part else name: {
+                m: over_seeds(one.get(region, {}).get(m) for one in seeds) for m in PAPERS
+            }
+            for part, seeds in found.items()
+        }
+        rows["HUGS, CVPR 2024"] = {metric: over_seeds([number]) for metric, number in zip(PAPERS, theirs, strict=True)}
+    return table
 
 
 def compared(name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
@@ -81,7 +100,17 @@ def table(result: dict[str, Any]) -> list[str]:
     known = [region for region in REGIONS if found[name][region]["psnr"]["mean"] is not None]
     for region in known or ["person_white"]:
         lines += ["", "".join([f"{REGIONS[region]:<26}", *(f"{metric.upper():<26}" for metric in METRICS)]).rstrip()]
-        for variant, rows in found.items():
-            cells = [f"{cell(rows[region][metric], digits):<26}" for metric, digits in METRICS.items()]
-            lines.append("".join([f"{variant:<26}", *cells]).rstrip())
+        lines += [row(variant, rows[region], METRICS) for variant, rows in found.items()]
+    if result["paper"]:
+        lines += ["", "beside the paper, measured as its code does"]
+    for region, rows in result["paper"].items():
+        head = [REGIONS.get(region, "person times mask"), "PSNR BY CHANNEL", "SSIM", "LPIPS ON 0..1"]
+        lines += ["", "".join(f"{text:<26}" for text in head).rstrip()]
+        lines += [row(variant, numbers, PAPERS) for variant, numbers in rows.items()]
     return lines
+
+
+def row(name: str, numbers: dict[str, Any], metrics: dict[str, int]) -> str:
+    """One line: a variant and its numbers of one region."""
+    cells = [f"{cell(numbers[metric], digits):<26}" for metric, digits in metrics.items()]
+    return "".join([f"{name:<26}", *cells]).rstrip()

@@ -19,6 +19,8 @@ LAST = "evaluate"
 SEEDED = ("train", LAST)  # every seed shares what lies before
 REGIONS = {"full": "whole picture", "person_crop": "person", "person_white": "person over white"}
 METRICS = {"psnr": 2, "ssim": 4, "lpips": 4}  # with the decimals that are shown
+PAPERS = {"psnr_per_channel": 2, "ssim": 4, "lpips_legacy": 4}
+"""As the paper's code computes PSNR, SSIM and LPIPS, with the decimals that are shown."""
 
 Scores = dict[str, dict[str, float | None]]
 """Region -> metric -> value on frames never trained on; None where nothing was measured."""

@@ -22,15 +22,17 @@ FILMS = {
 }
 CURVE = (
     "The clock stands still while accuracy is measured. `hugs costs VIDEO --plot` sets all pipelines that were run on "
-    "this clip beside each other."
+    "this clip beside each other, here, too."
 )
+COSTS = "../../costs"
+"""Where `hugs costs --plot` draws, from the report; pipelines run later are none of this stage's inputs, so it is only shown."""
 CALLED = (
     "Each effect was measured before training; it is modelled where the value is beyond the threshold, unless the settings "
     "say always or never. What could not be measured is off. Gained: what the held-out frames of the curve lose when what "
     "was trained is drawn without it; a training without it may lose less, since the rest would have made up for it "
     "(`--set survey.NAME=never` tells). Empty for passers-by, whom no held-out frame is to show, for a sky, which is part "
     "of the scene, and for a lens, which sfm takes out before training (`--set sfm.undistort=never` tells). Cost: of the "
-    "time of training, by steps timed with and without at the end."
+    "time of training, by steps timed with and without at the end, to within some 5 % of it."
 )
 AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
@@ -100,7 +102,7 @@ def run(
         ),
         page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics["protocol"]),
         *_beside_the_paper(listing.get("dataset"), metrics),
-        page.section("Accuracy over time", _curve(train), note=CURVE),
+        page.section("Accuracy over time", _curve(train), page.aside(f"{COSTS}.svg", f"{COSTS}.html"), note=CURVE),
         page.section(
             "Where the time went", _times(stamps), "<p>Training, step by step:</p>", _parts(trained["seconds_by_part"])
         ),

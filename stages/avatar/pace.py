@@ -7,6 +7,8 @@ import math
 import time
 from statistics import median
 
+import numpy as np
+
 from stages.avatar.checkpoint import restore, snapshot
 from stages.avatar.fit import Fit
 from stages.avatar.schedule import SCENE_GROWTH, SETTLE
@@ -21,6 +23,13 @@ LATE = 0.99  # share of the schedule, the last at which steps are timed
 PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed
 HASTE = 300  # seconds; a training that has fewer times its steps once
 HELD = 10**9  # steps of a schedule that hardly moves
+SHORT_OF = {440: 3.4, 1100: 1.8, 3750: 0.8, 10_000: 0.0}
+"""Steps -> dB of the whole picture that a training within a time was short of one of 10,000 steps: the phone clip."""
+
+
+def short_of(steps: int) -> float:
+    """About how many dB `steps` are short of 10,000: read off SHORT_OF between logarithms, its ends beyond."""
+    return float(np.interp(math.log(steps), [math.log(known) for known in SHORT_OF], list(SHORT_OF.values())))
 
 
 class Pace:

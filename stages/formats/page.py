@@ -1,4 +1,4 @@
-"""One self-contained HTML page: pictures, videos and a line chart inside the file, nothing fetched from anywhere."""
+"""One HTML page: pictures, videos and a line chart inside the file, nothing fetched but what lies beside it (`aside`)."""
 
 from __future__ import annotations
 
@@ -51,6 +51,12 @@ def picture(pixels: np.ndarray, caption: str, quality: int = 88) -> str:
         raise ValueError(f"no JPEG of a picture of shape {pixels.shape}")
     shape = pixels.shape[1] / pixels.shape[0]
     return _figure(f'<img alt="{escape(caption)}" src="{_data("image/jpeg", data.tobytes())}">', caption, shape)
+
+
+def aside(source: str, target: str) -> str:
+    """A picture that lies beside the page, by its relative address, and leads to `target`; nothing where it is not there."""
+    gone = "this.parentNode.remove()"
+    return f'<a href="{escape(target)}"><img alt="" src="{escape(source)}" onerror="{gone}"></a>'
 
 
 def film(path: Path, caption: str) -> str:

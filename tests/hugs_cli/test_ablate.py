@@ -48,6 +48,26 @@ def test_all_share_what_lies_before_training_and_are_cached(clip):
     assert clip.hugs(command="gc")[0] == "0 B freed\n"
 
 
+def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(clip):
+    out, _ = ablate_(clip, "--part", "none", "--seeds", "2")
+    assert "paper" not in out, "not its clip"
+    listing = clip.work / "clip" / "tiny" / "frames" / "frames.json"
+    listing.parent.mkdir()
+    listing.write_text(json.dumps({"dataset": {"name": "neuman", "sequence": "bike"}}))
+    numbers = {"psnr_per_channel": 25.0, "ssim": 0.9, "lpips_legacy": 0.1}
+    found = {"": [{"full": numbers}, {"full": numbers | {"psnr_per_channel": 26.0}}]}
+    table = ablate.beside_the_paper(listing.parent, "tiny", found)
+    assert table["full"]["tiny"]["psnr_per_channel"]["mean"] == 25.5
+    blank = {metric: {"mean": None, "spread": None} for metric in ("psnr", "ssim", "lpips")}
+    heldout = {"tiny": dict.fromkeys(("full", "person_crop", "person_white"), blank)}
+    lines = ablate.table({"pipeline": "tiny", "seeds": [0, 1], "heldout": heldout, "paper": table})
+    block = lines[lines.index("beside the paper, measured as its code does") :]
+    assert block[2].split()[:2] == ["whole", "picture"] and "PSNR BY CHANNEL" in block[2]
+    assert block[3].split() == ["tiny", "25.50", "±0.71", "0.9000", "±0.0000", "0.1000", "±0.0000"]
+    assert block[4].split()[3:] == ["25.46", "0.8400", "0.1300"], "of HUGS"
+    assert block[7].split() == ["tiny", "-", "-", "-"], "the person's box was not measured"
+
+
 def test_a_variant_is_the_pipeline_with_one_setting_and_has_a_status(clip):
     ablate_(clip, "--seeds", "1")
     for part, setting in ABLATIONS.items():

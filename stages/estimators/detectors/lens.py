@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.estimators.detectors.finding import Finding, above, unknown
+from stages.estimators.detectors.finding import Finding, above, strongest, unknown
 
 if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import Evidence
@@ -24,6 +24,11 @@ def detect(evidence: Evidence) -> Finding:
     K = evidence.clip.Ks[0]
     corner = np.linalg.norm(K[:2, 2] / [K[0, 0], K[1, 1]])
     shift = 0.0 if left is None or abs(left.k) < SIGMAS * left.k_std else abs(left.k) * corner**3 * K[0, 0]
-    if removed >= shift:
-        return above(removed, UNIT, SHIFT_PX, ("bends, taken out by sfm", "straight"))
-    return above(shift, UNIT, SHIFT_PX, ("bends, still in the frames", "straight"))
+    where = "taken out by sfm" if removed >= shift else "still in the frames"
+    return above(max(removed, shift), UNIT, SHIFT_PX, (f"bends, {where}", "straight"), widest(evidence))
+
+
+def widest(evidence: Evidence) -> list[str]:
+    """The frames in which a point of the background is farthest from the middle, where a lens shows most."""
+    away = np.linalg.norm(evidence.tracks.pixels - evidence.clip.Ks[0, :2, 2], axis=2)
+    return strongest(evidence.clip.names, np.where(evidence.tracks.seen, away, -np.inf).max(1, initial=-np.inf))

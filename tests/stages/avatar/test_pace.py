@@ -1,6 +1,6 @@
 import pytest
 
-from stages.avatar.pace import Deadline, Pace, rehearse
+from stages.avatar.pace import Deadline, Pace, rehearse, short_of
 from stages.avatar.schedule import HALF_UNTIL, SETTLE
 from tests.stages.avatar.test_fit import fit_of, make_clip, run, same
 
@@ -25,6 +25,11 @@ def test_a_pace_is_that_of_the_corners_and_between_them():
 
 def test_as_many_steps_as_fit_and_at_least_one():
     assert PACE.steps(60.0, 0.7) == 100 and PACE.steps(-5.0) == 1
+
+
+def test_more_steps_are_nearer_to_10_000_and_none_is_beyond():
+    assert short_of(1100) == pytest.approx(1.8) and 0.8 < short_of(2000) < 1.8
+    assert short_of(10) == pytest.approx(3.4) and short_of(50_000) == 0
 
 
 def test_what_was_slow_is_believed_to_stay_slow():

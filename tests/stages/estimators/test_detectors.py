@@ -168,9 +168,14 @@ def test_too_few_points_are_unknown(seen):
 
 
 def test_a_lens_that_sfm_took_out_is_told_with_its_shift():
-    found = DETECTORS["lens"](SimpleNamespace(leftover=None, facts={"distortion": {"max_shift_px": 4.7}},
-                                              clip=SimpleNamespace(Ks=pinhole(300.0, 240, 320)[None])))  # fmt: skip
+    pixels = np.full((5, 2, 2), 120.0)
+    pixels[1], pixels[2, 0], pixels[4, 1] = np.nan, 2.0, 30.0
+    clip = SimpleNamespace(Ks=pinhole(300.0, 240, 320)[None], names=tuple("abcde"))
+    points = tracks.Tracks(pixels, np.zeros((2, 3)), np.zeros_like(pixels), np.ones(2))
+    facts = {"distortion": {"max_shift_px": 4.7}}
+    found = DETECTORS["lens"](SimpleNamespace(leftover=None, facts=facts, clip=clip, tracks=points))
     assert found.called_for and found.value == 4.7 and "sfm" in found.verdict
+    assert found.frames == ("a", "c", "e"), "with points near the corners, not the one that shows none"
 
 
 # pictures
