@@ -370,7 +370,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], effects:
     if never:
         job.note(f"{never:,} Gaussians of the person that no frame shows have the place and shape of the body")
     if behind:
-        job.note(f"{behind:,} Gaussians of the scene that the person hides took the colours seen around them")
+        job.note(f"{behind:,} Gaussians of the scene that the person hides or shades took the colours seen around them")
     if broken:
         job.warn(f"{broken} Gaussians left out of the result because they are not finite")
     _write_clip(fit, clip, job, person)

@@ -372,12 +372,19 @@ class Fit:
                 return
 
     def _settle(self) -> None:
-        """Once growth is over: what the person hides of the scene has its last colours."""
+        """Once growth is over: what the person hides or shades of the scene has its last colours."""
         if self.scene is None or self.behind is not None or not self.phase.scene or self.done <= SETTLE:
             return
-        self.behind = fill_behind(self.scene, self.full._replace(viewmats=self.cameras()), self.train)
+        self.behind = fill_behind(self.scene, self.full._replace(viewmats=self.cameras()), self.train, self._dark)
         for colors in self.scene.colors():
             self.adam["scene"].state[colors]["exp_avg"][self.behind] = 0
+
+    def _dark(self, frame: int) -> Tensor:
+        """How deep each Gaussian of the scene is in the person's shadow at a frame, see `FrameEffects.dark`."""
+        p = self.person
+        there = self.human is not None and self.phase.human and bool(p.confidence[frame] > 0)
+        stance = Stance(p.joints, p.parents, *self.body(frame)) if there else None
+        return self.effects.dark(self.scene.means.detach(), stance)
 
     def _left(self, every: int) -> int:
         """Densifications still to come, this one included: the room up to the cap is shared out among them."""

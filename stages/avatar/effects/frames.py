@@ -81,6 +81,13 @@ class FrameEffects(nn.Module):
             return scene
         return self.shadow(scene, stance)
 
+    @torch.no_grad()
+    def dark(self, points: Tensor, stance: Stance | None) -> Tensor:
+        """How deep each of points[N,3] is in the shadow of a person who stands so: 0 in the light, 1 where none deeper is."""
+        if self.shadow is None or stance is None:
+            return torch.zeros_like(points[:, 0])
+        return (1 - self.shadow.left(points, stance)) / self.shadow.darkness.sigmoid()
+
     def draw(
         self,
         human: Splats | None,

@@ -120,14 +120,16 @@ class Shadow(nn.Module):
             near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)
             return (near & (at[:, 2] < middles[:, 2].amax() + REACH * ABOVE)).nonzero()[:, 0]
 
+    def left(self, points: Tensor, stance: Stance) -> Tensor:
+        """The share of light that the body leaves each of points[N,3] m, from 1 - darkness to 1."""
+        with torch.no_grad():
+            body = Casters(self.middles, self.covariances).moved(bone_transforms(*stance[:4]), stance.transl)
+        rows = self.reached(points, body)
+        return torch.ones_like(points[:, 0]).index_put((rows,), self.shares(points[rows], body))
+
     def forward(self, scene: Splats, stance: Stance) -> Splats:
         """The scene in the shadow of the body: colours times their share of light, places as they are."""
-        with torch.no_grad():
-            bones = bone_transforms(*stance[:4])
-            body = Casters(self.middles, self.covariances).moved(bones, stance.transl)
-        rows = self.reached(scene.means, body)
-        share = torch.ones_like(scene.opacities).index_put((rows,), self.shares(scene.means[rows].detach(), body))
-        share = share[:, None, None]
+        share = self.left(scene.means.detach(), stance)[:, None, None]
         dimmed = scene.sh * share
         base = dimmed[:, :1] + (share - 1) * (0.5 / SH_C0)  # a colour is 0.5 + SH_C0 sh0 + higher terms
         return scene._replace(sh=torch.cat([base, dimmed[:, 1:]], 1))

@@ -26,13 +26,18 @@ def wall(frames=3):
     return scene, Views(torch.zeros(frames, SIZE, SIZE, 3).byte(), masks, viewmats, Ks)
 
 
+def lit(scene):
+    """No shadow anywhere."""
+    return lambda frame: torch.zeros(len(scene))
+
+
 def test_what_is_always_hidden_takes_the_colours_around():
     scene, views = wall()
     middle = (scene.means[:, 0].abs() < 0.15) & (scene.means[:, 1].abs() < 0.6)
     with torch.no_grad():
         scene.sh0[middle] = sh_from_rgb(torch.tensor([[1.0, 0.0, 1.0]]))
     before = scene.sh0.detach().clone()
-    hidden = fill_behind(scene, views, [0, 1, 2])
+    hidden = fill_behind(scene, views, [0, 1, 2], lit(scene))
     assert hidden[middle].all() and hidden.sum() < 3 * middle.sum()
     torch.testing.assert_close(scene.sh0[middle], torch.zeros_like(scene.sh0[middle]), atol=1e-6, rtol=0)
     assert torch.equal(scene.sh0[~hidden], before[~hidden])
@@ -42,8 +47,25 @@ def test_without_anybody_or_anything_around_colours_stay():
     scene, views = wall()
     before = scene.sh0.detach().clone()
     for masks in (torch.zeros_like(views.masks), torch.full_like(views.masks, 255)):
-        assert not fill_behind(scene, views._replace(masks=masks), [0, 1, 2]).any()
+        assert not fill_behind(scene, views._replace(masks=masks), [0, 1, 2], lit(scene)).any()
     assert torch.equal(scene.sh0, before)
+
+
+def test_what_is_always_in_the_shadow_takes_the_colours_of_what_is_lit():
+    scene, views = wall()
+    views = views._replace(masks=torch.zeros_like(views.masks))
+    corner = (scene.means[:, 0] < -0.8) & (scene.means[:, 1] < -0.8)
+    edge = (scene.means[:, 0] < -0.6) & (scene.means[:, 1] < -0.6) & ~corner
+    with torch.no_grad():
+        scene.sh0[corner], scene.sh0[edge] = 3.0, 1.0
+    before = scene.sh0.detach().clone()
+    hidden = fill_behind(scene, views, [0, 1, 2], lambda frame: corner.float() + 0.5 * edge)
+    seen = (scene.means[:, :2].abs() < 1.5).all(1)
+    assert torch.equal(hidden[seen], corner[seen]), "half a shadow is no reason"
+    torch.testing.assert_close(scene.sh0[hidden], torch.zeros_like(scene.sh0[hidden]), atol=1e-6, rtol=0)
+    assert torch.equal(scene.sh0[~hidden], before[~hidden])
+    once = [1.0, 0.0, 0.0]
+    assert not fill_behind(scene, views, [0, 1, 2], lambda frame: once[frame] * corner).any(), "lit in other frames"
 
 
 def test_a_colour_that_was_filled_in_is_not_learned_any_more(clip):  # noqa: F811

@@ -3,8 +3,10 @@
 import pytest
 import torch
 
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import Casters, Shadow, Stance, casters
 from stages.avatar.gaussians import Splats
+from stages.avatar.sh import sh_from_rgb
 
 UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
 
@@ -72,6 +74,26 @@ def test_colours_are_multiplied_whatever_their_degree_and_rows_out_of_reach_stay
     far = points.norm(dim=1) > 3
     assert torch.equal(lit.sh[far], scene.sh[far]) and not torch.equal(lit.sh, scene.sh)
     assert lit.means is scene.means and lit.axes is scene.axes
+
+
+def test_what_is_left_is_how_colours_fade_and_how_deep_the_shadow_is():
+    shadow, points = leaning([0.2, 0.1]), floor()
+    stance = Stance(torch.zeros(24, 3).double(), [-1] + [0] * 23, *torch.zeros(2, 3).double(), torch.zeros(3).double())
+    stance = stance._replace(body_pose=torch.zeros(69).double())
+    left = shadow.left(points, stance)
+    white = Splats(
+        points,
+        torch.eye(3).expand(len(points), 3, 3),
+        torch.ones(len(points)),
+        sh_from_rgb(torch.ones(len(points), 1, 3).double()),
+    )
+    torch.testing.assert_close(shadow(white, stance).colors(torch.zeros(3))[:, 0], left)
+    effects = FrameEffects()
+    assert not effects.dark(points, stance).any()
+    effects.shadow = shadow
+    dark = effects.dark(points, stance)
+    assert dark.max() == pytest.approx(1.0, abs=0.05) and dark.min() == 0
+    assert not effects.dark(points, None).any(), "nobody is there"
 
 
 @pytest.mark.parametrize("width", [0.08, 0.0])
