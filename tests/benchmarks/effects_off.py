@@ -42,6 +42,9 @@ class Nothing(torch.nn.Module):
     def lit(self, scene: Any, stance: Any) -> Any:
         return scene
 
+    def dark(self, points: Tensor, stance: Any) -> Tensor:
+        return torch.zeros_like(points[:, 0])
+
     def trusted(self, rendered: Tensor, *_: Any) -> Tensor:
         return rendered
 
