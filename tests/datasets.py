@@ -21,6 +21,7 @@ from stages.avatar.synthetic_room import make_room
 from stages.formats.body_model import read_body_model
 from stages.formats.images import write_image, write_mask
 from stages.formats.synthetic_clip import write_views
+from stages.formats.video import decode, write_video
 from tests.worlds import align_viewmats
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
@@ -48,12 +49,13 @@ def neuman(
     camera_noise: float = 0.0,
     effects: Effects = NO_EFFECTS,
     seed: int = 0,
+    crf: int | None = None,
 ) -> Made:
     """A NeuMan sequence called bike; poses have scales that differ by up to 8 % and look right from their own camera.
 
     `noise` is the standard deviation of what is added to the poses: in radians to joint angles, and of the mean
     distance to the camera to places. `camera_noise` is the same for the cameras: radians, and of the mean distance from
-    the person.
+    the person. With `crf` the pictures are what is left of them in a video coded so.
     """
     model = read_body_model()
     clip = synthetic.make_clip(model, seed=seed, frames=frames, width=width, height=height, effects=effects)
@@ -64,8 +66,13 @@ def neuman(
     four = made.folder / "4d_humans" / "sam_segmentations"
     for path in (made.folder / "images", made.folder / "sparse", four, made.folder / "segmentations"):
         path.mkdir(parents=True)
+    if crf is None:
+        pictures = views.images
+    else:
+        write_video(folder / "coded.mp4", views.images, clip.fps, crf=crf)
+        pictures = [picture for _, _, picture in decode(folder / "coded.mp4")]
     for i in range(frames):
-        write_image(made.folder / "images" / f"{i:05d}.png", views.images[i])
+        write_image(made.folder / "images" / f"{i:05d}.png", pictures[i])
         write_mask(four / f"mask_{i:04d}.png", views.masks[i])
         write_mask(made.folder / "segmentations" / f"{i:05d}.png.png", 255 - views.masks[i])
     viewmats = align_viewmats(views.viewmats, UNITS, TURN.as_matrix(), SHIFT)

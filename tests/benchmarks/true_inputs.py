@@ -2,7 +2,9 @@
 
     python -m tests.benchmarks.true_inputs WORK [--noise 0.01] [--json out.json] [hugs run options]
 
-`--noise` adds errors of that standard deviation to the poses (see tests/datasets.py), which refinement has to find.
+The pictures are those of the video that `hugs demo` makes, with what its coding left of them, so that the inputs are
+all that differs from a run on that video. `--noise` adds errors of that standard deviation to the poses (see
+tests/datasets.py), which refinement has to find.
 Other options go to `hugs run`: `--set train.steps=1000 --seed 1`.
 """
 
@@ -14,6 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from stages.formats.synthetic_clip import CRF
 from tests import datasets
 from tests.truth import novel_psnr, tell_novel_poses
 
@@ -26,7 +29,7 @@ def true_inputs(work: Path, noise: float, more: list[str]) -> dict:
     place = work / f"noise{noise:g}"
     made = datasets.Made(place / "bike", place / "truth")
     if not made.folder.exists():
-        datasets.neuman(place, noise=noise, **SIZE)
+        datasets.neuman(place, noise=noise, crf=CRF, **SIZE)
     options = ["--pipeline", "neuman", "--work", str(work / f"work{noise:g}")]
     subprocess.run([*HUGS, "run", str(made.folder), *options, *more], check=True)
     results, out = work / f"work{noise:g}" / "bike" / "neuman", place / "told"

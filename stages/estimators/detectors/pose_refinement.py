@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
@@ -11,22 +12,30 @@ from stages.estimators.detectors.finding import Finding, above, strongest, unkno
 if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import Evidence
 
-GAP = 0.05  # clothes and hair alone cost 0.05 to 0.1, a wrong pose more; refining is cheap
-UNIT = "of body and mask not shared"
+GAP = 0.001  # true poses: 0.0000; a fit of ours to true masks, 4 cm off along the view: 0.003; clothes: 0.07
+UNIT = "of body and mask more than a pixel apart"
+NEAR = np.ones((3, 3), np.uint8)
 
 
 def detect(evidence: Evidence) -> Finding:
-    """1 - IoU of posed body and mask, the median over frames."""
+    """How much of posed body and mask lies apart from the other, the median over frames.
+
+    A fit made from outlines agrees with them and still errs along the view, so little has to be seen: refining is cheap.
+    """
     clip, gaps = evidence.clip, np.full(len(evidence.clip.names), np.nan)
     for i, drawn in zip(evidence.some, evidence.outlines):
         mask = clip.mask(i) > 127
         if mask.any() and clip.body.confidence[i] > 0:
-            gaps[i] = 1 - overlap(drawn, mask)
+            gaps[i] = apart(drawn, mask)
     if np.isnan(gaps).all():
         return unknown(UNIT, GAP, "nobody is seen")
     return above(np.nanmedian(gaps), UNIT, GAP, ("loose", "good"), strongest(clip.names, gaps))
 
 
-def overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union of two boolean masks, 0 if both are empty."""
-    return float((a & b).sum() / max((a | b).sum(), 1))
+def apart(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of the union of two boolean masks that is in one and does not touch the other; 0 if both are empty.
+
+    An edge is known to a pixel: of small people that alone is 3 % of their area, which is not counted.
+    """
+    near_a, near_b = (cv2.dilate(mask.astype(np.uint8), NEAR) > 0 for mask in (a, b))
+    return float(((a & ~near_b).sum() + (b & ~near_a).sum()) / max((a | b).sum(), 1))

@@ -14,7 +14,7 @@ from stages.avatar.cameras import look_at, pinhole, project
 from stages.avatar.synthetic_effects import Effects
 from stages.avatar.synthetic_passers import make_passers
 from stages.avatar.synthetic_room import make_room
-from stages.estimators.detectors import exposure, motion_blur, shadow, tracks
+from stages.estimators.detectors import exposure, motion_blur, pose_refinement, shadow, tracks
 from stages.estimators.detectors.bundle import leftover
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
@@ -262,3 +262,25 @@ def test_a_clip_with_the_effect_calls_for_it(filmed, name, strength):
     if name == "shadow":
         *lamp, darkness = found.start
         assert np.dot(lamp, synthetic.LIGHT) > np.cos(np.radians(12)) and darkness == found.value
+
+
+def test_arms_3_degrees_off_call_for_refined_poses_and_true_ones_do_not_however_small_the_person(filmed):
+    evidence = filmed()
+    assert pose_refinement.detect(evidence).value == 0, "in 150x200 px edges alone are 3 % of the person"
+    body = evidence.clip.body
+    turned = body.body_pose.copy()
+    turned[:, [3 * 15 + 2, 3 * 16 + 2]] += 0.05
+    known = vars(evidence.clip) | {"body": SimpleNamespace(**vars(body) | {"body_pose": turned})}
+    found = pose_refinement.detect(Evidence(SimpleNamespace(**known), {}))
+    assert found.called_for and found.value == pytest.approx(0.01, rel=0.5), found
+
+
+def test_an_edge_known_to_a_pixel_is_no_error_of_a_pose():
+    mask = np.zeros((40, 60), bool)
+    mask[10:30, 10:50] = True
+    grown = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0
+    assert pose_refinement.apart(mask, grown) == pose_refinement.apart(grown, mask) == 0
+    grown[10:30, 51:54] = True
+    assert pose_refinement.apart(mask, grown) == pose_refinement.apart(grown, mask) == pytest.approx(60 / grown.sum())
+    nothing = np.zeros_like(mask)
+    assert pose_refinement.apart(nothing, nothing) == 0 and pose_refinement.apart(mask, nothing) == 1
