@@ -172,6 +172,11 @@ class Fit:
         splats = pose(dressed, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
         return splats._replace(antialias=self.options.antialias)
 
+    def _drawn(self, frame: int, mask: Tensor) -> bool:
+        """Whether the person is drawn at a frame: mask[H,W] in 0..1 shows them, and their pose there is trusted at all."""
+        there = self.human is not None and self.phase.human and bool(self.person.confidence[frame] > 0)
+        return there and bool((mask > 0.5).any())
+
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
         image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
         viewmat, K = self._camera(frame), views.Ks[frame]
@@ -180,7 +185,7 @@ class Fit:
         human, stance, scene, numbers, loss = None, None, None, {}, 0.0
         p, phase = self.person, self.phase
         trust = 0.0 if p is None else p.confidence[frame]  # a doubtful pose teaches little
-        if self.human is not None and phase.human and bool(p.confidence[frame] > 0) and bool((mask > 0.5).any()):
+        if self._drawn(frame, mask):
             self.clock.start()
             resting = self.resting()
             self.clock.lap("person's networks")
@@ -381,8 +386,7 @@ class Fit:
 
     def _dark(self, frame: int) -> Tensor:
         """How deep each Gaussian of the scene is in the person's shadow at a frame, see `FrameEffects.dark`."""
-        p = self.person
-        there = self.human is not None and self.phase.human and bool(p.confidence[frame] > 0)
+        p, there = self.person, self._drawn(frame, self.full.masks[frame] / 255)
         stance = Stance(p.joints, p.parents, *self.body(frame)) if there else None
         return self.effects.dark(self.scene.means.detach(), stance)
 

@@ -68,6 +68,15 @@ def test_what_is_always_in_the_shadow_takes_the_colours_of_what_is_lit():
     assert not fill_behind(scene, views, [0, 1, 2], lambda frame: once[frame] * corner).any(), "lit in other frames"
 
 
+def test_nobody_who_is_not_drawn_casts_a_shadow(clip, monkeypatch):  # noqa: F811
+    fit, stances = fit_of(clip, steps=20), []
+    monkeypatch.setattr(fit.effects, "dark", lambda points, stance: stances.append(stance))
+    fit._dark(0)
+    fit.full.masks[0] = 0
+    fit._dark(0)
+    assert stances[0] is not None and stances[1] is None
+
+
 def test_a_colour_that_was_filled_in_is_not_learned_any_more(clip):  # noqa: F811
     fit: Fit = fit_of(clip, steps=20)
     while fit.done <= SETTLE:
