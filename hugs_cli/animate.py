@@ -12,8 +12,8 @@ from stages.contract import StageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.avatar.placing import Placed, Soles
-    from stages.avatar.retarget import Performance
+    from stages.avatar.motion.placing import Placed, Soles
+    from stages.avatar.motion.retarget import Performance
     from stages.formats.clip import Clip
 
 UNSAID_FPS = 30.0  # of a motion file that does not say
@@ -47,8 +47,8 @@ def animate(
     Seen by the camera of the clip's middle frame, or by `cameras` in the clip's world, one or one a frame. `say` gets
     a line for each fact about the motion, `progress` frames done and all. StageError for files that cannot be used.
     """
-    from stages.avatar.drawing import perform
-    from stages.avatar.placing import Soles
+    from stages.avatar.drawing.draw import perform
+    from stages.avatar.motion.placing import Soles
     from stages.formats.clip import load_clip
     from stages.formats.video import write_video
     from stages.render import check_scene, read_trained
@@ -72,7 +72,7 @@ def animate(
 
 def _placed(motion: Motion, fps: float, soles: Soles, parents: np.ndarray, say: Callable[[str], None]) -> Placed:
     """The motion at `fps`, made for the body of `soles`, upright on a floor."""
-    from stages.avatar import placing, retarget
+    from stages.avatar.motion import placing, retarget
 
     performance, rate, facts = _read(motion, soles, parents)
     up = motion.up or placing.which_is_up(performance)
@@ -91,8 +91,9 @@ def _placed(motion: Motion, fps: float, soles: Soles, parents: np.ndarray, say: 
 
 def _read(motion: Motion, soles: Soles, parents: np.ndarray) -> tuple[Performance, float, list[str]]:
     """What the file has SMPL's joints do, its frames a second, and what there is to say about it."""
-    from stages.avatar import retarget
-    from stages.formats import bvh, bvh_names, motions
+    from stages.avatar.motion import retarget
+    from stages.formats.motions import bvh, bvh_names
+    from stages.formats.motions import smpl as motions
 
     path = motion.path
     if path.suffix.lower() == ".bvh":
@@ -138,7 +139,7 @@ def _spot(clip: Clip, soles: Soles) -> tuple[np.ndarray, np.ndarray]:
     """Where the person of the middle frame stood: rotation from the frame of motions [3,3], point on the floor [3] m."""
     import numpy as np
 
-    from stages.avatar.motion import upright
+    from stages.avatar.motion.formulas import upright
 
     body, middle, present = clip.body, len(clip.names) // 2, clip.body.confidence > 0
     stand = upright(body.global_orient[present], body.global_orient[middle])

@@ -13,15 +13,16 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from hugs_cli import child, engine, options, pipelines, words
+from hugs_cli import options, pipelines, words
 from hugs_cli.app_compare import ablate, costs
 from hugs_cli.app_draw import animate, render
+from hugs_cli.cache import child, engine
+from hugs_cli.cache.engine import RunStopped
+from hugs_cli.cache.freshness import Judge, Verdict
+from hugs_cli.cache.workspace import Stamp, Workspace, read_json, size_of
 from hugs_cli.console import Console, reasons_text
-from hugs_cli.engine import RunStopped
-from hugs_cli.freshness import Judge, Verdict
 from hugs_cli.options import AsJson, DeviceName, DryRun, Force, PipelineName, Settings, Stages, Work, on_clip
 from hugs_cli.pipelines import UsageError
-from hugs_cli.workspace import Stamp, Workspace, read_json, size_of
 from stages.contract import StageError
 
 HELP = "From a phone video to an animatable person and the scene, as 3D Gaussians."

@@ -8,8 +8,8 @@ from typing import Annotated
 from typer import Option
 
 from hugs_cli import options, words
+from hugs_cli.cache.freshness import Judge
 from hugs_cli.console import Console
-from hugs_cli.freshness import Judge
 from hugs_cli.options import AsJson, DeviceName, DryRun, on_clip
 from hugs_cli.pipelines import UsageError
 
@@ -26,7 +26,7 @@ def ablate(
     as_json: AsJson = False,
 ) -> None:
     """What each part of the method is worth on this clip: the pipeline, and five times the same without one part."""
-    from hugs_cli import ablate as ablations
+    from hugs_cli.studies import ablate as ablations
 
     console, cases = Console(), ablations.cases(judge, part or (), seeds)
     judge.check_sources()
@@ -56,13 +56,13 @@ def costs(
     as_json: AsJson = False,
 ) -> None:
     """What the pipelines that were run on a clip cost, and what that bought; --sweep: what each setting costs and buys."""
-    from hugs_cli import costs as accounts
+    from hugs_cli.studies import costs as accounts
 
     console, clip, root = Console(), judge.sources["video"].name, judge.workspace.root
     if axis and not sweep:
         raise UsageError("only a sweep has axes", "add `--sweep`")
     if sweep:
-        from hugs_cli import sweep as sweeps
+        from hugs_cli.studies import sweep as sweeps
 
         cases = sweeps.sweep(judge, axis or (), seeds)
         judge.check_sources()
@@ -79,7 +79,7 @@ def costs(
         result = accounts.compared(accounts.runs(judge.workspace))
     result = {"clip": clip, **result}
     if plot:
-        from hugs_cli import costs_page
+        from hugs_cli.studies import costs_page
 
         name, title = ("sweep-" + judge.pipeline.name, f"around {judge.pipeline.name}") if sweep else ("costs", "costs")
         console.say(words.relative(costs_page.write(root, name, f"{clip}: {title}", result)))

@@ -7,11 +7,12 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from hugs_cli import engine, options, words
+from hugs_cli import options, words
+from hugs_cli.cache import engine
+from hugs_cli.cache.workspace import Stamp, Workspace
 from hugs_cli.console import Console
 from hugs_cli.options import DeviceName, PipelineName, Work
 from hugs_cli.pipelines import UsageError
-from hugs_cli.workspace import Stamp, Workspace
 
 
 def render(

@@ -9,11 +9,11 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
-from hugs_cli.child import Outcome
-from hugs_cli.engine import StageFailed
-from hugs_cli.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
+from hugs_cli.cache.child import Outcome
+from hugs_cli.cache.engine import StageFailed
+from hugs_cli.cache.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
+from hugs_cli.cache.workspace import Stamp
 from hugs_cli.words import ago, count, duration, number
-from hugs_cli.workspace import Stamp
 from stages.contract import StageError
 
 if TYPE_CHECKING:

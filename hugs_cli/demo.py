@@ -6,11 +6,11 @@ import json
 import multiprocessing
 from pathlib import Path
 
+from hugs_cli.cache.fingerprint import Code, digest
 from hugs_cli.console import Console
-from hugs_cli.fingerprint import Code, digest
 from stages.contract import StageError
 
-MODULES = ("stages.avatar.synthetic", "stages.formats.synthetic_clip")
+MODULES = ("stages.synthetic.clip", "stages.synthetic.files")
 
 
 def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
@@ -34,8 +34,8 @@ def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
 
 def write(folder: Path, seed: int) -> None:
     """In a process of its own, so that what it loads is gone afterwards."""
-    from stages.avatar.synthetic import make_clip
     from stages.formats.body_model import read_body_model
-    from stages.formats.synthetic_clip import write_clip
+    from stages.synthetic.clip import make_clip
+    from stages.synthetic.files import write_clip
 
     write_clip(folder, make_clip(read_body_model(None), seed=seed))

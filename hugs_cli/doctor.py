@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from hugs_cli import child
-from hugs_cli.engine import find_device
+from hugs_cli.cache import child
+from hugs_cli.cache.engine import find_device
 from hugs_cli.words import size
 
 DISTRIBUTIONS = {

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 from hugs_cli import pipelines, within
-from hugs_cli.fingerprint import Code
-from hugs_cli.freshness import Judge
-from hugs_cli.workspace import Workspace
+from hugs_cli.cache.fingerprint import Code
+from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.workspace import Workspace
 
 CODE_MEMORY = ".code.json"  # in the work folder; see fingerprint.Code
 

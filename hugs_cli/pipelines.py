@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from hugs_cli import variants
+from hugs_cli.studies import variants
 from stages.contract import Params, StageError
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"

@@ -7,14 +7,14 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hugs_cli import engine
-from hugs_cli.comparison import Quiet
+from hugs_cli.cache import engine
+from hugs_cli.cache.engine import Ran
+from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.workspace import Workspace, read_json, write_json
 from hugs_cli.console import Console
-from hugs_cli.engine import Ran
-from hugs_cli.freshness import Judge
 from hugs_cli.pipelines import Stage, UsageError
+from hugs_cli.studies.comparison import Quiet
 from hugs_cli.words import duration
-from hugs_cli.workspace import Workspace, read_json, write_json
 
 TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
 CHOSEN = "within.json"  # in the pipeline's folder: what train was given, so that a run cut short goes on

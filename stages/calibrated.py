@@ -23,12 +23,12 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
 
     import numpy as np
 
-    from stages.avatar.lens import NO_SHIFT
+    from stages.avatar.cameras.lens import NO_SHIFT
     from stages.formats.cameras import read_cameras, write_cameras
-    from stages.formats.capture import given_by, read_lenses
+    from stages.formats.datasets.capture import given_by, read_lenses
+    from stages.formats.datasets.undistorted import opencv_grid, write_undistorted
     from stages.formats.points import read_points
     from stages.formats.splits import write_split
-    from stages.formats.undistorted import opencv_grid, write_undistorted
 
     given = given_by(frames, "cameras.npz")
     if given is None:

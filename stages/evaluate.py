@@ -16,9 +16,9 @@ from stages.contract import Job
 if TYPE_CHECKING:
     import torch
 
-    from stages.avatar.drawing import Learned, Pose
-    from stages.avatar.gaussians import Splats
-    from stages.avatar.perceptual import Lpips
+    from stages.avatar.drawing.draw import Learned, Pose
+    from stages.avatar.measures.lpips import Lpips
+    from stages.avatar.splats.gaussians import Splats
     from stages.formats.clip import Clip
 
 PROTOCOL = (
@@ -54,8 +54,8 @@ def run(
 
     import numpy as np
 
-    from stages.avatar.drawing import load_learned, to_uint8
-    from stages.avatar.perceptual import Lpips
+    from stages.avatar.drawing.draw import load_learned, to_uint8
+    from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import path
     from stages.formats.clip import load_clip
     from stages.formats.effects import read_effects
@@ -119,8 +119,8 @@ class Shot:
         import numpy as np
         import torch
 
-        from stages.avatar.drawing import motion_at, pose_of
-        from stages.avatar.metrics import person_crop
+        from stages.avatar.drawing.draw import motion_at, pose_of
+        from stages.avatar.measures.metrics import person_crop
 
         like = learned.avatar.joints
         self.learned = learned
@@ -172,8 +172,8 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     """The pose after `steps` of Adam on the absolute difference around the person, the best one seen; no Gaussian moves."""
     import torch
 
-    from stages.avatar.human import pose_avatar
-    from stages.avatar.metrics import over_white
+    from stages.avatar.measures.metrics import over_white
+    from stages.avatar.model.human import pose_avatar
 
     if shot.box is None:
         return shot.pose
@@ -202,7 +202,7 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
 
 
 def _finite(image: torch.Tensor, truth: torch.Tensor, lpips: Lpips | None) -> dict[str, float | None]:
-    from stages.avatar.metrics import scores
+    from stages.avatar.measures.metrics import scores
 
     found = scores(image.contiguous(), truth.contiguous(), lpips)
     return {name: EQUAL if value == float("inf") else value for name, value in found.items()}
@@ -211,7 +211,7 @@ def _finite(image: torch.Tensor, truth: torch.Tensor, lpips: Lpips | None) -> di
 def _scores(
     shot: Shot, drawn: tuple[torch.Tensor, torch.Tensor], lpips: Lpips | None
 ) -> Iterator[tuple[str, dict[str, float | None]]]:
-    from stages.avatar.metrics import over_white
+    from stages.avatar.measures.metrics import over_white
 
     both, alone = drawn
     if shot.learned.scene is not None:

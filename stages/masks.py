@@ -39,8 +39,8 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     Masks that a data set brought along are taken like given ones, unless others are given.
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
-    from stages.estimators.mask_import import imported
-    from stages.formats.capture import given_by
+    from stages.estimators.person.given import imported
+    from stages.formats.datasets.capture import given_by
     from stages.formats.images import write_mask
 
     facts = read_facts(frames / "frames.json", LISTING)
@@ -74,9 +74,9 @@ def segmented(job: Job, params: Params, frames: Path, names: list[str]):
     """Follow one person through the pictures by BlazePose and yield his outline in each, empty where he is not."""
     import numpy as np
 
-    from stages.estimators.blazepose import BlazePose
-    from stages.estimators.outline import outline
-    from stages.estimators.people import Company
+    from stages.estimators.person.blazepose import BlazePose
+    from stages.estimators.person.outline import outline
+    from stages.estimators.person.people import Company
     from stages.formats.images import read_image
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]

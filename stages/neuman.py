@@ -21,8 +21,8 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     Its body poses have a scale each; the smpl stage keeps their median for the clip and moves each body along the rays
     of its camera to where that scale shows it unchanged, so its pelvis stays on the same pixel.
     """
-    from stages.formats.capture import write_capture
-    from stages.formats.neuman import read_neuman
+    from stages.formats.datasets.capture import write_capture
+    from stages.formats.datasets.neuman import read_neuman
 
     capture = read_neuman(video)
     if capture.lenses.any():

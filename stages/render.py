@@ -14,7 +14,7 @@ from stages.contract import Job, StageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.avatar.drawing import Learned, Pose
+    from stages.avatar.drawing.draw import Learned, Pose
     from stages.formats.clip import Clip
 
 A_POSE = {2: 0.25, 5: -0.25, 47: -0.9, 50: 0.9}  # entries of body_pose, rad: a relaxed stand for the turntable
@@ -58,7 +58,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
 
 def read_trained(train: Path, device: str) -> tuple[Learned, dict[str, Pose]]:
     """What training left, and the person's poses by frame name."""
-    from stages.avatar.drawing import load_learned
+    from stages.avatar.drawing.draw import load_learned
     from stages.formats.effects import read_effects
     from stages.formats.poses import read_poses
     from stages.formats.splats import read_avatar, read_scene
@@ -86,7 +86,7 @@ def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np
     """
     import numpy as np
 
-    from stages.avatar.drawing import draw, motion_at, pose_of, to_uint8
+    from stages.avatar.drawing.draw import draw, motion_at, pose_of, to_uint8
 
     for i in order:
         pose = pose_of(clip, i) if clip.shows_person(i) else None
@@ -98,7 +98,7 @@ def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np
 
 
 def _empty(clip: Clip, learned: Learned) -> Iterator[np.ndarray]:
-    from stages.avatar.drawing import draw, to_uint8
+    from stages.avatar.drawing.draw import draw, to_uint8
 
     for viewmat, K in zip(clip.viewmats, clip.Ks, strict=True):
         yield to_uint8(draw(None, learned.scene, viewmat, K, (clip.width, clip.height))[0])
@@ -108,7 +108,7 @@ def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.nda
     """The person at a relaxed stand, seen from all sides over white; the canonical frame has y up and looks along z."""
     import numpy as np
 
-    from stages.avatar.drawing import draw, to_uint8
+    from stages.avatar.drawing.draw import draw, to_uint8
 
     stand = np.zeros(69)
     stand[list(A_POSE)] = list(A_POSE.values())
@@ -129,8 +129,8 @@ def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params
     """The person doing something new where it stood in the clip, seen by the camera of the middle frame."""
     import numpy as np
 
-    from stages.avatar import motion
-    from stages.avatar.drawing import perform
+    from stages.avatar.drawing.draw import perform
+    from stages.avatar.motion import formulas as motion
 
     moves = tuple(t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
     middle = len(clip.names) // 2
@@ -157,7 +157,7 @@ def render_views(
     """
     import numpy as np
 
-    from stages.avatar.drawing import draw, to_uint8
+    from stages.avatar.drawing.draw import draw, to_uint8
     from stages.formats.cameras import read_cameras
     from stages.formats.images import write_image
     from stages.formats.poses import read_poses

@@ -170,7 +170,7 @@ def _accuracy(metrics: dict[str, Any]) -> str:
 def _beside_the_paper(dataset: dict[str, str] | None, metrics: dict[str, Any]) -> list[str]:
     """A section with the HUGS paper's numbers beside ours, for a sequence that it has."""
     from stages.formats import page
-    from stages.formats.published import COMPARED, published
+    from stages.formats.datasets.published import COMPARED, published
 
     if not dataset:
         return []
@@ -235,7 +235,7 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
     import numpy as np
     import torch
 
-    from stages.avatar.body import Body
+    from stages.avatar.body.smpl import Body
 
     body = Body(clip.body_model)
     chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)

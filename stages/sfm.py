@@ -18,10 +18,10 @@ from stages.formats.facts import NAME, read_facts
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.avatar.camera_motion import Motion, Pair
-    from stages.estimators.sfm_ladder import Matched
-    from stages.estimators.sfm_verdict import Footage
-    from stages.estimators.sparse_model import Pinholes
+    from stages.estimators.cameras.ladder import Matched
+    from stages.estimators.cameras.motion import Motion, Pair
+    from stages.estimators.cameras.sparse_model import Pinholes
+    from stages.estimators.cameras.verdict import Footage
 
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
@@ -74,11 +74,11 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
     `cameras` of another program (a COLMAP model, transforms.json) take the place of mapping; where they have no points,
     COLMAP triangulates them. A camera that stood still or only turned is named in sfm.json `verdict` and by a warning.
     """
-    from stages.estimators.camera_check import compare_colours, triangulate
-    from stages.estimators.camera_import import imported
-    from stages.estimators.sparse_model import write_model
+    from stages.estimators.cameras.check import compare_colours, triangulate
+    from stages.estimators.cameras.given import imported
+    from stages.estimators.cameras.sparse_model import write_model
     from stages.formats.cameras import Cameras, write_cameras
-    from stages.formats.undistorted import write_undistorted
+    from stages.formats.datasets.undistorted import write_undistorted
 
     listing = read_facts(frames / "frames.json", LISTING)
     names, size = [frame["name"] for frame in listing["frames"]], (listing["width"], listing["height"])
@@ -112,9 +112,9 @@ def mapped(
     """Cameras found by COLMAP, and the pinhole that replaces their lens."""
     import numpy as np
 
-    from stages.avatar import lens
-    from stages.estimators import colmap
-    from stages.estimators.sparse_model import Pinholes
+    from stages.avatar.cameras import lens
+    from stages.estimators.cameras import colmap
+    from stages.estimators.cameras.sparse_model import Pinholes
 
     width, height = size
     if params.camera == "fixed":
@@ -156,9 +156,11 @@ def solve(
     """Features, matches, the verdict on the camera's motion, and the cameras of a clip that stands, turns or walks."""
     import numpy as np
 
-    from stages.avatar.camera_motion import judge_motion
-    from stages.estimators import colmap, sfm_ladder, sfm_verdict
-    from stages.estimators.sparse_model import write_ignored
+    from stages.estimators.cameras import colmap
+    from stages.estimators.cameras import ladder as sfm_ladder
+    from stages.estimators.cameras import verdict as sfm_verdict
+    from stages.estimators.cameras.motion import judge_motion
+    from stages.estimators.cameras.sparse_model import write_ignored
 
     files, images, database = [f"{name}.png" for name in names], frames / "images", scratch / "database.db"
     job.progress(0, 100)
@@ -208,8 +210,8 @@ def walking(
     job: Job, matched: Matched, footage: Footage, motion: Motion, pairs: list[Pair], facts: dict
 ) -> Solution | None:
     """The cameras of the best model of all rungs; None if there is none to believe and a turn may stand in."""
-    from stages.estimators.sfm_ladder import best_rung, climb
-    from stages.estimators.sfm_verdict import components
+    from stages.estimators.cameras.ladder import best_rung, climb
+    from stages.estimators.cameras.verdict import components
 
     names = footage.names
     rungs = climb(job, matched)
@@ -235,8 +237,8 @@ def turning(
     job: Job, footage: Footage, motion: Motion, pairs: list[Pair], width: int, height: int, facts: dict
 ) -> Solution:
     """The rotations of a camera that only turns, or that does hardly more and cannot be mapped."""
-    from stages.avatar.camera_motion import camera_rotations
-    from stages.estimators.sfm_verdict import components
+    from stages.estimators.cameras.motion import camera_rotations
+    from stages.estimators.cameras.verdict import components
 
     names = footage.names
     turns, known = camera_rotations(pairs, len(names), motion.focal_px, motion.k, width, height)

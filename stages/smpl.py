@@ -16,7 +16,7 @@ from stages.formats.facts import NAME, read_facts
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.estimators.bodyfit_judge import Verdict
+    from stages.estimators.bodyfit.quality import Verdict
     from stages.formats.body_model import BodyModel
     from stages.formats.cameras import Cameras
     from stages.formats.poses import BodyPoses
@@ -47,10 +47,10 @@ def run(
     """
     import numpy as np
 
-    from stages.estimators.bodyfit_judge import judge
+    from stages.estimators.bodyfit.quality import judge
     from stages.formats.body_model import read_body_model, write_body_model
     from stages.formats.cameras import read_cameras
-    from stages.formats.capture import given_by
+    from stages.formats.datasets.capture import given_by
     from stages.formats.images import read_mask
     from stages.formats.points import read_points
     from stages.formats.poses import write_poses
@@ -94,8 +94,8 @@ def imported(
     sources: tuple[str, ...],
 ) -> tuple[BodyPoses, dict[str, Any]]:
     """Poses read from another program's file; says which of its people was taken, and what else is worth knowing."""
-    from stages.estimators.bodyfit_import import import_fit
-    from stages.formats.smpl_fits import read_smpl_fit
+    from stages.estimators.bodyfit.given import import_fit
+    from stages.formats.given_fits.files import read_smpl_fit
 
     fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
     poses, facts = import_fit(fit, model, cameras, times, masks, points, moving, sources)
@@ -130,9 +130,9 @@ def estimated(
     """Poses fitted to BlazePose landmarks and the masks; writes landmarks.npz. Also gives evidence and pixels."""
     import numpy as np
 
-    from stages.estimators import bodyfit_evidence as evidences
-    from stages.estimators.blazepose import BlazePose, masked
-    from stages.estimators.bodyfit import fit_body
+    from stages.estimators.bodyfit import evidence as evidences
+    from stages.estimators.bodyfit.fit import fit_body
+    from stages.estimators.person.blazepose import BlazePose, masked
     from stages.formats.images import read_image
 
     names, regressor = evidences.model_landmarks(model)

@@ -125,7 +125,7 @@ def camera_measures(facts: dict, clip: Clip) -> dict[str, dict]:
     """Parallax, baseline against depth, reprojection error and points; from sfm.json, in the clip's world."""
     import numpy as np
 
-    from stages.avatar.cameras import camera_centers, project
+    from stages.avatar.cameras.pinhole import camera_centers, project
 
     angle, error = facts.get("median_triangulation_deg"), facts.get("reprojection_px")
     ratio = None

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
-    from stages.avatar.bake import Finished
-    from stages.avatar.fit import Fit
-    from stages.avatar.pace import Deadline
-    from stages.avatar.views import Person
     from stages.formats.clip import Clip
+    from stages.training.deadline import Deadline
+    from stages.training.finishing.bake import Finished
+    from stages.training.fit import Fit
+    from stages.training.views import Person
 
 RESUMES = True
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
@@ -89,11 +89,11 @@ class Params(contract.Params):
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
     """Fit person and scene Gaussians to the frames, jointly."""
-    from stages.avatar.checkpoint import save
-    from stages.avatar.neighbours import evenly
-    from stages.avatar.rasterize.cache import compiled
+    from stages.avatar.kernels.cache import compiled
     from stages.avatar.rasterize.rendering import T_STOP
-    from stages.avatar.worth import worth
+    from stages.avatar.splats.neighbours import evenly
+    from stages.training.checkpoint import save
+    from stages.training.effect_gains import worth
 
     if job.device != "cpu" and params.early_stop != T_STOP:
         hint = "leave `train.early_stop` out, or give `--device cpu`"
@@ -152,7 +152,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
 
 def _deadline(params: Params) -> Deadline:
-    from stages.avatar.pace import Deadline
+    from stages.training.deadline import Deadline
 
     return Deadline(params.seconds, params.reserve, time.perf_counter(), params.curve_points)
 
@@ -163,8 +163,8 @@ def _begun(
     """The training, at its first step or where a checkpoint left it, and what else a checkpoint tells."""
     import torch
 
-    from stages.avatar.checkpoint import load, resume
-    from stages.avatar.worth import PAUSES, effects_of
+    from stages.training.checkpoint import load, resume
+    from stages.training.effect_gains import PAUSES, effects_of
 
     told = {"curve": [], "seconds": 0.0, "parts": {}, "sizes": {}, "deadline": None}
     path = job.out / CHECKPOINT
@@ -204,7 +204,7 @@ def _timed(
     job: Job, params: Params, folders: tuple[Path, Path, Path], deadline: Deadline, fit: Fit, clip: Clip
 ) -> tuple[Fit, Clip, dict[str, int]]:
     """The training with as many steps as fit into the time, at sizes that are worth them."""
-    from stages.avatar.pace import short_of
+    from stages.training.deadline import short_of
 
     steps, sizes = deadline.start(fit), {}
     if steps < SMALL_UNDER or steps >= LARGE_FROM:
@@ -229,7 +229,7 @@ def _timed(
 
 
 def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
-    from stages.avatar.neighbours import evenly
+    from stages.avatar.splats.neighbours import evenly
     from stages.formats.clip import load_clip
     from stages.formats.facts import read_facts
 
@@ -255,7 +255,7 @@ def build(
     job: Job,
 ) -> Fit:
     """Everything that is trained, at its initial value; `decisions` and `starts` are those of survey.json, by effect."""
-    from stages.avatar.start import Start
+    from stages.training.start import Start
 
     shown = [i for i in train if clip.shows_person(i)]
     if not shown:
@@ -286,7 +286,7 @@ def _perceptual(params: Params, device: str):
         return None
     import numpy as np
 
-    from stages.avatar.perceptual import Lpips
+    from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import fetch
 
     with np.load(fetch(f"lpips_{params.perceptual_net}.npz")) as arrays:
@@ -297,8 +297,8 @@ def _broken_down(fit: Fit, name: str, job: Job, run: dict[str, Any], error: Exce
     """The error to raise for a step on the frame of that name; failure.npz holds what its `replay` needs."""
     import torch
 
-    from stages.avatar.checkpoint import snapshot
     from stages.formats.failure import write_failure
+    from stages.training.checkpoint import snapshot
 
     before, file, path = fit.before or snapshot(fit), io.BytesIO(), job.out / "failure.npz"
     torch.save(before, file)
@@ -322,8 +322,8 @@ def replay(path: Path) -> None:
     """
     import torch
 
-    from stages.avatar.checkpoint import restore
     from stages.formats.failure import read_failure
+    from stages.training.checkpoint import restore
 
     state, facts = read_failure(path)
     torch.set_num_threads(facts["threads"])
@@ -338,7 +338,7 @@ def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:
     """What the curve tells of one step, but for the step and its time."""
     import resource
 
-    from stages.avatar.judge import judge
+    from stages.training.accuracy import judge
 
     numbers = {key: "" if value is None else round(value, 4) for key, value in judge(fit, frames).items()}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
@@ -360,7 +360,7 @@ def _told(found: dict[str, dict[str, Any]], seconds: float, job: Job) -> dict[st
 
 def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], effects: dict[str, dict[str, Any]]) -> None:
     """Write the results: avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz, cameras.npz if learned."""
-    from stages.avatar.bake import unseen
+    from stages.training.finishing.bake import unseen
 
     person = fit.person._replace(**dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True)))
     worn = {"clothing": fit.effects.clothing, "antialias": fit.options.antialias}
@@ -426,10 +426,10 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
     """Finish the person and write avatar.npz."""
     from dataclasses import fields
 
-    from stages.avatar.bake import finished
-    from stages.avatar.rotations import quat_from_matrix
+    from stages.avatar.body.rotations import quat_from_matrix
     from stages.formats.clothes import Clothes
     from stages.formats.splats import Avatar, write_splats
+    from stages.training.finishing.bake import finished
 
     baked, _ = fit.baked()
     seen = fit.full._replace(viewmats=fit.cameras())
@@ -461,7 +461,7 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
 
 def _write_scene(fit: Fit, job: Job) -> int:
     """Write scene.npz; returns how many Gaussians are not finite and left out."""
-    from stages.avatar.gaussians import finite_rows
+    from stages.avatar.splats.gaussians import finite_rows
     from stages.formats.splats import Scene, write_splats
 
     s = fit.scene

@@ -23,8 +23,8 @@ class Params(contract.Params):
 
 def run(job: Job, params: Params, *, video: Path) -> None:
     """Write images/, frames.json and given/ (masks, cameras, body poses) from a ZJU-MoCap sequence's folder."""
-    from stages.formats.capture import write_capture
-    from stages.formats.zju import read_zju
+    from stages.formats.datasets.capture import write_capture
+    from stages.formats.datasets.zju import read_zju
 
     capture = read_zju(video, params.train_camera, params.train_frames, params.test_every)
     for done in write_capture(job.out, capture, params.max_side):

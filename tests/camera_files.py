@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.cameras import project
+from stages.avatar.cameras.pinhole import project
 from stages.formats.cameras import Cameras
-from stages.formats.given_cameras import PARAMS
+from stages.formats.given_cameras.model import PARAMS
 from tests.worlds import align_viewmats
 
 TURN, SHIFT, UNITS = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix(), np.array([3.0, -1.2, 0.8]), 2.7

@@ -72,7 +72,7 @@ def given_cameras(file: str) -> Kind:
     def read(root: Path) -> Any:
         from stages import sfm
         from stages.contract import Job
-        from stages.estimators.camera_import import imported
+        from stages.estimators.cameras.given import imported
 
         path, listing = root / file, formats("facts").read_facts(root / "film" / "frames.json", sfm.LISTING)
         return imported(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
@@ -144,9 +144,9 @@ def facts(file: str, wanted: Any) -> Kind:
 
 def read_stamp(root: Path) -> Any:
     """A result's stamp, as `status` and `why` show it."""
+    from hugs_cli.cache.freshness import Verdict
+    from hugs_cli.cache.workspace import Stamp
     from hugs_cli.console import Console
-    from hugs_cli.freshness import Verdict
-    from hugs_cli.workspace import Stamp
     from stages.contract import StageError
 
     stamp = Stamp.read(root / "store")
@@ -162,8 +162,8 @@ def read_stamp(root: Path) -> Any:
 def read_memories(root: Path) -> Any:
     """What a workspace remembers of sources and code, and what a run's first line tells of the clip."""
     from hugs_cli.app import clip_facts
-    from hugs_cli.fingerprint import Code
-    from hugs_cli.workspace import Workspace
+    from hugs_cli.cache.fingerprint import Code
+    from hugs_cli.cache.workspace import Workspace
 
     Workspace(root / "work.mp4", root, "pipeline").source("video", root / "points.ply")
     clip_facts(Workspace(root / "work.mp4", root, "pipeline"))
@@ -341,9 +341,9 @@ def write_facts(root: Path) -> None:
 
 def write_workspace(root: Path) -> None:
     """A finished result and what a workspace remembers."""
-    from hugs_cli.fingerprint import Code
+    from hugs_cli.cache.fingerprint import Code
+    from hugs_cli.cache.workspace import Stamp, Workspace, seal
     from hugs_cli.pipelines import FILE
-    from hugs_cli.workspace import Stamp, Workspace, seal
 
     shutil.copyfile(FILE, root / "pipelines.yaml")
     (root / "store" / "sub").mkdir(parents=True)

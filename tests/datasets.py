@@ -13,15 +13,15 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar import synthetic
-from stages.avatar import synthetic_person as person
-from stages.avatar.cameras import look_at, pinhole
-from stages.avatar.synthetic_effects import NO_EFFECTS, Effects
-from stages.avatar.synthetic_room import make_room
+from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.formats.body_model import read_body_model
 from stages.formats.images import write_image, write_mask
-from stages.formats.synthetic_clip import write_views
 from stages.formats.video import decode, write_video
+from stages.synthetic import clip as synthetic
+from stages.synthetic import person
+from stages.synthetic.effects import NO_EFFECTS, Effects
+from stages.synthetic.files import write_views
+from stages.synthetic.room import make_room
 from tests.worlds import align_viewmats
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
@@ -32,7 +32,7 @@ LENS = np.array([-0.2, 0.03, 0.002, -0.001, 0.004])
 
 @dataclass(frozen=True)
 class Made:
-    """The data set's folder and the folder of the truth, as stages.formats.synthetic_clip writes it."""
+    """The data set's folder and the folder of the truth, as stages.synthetic.files writes it."""
 
     folder: Path
     truth: Path

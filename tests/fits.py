@@ -20,9 +20,9 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar import synthetic
-from stages.avatar.body import Body
+from stages.avatar.body.smpl import Body
 from stages.formats.body_model import BodyModel, read_body_model
+from stages.synthetic import clip as synthetic
 from tests.datasets import SHIFT, TURN, UNITS
 from tests.worlds import align_viewmats
 

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hugs_cli.fingerprint import file_digest, files_under
-from hugs_cli.workspace import OLD, OURS, PART, Stamp
+from hugs_cli.cache.fingerprint import file_digest, files_under
+from hugs_cli.cache.workspace import OLD, OURS, PART, Stamp
 from tests.hugs_cli.conftest import Flow
 from tests.stages import tiny
 

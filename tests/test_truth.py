@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.cameras import project
-from stages.avatar.synthetic import make_clip
+from stages.avatar.cameras.pinhole import project
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.poses import read_poses
-from stages.formats.synthetic_clip import write_clip
+from stages.synthetic.clip import make_clip
+from stages.synthetic.files import write_clip
 from tests.truth import align, camera_errors, in_result_world, joint_errors, joints_of, mask_ious
 from tests.worlds import align_viewmats
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.body import Body
+from stages.avatar.body.smpl import Body
 from stages.formats.body_model import BodyModel, read_body_model
 from stages.formats.cameras import Cameras, read_cameras, write_cameras
 from stages.formats.images import read_image, read_mask

@@ -58,7 +58,7 @@ CASES = {
     "alpha from 1/64": Case(((DRAWING, CUT, "ALPHA_MIN = 1 / 64"),)),
     "an exponential to 2e-9": Case(((LANES, EXP2, SEXTIC),)),
     "a cubic exponential": Case(((LANES, EXP2, CUBIC),)),
-    "networks in float32": Case((("stages/avatar/decoders.py", BF16, "FAST = False and bool("),)),
+    "networks in float32": Case((("stages/avatar/model/decoders.py", BF16, "FAST = False and bool("),)),
     "LPIPS every 8th step": Case(settings=(("perceptual_every", 8),)),
     "LPIPS every 4th step": Case(settings=(("perceptual_every", 4),)),
     "LPIPS every 2nd step": Case(settings=(("perceptual_every", 2),)),
@@ -103,11 +103,11 @@ def trained(folder: Path, settings: dict[str, Any], steps: int, seed: int) -> di
     from types import SimpleNamespace
 
     from stages import train
-    from stages.avatar.judge import judge
-    from stages.avatar.perceptual import Lpips
-    from stages.avatar.schedule import HALF_UNTIL
+    from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import fetch
     from stages.formats.clip import load_clip
+    from stages.training.accuracy import judge
+    from stages.training.schedule import HALF_UNTIL
     from tests.benchmarks.host import clock, summary
     from tests.benchmarks.workloads import surveyed
 

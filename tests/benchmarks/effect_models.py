@@ -25,15 +25,15 @@ import torch.nn.functional as F
 
 from stages import calibrated, masks, neuman, smpl, train
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.fit import Fit
-from stages.avatar.judge import judge
-from stages.avatar.refine import FrameCorrections
-from stages.avatar.synthetic_effects import Effects
-from stages.avatar.views import Views
 from stages.contract import Job
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
 from stages.formats.clip import load_clip
+from stages.synthetic.effects import Effects
+from stages.training.accuracy import judge
+from stages.training.fit import Fit
+from stages.training.refine import FrameCorrections
+from stages.training.views import Views
 from tests import datasets
 
 SIZE = {"frames": 30, "width": 192, "height": 256, "points": 3000}

@@ -19,10 +19,10 @@ import torch
 from torch import Tensor
 
 from stages import train
-from stages.avatar.compose import compose_layers
-from stages.avatar.fit import Fit
+from stages.avatar.splats.compose import compose_layers
 from stages.contract import Job
 from stages.formats.clip import load_clip
+from stages.training.fit import Fit
 from tests.benchmarks.effect_models import ALWAYS, PARAMS, inputs
 
 PARTS = 10

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.avatar.body import Body
-from stages.avatar.cameras import project, rescale_viewmats
-from stages.estimators.blazepose import NAMES, Pose
-from stages.estimators.bodyfit_evidence import gather, model_landmarks
-from stages.estimators.bodyfit_judge import posed_vertices
-from stages.estimators.bodyfit_solve import sole_vertices
+from stages.avatar.body.smpl import Body
+from stages.avatar.cameras.pinhole import project, rescale_viewmats
+from stages.estimators.bodyfit.evidence import gather, model_landmarks
+from stages.estimators.bodyfit.quality import posed_vertices
+from stages.estimators.bodyfit.solve import sole_vertices
+from stages.estimators.person.blazepose import NAMES, Pose
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import BodyModel, read_body_model
 from stages.formats.cameras import Cameras, read_cameras

@@ -23,14 +23,14 @@ import numpy as np
 import torch
 
 from stages import train
-from stages.avatar import densify, losses, optimizers, schedule
-from stages.avatar import fit as fit_module
-from stages.avatar.compose import compose_layers
 from stages.avatar.effects import frames as frames_module
-from stages.avatar.judge import judge
-from stages.avatar.perceptual import Lpips
+from stages.avatar.measures.lpips import Lpips
+from stages.avatar.splats.compose import compose_layers
 from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
+from stages.training import densify, losses, optimizers, schedule
+from stages.training import fit as fit_module
+from stages.training.accuracy import judge
 from tests.benchmarks import mcmc
 from tests.benchmarks.workloads import surveyed
 

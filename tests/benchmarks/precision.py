@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.precision [--steps 60] [--seeds 3]
 
-The clip is that of tests/stages/avatar/test_fit.py (48x40 px, up to 560 Gaussians), small enough for the references in
+The clip is that of tests/stages/training/test_fit.py (48x40 px, up to 560 Gaussians), small enough for the references in
 float64: `stages/avatar/rasterize/reference.py` and `ssim_reference`. Each row is a mean over seeds; "off" is how far the
 held-out picture of a row lies from that of the last one before anything was learned, "dB" its accuracy in the end.
 """
@@ -20,14 +20,14 @@ from unittest import mock
 import torch
 from torch import Tensor
 
-from stages.avatar import losses
-from stages.avatar.fit import Fit
-from stages.avatar.judge import judge
+from stages.avatar.measures.ssim import ssim_reference
 from stages.avatar.rasterize import Layer, cpu, reference
-from stages.avatar.schedule import Options
-from stages.avatar.ssim import ssim_reference
+from stages.training import losses
+from stages.training.accuracy import judge
+from stages.training.fit import Fit
+from stages.training.schedule import Options
 from tests.benchmarks.host import clock
-from tests.stages.avatar.test_fit import make_clip, models
+from tests.stages.training.test_fit import make_clip, models
 
 TRAINED, HELD_OUT = [0, 1, 3, 4, 5], 2
 WAYS = {"kernels, float32": None, "torch, float32": torch.float32, "torch, float64": torch.float64}

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.avatar.drawing import draw
+from stages.avatar.drawing.draw import draw
 from tests.benchmarks.host import all_threads, clock, machine, summary, use_threads
 from tests.benchmarks.workloads import finished
 

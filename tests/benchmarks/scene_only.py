@@ -17,10 +17,10 @@ from pathlib import Path
 import torch
 
 from stages import train
-from stages.avatar.compose import compose
-from stages.avatar.fit import Fit
-from stages.avatar.metrics import person_crop, scores
+from stages.avatar.measures.metrics import person_crop, scores
+from stages.avatar.splats.compose import compose
 from stages.formats.clip import load_clip
+from stages.training.fit import Fit
 from tests.benchmarks.workloads import surveyed
 
 

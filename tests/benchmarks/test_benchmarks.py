@@ -18,7 +18,7 @@ from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
-from tests.stages.avatar.test_fit import fit_of, make_clip, run
+from tests.stages.training.test_fit import fit_of, make_clip, run
 
 clip = pytest.fixture(scope="module")(make_clip)
 

@@ -26,14 +26,17 @@ import numpy as np
 import torch
 
 from stages import train
-from stages.avatar import compose, fit, layers, losses, ssim
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.gaussians import Splats
-from stages.avatar.rasterize import blend, cpu, gaussian_axes, kernels
-from stages.avatar.scene import SceneModel
-from stages.avatar.schedule import HALF_UNTIL
+from stages.avatar.measures import ssim
+from stages.avatar.model.scene import SceneModel
+from stages.avatar.rasterize import blend, cpu, gaussian_axes
+from stages.avatar.rasterize import projection as kernels
+from stages.avatar.splats import compose
+from stages.avatar.splats.gaussians import Splats
 from stages.formats.clip import load_clip
 from stages.formats.splats import Scene, read_scene
+from stages.training import fit, layers, losses
+from stages.training.schedule import HALF_UNTIL
 from tests.benchmarks.host import machine, summary
 from tests.benchmarks.scene_only import Job
 from tests.benchmarks.workloads import surveyed

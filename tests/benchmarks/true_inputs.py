@@ -16,7 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from stages.formats.synthetic_clip import CRF
+from stages.synthetic.files import CRF
 from tests import datasets
 from tests.truth import novel_psnr, tell_novel_poses
 

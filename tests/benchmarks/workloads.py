@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.avatar.drawing import Learned, Pose, load_learned
-from stages.avatar.gaussians import Splats, spacing
-from stages.avatar.rotations import quat_from_matrix
+from stages.avatar.body.rotations import quat_from_matrix
+from stages.avatar.drawing.draw import Learned, Pose, load_learned
+from stages.avatar.splats.gaussians import Splats, spacing
 from stages.formats.clip import Clip, load_clip
 from stages.formats.effects import read_effects
 from stages.formats.poses import read_poses

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.hugs_cli.compared import add_tiny
+from tests.hugs_cli.studies.compared import add_tiny
 
 ROOT = Path(__file__).parents[2]
 HUGS = "from hugs_cli import main; main()"  # what the installed command does

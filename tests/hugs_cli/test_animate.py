@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hugs_cli.app import main
-from hugs_cli.workspace import Stamp
-from stages.avatar.motion import MOTIONS
+from hugs_cli.cache.workspace import Stamp
+from stages.avatar.motion.formulas import MOTIONS
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
 from stages.formats.clip import load_clip

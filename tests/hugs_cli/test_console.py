@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from hugs_cli.child import Outcome
-from hugs_cli.console import Console
-from hugs_cli.engine import StageFailed
-from hugs_cli.freshness import (
+from hugs_cli.cache.child import Outcome
+from hugs_cli.cache.engine import StageFailed
+from hugs_cli.cache.freshness import (
     CodeChanged,
     Damaged,
     FirstRun,
@@ -23,8 +22,9 @@ from hugs_cli.freshness import (
     Upstream,
     Verdict,
 )
+from hugs_cli.cache.workspace import Stamp
+from hugs_cli.console import Console
 from hugs_cli.words import duration, number, size
-from hugs_cli.workspace import Stamp
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
@@ -49,7 +49,7 @@ def stamp(stage: str, **facts) -> Stamp:
         "stage": stage,
         "key": "3f2a9c1b77",
         "seed": 0,
-        "code": {"stages.train": "1", "stages.avatar.losses": "2", "stages.contract": "3"},
+        "code": {"stages.train": "1", "stages.training.losses": "2", "stages.contract": "3"},
         "params": {"steps": 7000, "sh_degree": 1, "lr": 0.1},
         "inputs": {"frames": "a", "sfm": "b", "body_model": None},
         "content": "c",
@@ -74,7 +74,7 @@ def a_run(console: Console, clock: list[float]) -> None:
     console.ended(
         "survey", Outcome("done", seconds=1.04, notes=notes, warnings=["the feet leave the picture in 12 frames"])
     )
-    console.started("train", (CodeChanged("stages.avatar.losses", "edited"),))
+    console.started("train", (CodeChanged("stages.training.losses", "edited"),))
     for done, passed in ((10, 0.1), (2000, 70.0), (4200, 146.0)):
         clock[0] = 100 + passed
         numbers = {"psnr": 27.14, "gaussians": 142_012, "memory_bytes": int(2.1 * 2**30)}
@@ -143,7 +143,7 @@ def test_why_and_status():
     console = Console(out, io.StringIO())
     last = stamp("train")
     reasons = (
-        CodeChanged("stages.avatar.losses", "edited"),
+        CodeChanged("stages.training.losses", "edited"),
         ParamChanged("steps", 7000, 15000),
         InputChanged("sfm"),
         SeedChanged(0, 1),

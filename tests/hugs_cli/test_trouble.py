@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from hugs_cli import app, child, engine
-from hugs_cli.freshness import Recipe
+from hugs_cli import app
+from hugs_cli.cache import child, engine
+from hugs_cli.cache.freshness import Recipe
+from hugs_cli.cache.workspace import Stamp, clip_name
 from hugs_cli.pipelines import UsageError
-from hugs_cli.workspace import Stamp, clip_name
-from tests.hugs_cli.test_engine import ALL, WHOLE
+from tests.hugs_cli.cache.test_engine import ALL, WHOLE
 
 FULL = "open('/dev/full', 'w').write('x' * 100_000); "
 

@@ -13,7 +13,7 @@ from tests.stages import tiny as tiny_clip
 @pytest.fixture(scope="session")
 def blazepose():
     """A BlazePose with its networks, fetched if need be; skipped, with the reason printed, without a network."""
-    from stages.estimators.blazepose import BlazePose
+    from stages.estimators.person.blazepose import BlazePose
 
     try:
         for name in ("pose_detection.tflite", "pose_landmark_full.tflite"):

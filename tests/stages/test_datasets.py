@@ -16,10 +16,10 @@ from stages.contract import Job, StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import Cameras, read_cameras
 from stages.formats.clip import load_clip
+from stages.formats.datasets.neuman import paper_split
+from stages.formats.datasets.zju import number
 from stages.formats.images import read_image, read_mask, write_mask
-from stages.formats.neuman import paper_split
 from stages.formats.poses import BodyPoses, read_poses
-from stages.formats.zju import number
 from tests import datasets
 from tests.truth import Similarity, align, camera_errors, joints_of, psnr
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from stages import evaluate
-from stages.avatar.drawing import load_learned
+from stages.avatar.drawing.draw import load_learned
 from stages.contract import Job, StageError
 from stages.estimators import assets
 from stages.formats.clip import load_clip

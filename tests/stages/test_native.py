@@ -16,7 +16,7 @@ from stages.formats.images import read_image, write_image
 write_image(Path(sys.argv[1]), np.full((40, 50, 3), 90, np.uint8))
 assert (read_image(Path(sys.argv[1])) == 90).all()
 """
-OURS = ["stages.estimators.colmap", "stages.formats.images", "stages.avatar.lens"]
+OURS = ["stages.estimators.cameras.colmap", "stages.formats.images", "stages.avatar.cameras.lens"]
 
 
 @pytest.mark.parametrize("order", list(itertools.permutations(OURS, 2))[:3] + [("stages.sfm", OURS[0], "torch")])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.motion import upright
+from stages.avatar.motion.formulas import upright
 from stages.contract import StageError
 from stages.formats.cameras import Cameras, write_cameras
 from stages.formats.images import read_pixels

@@ -6,9 +6,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages import sfm
-from stages.avatar import cameras, lens
+from stages.avatar.cameras import lens
+from stages.avatar.cameras import pinhole as cameras
 from stages.contract import Job, StageError
-from stages.estimators.sparse_model import write_ignored
+from stages.estimators.cameras.sparse_model import write_ignored
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points

@@ -10,16 +10,16 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages import smpl
-from stages.avatar.body import Body
-from stages.avatar.rotations import rotvec_from_matrix
+from stages.avatar.body.rotations import rotvec_from_matrix
+from stages.avatar.body.smpl import Body
 from stages.contract import Job, StageError
-from stages.estimators import blazepose
+from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import read_poses
-from tests.stages.estimators import bodyfit_clips
+from tests.stages.estimators.bodyfit import clips as bodyfit_clips
 
 MODEL = read_body_model()
 
@@ -100,7 +100,7 @@ def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp
     per_frame = bodyfit_clips.SFM_FROM_WORLD * np.linspace(0.95, 1.05, 16)  # depth guesses that waver
     orient, transl = [], []
     for i in range(16):
-        from stages.avatar.rotations import matrix_from_rotvec
+        from stages.avatar.body.rotations import matrix_from_rotvec
 
         turn = views[i, :3, :3].T
         orient.append(

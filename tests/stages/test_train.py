@@ -12,16 +12,11 @@ import pytest
 import torch
 
 from stages import evaluate, render, train
-from stages.avatar import losses
-from stages.avatar.bake import floating
-from stages.avatar.depths import evened
-from stages.avatar.drawing import Learned, pose_of
+from stages.avatar.drawing.draw import Learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.fit import Fit
-from stages.avatar.human import Canonical, load_avatar, pose_avatar, rest
-from stages.avatar.pace import Pace
+from stages.avatar.model.human import Canonical, load_avatar, pose_avatar, rest
+from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize.rendering import T_STOP
-from stages.avatar.scene import load_scene
 from stages.contract import Job, StageError, Stopped
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
@@ -31,6 +26,11 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import BodyPoses, read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
+from stages.training import losses
+from stages.training.deadline import Pace
+from stages.training.finishing.bake import floating
+from stages.training.finishing.depths import evened
+from stages.training.fit import Fit
 
 FRAMES, WIDTH, HEIGHT = 8, 48, 40
 STARTS = {"shadow": [0.6, 0.0, -0.8, 0.3]}
@@ -472,10 +472,10 @@ def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
 def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):
     """A made-up clock: a step takes a second, whatever this machine is doing."""
     now = [0.0]
-    monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("stages.avatar.pace.rehearse", lambda fit, timings: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
-    monkeypatch.setattr("stages.avatar.pace.PAUSE", 0.0)
-    monkeypatch.setattr("stages.avatar.worth._seconds", lambda fit: 1.0)
+    monkeypatch.setattr("stages.training.deadline.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("stages.training.deadline.rehearse", lambda fit, timings: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr("stages.training.deadline.PAUSE", 0.0)
+    monkeypatch.setattr("stages.training.effect_gains._seconds", lambda fit: 1.0)
     monkeypatch.setattr(train, "FEWEST", 10)
     advance = Fit.advance
     monkeypatch.setattr(Fit, "advance", lambda fit: (now.__setitem__(0, now[0] + 1), advance(fit))[1])
@@ -511,7 +511,7 @@ def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path,
     def breaks(fit, frames):
         raise FloatingPointError("too many bad steps")
 
-    monkeypatch.setattr("stages.avatar.worth.worth", breaks)
+    monkeypatch.setattr("stages.training.effect_gains.worth", breaks)
     said = []
     job = fresh(tmp_path, "out")
     job.emit = lambda event: said.append(event.get("text", ""))
@@ -575,7 +575,7 @@ def test_a_training_that_breaks_down_while_it_is_timed_says_so(tmp_path, inputs,
     def broken(fit, timings):
         raise FloatingPointError("20 bad steps in a row")
 
-    monkeypatch.setattr("stages.avatar.pace.rehearse", broken)
+    monkeypatch.setattr("stages.training.deadline.rehearse", broken)
     with pytest.raises(StageError, match="broke down in its first steps") as error:
         train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={"seconds": 60.0}), **inputs)
     assert error.value.facts == ("20 bad steps in a row",)
@@ -588,9 +588,9 @@ def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, mo
         timed.append(timings)
         return Pace((1.0, 1.0), (1.0, 1.0), 0.4)
 
-    monkeypatch.setattr("stages.avatar.pace.rehearse", second)
-    monkeypatch.setattr("stages.avatar.pace.time.perf_counter", lambda: 0.0)
-    monkeypatch.setattr("stages.avatar.pace.PAUSE", 0.0)
+    monkeypatch.setattr("stages.training.deadline.rehearse", second)
+    monkeypatch.setattr("stages.training.deadline.time.perf_counter", lambda: 0.0)
+    monkeypatch.setattr("stages.training.deadline.PAUSE", 0.0)
     with pytest.raises(StageError, match="too short to train") as error:
         train.run(fresh(tmp_path, "job"), PARAMS.model_copy(update={"seconds": 50.0}), **inputs)
     assert "50 steps would fit into 50 s, 200 are the least" in error.value.facts[0]

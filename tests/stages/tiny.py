@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.body import DA_POSE, Body, vertex_normals
-from stages.avatar.cameras import look_at, pinhole
-from stages.avatar.drawing import draw, load_learned, to_uint8
+from stages.avatar.body.smpl import DA_POSE, Body, vertex_normals
+from stages.avatar.cameras.pinhole import look_at, pinhole
+from stages.avatar.drawing.draw import draw, load_learned, to_uint8
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import Cameras, write_cameras
 from stages.formats.effects import Effects

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stages.avatar.rotations import matrix_from_rotvec
+from stages.avatar.body.rotations import matrix_from_rotvec
 
 
 def corrected(viewmats: Tensor, turns: Tensor, shifts: Tensor) -> Tensor:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.neighbours import spread_out
+from stages.avatar.splats.neighbours import spread_out
 
 if TYPE_CHECKING:
-    from stages.avatar.human import Resting
+    from stages.avatar.model.human import Resting
 
 NODES = 160  # about 0.1 m apart on a body
 REACH = 0.07  # m: the width of a node's bell

@@ -8,16 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.compose import compose_layers
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.motion_blur import START, Exposed, exposed
 from stages.avatar.effects.rolling_shutter import rolled
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
 from stages.avatar.effects.speeds import Motion, moved
-from stages.avatar.effects.transients import WARM_UP, Transients
-from stages.avatar.gaussians import Splats
-from stages.avatar.human import Resting
+from stages.avatar.model.human import Resting
 from stages.avatar.rasterize import Layer, Rendering
+from stages.avatar.splats.compose import compose_layers
+from stages.avatar.splats.gaussians import Splats
+from stages.training.transients import WARM_UP, Transients
 
 
 class FrameEffects(nn.Module):

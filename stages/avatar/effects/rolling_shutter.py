@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from stages.avatar.effects.speeds import moved
-from stages.avatar.gaussians import Splats
 from stages.avatar.rasterize.rendering import FRUSTUM_MARGIN
+from stages.avatar.splats.gaussians import Splats
 
 NEAREST = 0.01  # m: the rasterizer draws nothing nearer
 RUSH = 0.5  # how far the motion itself may change the time at which a point's row is read

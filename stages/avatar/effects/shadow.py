@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.gaussians import Splats
-from stages.avatar.human import bone_transforms
-from stages.avatar.rotations import rotation_z_to
-from stages.avatar.sh import SH_C0
+from stages.avatar.body.rotations import rotation_z_to
+from stages.avatar.model.human import bone_transforms
+from stages.avatar.splats.gaussians import Splats
+from stages.avatar.splats.sh import SH_C0
 
 DARKNESS, SOFTNESS, DENSITY, SIZE = 0.5, 0.04, 3.0, 0.6  # to begin with
 REACH = 3.0  # standard deviations beyond which a bone casts nothing

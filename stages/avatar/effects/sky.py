@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.ndimage import label
 
-from stages.avatar.cameras import camera_centers
+from stages.avatar.cameras.pinhole import camera_centers
 
 RADIUS = 300.0  # extents: a camera that moves by one sees the shell turn by 0.2 degrees
 DIRECTIONS = 60_000  # over the whole sphere: 0.8 degrees apart, which training divides where it needs to

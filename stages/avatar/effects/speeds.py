@@ -10,7 +10,7 @@ import torch
 from scipy.linalg import logm
 from torch import Tensor
 
-from stages.avatar.gaussians import Splats
+from stages.avatar.splats.gaussians import Splats
 
 
 class Around(NamedTuple):

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-# `cache` first: it names the folder of the compiled kernels before any is defined
-from stages.avatar.rasterize import cache, cpu, cuda, reference  # noqa: F401
+from stages.avatar.rasterize import cpu, cuda, reference
 from stages.avatar.rasterize.rendering import Layer, Rendering
 
 __all__ = ["Layer", "Rendering", "gaussian_axes", "rasterize"]

@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
-from stages.avatar.rasterize.kernels import BLUE, DEPTH, GREEN, LOG2E, LOG_OPACITY, QA, QB, QC, RED, ROW, X, Y
-from stages.avatar.rasterize.lanes import (
+from stages.avatar.kernels import njit, prange
+from stages.avatar.kernels.lanes import (
     LANES,
     any_lane,
     at_most,
@@ -35,6 +34,7 @@ from stages.avatar.rasterize.lanes import (
     store_index,
     totals,
 )
+from stages.avatar.rasterize.projection import BLUE, DEPTH, GREEN, LOG2E, LOG_OPACITY, QA, QB, QC, RED, ROW, X, Y
 from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN
 from stages.avatar.rasterize.tiles import ACROSS, AHEAD, BLOCK, TILE
 

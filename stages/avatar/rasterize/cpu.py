@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize import blend, kernels
+from stages.avatar.rasterize import blend
+from stages.avatar.rasterize import projection as kernels
 from stages.avatar.rasterize.rendering import LAYERS, Layer, Rendering
 from stages.avatar.rasterize.tiles import tile_lists
 

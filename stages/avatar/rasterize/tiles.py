@@ -9,22 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
-from stages.avatar.rasterize.kernels import (
-    CUT,
-    INVERSE_DET,
-    LOG2E,
-    QA,
-    QB,
-    REACH_X,
-    REACH_Y,
-    ROW,
-    SLANT_X,
-    X,
-    Y,
-)
-from stages.avatar.rasterize.lanes import (
+from stages.avatar.kernels import njit, prange
+from stages.avatar.kernels.lanes import (
     LANES,
     bits_between,
     down,
@@ -38,6 +25,19 @@ from stages.avatar.rasterize.lanes import (
     root,
     select,
     up,
+)
+from stages.avatar.rasterize.projection import (
+    CUT,
+    INVERSE_DET,
+    LOG2E,
+    QA,
+    QB,
+    REACH_X,
+    REACH_Y,
+    ROW,
+    SLANT_X,
+    X,
+    Y,
 )
 
 TILE = 32  # px

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.avatar.cameras import project
+from stages.avatar.cameras.pinhole import project
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from stages.avatar.body import Body
-from stages.avatar.mesh_render import NEAR, fill
+from stages.avatar.body.smpl import Body
+from stages.avatar.kernels.mesh import NEAR, fill
 from stages.estimators.detectors.bundle import Leftover, leftover
 from stages.estimators.detectors.exposure import gains_of
 from stages.estimators.detectors.tracks import Tracks, follow

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from stages.avatar.cameras import project
+from stages.avatar.cameras.pinhole import project
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
 from stages.estimators.detectors.pictures import beside_person, brightness, sample
 

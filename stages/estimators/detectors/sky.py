@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from stages.avatar.cameras import camera_centers
+from stages.avatar.cameras.pinhole import camera_centers
 from stages.estimators.detectors.finding import Finding, above, strongest, unknown
 from stages.estimators.detectors.tracks import Tracks
 

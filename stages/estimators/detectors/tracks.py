@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from stages.avatar.cameras import camera_centers
+from stages.avatar.cameras.pinhole import camera_centers
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip

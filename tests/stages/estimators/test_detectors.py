@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.avatar import synthetic
-from stages.avatar import synthetic_person as person
-from stages.avatar.cameras import look_at, pinhole, project
-from stages.avatar.synthetic_effects import Effects
-from stages.avatar.synthetic_passers import make_passers
-from stages.avatar.synthetic_room import make_room
+from stages.avatar.cameras.pinhole import look_at, pinhole, project
 from stages.estimators.detectors import exposure, motion_blur, pose_refinement, shadow, tracks
 from stages.estimators.detectors.bundle import leftover
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
 from stages.estimators.detectors.pictures import sample
 from stages.formats.body_model import read_body_model
+from stages.synthetic import clip as synthetic
+from stages.synthetic import person
+from stages.synthetic.effects import Effects
+from stages.synthetic.passers import make_passers
+from stages.synthetic.room import make_room
 from tests.datasets import points_of
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.gaussians import finite_rows
+from stages.avatar.splats.gaussians import finite_rows
 from stages.contract import StageError
 from stages.formats.ply import write_ply
 from stages.formats.splats import Scene

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.compose import compose
-from stages.avatar.drawing import load_learned
-from stages.avatar.gaussians import Splats
+from stages.avatar.drawing.draw import load_learned
+from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import rasterize
-from stages.avatar.scene import SceneModel
+from stages.avatar.splats.compose import compose
+from stages.avatar.splats.gaussians import Splats
 from stages.formats.effects import Effects
 from stages.formats.splats import Avatar, Scene, read_avatar, read_scene, write_splats
 

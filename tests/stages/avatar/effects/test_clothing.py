@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from stages.avatar.effects.clothing import FEATURES, Clothing
-from stages.avatar.human import Resting
+from stages.avatar.model.human import Resting
 from stages.contract import StageError
 from stages.formats.clothes import Clothes, clothes_of
 

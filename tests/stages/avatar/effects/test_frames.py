@@ -6,24 +6,24 @@ import torch
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.cameras import pinhole
-from stages.avatar.checkpoint import restore
-from stages.avatar.compose import compose_layers
-from stages.avatar.drawing import draw, load_learned, perform
+from stages.avatar.cameras.pinhole import pinhole
+from stages.avatar.drawing.draw import draw, load_learned, perform
 from stages.avatar.effects.camera_refinement import corrected
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Shadow, Stance, casters
 from stages.avatar.effects.speeds import Speeds
-from stages.avatar.fit import Fit
-from stages.avatar.gaussians import Splats
-from stages.avatar.judge import judge
 from stages.avatar.rasterize import Layer
-from stages.avatar.refine import FrameCorrections, agreement
-from stages.avatar.schedule import Options
+from stages.avatar.splats.compose import compose_layers
+from stages.avatar.splats.gaussians import Splats
 from stages.formats.body_model import read_body_model
 from stages.formats.effects import Effects
+from stages.training.accuracy import judge
+from stages.training.checkpoint import restore
+from stages.training.fit import Fit
+from stages.training.refine import FrameCorrections, agreement
+from stages.training.schedule import Options
 from tests.stages import tiny
-from tests.stages.avatar.test_fit import HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, same, stored
+from tests.stages.training.test_fit import HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, same, stored
 
 UP = torch.tensor([0.0, -0.6, -0.8])  # the wall is behind the person, and takes the shadow
 BODY = casters(*[ellipsoid()[i] for i in (0, 2)])

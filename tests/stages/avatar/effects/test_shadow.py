@@ -5,8 +5,8 @@ import torch
 
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import Casters, Shadow, Stance, casters
-from stages.avatar.gaussians import Splats
-from stages.avatar.sh import sh_from_rgb
+from stages.avatar.splats.gaussians import Splats
+from stages.avatar.splats.sh import sh_from_rgb
 
 UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
 

@@ -1,11 +1,11 @@
 import numpy as np
 import torch
 
-from stages.avatar.densify import Growth, Rules, grow_scene
 from stages.avatar.effects.sky import CELLS, RADIUS, open_sky, shell
-from stages.avatar.optimizers import optimizers
-from stages.avatar.refine import FrameCorrections
-from stages.avatar.scene import SceneModel, fill_points
+from stages.avatar.model.scene import SceneModel, fill_points
+from stages.training.densify import Growth, Rules, grow_scene
+from stages.training.optimizers import optimizers
+from stages.training.refine import FrameCorrections
 
 WIDTH, HEIGHT = 60, 48
 K = np.array([[50.0, 0, WIDTH / 2], [0, 50, HEIGHT / 2], [0, 0, 1]])

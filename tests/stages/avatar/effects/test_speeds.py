@@ -8,8 +8,8 @@ from scipy.linalg import expm
 from stages.avatar.effects.motion_blur import MOMENTS, exposed, from_linear, to_linear
 from stages.avatar.effects.rolling_shutter import rolled
 from stages.avatar.effects.speeds import Speeds, around, drift, moved
-from stages.avatar.gaussians import Splats
 from stages.avatar.rasterize import Layer, rasterize
+from stages.avatar.splats.gaussians import Splats
 
 TWIST = np.zeros((4, 4))
 TWIST[:3] = [[0, 0.03, -0.05, 0.04], [-0.03, 0, 0.02, -0.01], [0.05, -0.02, 0, 0.03]]

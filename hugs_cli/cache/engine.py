@@ -1,0 +1,285 @@
+"""Runs what is not fresh, in order, each stage in a process of its own, and publishes what it made."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import platform
+import shutil
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from hugs_cli.cache import child
+from hugs_cli.cache.child import Outcome
+from hugs_cli.cache.freshness import CodeChanged, Forced, Judge, Reason, Recipe, Unfinished, Verdict
+from hugs_cli.cache.workspace import LOG, STAMP, Stamp, seal
+from hugs_cli.pipelines import Stage, UsageError
+from stages.contract import StageError
+
+FULL_DISK = 1 << 20  # bytes
+
+
+class Watcher(Protocol):
+    """Who is told what happens (the console)."""
+
+    def waiting(self, holder: str) -> None: ...
+    def cached(self, stage: str, stamp: Stamp) -> None: ...
+    def started(self, stage: str, reasons: tuple[Reason, ...]) -> None: ...
+    def heard(self, stage: str, event: dict[str, Any]) -> None: ...
+    def ended(self, stage: str, outcome: Outcome) -> None: ...
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What one stage came to in a run: cached or done."""
+
+    stage: str
+    state: str
+    reasons: tuple[Reason, ...]
+    folder: Path
+    stamp: Stamp
+
+
+class StageFailed(StageError):
+    """A stage ended without a result: exit code 1. `traceback` is filled if the cause is a bug."""
+
+    traceback: str = ""
+
+
+class RunStopped(Exception):
+    """The run was asked to stop and did: exit code 130."""
+
+    def __init__(self, stage: str, continues: bool):
+        super().__init__(stage)
+        self.stage, self.continues = stage, continues
+
+
+def run(judge: Judge, wanted: list[str], forced: frozenset[str], device: str, watcher: Watcher) -> list[Ran]:
+    """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
+    stage that does not finish. What was finished before stays."""
+    done: dict[str, Verdict] = {}
+    ran: list[Ran] = []
+    with judge.workspace.lock(watcher.waiting) as lock:
+        for name in wanted:
+            stage = judge.pipeline.stages[name]
+            verdict = judge.one(stage, done, name in forced)
+            if verdict.fresh:
+                watcher.cached(name, verdict.stamp)
+                state = "cached"
+            else:
+                inputs = {need: judge.path(need, done) for need in stage.needs}
+                stamp = make(judge, stage, verdict, inputs, device, lock, watcher)
+                verdict, state = replace(verdict, stamp=stamp), "done"
+            judge.workspace.link(name, verdict.folder)
+            done[name] = verdict
+            ran.append(Ran(name, state, verdict.reasons, verdict.folder, verdict.stamp))
+        judge.code.save()
+    return ran
+
+
+def make(
+    judge: Judge,
+    stage: Stage,
+    verdict: Verdict,
+    inputs: dict[str, Path | None],
+    device: str,
+    lock: int,
+    watcher: Watcher,
+) -> Stamp:
+    """Run one stage into its .part folder; stamp it and give it its final name."""
+    workspace, recipe = judge.workspace, verdict.recipe
+    part = workspace.part(stage.name, recipe.key)
+    if part.exists() and (not stage.resumes or Forced() in verdict.reasons):
+        shutil.rmtree(part)
+    part.mkdir(exist_ok=True)
+    (part / STAMP).unlink(missing_ok=True)
+    device = device_of(device)
+    job = {
+        "module": stage.module,
+        "params": stage.params.model_dump(mode="json"),
+        "inputs": {need: str(path.absolute()) if path else None for need, path in inputs.items()},
+        "out": str(part.absolute()),
+        "device": device,
+        "seed": recipe.seed,
+        "resumes": stage.resumes,
+    }
+    watcher.started(stage.name, verdict.reasons)
+    outcome = child.launch(job, part / LOG, lock, lambda event: watcher.heard(stage.name, event))
+    facts = {
+        "when": now(),
+        "stage": stage.name,
+        "pipeline": judge.pipeline.name,
+        "key": recipe.key,
+        "reasons": [str(reason) for reason in verdict.reasons],
+        "seconds": round(outcome.seconds, 3),
+        "peak_memory_bytes": outcome.peak_memory_bytes,
+        "host": platform.node(),
+        "device": device,
+    }
+    if outcome.kind == "done":
+        content, files = seal(part)
+        if not files:
+            outcome = replace(outcome, kind="crash", facts={"problem": "it ended as if all was well but wrote no file"})
+        elif doubt := doubtful(judge, stage, recipe, part):
+            outcome = replace(outcome, kind="error", facts=doubt)
+    watcher.ended(stage.name, outcome)
+    if outcome.kind != "done":
+        error = failure(stage, outcome, part / LOG)
+        problem = {"problem": error.problem} if isinstance(error, StageFailed) else {}
+        workspace.log_run(**facts, result=outcome.kind, **problem)
+        raise error
+    stamp = stamp_of(recipe, content, files, outcome, facts)
+    with uninterrupted():
+        stamp.write(part)
+        workspace.publish(part, verdict.folder)
+        workspace.link(stage.name, verdict.folder)
+        workspace.log_run(**facts, result="done")
+    return stamp
+
+
+def doubtful(judge: Judge, stage: Stage, recipe: Recipe, part: Path) -> dict[str, Any] | None:
+    """Why a result that a stage ended well with is not to be trusted, as an error's problem, hint and facts."""
+    free = shutil.disk_usage(part).free
+    if free < FULL_DISK:  # libraries in C cut files short there without a word
+        hint = "free some space; `hugs gc` removes results that nothing uses"
+        return {"problem": f"the disk is full at {part}", "hint": hint, "facts": [f"{free} bytes are free"]}
+    for need in stage.needs:
+        if judge.changed(need, recipe.inputs[need]):
+            hint = "run again when nothing writes to it; finished stages are kept"
+            return {"problem": f"{judge.sources[need]} changed while {stage.name} ran", "hint": hint, "facts": []}
+    return None
+
+
+def stamp_of(recipe: Recipe, content: str, files: dict, outcome: Outcome, facts: dict[str, Any]) -> Stamp:
+    """The stamp of a finished run."""
+    gpu = {name: value for name, value in outcome.facts.items() if name == "peak_gpu_memory_bytes"}
+    machine = {
+        "host": facts["host"],
+        "device": facts["device"],
+        "system": f"{platform.system()} {platform.machine()}",
+        "processors": child.processors(),
+        "versions": outcome.facts.get("versions", {}),
+        **gpu,
+    }
+    return Stamp(
+        stage=recipe.stage,
+        key=recipe.key,
+        seed=recipe.seed,
+        code=recipe.code,
+        params=recipe.params,
+        inputs=recipe.inputs,
+        content=content,
+        files=files,
+        made=facts["when"],
+        seconds=facts["seconds"],
+        peak_memory_bytes=outcome.peak_memory_bytes,
+        machine=machine,
+        reasons=facts["reasons"],
+        notes=outcome.notes,
+        warnings=outcome.warnings,
+    )
+
+
+def failure(stage: Stage, outcome: Outcome, log: Path) -> Exception:
+    """The error that says how a stage ended without a result."""
+    facts = outcome.facts
+    if outcome.kind == "stopped":
+        return RunStopped(stage.name, stage.resumes)
+    if outcome.kind == "error":
+        return StageFailed(facts["problem"], facts["hint"], facts["facts"])
+    if outcome.kind == "crash":
+        hint = f"this is a fault in hugs, not in your clip; please report it with {log}"
+        error = StageFailed(f"stage {stage.name} has a bug: {facts['problem']}", hint)
+        error.traceback = facts.get("traceback", "")
+        return error
+    memory = f"peak memory {outcome.peak_memory_bytes / 2**30:.1f} GiB after {outcome.seconds:.0f} s"
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()][-3:]
+    if not facts["signal"] > 0:
+        return StageFailed(f"stage {stage.name} ended with exit code {facts['exit']}", f"see {log}", [memory, *lines])
+    name = signal.Signals(facts["signal"]).name
+    hint = f"see {log}"
+    if name == "SIGKILL":
+        hint = "most often the system ran out of memory: close other programs, or use `--pipeline draft`"
+    return StageFailed(f"stage {stage.name} was killed by {name}", hint, [memory, *lines])
+
+
+def accept(judge: Judge, wanted: list[str], watcher: Watcher) -> dict[str, tuple[Verdict, bool]]:
+    """Take present results as made by the present code, where nothing but code has changed; returns each wanted
+    stage's verdict and whether it was accepted. The result's folder and stamp get the new key, its content stays."""
+    found: dict[str, Verdict] = {}
+    said: dict[str, tuple[Verdict, bool]] = {}
+    with judge.workspace.lock(watcher.waiting):
+        for name in judge.pipeline.upstream(wanted):
+            verdict = judge.one(judge.pipeline.stages[name], found)
+            folder = judge.workspace.linked(name)
+            taken = name in wanted and not verdict.fresh and acceptable(verdict, folder)
+            if taken:
+                how = {"when": now(), "instead_of": verdict.last.key, "changes": list(map(str, verdict.reasons))}
+                stamp = replace(
+                    verdict.last,
+                    key=verdict.recipe.key,
+                    code=verdict.recipe.code,
+                    accepted=[*verdict.last.accepted, how],
+                )
+                with uninterrupted():
+                    stamp.write(folder)
+                    os.rename(folder, verdict.folder)
+                    judge.workspace.relink(folder, verdict.folder)
+                    judge.workspace.log_run(stage=name, pipeline=judge.pipeline.name, result="accepted", **how)
+            found[name] = replace(verdict, stamp=stamp) if taken else verdict
+            if name in wanted:
+                said[name] = (verdict, taken)
+    return said
+
+
+def acceptable(verdict: Verdict, folder: Path | None) -> bool:
+    """True if only code differs from the last result, and that result is whole."""
+    only_code = all(isinstance(reason, (CodeChanged, Unfinished)) for reason in verdict.reasons)
+    return only_code and verdict.last is not None and not verdict.last.damage(folder) and not verdict.folder.exists()
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C and SIGTERM back until a result stands under its name."""
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+
+
+def device_of(name: str) -> str:
+    """'auto' made plain; UsageError for a GPU that is not there, or not without gsplat, which draws on it."""
+    found = find_device() if name != "cpu" else "cpu"
+    if name == "cuda" and found != "cuda":
+        raise UsageError("no GPU that torch can use", "leave out `--device cuda`; `hugs doctor` shows what is here")
+    if found == "cuda" and importlib.util.find_spec("gsplat") is None:
+        if name == "cuda":
+            raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
+        return "cpu"
+    return found
+
+
+def find_device() -> str:
+    """'cuda' if the driver shows a GPU and torch was built for it, else 'cpu'; without importing torch."""
+    torch = importlib.util.find_spec("torch")
+    if torch is None or not list((Path(torch.origin).parent / "lib").glob("*torch_cuda.*")):
+        return "cpu"
+    try:
+        cuda = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return "cpu"
+    count = ctypes.c_int(0)
+    found = cuda.cuInit(0) == 0 and cuda.cuDeviceGetCount(ctypes.byref(count)) == 0
+    return "cuda" if found and count.value else "cpu"
+
+
+def now() -> str:
+    """The time, to the second, with its zone."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,300 @@
+"""The folders of one clip: results in a store with a folder a key, links for each pipeline, stamps, lock, garbage.
+
+work/dance/  sources.json  runs.jsonl  .lock
+    default/train -> ../store/train-3f2a9c1b
+    store/train-3f2a9c1b/  ... stamp.json log.txt        store/train-77e0b3d4.part/  cut short
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, NotRequired
+
+from pydantic import AfterValidator, TypeAdapter
+from typing_extensions import TypedDict  # as pydantic checks it, before Python 3.12
+
+from hugs_cli.cache import fingerprint
+from hugs_cli.pipelines import UsageError
+
+STAMP, LOG = "stamp.json", "log.txt"
+OURS = (STAMP, LOG)  # in a result's folder, but no part of the result
+PART, OLD = ".part", ".old"
+
+
+def with_zone(text: str) -> str:
+    """The time of a stamp if it is one; ValueError for any other text."""
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("a time without its zone")
+    return text
+
+
+Time = Annotated[str, AfterValidator(with_zone)]
+
+
+class FileFacts(TypedDict):
+    """What is known of one file of a result."""
+
+    size: int
+    mtime_ns: int
+    sha256: str
+
+
+class Machine(TypedDict):
+    """Where a result was made."""
+
+    host: str
+    device: str
+    system: str
+    processors: int
+    versions: dict[str, str]
+    peak_gpu_memory_bytes: NotRequired[int]
+
+
+class Accepted(TypedDict):
+    """When a result was taken as made by newer code, and what had changed."""
+
+    when: Time
+    instead_of: str
+    changes: list[str]
+
+
+form_of = cache(TypeAdapter)
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What a finished result was made of and how; written last, so a folder with a stamp is whole."""
+
+    stage: str
+    key: str
+    seed: int
+    code: dict[str, str]
+    params: dict[str, Any]
+    inputs: dict[str, str | None]
+    content: str
+    """Digest of names and bytes of all files: what later stages see."""
+    files: dict[str, FileFacts]
+    """By relative name."""
+    made: Time
+    seconds: float
+    peak_memory_bytes: int
+    machine: Machine
+    """Host, device, processors, library versions: shown, never compared."""
+    reasons: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    accepted: list[Accepted] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, folder: Path) -> Stamp | None:
+        """The stamp of a folder, or None where there is no whole one."""
+        try:
+            return form_of(cls).validate_json((folder / STAMP).read_bytes(), strict=True)
+        except (OSError, ValueError):
+            return None
+
+    def write(self, folder: Path) -> None:
+        """Write the stamp in one step and make sure that it is on the disk."""
+        write_json(folder / STAMP, asdict(self))
+        sync(folder)
+
+    def damage(self, folder: Path) -> str:
+        """The first file that is missing or is not what was written, or ''; bytes are read only where in doubt."""
+        for name, facts in self.files.items():
+            try:
+                stat = os.stat(folder / name)
+            except OSError:
+                return f"{name} is missing"
+            touched = stat.st_mtime_ns != facts["mtime_ns"]
+            if stat.st_size != facts["size"] or (touched and fingerprint.file_digest(folder / name) != facts["sha256"]):
+                return f"{name} is not what was written"
+        return ""
+
+
+class Workspace:
+    """Where one clip's results lie, seen by one pipeline."""
+
+    def __init__(self, video: Path, work: Path, pipeline: str):
+        self.root = work / clip_name(video)
+        self.store = self.root / "store"
+        self.links = self.root / pipeline
+        self.work = work
+
+    def create(self) -> None:
+        """Make the folders; UsageError where they cannot be written."""
+        try:
+            self.store.mkdir(parents=True, exist_ok=True)
+            self.links.mkdir(exist_ok=True)
+            self.log_run()
+        except OSError as error:
+            hint = "choose a folder that can be written with `--work`"
+            raise UsageError(f"cannot write to {self.root}", hint, [str(error.strerror)]) from error
+
+    def folder(self, stage: str, key: str) -> Path:
+        """Where the result of a key stands when it is finished."""
+        return self.store / f"{stage}-{key[:8]}"
+
+    def part(self, stage: str, key: str) -> Path:
+        """Where the result of a key is made."""
+        return self.store / f"{stage}-{key[:8]}{PART}"
+
+    def linked(self, stage: str) -> Path | None:
+        """The store folder that this pipeline last made for a stage."""
+        link = self.links / stage
+        return self.store / os.path.basename(os.readlink(link)) if link.is_symlink() else None
+
+    def link(self, stage: str, folder: Path) -> None:
+        """Point this pipeline's link at a result, in one step."""
+        if self.linked(stage) == folder:
+            return
+        self.links.mkdir(exist_ok=True)
+        new = self.links / f".{stage}.new"
+        new.unlink(missing_ok=True)
+        new.symlink_to(os.path.join("..", "store", folder.name))
+        os.replace(new, self.links / stage)
+
+    def publish(self, part: Path, folder: Path) -> None:
+        """Give a stamped folder its final name; one of that name (damaged or forced) makes room."""
+        old = folder.with_name(folder.name + OLD)
+        if folder.exists():
+            shutil.rmtree(old, ignore_errors=True)
+            os.rename(folder, old)
+        os.rename(part, folder)
+        sync(self.store)
+        shutil.rmtree(old, ignore_errors=True)
+
+    def source(self, name: str, path: Path | None) -> str | None:
+        """Digest of a source's content, remembered while size and time of its files stay; None if not given."""
+        if path is None:
+            return None
+        memory = self.root / "sources.json"
+        known, stat = read_json(memory), fingerprint.stat_digest(path)
+        entry = known.get(name)
+        if (
+            isinstance(entry, dict)
+            and (entry.get("path"), entry.get("stat")) == (str(path), stat)
+            and "sha256" in entry
+        ):
+            return str(entry["sha256"])
+        sha256 = fingerprint.content_digest(path)
+        files = fingerprint.files_under(path).values()
+        size = sum(file.stat().st_size for file in files)
+        entry = {"path": str(path), "size": size, "files": len(files), "stat": stat, "sha256": sha256}
+        with suppress(OSError):  # no folder yet, or one that may only be read: it costs time, not correctness
+            write_json(memory, {**known, name: entry})
+        return sha256
+
+    def holding(self, stage: str, content: str | None) -> Path | None:
+        """A stored result of a stage with that content, if there still is one."""
+        stamps = {folder: Stamp.read(folder) for folder in sorted(self.store.glob(f"{stage}-*"))}
+        return next((folder for folder, stamp in stamps.items() if stamp and stamp.content == content), None)
+
+    def log_run(self, **facts: Any) -> None:
+        """Add a line to runs.jsonl (or only see that it can be written)."""
+        with open(self.root / "runs.jsonl", "a", encoding="utf-8") as file:
+            file.write(json.dumps(facts) + "\n" if facts else "")
+
+    @contextmanager
+    def lock(self, waiting: Callable[[str], None]) -> Iterator[int]:
+        """Hold this clip alone; calls `waiting` with who holds it, then waits. Yields the handle for the child.
+
+        The lock belongs to the open file, so a stage's process that outlives a killed run still holds it.
+        """
+        handle = os.open(self.root / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                waiting(os.pread(handle, 200, 0).decode(errors="replace").strip() or "another process")
+                fcntl.flock(handle, fcntl.LOCK_EX)
+            os.ftruncate(handle, 0)
+            os.pwrite(handle, f"process {os.getpid()}".encode(), 0)
+            yield handle
+        finally:
+            os.close(handle)
+
+    def garbage(self) -> list[Path]:
+        """Results that no pipeline links to, and what stopped or killed runs left."""
+        linked = {
+            os.path.basename(os.readlink(link))
+            for link in self.root.glob("*/*")
+            if link.is_symlink() and link.parent != self.store
+        }
+        return sorted(folder for folder in self.store.glob("*") if folder.name not in linked)
+
+    def relink(self, old: Path, new: Path) -> None:
+        """Point every pipeline's link from one result to another."""
+        for link in self.root.glob("*/*"):
+            if link.is_symlink() and os.path.basename(os.readlink(link)) == old.name:
+                link.unlink()
+                link.symlink_to(os.path.join("..", "store", new.name))
+
+
+def clip_name(video: Path) -> str:
+    """The name of a clip's folder: the video's name without its ending; UsageError for one that names no folder."""
+    video = Path(os.path.abspath(video))
+    name = video.stem if video.suffix and not video.is_dir() else video.name
+    if name in ("", ".", ".."):
+        raise UsageError(f"{video} gives no name to a clip", "give a video, or a folder that has a name")
+    return name
+
+
+def seal(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
+    """Bring a finished result's files to the disk; returns the digest of all and the facts of each."""
+    files = {}
+    for name, path in fingerprint.files_under(folder).items():
+        if name in OURS:
+            continue
+        sync(path)
+        stat = path.stat()
+        facts = {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns, "sha256": fingerprint.file_digest(path)}
+        files[name] = facts
+    return fingerprint.digest({name: facts["sha256"] for name, facts in files.items()}), files
+
+
+def sync(path: Path) -> None:
+    """Wait until a file or a folder's list of names is on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def size_of(folder: Path) -> int:
+    """Bytes of all files under a folder."""
+    return sum(file.lstat().st_size for file in folder.rglob("*") if file.is_file())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON file that is only a memory: empty where it is missing or broken."""
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def decisions(folder: Path, stage: str) -> dict[str, bool]:
+    """What a stage decided by itself, if its <stage>.json has `decisions`, by name."""
+    found = read_json(folder / f"{stage}.json").get("decisions")
+    return {name: on for name, on in found.items() if isinstance(on, bool)} if isinstance(found, dict) else {}
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Replace a small JSON file in one step, on the disk when this returns."""
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    with open(part, "w", encoding="utf-8") as file:
+        json.dump(value, file, indent=1)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)

@@ -1,0 +1,117 @@
+"""The paper's ablations on one clip: a pipeline and its variants, over seeds, and the table of what each part is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from hugs_cli.cache import engine
+from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.workspace import Stamp, read_json
+from hugs_cli.console import Console
+from hugs_cli.pipelines import unknown
+from hugs_cli.studies import comparison
+from hugs_cli.studies.comparison import METRICS, PAPERS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
+from hugs_cli.studies.variants import ABLATIONS
+from hugs_cli.words import count, duration
+from stages.formats.datasets.published import published
+
+NEEDS_SCENE = ("no_human_loss", "no_joint")
+
+
+def cases(judge: Judge, parts: Sequence[str], seeds: int) -> list[Case]:
+    """Every training of a comparison, seed by seed, the full method first; of all `parts`, or of these.
+
+    UsageError for a part that is not known; "none" is no part.
+    """
+    for part in parts:
+        if part not in (*ABLATIONS, "none"):
+            raise unknown("part", part, [*ABLATIONS, "none"], "hugs ablate --part")
+    return comparison.cases(judge, ("", *(part for part in ABLATIONS if not parts or part in parts)), seeds)
+
+
+def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:
+    """Each case, the state of its training (fresh, missing, stale, waits), and the stamp of a fresh one."""
+    verdicts = [case.judge.all(case.stages)["train"] for case in cases]
+    return [(case, verdict.state, verdict.stamp) for case, verdict in zip(cases, verdicts, strict=True)]
+
+
+def announced(plan: list[tuple[Case, str, Stamp | None]]) -> str:
+    """How much there is to do: '18 trainings: 6 cached, 12 to do, about 2h 10m'."""
+    cached = [stamp.seconds for _, _, stamp in plan if stamp]
+    left = len(plan) - len(cached)
+    about = f", about {duration(left * fmean(cached))}" if cached and left else ""
+    return f"{count(len(plan), 'training')}: {len(cached)} cached, {left} to do{about}"
+
+
+def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
+    """Bring all cases up to date and compare them: `pipeline`, `seeds`, `heldout`, see `compared`, and `paper`, see
+    `beside_the_paper`."""
+    found: dict[str, list[Scores]] = {}
+    for i, case in enumerate(cases):
+        if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:
+            console.say(f"{case.judge.pipeline.name} is left out: it needs a scene, and this clip has none")
+            continue
+        console.say(f"{case.judge.pipeline.name}  seed {case.seed}   {i + 1} of {len(cases)}")
+        ran = engine.run(case.judge, case.stages, frozenset(), device, Quiet() if i else console)
+        found.setdefault(case.variant, []).append(heldout(ran[-1].folder))
+    name, seeds = cases[0].judge.pipeline.name, sorted({case.seed for case in cases})
+    paper = beside_the_paper(cases[0].judge.workspace.links / "frames", name, found)
+    return {"pipeline": name, "seeds": seeds, "heldout": compared(name, found), "paper": paper}
+
+
+def beside_the_paper(frames: Path, name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
+    """Region -> "HUGS, CVPR 2024" and each variant -> `over_seeds` of each of PAPERS; empty for a clip that it does not have."""
+    dataset = read_json(frames / "frames.json").get("dataset")
+    table: dict[str, Any] = {}
+    for region, theirs in (published(dataset["name"], dataset["sequence"]) if dataset else {}).items():
+        rows = table[region] = {
+            f"{name}.{part}" if part else name: {
+                m: over_seeds(one.get(region, {}).get(m) for one in seeds) for m in PAPERS
+            }
+            for part, seeds in found.items()
+        }
+        rows["HUGS, CVPR 2024"] = {metric: over_seeds([number]) for metric, number in zip(PAPERS, theirs, strict=True)}
+    return table
+
+
+def compared(name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
+    """Of each variant, region and metric: `values`, `mean` and `spread` over seeds, and the `difference` of the mean to
+    the full method's, None where there is none."""
+    table: dict[str, Any] = {}
+    for part, seeds in found.items():
+        rows = table[f"{name}.{part}" if part else name] = {}
+        for region in REGIONS:
+            rows[region] = {}
+            for metric in METRICS:
+                numbers = over_seeds(metrics[region][metric] for metrics in seeds)
+                full = table[name][region][metric]["mean"] if part else None
+                known = numbers["mean"] is not None and full is not None
+                rows[region][metric] = numbers | {"difference": numbers["mean"] - full if known else None}
+    return table
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """The comparison as lines: a block for the whole picture, one for the person and one for the person over white."""
+    found, name, seeds = result["heldout"], result["pipeline"], result["seeds"]
+    spread = f"mean and standard deviation over {count(len(seeds), 'seed')}" if len(seeds) > 1 else "one seed"
+    lines = [f"frames never trained on, {spread}, difference to {name}"]
+    known = [region for region in REGIONS if found[name][region]["psnr"]["mean"] is not None]
+    for region in known or ["person_white"]:
+        lines += ["", "".join([f"{REGIONS[region]:<26}", *(f"{metric.upper():<26}" for metric in METRICS)]).rstrip()]
+        lines += [row(variant, rows[region], METRICS) for variant, rows in found.items()]
+    if result["paper"]:
+        lines += ["", "beside the paper, measured as its code does"]
+    for region, rows in result["paper"].items():
+        head = [REGIONS.get(region, "person times mask"), "PSNR BY CHANNEL", "SSIM", "LPIPS ON 0..1"]
+        lines += ["", "".join(f"{text:<26}" for text in head).rstrip()]
+        lines += [row(variant, numbers, PAPERS) for variant, numbers in rows.items()]
+    return lines
+
+
+def row(name: str, numbers: dict[str, Any], metrics: dict[str, int]) -> str:
+    """One line: a variant and its numbers of one region."""
+    cells = [f"{cell(numbers[metric], digits):<26}" for metric, digits in metrics.items()]
+    return "".join([f"{name:<26}", *cells]).rstrip()

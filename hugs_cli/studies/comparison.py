@@ -1,0 +1,99 @@
+"""Trainings of one clip that are set beside each other: what `hugs ablate` and `hugs costs` have in common."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Any
+
+from hugs_cli import pipelines
+from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.workspace import Stamp, Workspace
+from hugs_cli.console import Console
+from hugs_cli.pipelines import UsageError
+
+LAST = "evaluate"
+SEEDED = ("train", LAST)  # every seed shares what lies before
+REGIONS = {"full": "whole picture", "person_crop": "person", "person_white": "person over white"}
+METRICS = {"psnr": 2, "ssim": 4, "lpips": 4}  # with the decimals that are shown
+PAPERS = {"psnr_per_channel": 2, "ssim": 4, "lpips_legacy": 4}
+"""As the paper's code computes PSNR, SSIM and LPIPS, with the decimals that are shown."""
+
+Scores = dict[str, dict[str, float | None]]
+"""Region -> metric -> value on frames never trained on; None where nothing was measured."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One training: which variant of the pipeline ('' for the pipeline itself), with which seed."""
+
+    variant: str
+    seed: int
+    judge: Judge
+
+    @property
+    def stages(self) -> list[str]:
+        """What must be fresh, in running order."""
+        return self.judge.pipeline.upstream([LAST])
+
+
+def cases(judge: Judge, variants: Sequence[str], seeds: int) -> list[Case]:
+    """A case for each variant and seed, seed by seed; UsageError for a pipeline that is a variant already.
+
+    The first seed's results stand under the pipeline's own names (`default`, `default.no_lbs`), those of another seed
+    under `default.seed1`, `default.no_lbs.seed1`.
+    """
+    if "." in judge.pipeline.name:
+        whole = judge.pipeline.name.partition(".")[0]
+        raise UsageError(f"{judge.pipeline.name} is a variant already", f"compare with `--pipeline {whole}`")
+    judge.pipeline.upstream(["train", LAST])  # refuses a pipeline without them
+    found = []
+    for seed in range(judge.seed, judge.seed + seeds):
+        for name in variants:
+            pipeline = pipelines.variant(judge.pipeline, name) if name else judge.pipeline
+            links = pipeline.name if seed == judge.seed else f"{pipeline.name}.seed{seed}"
+            place = Workspace(judge.sources["video"], judge.workspace.work, links)
+            own = dict.fromkeys(SEEDED, seed)
+            found.append(Case(name, seed, replace(judge, workspace=place, pipeline=pipeline, seeds=own)))
+    return found
+
+
+class Quiet(Console):
+    """Says nothing of stages that are fresh: after the first case they are the same ones."""
+
+    def cached(self, stage: str, stamp: Stamp) -> None:
+        """Not worth a row."""
+
+
+def heldout(folder: Path) -> Scores:
+    """What an `evaluate` result measured on frames never trained on."""
+    return json.loads((folder / "metrics.json").read_bytes())["heldout"]
+
+
+def over_seeds(values: Iterable[float | None]) -> dict[str, Any]:
+    """The `values` of all seeds, their `mean` and `spread` (standard deviation); None where a seed has no value, or
+    there is one seed."""
+    values = list(values)
+    mean = None if None in values else fmean(values)
+    spread = stdev(values) if mean is not None and len(values) > 1 else None
+    return {"mean": mean, "spread": spread, "values": values}
+
+
+def measured(tables: Sequence[dict[str, Any]]) -> list[str]:
+    """The regions in which all tables (region -> metric -> `over_seeds`) have a value; the person over white only where
+    there is no other."""
+    known = [region for region in REGIONS if all(one[region]["psnr"]["mean"] is not None for one in tables)]
+    return [region for region in known if region != "person_white"] or known
+
+
+def cell(numbers: dict[str, Any], digits: int) -> str:
+    """'28.91 ±0.12  -0.34': mean, spread, difference, '~' behind one within the noise; '-' where nothing was measured."""
+    if numbers["mean"] is None:
+        return "-"
+    spread = "" if numbers["spread"] is None else f" ±{numbers['spread']:.{digits}f}"
+    difference = numbers.get("difference")
+    said = "" if difference is None else f"  {difference:+.{digits}f}{'~' * bool(numbers.get('within_noise'))}"
+    return f"{numbers['mean']:.{digits}f}{spread}{said}"

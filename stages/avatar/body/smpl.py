@@ -1,0 +1,188 @@
+"""The SMPL body in plain torch: shape, joints, linear blend skinning (Loper et al. 2015, https://smpl.is.tue.mpg.de)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from stages.avatar.body.rotations import matrix_from_rotvec
+
+DA_POSE = torch.zeros(69)
+"""The canonical pose [69] rad: all at rest but the legs apart, left hip +1 and right hip -1 about z."""
+DA_POSE[2], DA_POSE[5] = 1.0, -1.0
+
+
+class Body(nn.Module):
+    """Vertices and joints of an SMPL-format body from its shape and pose; metres, y up, all buffers, no parameters.
+
+    `model` has the fields of formats.body_model.BodyModel. Joints come from all vertices, whatever `vertices` is kept.
+    """
+
+    def __init__(self, model: Any, dtype: torch.dtype = torch.float32):
+        super().__init__()
+        f64 = {
+            name: torch.as_tensor(getattr(model, name)).to(torch.float64)
+            for name in ("v_template", "shapedirs", "posedirs", "J_regressor", "lbs_weights")
+        }
+        f64["joint_template"] = f64["J_regressor"] @ f64["v_template"]
+        f64["joint_dirs"] = torch.einsum("jv,vcb->jcb", f64.pop("J_regressor"), f64["shapedirs"])
+        if not f64["posedirs"].any():  # the free body has no pose correctives: skip 4.3 M multiplications a frame
+            f64["posedirs"] = f64["posedirs"][..., :0]
+        for name, value in f64.items():
+            self.register_buffer(name, value.to(dtype).contiguous(), persistent=False)
+        self.parents = [int(p) for p in model.parents]
+
+    def subset(self, vertices: Tensor) -> Body:
+        """The same body with only `vertices` [M] (indices); its joints do not change."""
+        part = Body.__new__(Body)
+        nn.Module.__init__(part)
+        for name, value in self.named_buffers():
+            kept = value if name.startswith("joint_") else value[vertices]
+            part.register_buffer(name, kept, persistent=False)
+        part.parents = self.parents
+        return part
+
+    def rest(self, betas: Tensor) -> tuple[Tensor, Tensor]:
+        """Vertices [..., V, 3] and joints [..., 24, 3] in the T-pose for `betas` [..., 10]."""
+        vertices = self.v_template + torch.einsum("vcb,...b->...vc", self.shapedirs, betas)
+        joints = self.joint_template + torch.einsum("jcb,...b->...jc", self.joint_dirs, betas)
+        return vertices, joints
+
+    def joint_transforms(self, joints: Tensor, global_orient: Tensor, body_pose: Tensor) -> Tensor:
+        """Transforms A [..., 24, 4, 4] that carry the rest pose to the posed body: x_posed = sum_k w_k A_k x_rest.
+
+        `joints` [24,3] or [...,24,3] at rest, `global_orient` [...,3] and `body_pose` [...,69] rad. The root turns
+        about the pelvis joint, which stays where it is.
+        """
+        rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (24, 3)))
+        return self.transforms_of_rotations(joints, rotations)
+
+    def transforms_of_rotations(self, joints: Tensor, rotations: Tensor) -> Tensor:
+        """As `joint_transforms`, from the local rotations [..., 24, 3, 3] of all joints, root first."""
+        return rest_relative_transforms(joints, rotations, self.parents)
+
+    def forward(self, betas: Tensor, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
+        """Posed vertices [F,V,3] and joints [F,24,3] in metres, pose correctives included.
+
+        `betas` [10] or [F,10], `global_orient` [F,3] and `body_pose` [F,69] rad, `transl` [F,3] m.
+        """
+        vertices, joints = self.rest(betas)
+        rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (24, 3)))
+        transforms = self.transforms_of_rotations(joints, rotations)
+        if self.posedirs.shape[-1]:
+            feature = (rotations[..., 1:, :, :] - torch.eye(3).to(rotations)).flatten(-3)
+            vertices = vertices + torch.einsum("vcp,...p->...vc", self.posedirs, feature)
+        blend = (self.lbs_weights @ transforms[..., :3, :].flatten(-2)).unflatten(-1, (3, 4))
+        posed = (blend[..., :3] @ vertices[..., None])[..., 0] + blend[..., 3]
+        moved = (transforms[..., :3, :3] @ joints[..., None])[..., 0] + transforms[..., :3, 3]
+        return posed + transl[..., None, :], moved + transl[..., None, :]
+
+
+class Landmarks(nn.Module):
+    """Points that are fixed sums of posed vertices, without skinning any vertex.
+
+    Skinning is linear in the vertices: sum_v r_v sum_k w_vk A_k x_v = sum_k A_k (sum_v r_v w_vk x_v), and the brackets
+    are linear in betas and pose correctives, so they are summed once. Equals `regressor @ vertices` of the full body.
+    """
+
+    def __init__(self, body: Body, regressor: Tensor):
+        """`regressor` [K,V] over all vertices of `body`."""
+        super().__init__()
+        self.body = body.subset(torch.zeros(0, dtype=torch.long))
+        f64 = torch.float64
+        share = torch.einsum("lv,vk->lkv", regressor.to(f64), body.lbs_weights.to(f64))
+        dtype = body.v_template.dtype
+        for name, dirs in (
+            ("template", body.v_template[..., None]),
+            ("shape", body.shapedirs),
+            ("pose", body.posedirs),
+        ):
+            summed = torch.einsum("lkv,vcb->lkcb", share, dirs.to(f64))
+            self.register_buffer(name, summed.to(dtype), persistent=False)
+        self.register_buffer("mass", share.sum(-1).to(dtype), persistent=False)
+
+    def forward(self, betas: Tensor, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
+        """Landmarks [F,K,3] and joints [F,24,3] in metres; arguments as for Body."""
+        joints = self.body.rest(betas)[1]
+        rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (24, 3)))
+        transforms = self.body.transforms_of_rotations(joints, rotations)
+        sums = self.template[..., 0] + torch.einsum("lkcb,...b->...lkc", self.shape, betas)
+        if self.pose.shape[-1]:
+            feature = (rotations[..., 1:, :, :] - torch.eye(3).to(rotations)).flatten(-3)
+            sums = sums + torch.einsum("lkcp,...p->...lkc", self.pose, feature)
+        turn, shift = transforms[..., :3, :3], transforms[..., :3, 3]
+        points = torch.einsum("...kij,...lkj->...li", turn, sums.expand(*turn.shape[:-3], *sums.shape[-3:]))
+        points = points + self.mass @ shift
+        moved = (turn @ joints[..., None])[..., 0] + shift
+        return points + self.mass.sum(-1, keepdim=True) * transl[..., None, :], moved + transl[..., None, :]
+
+
+def rest_relative_transforms(joints: Tensor, rotations: Tensor, parents: list[int]) -> Tensor:
+    """Transforms A [...,24,4,4] of each bone from rest `joints` [24,3] or [...,24,3], local `rotations` [...,24,3,3]."""
+    joints = joints.expand(*rotations.shape[:-3], 24, 3)
+    world_r, world_t = [rotations[..., :1, :, :]], [joints[..., :1, :]]
+    order = [0]
+    for level in _levels(parents):
+        up = [order.index(parents[k]) for k in level]
+        parent_r, parent_t = torch.cat(world_r, -3)[..., up, :, :], torch.cat(world_t, -2)[..., up, :]
+        bone = joints[..., level, :] - joints[..., [parents[k] for k in level], :]
+        world_r.append(parent_r @ rotations[..., level, :, :])
+        world_t.append(parent_t + (parent_r @ bone[..., None])[..., 0])
+        order += level
+    back = [order.index(k) for k in range(24)]
+    turn, place = torch.cat(world_r, -3)[..., back, :, :], torch.cat(world_t, -2)[..., back, :]
+    return affine(turn, place - (turn @ joints[..., None])[..., 0])
+
+
+def affine(rotation: Tensor, translation: Tensor) -> Tensor:
+    """Rotations [...,3,3] and translations [...,3] to 4x4 matrices."""
+    top = torch.cat([rotation, translation[..., None]], -1)
+    last = torch.tensor([0.0, 0, 0, 1]).to(top).expand(*top.shape[:-2], 1, 4)
+    return torch.cat([top, last], -2)
+
+
+def subdivide(faces: Tensor, rounds: int, *attributes: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
+    """Split every triangle in four, `rounds` times: faces [T,3] to [T*4**rounds,3], per-vertex attributes [V,...].
+
+    A new vertex stands in the middle of its edge and takes the mean of the two ends' attributes.
+    """
+    for _ in range(rounds):
+        count = len(attributes[0])
+        ends = faces[:, [0, 1, 1, 2, 2, 0]].view(-1, 2).sort(dim=1).values
+        edges, which = torch.unique(ends, dim=0, return_inverse=True)
+        ab, bc, ca = (count + which.view(-1, 3)).unbind(1)
+        a, b, c = faces.unbind(1)
+        faces = torch.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], 1).view(-1, 3)
+        attributes = tuple(torch.cat([x, (x[edges[:, 0]] + x[edges[:, 1]]) / 2]) for x in attributes)
+    return faces, attributes
+
+
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Unit normals [V,3] by the area-weighted mean of the faces around; zero for a vertex in no face with area."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = torch.zeros_like(vertices).index_add_(
+        0, faces.flatten(), torch.linalg.cross(b - a, c - a).repeat_interleave(3, 0)
+    )
+    length = normals.norm(dim=-1, keepdim=True)
+    return normals / torch.where(length == 0, 1.0, length)
+
+
+def edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Mean length [V] in metres of the edges at each of vertices[V,3]; zero for a vertex in no face."""
+    corners = vertices[faces]
+    lengths = (corners - corners.roll(-1, 1)).norm(dim=2)
+    around = lengths + lengths.roll(1, 1)
+    total, count = (torch.zeros(len(vertices)).to(vertices) for _ in range(2))
+    total.index_add_(0, faces.flatten(), around.flatten())
+    count.index_add_(0, faces.flatten(), torch.full_like(around, 2).flatten())
+    return total / count.clamp_min(1)
+
+
+def _levels(parents: list[int]) -> list[list[int]]:
+    """Joints by depth below the root, so that one matrix product does a whole level."""
+    depth = [0] * len(parents)
+    for joint, parent in enumerate(parents[1:], start=1):
+        depth[joint] = depth[parent] + 1
+    return [[j for j, d in enumerate(depth) if d == level] for level in range(1, max(depth) + 1)]

@@ -1,0 +1,110 @@
+"""Drawing what training left, from arrays to arrays: no network, no gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.effects.frames import FrameEffects, load_effects
+from stages.avatar.effects.shadow import Stance
+from stages.avatar.effects.speeds import Motion, Speeds
+from stages.avatar.model.human import Baked, load_avatar, pose_avatar
+from stages.avatar.model.scene import load_scene
+from stages.avatar.rasterize import Layer
+from stages.avatar.splats.gaussians import Splats
+
+Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose [69] in rad, transl [3] in m
+
+
+class Learned(NamedTuple):
+    """A trained person and its scene, or None where only the person was trained, and how the clip was taken."""
+
+    avatar: Baked
+    scene: Splats | None
+    effects: FrameEffects
+
+    def person(self, pose: Pose) -> Splats:
+        """The person's Gaussians in the world at one pose."""
+        like = self.avatar.joints
+        return pose_avatar(self.avatar, *(torch.as_tensor(part).to(like) for part in pose))
+
+    def lit(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
+        """A scene, ours or another, in the shadow of the person at a pose; None for nobody."""
+        if pose is None:
+            return scene
+        joints, parents = self.avatar.joints, self.avatar.parents
+        return self.effects.lit(scene, Stance(joints, parents, *(torch.as_tensor(part).to(joints) for part in pose)))
+
+
+def load_learned(avatar, scene, effects, device: str = "cpu") -> Learned:
+    """Tensors on `device` from `formats.splats.Avatar` and `Scene` (or None), and `formats.effects.Effects`."""
+    scene = None if scene is None else load_scene(scene, device)
+    return Learned(load_avatar(avatar, device), scene, load_effects(effects).to(device))
+
+
+def pose_of(clip, i: int) -> Pose:
+    """The person's pose in frame `i` of a `formats.clip.Clip`."""
+    return clip.body.global_orient[i], clip.body.body_pose[i], clip.body.transl[i]
+
+
+def motion_at(learned: Learned, clip, i: int, shows_person: bool) -> Motion | None:
+    """How everything moves at frame `i` of a `formats.clip.Clip`; None where its camera took it in no time."""
+    if not learned.effects.takes_time:
+        return None
+    Ks = torch.as_tensor(clip.Ks).to(learned.avatar.joints)
+    speeds = Speeds(clip.viewmats, Ks, clip.height, clip.split.moments, clip.body.confidence > 0)
+    return speeds.at(i, (lambda j: learned.person(pose_of(clip, j)).means) if shows_person else None)
+
+
+def draw(
+    human: Splats | None,
+    scene: Splats | None,
+    viewmat: np.ndarray,
+    K: np.ndarray,
+    size: tuple[int, int],
+    background: float = 0.0,
+    effects: FrameEffects | None = None,
+    motion: Motion | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours [H,W,3] over a grey `background` and coverage [H,W], float32.
+
+    viewmat [4,4] camera_from_world in metres, K [3,3] px, size (width, height) px. Sharp, and all at one moment, unless
+    the shutter of `effects` and a `motion` are given.
+    """
+    like = (human or scene).means
+    view, intrinsics = (torch.as_tensor(m).to(like) for m in (viewmat, K))
+    layer = Layer(background=torch.full((3,), background).to(like))
+    with torch.no_grad():
+        (drawn,) = (effects or FrameEffects()).draw(human, scene, motion, view, intrinsics, *size, [layer])
+    return drawn.image.cpu().numpy(), drawn.alpha.cpu().numpy()
+
+
+def perform(
+    learned: Learned,
+    scene: Splats | None,
+    moves: tuple[np.ndarray, np.ndarray, np.ndarray],
+    stand: np.ndarray,
+    transl: np.ndarray,
+    views: Iterable[tuple[np.ndarray, np.ndarray]],
+    size: tuple[int, int],
+) -> Iterator[np.ndarray]:
+    """Pictures of the person going through `moves`: global_orient, body_pose and steps, y up and z ahead.
+
+    `stand` [3,3] takes their frame to the world, where steps [F,3] m are added to `transl` [3]; one view a move.
+    """
+    for turn, pose, step, view in zip(*moves, views, strict=True):
+        turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
+        there = turned, pose, transl + stand @ step
+        human = learned.person(there)
+        yield to_uint8(draw(human, learned.lit(scene, there), *view, size, background=0.0 if scene else 1.0)[0])
+
+
+def to_uint8(image: np.ndarray) -> np.ndarray:
+    """Values in 0..1 as bytes, clipped and rounded; raises ValueError when one is not finite."""
+    if not np.isfinite(image).all():
+        raise ValueError(f"{(~np.isfinite(image)).sum()} values of a picture are not finite")
+    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)

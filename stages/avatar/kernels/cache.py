@@ -1,0 +1,73 @@
+"""Where compiled kernels are kept: a folder whose name is a digest of all their sources.
+
+Numba does not notice an edit of a function that another file's kernel calls (numba #1833); a new folder makes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+import numba
+
+HOUSE = Path(__file__).parents[1]
+ROOM = "stages.avatar.kernels"
+IMPORTED = re.compile(r"^from (stages\.avatar[\w.]*) import", re.MULTILINE)
+KEPT = 30 * 86400.0  # s; a process marks its folder when it begins, and none runs for a month
+
+
+def sources(house: Path = HOUSE) -> list[Path]:
+    """The files of the house `avatar` that define kernels, or constants that kernels read: those that import this room,
+    and what they import.
+    """
+    texts = {file: file.read_text() for file in sorted(house.rglob("*.py"))}
+    named = {".".join(file.relative_to(house.parents[1]).with_suffix("").parts): file for file in texts}
+    own = [file for file, text in texts.items() if f"from {ROOM}" in text or file.parent == house / "kernels"]
+    read = (named.get(module) for file in own for module in IMPORTED.findall(texts[file]))
+    return sorted({*own, *filter(None, read)})
+
+
+def folder() -> Path:
+    """A writable folder for the kernels of exactly these sources: the user's cache, or else the machine's temporary one.
+
+    Folders of other sources that no process has begun with for KEPT seconds are removed.
+    """
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in sources())).hexdigest()[:16]
+    home = Path(os.environ.get("HUGS_CACHE") or Path.home() / ".cache" / "hugs")
+    for root in (home, Path(tempfile.gettempdir()) / f"hugs-{os.getuid()}"):
+        place = root / "kernels" / digest
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(place, os.W_OK):
+            place.touch()
+            tidy(place.parent, time.time() - KEPT)
+            return place
+    raise OSError(f"no folder for compiled kernels can be written, neither in {home} nor in {tempfile.gettempdir()}")
+
+
+def tidy(root: Path, before: float) -> None:
+    """Remove the folders in `root` that were last marked before a time; another process may be doing the same."""
+    with os.scandir(root) as entries:
+        for entry in entries:
+            try:
+                old = entry.is_dir(follow_symlinks=False) and entry.stat().st_mtime < before
+            except OSError:
+                continue
+            if old:
+                shutil.rmtree(entry.path, ignore_errors=True)
+
+
+def compiled() -> bool:
+    """Whether an earlier process has left the kernels of these sources, for this processor or another."""
+    return any(FOLDER.glob("*/blend.draw_backward*.nbi"))
+
+
+FOLDER = folder()
+numba.config.CACHE_DIR = str(FOLDER)  # read where a kernel is defined; Numba forgets it when its environment changes

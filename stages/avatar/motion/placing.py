@@ -1,0 +1,93 @@
+"""Where a motion stands: which way is up, facing ahead, feet on the floor. float64, no files."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from scipy.ndimage import grey_opening
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.body.smpl import Body
+from stages.avatar.motion.retarget import ANKLES, FEET, HIPS, Performance, leg_of
+
+UPS = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
+SURE = 0.8
+"""Cosine between the mean up of the pelvis and an axis from which that axis is up: 37 degrees off."""
+SOLE = 0.03
+"""What stands this little over the lowest point of the feet at rest is the sole, m."""
+SOLE_POINTS = 150
+"""At most so many points of the skin of both soles are followed; long motions need memory for each."""
+FLIGHT = 0.7
+"""Nobody is in the air for longer, s: a jump 0.6 m high. What floats for longer is a drift of the capture."""
+
+
+class Placed(NamedTuple):
+    """A motion for a body of known shape: y up, floor at y = 0, the first frame over the origin and facing +z.
+
+    global_orient [F,3] and body_pose [F,69] rad, transl [F,3] m; `drift` m: how far apart the heights are at which the
+    motion itself has its floor.
+    """
+
+    global_orient: np.ndarray
+    body_pose: np.ndarray
+    transl: np.ndarray
+    drift: float
+
+
+def which_is_up(motion: Performance) -> str | None:
+    """The key of UPS that pelvises point along on average, or None where none is clear: people mostly stand."""
+    mean = motion.rotations[:, 0, :, 1].mean(0)
+    name = max(UPS, key=lambda up: mean @ UPS[up])
+    return name if mean @ UPS[name] > SURE else None
+
+
+def face_ahead(motion: Performance, up: str) -> Performance:
+    """The motion with y up, turned so that its first frame looks along +z, and moved over the origin."""
+    back = {"y": [0, 0, 0], "-y": [np.pi, 0, 0], "z": [-np.pi / 2, 0, 0], "-z": [np.pi / 2, 0, 0]}[up]
+    turn = Rotation.from_rotvec(back)
+    pelvis = turn.as_matrix() @ motion.rotations[0, 0]
+    ahead = np.cross(pelvis[:, 0], [0, 1, 0])  # across the hips, whatever the trunk does
+    if np.linalg.norm(ahead) < 0.1:
+        ahead = pelvis[:, 2]  # lying on a side
+    turn = (Rotation.from_rotvec([0, -np.arctan2(ahead[0], ahead[2]), 0]) * turn).as_matrix()
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = turn @ rotations[:, 0]
+    hips = motion.hips @ turn.T
+    return motion._replace(rotations=rotations, hips=hips - hips[0] * [1, 0, 1])
+
+
+class Soles:
+    """The soles of a body of one shape, as points of its skin."""
+
+    def __init__(self, model: Any, betas: np.ndarray):
+        """`model` has the fields of formats.body_model.BodyModel; `betas` [10]."""
+        body = Body(model, torch.float64)
+        self.betas = torch.as_tensor(betas, dtype=torch.float64)
+        skin, joints = body.rest(self.betas)
+        feet = body.lbs_weights[:, [*ANKLES, *FEET]].sum(1) > 0.5
+        low = skin[:, 1] < skin[feet, 1].min() + SOLE
+        points = (feet & low).nonzero()[:, 0]
+        self.joints, self.body = joints.numpy(), body.subset(points[:: len(points) // SOLE_POINTS + 1])
+
+    def at(self, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the soles [F,P,3] and all joints [F,24,3] for orient [F,3], pose [F,69] rad, transl [F,3] m."""
+        points, joints = self.body(self.betas, *(torch.as_tensor(part).double() for part in (orient, pose, transl)))
+        return points.numpy(), joints.numpy()
+
+
+def on_floor(motion: Performance, fps: float, soles: Soles) -> Placed:
+    """A motion with y up for the body of `soles`: steps scaled by the length of its legs, a sole on the floor or over it.
+
+    The floor under a frame is an opening of the lowest sole's height over FLIGHT (grey morphology): never over it, equal
+    to it where a foot stands or slowly floats, level under a jump.
+    """
+    rotvecs = Rotation.from_matrix(motion.rotations.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 72)
+    orient, pose = rotvecs[:, :3], rotvecs[:, 3:]
+    points, joints = soles.at(orient, pose, np.zeros_like(motion.hips))
+    transl = motion.hips * (leg_of(soles.joints) / motion.leg) - joints[:, HIPS].mean(1)
+    lowest = points[..., 1].min(1) + transl[:, 1]
+    floor = grey_opening(lowest, size=1 + 2 * int(FLIGHT * fps / 2), mode="nearest")
+    transl[:, 1] -= floor
+    return Placed(orient, pose, transl, float(np.ptp(floor)))

@@ -1,0 +1,69 @@
+"""The one place where person, scene and camera meet: training, rendering and evaluation all draw through it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from stages.avatar.rasterize import Layer, Rendering, rasterize
+from stages.avatar.splats.gaussians import Splats
+
+
+def compose(
+    human: Splats | None,
+    scene: Splats | None,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    background: Tensor | None = None,
+) -> Rendering:
+    """Draw person and scene together, the person's rows first, sorted by depth as one set.
+
+    viewmat[4,4] camera_from_world in metres, K[3,3] pixels, background[3] (black if None). Colours are evaluated per
+    set, so each has its own spherical-harmonics degree. Raises ValueError when both sets are None.
+    """
+    (drawn,) = compose_layers(human, scene, viewmat, K, width, height, [Layer(background=background)])
+    return drawn
+
+
+def painted(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) -> Tensor:
+    """How many pixels each of N Gaussians paints, of three kinds: [N,3], for kinds[H,W,3], shares 0..1 of each pixel.
+
+    What a picture owes to a colour is its gradient. Gaussians before others count in full, those behind for what they shine
+    through. No gradient.
+    """
+    means, axes, opacities, *_ = splats.detach()
+    colors = torch.zeros_like(means).requires_grad_()
+    height, width = kinds.shape[:2]
+    (drawn,) = rasterize(means, axes, opacities, colors, viewmat, K, width, height, antialias=splats.antialias)
+    return torch.autograd.grad((drawn.image * kinds).sum(), colors)[0]
+
+
+def compose_layers(
+    human: Splats | None,
+    scene: Splats | None,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    layers: Sequence[Layer],
+) -> list[Rendering]:
+    """As `compose`, a picture for each layer: all of them share colours, projection, order and `antialias`."""
+    sets = [s for s in (human, scene) if s is not None]
+    if not sets:
+        raise ValueError("compose needs a person or a scene")
+    antialias = any(s.antialias for s in sets)
+    centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    colors = [s.colors(centre) for s in sets]
+    if len(sets) == 1:
+        (only,) = sets
+        means, axes, opacities, color = only.means, only.axes, only.opacities, colors[0]
+    else:
+        means = torch.cat([s.means for s in sets])
+        axes = torch.cat([s.axes for s in sets])
+        opacities = torch.cat([s.opacities for s in sets])
+        color = torch.cat(colors)
+    return rasterize(means, axes, opacities, color, viewmat, K, width, height, layers, antialias)

@@ -1,0 +1,61 @@
+"""Gaussians on their way to the screen, and what several kinds of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from stages.avatar.splats.neighbours import nearest
+from stages.avatar.splats.sh import sh_colors
+
+SMALLEST = 1e-7  # of the extent; nearer neighbours are taken for duplicates
+
+
+class Splats(NamedTuple):
+    """N Gaussians in the world frame, metres, ready for any camera.
+
+    means[N,3], axes[N,3,3] (scaled axes as columns, covariance = axes axes^T), opacities[N], sh[N,K,3], and
+    turns[N,3,3] or None: how each Gaussian was turned away from the frame in which its colour is stored. `antialias`:
+    they were learned, and are drawn, with opacity lowered as the screen's blur widens a Gaussian.
+    """
+
+    means: Tensor
+    axes: Tensor
+    opacities: Tensor
+    sh: Tensor
+    turns: Tensor | None = None
+    antialias: bool = False
+
+    def detach(self) -> Splats:
+        """The same without gradients."""
+        return self._replace(**{n: t.detach() for n, t in self._asdict().items() if isinstance(t, Tensor)})
+
+    def colors(self, camera_centre: Tensor) -> Tensor:
+        """Colours [N,3] seen from `camera_centre`[3] in the world; a Gaussian at the centre itself gets degree 0."""
+        if self.sh.shape[1] == 1:
+            return sh_colors(self.sh, None)
+        away = self.means - camera_centre
+        if self.turns is not None:
+            away = torch.einsum("nij,ni->nj", self.turns, away)
+        squared = away.square().sum(1, keepdim=True)
+        return sh_colors(self.sh, away * squared.clamp_min(1e-12).rsqrt())
+
+
+def finite_rows(parts: Iterable[Tensor]) -> Tensor:
+    """Which rows of `parts`, each [N,...], are finite in all of them: bool [N]."""
+    return torch.stack([part.reshape(len(part), -1).isfinite().all(1) for part in parts]).all(0)
+
+
+def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
+    """Root mean square distance [N] in metres to the nearest other `points`[N,3], within 1e-7 and 0.1 of `extent`.
+
+    With fewer than 2 points, or only duplicates, the limits answer.
+    """
+    if len(points) < 2:
+        return torch.full((len(points),), 0.1 * extent).to(points)
+    distance, _ = nearest(points, points, neighbours + 1)
+    rms = distance[:, 1:].square().mean(1).sqrt().to(points)
+    return rms.clamp(SMALLEST * extent, 0.1 * extent)

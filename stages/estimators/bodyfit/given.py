@@ -1,0 +1,93 @@
+"""Brings an SMPL fit made by another program into the clip's world: frames joined, person chosen, one scale, gaps filled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from stages.avatar.body.rotations import matrix_from_rotvec
+from stages.avatar.body.smpl import Body
+from stages.avatar.cameras.pinhole import project, rescale_viewmats
+from stages.estimators.bodyfit.frames import join_frames
+from stages.estimators.bodyfit.person import choose_person
+from stages.estimators.bodyfit.placing import place_in_world, shape_of
+from stages.estimators.bodyfit.quality import posed_vertices
+from stages.estimators.bodyfit.scale import Views, find_scale
+from stages.estimators.bodyfit.solve import sole_vertices
+from stages.estimators.bodyfit.start import fill_poses
+from stages.formats.body_model import BodyModel
+from stages.formats.cameras import Cameras
+from stages.formats.given_fits.record import SmplFit
+from stages.formats.poses import BodyPoses
+
+
+def import_fit(
+    fit: SmplFit,
+    model: BodyModel,
+    cameras: Cameras,
+    times: np.ndarray,
+    masks: list[np.ndarray],
+    points: np.ndarray | None,
+    moving: bool,
+    sources: tuple[str, ...] = (),
+) -> tuple[BodyPoses, dict[str, Any]]:
+    """The fit as poses of all `cameras` (SfM units), and what was found: person, scale, notes.
+
+    `masks` [H,W] of each camera choose among several people; `sources` are the names of the pictures, if the clip came
+    as pictures. A fit in SfM units brings its scale; for one in camera frames it is found from floor and feet. Frames
+    without a row are filled in between with confidence 0.
+    """
+    fit, frames = join_frames(fit, cameras.names, times, sources)
+    fit, rows, person = choose_person(fit, frames, cameras, masks, model)
+    names = tuple(cameras.names[i] for i in rows)
+    poses = place_in_world(fit, names, cameras.viewmats[rows], cameras.Ks[rows], model, 1.0)
+    if fit.scale is not None:
+        found: dict[str, Any] = {"how": "given by the imported fit"}
+    else:
+        views = Views(cameras.viewmats[rows], cameras.Ks[rows], cameras.centers[rows], times[rows])
+        found = _scale(poses, model, views, points, moving)
+        scale = found["initial"]
+        moved = poses.transl + (scale - 1) * cameras.centers[rows]
+        poses = replace(poses, transl=moved, world_from_sfm=scale)
+    found["world_from_sfm"] = poses.world_from_sfm
+    facts = {"scale": found, **person, "notes": [*fit.notes, *shape_of(fit)[1]]}
+    if fit.joints2d is not None:
+        facts["tool_joints_off"] = _off_the_tools_joints(fit, poses, cameras, rows, model)
+    return _complete(poses, rows, cameras.names, times), facts
+
+
+def _off_the_tools_joints(
+    fit: SmplFit, poses: BodyPoses, cameras: Cameras, rows: np.ndarray, model: BodyModel
+) -> float | None:
+    """Median distance of the placed body's joints from where the tool drew them, as a share of the person's height."""
+    zero = np.zeros((len(poses), 3))
+    parts = (torch.tensor(a, dtype=torch.float32) for a in (poses.betas, poses.global_orient, poses.body_pose, zero))
+    joints = Body(model)(*parts)[1].double().numpy() + poses.transl[:, None]
+    pixels, _ = project(joints, rescale_viewmats(cameras.viewmats[rows], poses.world_from_sfm), cameras.Ks[rows])
+    height = np.ptp(pixels[..., 1], axis=1)[:, None]
+    off = np.linalg.norm(pixels - fit.joints2d, axis=-1) / np.maximum(height, 1)
+    return None if np.isnan(off).all() else round(float(np.nanmedian(off)), 4)
+
+
+def _scale(poses, model, views, points, moving):
+    """The scale of `poses` that were placed with 1 m per SfM unit."""
+    soles = sole_vertices(Body(model))
+    vertices = np.stack(list(posed_vertices(model, poses)))
+    pixels, _ = project(vertices, views.viewmats, views.Ks)
+    extent = np.ptp(pixels, axis=1)
+    feet = vertices[:, soles.numpy()] - views.centers[:, None, None]
+    up = matrix_from_rotvec(torch.tensor(poses.global_orient))[:, :, 1].mean(0).numpy()
+    at_feet = pixels[:, soles.flatten().numpy()]
+    height = np.hypot(extent[:, 0], extent[:, 1])
+    return find_scale(views if moving else None, points, feet, at_feet, height, up)[0]
+
+
+def _complete(poses: BodyPoses, rows: np.ndarray, names: tuple[str, ...], times: np.ndarray) -> BodyPoses:
+    """`poses` of frames `rows` as poses of all `names`."""
+    orient, transl, pose = fill_poses(poses.global_orient, poses.transl, poses.body_pose, times[rows], times)
+    confidence = np.zeros(len(names))
+    confidence[rows] = poses.confidence
+    return replace(poses, names=names, global_orient=orient, transl=transl, body_pose=pose, confidence=confidence)

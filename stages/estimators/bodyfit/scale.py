@@ -1,0 +1,164 @@
+"""Metres per SfM unit: from the floor under the feet and from feet that stand still while the camera moves.
+
+A person of known size gives every frame its depth in metres. With the camera's place C in SfM units and a point f of
+the body in metres from the camera (world axes), the point stands at f + s C: everything below is linear in s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stages.avatar.cameras.pinhole import project
+
+NEAR_FEET = 0.5  # body heights in the picture within which a point may belong to the floor
+ENOUGH = 25  # points that make a floor
+STEEPEST = np.cos(np.radians(30))  # between the floor's normal and the body's mean up axis
+TRIALS = 2000
+INLIER = 0.008  # distance from the plane over distance from the camera
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A plane in SfM units: `normal` [3] points up, normal . x + offset is the height of x."""
+
+    normal: np.ndarray
+    offset: float
+    points: int
+
+    def height(self, x: np.ndarray) -> np.ndarray:
+        return x @ self.normal + self.offset
+
+
+@dataclass(frozen=True)
+class Views:
+    """Cameras of F frames: `viewmats` [F,4,4] and `centers` [F,3] in SfM units, `Ks` [F,3,3] px, `times` [F] s."""
+
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    centers: np.ndarray
+    times: np.ndarray
+
+
+def find_scale(
+    views: Views | None,
+    points: np.ndarray | None,
+    soles: np.ndarray,
+    pixels: np.ndarray,
+    height: np.ndarray,
+    up: np.ndarray,
+) -> tuple[dict[str, Any], Floor | None]:
+    """Metres per SfM unit (`initial`), `how` it was found with numbers, and the floor if there is one.
+
+    `views` None: one fixed camera. `soles` [F,2,S,3] m of both feet from the camera, world axes, seen at `pixels`
+    [F,2S,2]; `height` [F] px and mean `up` axis [3] of the person.
+    """
+    if views is None:
+        return {"initial": 1.0, "how": "one fixed camera: the world is its frame, in metres"}, None
+    found: dict[str, Any] = {}
+    still = still_scale(soles.mean(2), views.centers, views.times)
+    if still is not None:
+        found |= {"from_still_feet": still[0], "still_feet_error": still[1]}
+    floor = None
+    if points is not None:
+        floor = find_floor(points, views.viewmats, views.Ks, pixels, height, up)
+    on_floor = None if floor is None else floor_scale(floor, soles.reshape(len(soles), -1, 3), views.centers)
+    if floor is not None and on_floor is not None:
+        found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
+        return found | {"how": "the feet stand on the floor's SfM points"}, floor
+    if still is not None:
+        return found | {"initial": still[0], "how": "standing feet do not slide while the camera moves"}, None
+    return found | {"initial": 1.0, "how": "not found: no floor and no standing foot"}, None
+
+
+def find_floor(
+    points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray, feet: np.ndarray, height: np.ndarray, up: np.ndarray
+) -> Floor | None:
+    """The plane through SfM `points` [P,3] that are seen near the `feet` [F,N,2] px and that lies square to `up` [3].
+
+    `height` [F] px is the person's. Of the planes with many points (RANSAC, seeded) the one with most wins. None where
+    no plane has ENOUGH points: a bare floor, or none in the picture.
+    """
+    if len(points) < ENOUGH:
+        return None
+    closest = np.full(len(points), np.inf)
+    for i in range(len(viewmats)):
+        pixels, z = project(points, viewmats[i], Ks[i])
+        away = np.linalg.norm(pixels[:, None] - feet[i], axis=-1).min(1) / height[i]
+        closest = np.where(z > 0, np.minimum(closest, away), closest)
+    near = points[closest < NEAR_FEET].astype(np.float64)
+    if len(near) < ENOUGH:
+        return None
+    trust = np.exp(-((closest[closest < NEAR_FEET] / (NEAR_FEET / 2)) ** 2))
+    centers = -(viewmats[:, :3, :3].mT @ viewmats[:, :3, 3:])[..., 0]
+    limit = INLIER * np.median(np.linalg.norm(near[:, None] - centers[None, :: max(1, len(centers) // 8)], axis=-1))
+    rng = np.random.default_rng(0)
+    triples = near[np.stack([rng.choice(len(near), 3, replace=False) for _ in range(TRIALS)])]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    normals = normals / np.where(length > 0, length, 1)[:, None]
+    normals *= np.sign(normals @ up)[:, None]
+    fair = (length > 0) & (normals @ up > STEEPEST)
+    if not fair.any():
+        return None
+    normals, anchors = normals[fair], triples[fair, 0]
+    away = np.abs(near @ normals.T - (normals * anchors).sum(1))
+    best = ((away < limit) * trust[:, None]).sum(0).argmax()
+    inliers = away[:, best] < limit
+    for _ in range(3):
+        if inliers.sum() < ENOUGH:
+            return None
+        middle = near[inliers].mean(0)
+        normal = np.linalg.svd(near[inliers] - middle, full_matrices=False)[2][2]
+        normal = normal * np.sign(normal @ up)
+        inliers = np.abs((near - middle) @ normal) < limit
+    return Floor(normal, float(-normal @ middle), int(inliers.sum())) if normal @ up > STEEPEST else None
+
+
+def floor_scale(floor: Floor, soles: np.ndarray, centers: np.ndarray) -> tuple[float, float] | None:
+    """Scale, and its relative spread over the frames, at which the lowest of `soles` [F,S,3] m stands on the floor.
+
+    Soles in metres from the camera, world axes; `centers` [F,3] in SfM units. The scale that most frames agree on (the
+    middle of the tightest half), so frames in the air do not count. None if the camera is not above the floor.
+    """
+    drop = -(soles @ floor.normal).min(1)
+    above = floor.height(centers)
+    usable = (above > 1e-6) & (drop > 0)
+    if usable.sum() < max(1, len(drop) // 2):
+        return None
+    ratios = np.sort(drop[usable] / above[usable])
+    half = max(1, len(ratios) // 2)
+    start = int((ratios[half - 1 :] - ratios[: len(ratios) - half + 1]).argmin())
+    tight = ratios[start : start + half]
+    scale = float(np.median(tight))
+    return scale, float(np.ptp(tight) / scale)
+
+
+def still_scale(feet: np.ndarray, centers: np.ndarray, times: np.ndarray) -> tuple[float, float] | None:
+    """Scale, and its relative standard error, at which the `feet` [F,2,3] m move least between frames.
+
+    For a clip without a floor. Each foot's steps between frames up to half a second apart, reweighted (L1) so that
+    steps that are really made do not count. None if the camera does not move.
+    """
+    moves, shifts = [], []
+    for gap in range(1, len(times)):
+        pairs = np.flatnonzero(times[gap:] - times[:-gap] <= 0.5)
+        if not len(pairs):
+            break
+        moves.append((feet[pairs + gap] - feet[pairs]).reshape(-1, 3))
+        shifts.append(np.repeat(centers[pairs + gap] - centers[pairs], feet.shape[1], axis=0))
+    if not moves:
+        return None
+    move, shift = np.concatenate(moves), np.concatenate(shifts)
+    if (shift**2).sum() == 0:
+        return None
+    weight = np.ones(len(move))
+    for _ in range(30):
+        information = (weight * (shift**2).sum(1)).sum()
+        scale = -(weight * (move * shift).sum(1)).sum() / information
+        left = np.linalg.norm(move + scale * shift, axis=1)
+        weight = 1 / np.maximum(left, 0.01)
+    error = np.sqrt((weight * left**2).sum() / weight.sum() / max(information / weight.sum(), 1e-18) / len(times))
+    return (float(scale), float(error / scale)) if scale > 0 else None

@@ -1,0 +1,283 @@
+"""One optimisation over all frames of a clip: landmarks, outlines, joints, motion, feet and scale at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.avatar.body.rotations import matrix_from_rotvec
+from stages.avatar.body.smpl import Body, Landmarks, vertex_normals
+from stages.avatar.splats.neighbours import spread_out
+from stages.estimators.bodyfit import terms
+from stages.estimators.bodyfit.evidence import Evidence
+from stages.formats.body_model import JOINT_NAMES
+
+# Standard deviations; lengths in the picture are shares of the person's height there.
+LANDMARK, OUTLINE = 0.010, 0.008
+# Of BlazePose's guess at where a part points, rad, by the landmark at its end; as measured on the synthetic clip. There
+# is none for feet: it has toes point at the camera, whatever they do (median 28 degrees off, one in ten 130).
+DIRECTION = {
+    "shoulder": 0.18, "elbow": 0.2, "wrist": 0.3, "hand": 0.35, "hip": 0.12, "knee": 0.17, "ankle": 0.17, "ear": 0.18,
+    "eye": 0.22,
+}  # fmt: skip
+STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its sole above the floor
+SLOW = 0.6  # m/s that a foot may move, before the feet are held still, and stand; 0.45 lets one in sixty slide by 2 cm
+# Outlines pull each frame its own way: with spreads 2.5 times as wide, people jitter, and joints are 0.4 cm worse.
+ACCELERATION = {"pelvis": 1.6, "spine": 2.0, "hip": 2.0, "neck": 2.0, "collar": 2.4, "head": 2.4, "shoulder": 2.4}
+ACCELERATION_REST = 4.2  # m/s^2, limbs
+TURNING = 18.0  # rad/s^2, of each joint's rotation vector
+TURN_SPEED = 3.0  # rad/s; keeps a limb that goes out of sight from swinging on until the clip ends
+BETAS = 0.12  # weight of one squared beta against one frame's evidence
+# Shares of the whole: 160 contour points are not 160 independent observations.
+OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 300.0, 100.0, 0.5, 0.5
+COARSE, DENSE = 300, 2500  # vertices held inside the masks, and vertices the outlines may choose from
+SEGMENTS = (
+    *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("shoulder", "elbow"),
+    ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"), ("ear", "eye"), ("wrist", "hand"))),
+    ("left_hip", "right_hip"), ("left_shoulder", "right_shoulder"), ("left_ear", "right_ear"),
+)  # fmt: skip
+LOOSE = {"hip": 0.4, "shoulder": 0.7, "heel": 0.6, "big_toe": 0.6, "foot": 0.4, "hand": 0.4, "ear": 0.25}
+"""Trust in landmarks that BlazePose and the body model do not put at quite the same spot; 1 for the others."""
+
+
+@dataclass
+class State:
+    """The unknowns of F frames: root rotation [F,3,3] and place [F,3] m (camera from body), pose [F,69], shape, scale."""
+
+    root: Tensor
+    place: Tensor
+    pose: Tensor
+    betas: Tensor
+    scale: float = 1.0
+
+    def of(self, frames: np.ndarray) -> State:
+        return replace(self, root=self.root[frames], place=self.place[frames], pose=self.pose[frames])
+
+
+@dataclass(frozen=True)
+class World:
+    """What ties camera frames together: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s, and
+    the floor's normal [3] and offset (None: no floor known). `moving` False: one camera, its frame is the world."""
+
+    turn: Tensor
+    center: Tensor
+    times: Tensor
+    moving: bool
+    normal: Tensor | None = None
+    offset: float = 0.0
+
+
+class Solver:
+    """The costs of a clip's frames, ready to be minimised."""
+
+    def __init__(self, body: Body, regressor: Tensor, faces: Tensor, evidence: Evidence, Ks: np.ndarray, world: World):
+        self.body, self.evidence, self.world = body, evidence, world
+        self.landmarks = Landmarks(body, regressor)
+        f32 = torch.float32
+        self.K = torch.tensor(Ks, dtype=f32)
+        self.xy = torch.tensor(evidence.xy, dtype=f32)
+        self.height = torch.tensor(evidence.height, dtype=f32)
+        trust = [LOOSE.get(name.partition("_")[2], 1.0) for name in evidence.names]
+        # what BlazePose calls 30 % visible is a guess: an arm behind the body is 10 to 30 % of the height off
+        self.weight = torch.tensor(evidence.weight, dtype=f32).square() * torch.tensor(trust)
+        names = evidence.names
+        pairs = [(names.index(a), names.index(b)) for a, b in SEGMENTS if a in names and b in names]
+        self.tail, self.head = (list(ends) for ends in zip(*pairs, strict=True))
+        guessed = torch.tensor(evidence.world, dtype=f32)
+        self.guessed = torch.nn.functional.normalize(guessed[:, self.head] - guessed[:, self.tail], dim=-1)
+        self.segment_weight = (self.weight[:, self.head] * self.weight[:, self.tail]).sqrt()
+        self.segment_spread = torch.tensor([DIRECTION[names[end].partition("_")[2]] for end in self.head])
+        self.spread = terms.spreads()
+        parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]
+        self.steady = torch.tensor([ACCELERATION.get(part, ACCELERATION_REST) for part in parts])
+        self.dense = spread_out(body.v_template, DENSE)
+        self.coarse = self.dense[:COARSE]
+        self.soles = sole_vertices(body)
+        self.normals = vertex_normals(body.v_template, faces)
+        self.rim: Tensor | None = None
+
+    def posed(self, state: State) -> tuple[Tensor, Tensor]:
+        """Landmarks [F,K,3] and joints [F,24,3] in camera axes, metres."""
+        zero = state.pose.new_zeros(len(state.pose), 3)
+        points, joints = self.landmarks(state.betas, zero, state.pose, zero)
+        return self._to_camera(state, points, joints), self._to_camera(state, joints, joints)
+
+    def _to_camera(self, state: State, points: Tensor, joints: Tensor) -> Tensor:
+        return (points - joints[:, :1]) @ state.root.mT + state.place[:, None]
+
+    def surface(self, state: State, vertices: Tensor) -> tuple[Tensor, Tensor]:
+        """The vertices with indices [M] or [F,M] as points [F,M,3] and normals [F,M,3] in camera axes."""
+        body = self.body
+        vertices = vertices.expand(len(state.pose), -1)
+        rest, joints = body.rest(state.betas)
+        local = state.pose.unflatten(-1, (23, 3))
+        turns = matrix_from_rotvec(torch.cat([local.new_zeros(len(local), 1, 3), local], 1))
+        transforms = body.transforms_of_rotations(joints, turns)
+        points = rest[vertices]
+        if body.posedirs.shape[-1]:
+            feature = (turns[:, 1:] - torch.eye(3)).flatten(-3)
+            points = points + torch.einsum("fmcp,fp->fmc", body.posedirs[vertices], feature)
+        blend = (body.lbs_weights[vertices] @ transforms[:, :, :3].flatten(-2)).unflatten(-1, (3, 4))
+        points = (blend[..., :3] @ points[..., None])[..., 0] + blend[..., 3]
+        normals = (blend[..., :3].detach() @ self.normals[vertices][..., None])[..., 0]
+        return self._to_camera(state, points, joints[None]), normals @ state.root.detach().mT
+
+    def pixels(self, points: Tensor) -> Tensor:
+        """Project camera-axes points [F,M,3]; what is behind the camera is brought to 5 cm before it."""
+        z = points[..., 2:].clamp(min=0.05)
+        return (points / z) @ self.K[:, :2].mT
+
+    def to_world(self, state: State, points: Tensor, scale: Tensor | float) -> Tensor:
+        """Camera-axes points [F,M,3] in metres in the world."""
+        return points @ self.world.turn + scale * self.world.center[:, None]
+
+    def match_outlines(self, state: State, outlines: terms.Outlines) -> None:
+        """Give every contour point the vertex that lies nearest and faces the same way; kept until the next call."""
+        with torch.no_grad():
+            points, normals = self.surface(state, self.dense)
+            pixels = self.pixels(points)
+            rim = torch.zeros(outlines.weight.shape, dtype=torch.long)
+            for i in torch.nonzero(outlines.known).flatten().tolist():
+                away = torch.cdist(outlines.points[i], pixels[i]) / (0.03 * self.height[i])
+                facing = outlines.normals[i] @ normals[i, :, :2].T
+                rim[i] = (away.square() + 2 * (1 - facing)).argmin(1)
+            self.rim = self.dense[rim]
+
+    def picture_cost(self, state: State, points: Tensor) -> Tensor:
+        """Landmarks and limb directions [F]."""
+        off = (self.pixels(points) - self.xy).norm(dim=-1) / (LANDMARK * self.height[:, None])
+        cost = (self.weight * terms.robust(off.square(), 5.0)).sum(1)
+        along = torch.nn.functional.normalize(points[:, self.head] - points[:, self.tail], dim=-1)
+        turned = (along - self.guessed).square().sum(-1) / self.segment_spread**2
+        return cost + DIRECTION_SHARE * (self.segment_weight * terms.robust(turned, 3.0)).sum(1)
+
+    def outline_cost(self, state: State, outlines: terms.Outlines) -> Tensor:
+        """Contour points off their vertices along the normal, and vertices outside the mask [F]."""
+        chosen = torch.cat([self.rim, self.coarse.expand(len(state.pose), -1)], 1)
+        pixels = self.pixels(self.surface(state, chosen)[0])
+        unit = OUTLINE * self.height[:, None]
+        count = self.rim.shape[1]
+        gap = (pixels[:, :count] - outlines.points) / unit[..., None]
+        across = (gap * outlines.normals).sum(-1).square()
+        off = terms.robust(across + 0.1 * gap.square().sum(-1), 4.0)
+        cost = OUTLINE_SHARE * (outlines.weight * off).sum(1) / outlines.weight.sum(1).clamp(min=1)
+        outside = terms.robust((outlines.outside(pixels[:, count:]) / unit).square(), 4.0)
+        return (cost + OUTSIDE_SHARE * outside.mean(1)) * outlines.known
+
+    def size(self, betas: Tensor) -> Tensor:
+        """Stature for `betas` over that of the mean body. Lengths are divided by it, so that being small never pays."""
+        head, ankle = JOINT_NAMES.index("head"), JOINT_NAMES.index("left_ankle")
+        tall = self.body.joint_template[head, 1] - self.body.joint_template[ankle, 1]
+        grown = self.body.joint_dirs[head, 1] - self.body.joint_dirs[ankle, 1]
+        return 1 + (grown @ betas) / tall
+
+    def motion_cost(self, state: State, joints: Tensor, scale: Tensor | None) -> Tensor:
+        """Accelerations of the joints, in the world if `scale` is given, else about the pelvis, and turning; one number."""
+        if len(joints) < 3:
+            return joints.new_zeros(())
+        place = (joints - joints[:, :1]) @ self.world.turn if scale is None else self.to_world(state, joints, scale)
+        jerk = terms.acceleration(place, self.world.times) / (self.steady[:, None] * self.size(state.betas))
+        turn = terms.acceleration(state.pose, self.world.times) / TURNING
+        cost = terms.robust(jerk.square().sum(-1), 4.0).sum() + terms.robust(turn.square(), 4.0).sum()
+        speed = (state.pose[1:] - state.pose[:-1]) / (self.world.times[1:] - self.world.times[:-1])[:, None]
+        return (cost + (speed / TURN_SPEED).square().sum()) / len(joints)
+
+    def feet(self, state: State, scale: Tensor | float) -> Tensor:
+        """Sole points [F,2,S,3] in the world."""
+        soles = self.surface(state, self.soles.flatten())[0]
+        return self.to_world(state, soles, scale).unflatten(1, self.soles.shape)
+
+    def standing(self, feet: Tensor, scale: float) -> Tensor:
+        """How much each foot stands [F,2], 0..1: it hardly moves, and is on the floor where the floor is known."""
+        middle = feet.mean(2)
+        if len(middle) < 2:
+            return middle.new_zeros(middle.shape[:2])
+        speed, past = (
+            (middle[gap:] - middle[:-gap]).norm(dim=-1) / (self.world.times[gap:] - self.world.times[:-gap])[:, None]
+            for gap in (1, 2)  # past: of the neighbours, where one frame puts the foot elsewhere
+        )
+        slow = torch.cat([speed[:1], torch.minimum(torch.minimum(speed[1:], speed[:-1]), past), speed[-1:]])
+        stands = torch.sigmoid((SLOW - slow) / 0.08)
+        if self.world.normal is not None:
+            lowest = (feet @ self.world.normal + scale * self.world.offset).amin(-1)
+            stands = stands * torch.sigmoid((0.10 - lowest.abs()) / 0.02)
+        return stands
+
+    def feet_cost(self, state: State, feet: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
+        """Standing feet that slide, hover or sink; one number."""
+        pair = (stands[1:] * stands[:-1])[..., None]
+        size = self.size(state.betas)
+        slide = (feet[1:] - feet[:-1]).square().sum(-1) / (STILL * size) ** 2
+        cost = (pair * terms.robust(slide, 4.0)).sum() / feet.shape[2]
+        if self.world.normal is not None:
+            height = (feet @ self.world.normal + scale * self.world.offset) / (GROUND * size)
+            sunk = terms.robust(torch.relu(-height).square(), 4.0).mean(-1).sum()
+            cost = cost + (stands * terms.robust(height.amin(-1).square(), 4.0)).sum() + sunk
+        return cost / len(feet)
+
+    def minimise(
+        self,
+        state: State,
+        steps: int,
+        outlines: terms.Outlines | None,
+        in_world: bool,
+        progress: Callable[[int, float], None],
+    ) -> State:
+        """Adam from `state` for `steps` steps; `in_world` adds feet and, without a floor, the scale, from near state.scale."""
+        turn = torch.zeros(len(state.pose), 3, requires_grad=True)
+        ray = torch.cat([state.place[:, :2] / state.place[:, 2:], state.place[:, 2:].log()], 1).requires_grad_()
+        pose, betas = state.pose.clone().requires_grad_(), state.betas.clone().requires_grad_()
+        log_scale = torch.tensor(float(np.log(state.scale)), requires_grad=True)
+        groups = [(turn, 0.02), (ray, 0.01), (pose, 0.03), (betas, 0.03)]
+        if in_world and self.world.moving and self.world.normal is None:
+            groups.append((log_scale, 0.004))  # on a floor the robust first scale is the better one (by 2 % once)
+        adam = torch.optim.Adam([{"params": [p], "lr": lr} for p, lr in groups], betas=(0.9, 0.98))
+        warm = lambda i: min(1.0, (i + 1) / 10) * (0.02 + 0.98 * 0.5 * (1 + np.cos(np.pi * i / steps)))  # noqa: E731
+        schedule = torch.optim.lr_scheduler.LambdaLR(adam, warm)
+        root, stands = state.root, None
+        for i in range(steps):
+            z = ray[:, 2:].exp()
+            scale = log_scale.exp()
+            now = State(matrix_from_rotvec(turn) @ root, torch.cat([ray[:, :2] * z, z], 1), pose, betas)
+            if i % 25 == 0 and outlines is not None:
+                self.match_outlines(now, outlines)
+            points, joints = self.posed(now)
+            cost = self.picture_cost(now, points)
+            if outlines is not None:
+                cost = cost + self.outline_cost(now, outlines)
+            local = pose.unflatten(-1, (23, 3))
+            total = cost.mean() + PRIOR_SHARE * terms.pose_prior(local, self.spread).mean()
+            total = total + BETAS * betas.square().sum()
+            total = total + self.motion_cost(now, joints, scale if in_world else None)
+            if in_world:
+                feet = self.feet(now, scale)
+                if i % 25 == 0:
+                    stands = self.standing(feet.detach(), float(scale.detach()))
+                total = total + self.feet_cost(now, feet, stands, scale)
+            adam.zero_grad()
+            total.backward()
+            adam.step()
+            schedule.step()
+            if i % 25 == 24 or i == steps - 1:
+                progress(i + 1, float(total.detach()))
+        with torch.no_grad():
+            z = ray[:, 2:].exp()
+            place = torch.cat([ray[:, :2] * z, z], 1)
+            return State(matrix_from_rotvec(turn) @ root, place, pose.detach(), betas.detach(), float(log_scale.exp()))
+
+
+def sole_vertices(body: Body, count: int = 8) -> Tensor:
+    """Indices [2,count] of vertices spread over the left and the right sole: foot vertices within 12 mm of the lowest."""
+    rows = []
+    for side in ("left", "right"):
+        joints = [JOINT_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
+        foot = torch.nonzero(body.lbs_weights[:, joints].sum(1) > 0.5).flatten()
+        foot = foot[body.v_template[foot, 1].argsort()]  # the lowest comes first, and is always taken
+        foot = foot[body.v_template[foot, 1] < body.v_template[foot[0], 1] + 0.012]
+        picked = spread_out(body.v_template[foot], count)
+        rows.append(foot[picked[torch.arange(count) % len(picked)]])
+    return torch.stack(rows)

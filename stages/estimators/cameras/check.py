@@ -1,0 +1,106 @@
+"""Do the cameras of another program fit the frames? Asked of feature matches, or of the points that came along."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stages.avatar.cameras.pinhole import project
+from stages.contract import Job, StageError
+from stages.estimators.cameras import colmap
+from stages.estimators.cameras.motion import Pair
+from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
+from stages.formats.images import read_image
+
+MATCHES_OFF = 0.01  # of the longer side: verified matches that lie farther from their epipolar lines deny the cameras
+COLOURS_FIT = 0.5  # correlation of the points' colours with the frames' below which cameras are doubted; true ones: 0.9
+LOOKED_AT = 12  # frames in which the points' colours are compared
+
+
+def triangulate(job: Job, found: Pinholes, size: tuple[int, int], features: int, scratch: Path) -> None:
+    """Fill in the model of given cameras without points; StageError if the frames' matches deny the cameras.
+
+    Takes about `features` SIFT features a frame from the undistorted images/ and masks/ in `job.out`.
+    """
+    job.progress(0, 100)
+    files, database, side = [f"{name}.png" for name in found.names], scratch / "database.db", max(size)
+    images, shared = job.out / "images", bool((found.Ks == found.Ks[0]).all())
+    write_ignored(found.names, job.out, scratch / "ignored", side)
+    first = colmap.pinhole_params(found.Ks[0])
+    colmap.extract(database, images, scratch / "ignored", files, features, first, "PINHOLE", shared)
+    if not shared:
+        colmap.set_pinholes(database, found.Ks)
+    colmap.match(database, len(files).bit_length(), growing=True, side=side)
+    pairs, _ = colmap.read_pairs(database, files)
+    error = match_error(pairs, found.viewmats, found.Ks)
+    found.facts |= {"verified_pairs": len(pairs), "epipolar_px": error}
+    if error is None:
+        job.warn("no two frames show the same thing outside the person, so the given cameras could not be checked")
+        return
+    if error > MATCHES_OFF * side:
+        raise StageError(
+            "the given cameras do not fit the frames",
+            "check that they belong to this clip, that frame numbers count from the same frame (`--set "
+            "sfm.cameras_from=0` or `=1`), and the axes: OpenGL's in transforms.json, OpenCV's in COLMAP and cameras.npz",
+            [
+                f"matched points lie {error:.1f} px from where the cameras put them (median), at most {MATCHES_OFF * side:.1f} px",
+                f"{len(pairs)} pairs of frames were matched",
+            ],
+        )
+    found.model = colmap.triangulate(database, images, scratch / "model", files, found.viewmats, found.Ks, size)
+    job.note(f"points by COLMAP from the given cameras; matches lie {error:.2f} px from where these put them (median)")
+
+
+def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray) -> float | None:
+    """Median distance in px of matched points from the epipolar lines that the cameras give; None without matches.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, eq. 9.1 for F and eq. 11.9 for the first-order distance.
+    """
+    found = []
+    for pair in pairs:
+        relative = viewmats[pair.second] @ np.linalg.inv(viewmats[pair.first])
+        x, y, z = relative[:3, 3]
+        essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ relative[:3, :3]
+        F = np.linalg.inv(Ks[pair.second]).T @ essential @ np.linalg.inv(Ks[pair.first])
+        a, b = (np.c_[points, np.ones(len(points))] for points in (pair.a, pair.b))
+        line_b, line_a = a @ F.T, b @ F
+        slope = np.sqrt((line_a[:, :2] ** 2).sum(1) + (line_b[:, :2] ** 2).sum(1))
+        found.append(np.abs((b * line_b).sum(1)) / np.maximum(slope, 1e-300))
+    return float(np.median(np.concatenate(found))) if found else None
+
+
+def compare_colours(job: Job, found: Pinholes) -> None:
+    """Say whether the points that came with given cameras have the colours of the frames where they fall."""
+    alike = colour_agreement(job.out / "images", found)
+    found.facts["colour_correlation"] = alike
+    if alike is None:
+        job.warn("the given points have no colours, so the given cameras could not be checked")
+    elif alike < COLOURS_FIT:
+        job.warn(
+            f"the given points have other colours than the frames where they fall (correlation {alike:.2f}, usual is "
+            "0.9): the cameras may belong to another clip, or their frame numbers may count from another frame"
+        )
+    else:
+        job.note(f"{len(found.cloud.ids)} points as given; they have the frames' colours (correlation {alike:.2f})")
+
+
+def colour_agreement(images: Path, found: Pinholes) -> float | None:
+    """Correlation between the brightness of given points and of the pixels they fall on; None if it means nothing.
+
+    Each point is looked up where its track says that it was seen, in a few frames of `images`.
+    """
+    cloud, seen_at = found.cloud, []
+    point = np.repeat(np.arange(len(cloud.tracks)), [len(track) for track in cloud.tracks])
+    frame = np.concatenate([*cloud.tracks, np.zeros(0, np.int64)])
+    for i in np.unique(np.linspace(0, len(found.names) - 1, LOOKED_AT).round().astype(int)):
+        seen = point[frame == i]
+        image = read_image(images / f"{found.names[i]}.png").astype(np.float64).mean(2)
+        pixels, z = project(cloud.xyz[seen], found.viewmats[i], found.Ks[i])
+        inside = (z > 0) & (pixels >= 0).all(1) & (pixels < image.shape[::-1]).all(1)
+        x, y = pixels[inside].astype(int).T
+        seen_at.append(np.stack([image[y, x], cloud.rgb[seen][inside].mean(1)]))
+    both = np.concatenate(seen_at, axis=1)
+    if both.shape[1] < 2 or (both.std(1) < 1).any():
+        return None
+    return float(np.corrcoef(both)[0, 1])

@@ -1,0 +1,289 @@
+"""COLMAP's features, matches and mappers through pycolmap: the only module that imports it.
+
+pycolmap must come after something that loads the system zlib: imported first, its own static copy answers for the
+system's and the next PNG write aborts the process.
+"""
+
+from __future__ import annotations
+
+import zlib  # noqa: F401  before pycolmap, see above
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from stages.avatar.cameras import lens
+from stages.estimators.cameras.motion import Pair
+from stages.formats.given_cameras.model import Lens, widest_angles
+
+SEED = 1  # of every random draw in COLMAP
+MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
+TRACKS = 200  # a frame, the longest, place it; all take four times as long and are 0.65 mm off in 2.6 m all the same
+DENSE = 200  # frames; up to so many, their equations are solved as if each saw what each other sees: they nearly do
+CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
+
+
+@dataclass(frozen=True)
+class Model:
+    """One reconstruction, and the numbers that tell whether to believe it."""
+
+    reconstruction: pycolmap.Reconstruction
+
+    @property
+    def registered(self) -> int:
+        """Number of frames with a pose."""
+        return self.reconstruction.num_reg_images()
+
+    @property
+    def focal(self) -> float:
+        """Focal length of the shared camera in px."""
+        return float(next(iter(self.reconstruction.cameras.values())).params[0])
+
+    @property
+    def points(self) -> int:
+        """Number of points; a camera that hardly travels can get poses without any, at an error of 0."""
+        return self.reconstruction.num_points3D()
+
+    @property
+    def error(self) -> float:
+        """Mean reprojection error in px."""
+        return self.reconstruction.compute_mean_reprojection_error()
+
+    @property
+    def posed(self) -> dict[str, np.ndarray]:
+        """Camera from world [3,4] of each frame with a pose, by the frame's name."""
+        images = (image for image in self.reconstruction.images.values() if image.has_pose)
+        return {image.name.removesuffix(".png"): image.cam_from_world().matrix() for image in images}
+
+    def places(self, names: list[str]) -> np.ndarray:
+        """Which of the frames have a pose [C] bool."""
+        posed = self.posed
+        return np.array([name in posed for name in names])
+
+    def facts(self) -> dict:
+        """What sfm.json says of every model that was made."""
+        return {
+            "registered": self.registered,
+            "points": self.points,
+            "reprojection_px": round(self.error, 4),
+            "focal_px": round(self.focal, 3),
+        }
+
+
+def extract(
+    database: Path,
+    images: Path,
+    masks: Path,
+    files: list[str],
+    features: int,
+    camera: list[float],
+    model: str = "SIMPLE_RADIAL",
+    shared: bool = True,
+) -> None:
+    """SIFT features of `files` in `images` outside the person, into `database`, for one camera, or one a file.
+
+    `masks` holds a file of the same name for each image, 0 = ignore. `camera` has the numbers of its `model` (focal,
+    cx, cy, k), or none for COLMAP's guess of 1.2 times the longer side.
+    """
+    reader = pycolmap.ImageReaderOptions()
+    reader.mask_path, reader.camera_model = str(masks), model
+    reader.camera_params = ",".join(repr(float(value)) for value in camera)
+    mode = pycolmap.CameraMode.SINGLE if shared else pycolmap.CameraMode.PER_IMAGE
+    pycolmap.Database.open(database).close()
+    pycolmap.import_images(
+        database, images, camera_mode=mode, image_names=files, options=reader
+    )  # in order, so that identifiers do not depend on which thread is faster
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.use_gpu, extraction.sift.max_num_features = False, features
+    pycolmap.extract_features(
+        database,
+        images,
+        image_names=files,
+        camera_mode=mode,
+        reader_options=reader,
+        extraction_options=extraction,
+        device=pycolmap.Device.cpu,
+    )
+
+
+def match(database: Path, overlap: int, growing: bool, side: int) -> None:
+    """Match and verify each frame with the next `overlap` frames, or, if `growing`, with those 1, 2, 4, 8 ... later.
+
+    `side` is the frames' longer side in px; it scales the error that a verified match may have.
+    """
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu, matching.num_threads = False, 1  # two threads find other matches from run to run, and no faster
+    pairing = pycolmap.SequentialPairingOptions()
+    pairing.overlap, pairing.quadratic_overlap = overlap, growing
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = SEED
+    verification.ransac.max_error = max(MATCH_ERROR * side, LEAST_ERROR)
+    pycolmap.match_sequential(
+        database,
+        matching_options=matching,
+        pairing_options=pairing,
+        verification_options=verification,
+        device=pycolmap.Device.cpu,
+    )
+
+
+def read_pairs(database: Path, files: list[str]) -> tuple[list[Pair], np.ndarray]:
+    """Verified pairs of frames in clip order, and the number of features of each frame [C]."""
+    with pycolmap.Database.open(database) as store:
+        ids = {image.image_id: files.index(image.name) for image in store.read_all_images()}
+        keypoints = {i: store.read_keypoints(i)[:, :2].astype(np.float64) for i in ids}
+        pairs = []
+        for pair_id, geometry in zip(*store.read_two_view_geometries(), strict=True):
+            first, second = pycolmap.pair_id_to_image_pair(pair_id)
+            a, b = (keypoints[i][geometry.inlier_matches[:, side]] for side, i in enumerate((first, second)))
+            if ids[first] > ids[second]:
+                first, second, a, b = second, first, b, a
+            if len(a):
+                pairs.append(Pair(ids[first], ids[second], a, b))
+    counts = np.zeros(len(files), dtype=int)
+    for image_id, position in ids.items():
+        counts[position] = len(keypoints[image_id])
+    return sorted(pairs, key=lambda pair: (pair.first, pair.second)), counts
+
+
+def map_incremental(
+    database: Path, images: Path, out: Path, fixed_focal: bool, registered: Callable[[], None], close: bool = False
+) -> list[Model]:
+    """Every model that COLMAP's incremental mapper makes; `registered()` is called for each frame it places.
+
+    `close` lets it start with two frames that see their points at CLOSE_ANGLE and share CLOSE_INLIERS of them.
+    """
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed, options.num_threads = SEED, 1  # more threads sum in another order
+    options.ba_refine_focal_length = not fixed_focal
+    if close:
+        options.mapper.init_min_tri_angle, options.mapper.init_min_num_inliers = CLOSE_ANGLE, CLOSE_INLIERS
+    out.mkdir()
+    models = pycolmap.incremental_mapping(database, images, out, options, next_image_callback=registered)
+    return [Model(model) for model in models.values()]
+
+
+def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal: bool) -> list[Model]:
+    """Every model that COLMAP's global mapper (GLOMAP) makes of `count` frames."""
+    options = pycolmap.GlobalPipelineOptions()
+    options.random_seed, options.num_threads = SEED, 1
+    options.mapper.track_required_tracks_per_view = TRACKS
+    adjustment = options.mapper.bundle_adjustment
+    adjustment.refine_focal_length = not fixed_focal
+    if count <= DENSE:
+        adjustment.ceres.solver_options.linear_solver_type = "DENSE_SCHUR"
+    out.mkdir()
+    models = pycolmap.global_mapping(database, images, out, options)
+    return [Model(model) for model in models.values()]
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points of a model: `ids` [P], `xyz` [P,3], `rgb` [P,3] uint8, mean `errors` [P] px.
+
+    `lengths` [P] pictures see each, at `angles` [P] degrees at most; `tracks` are the rows of those that are frames.
+    """
+
+    ids: np.ndarray
+    xyz: np.ndarray
+    rgb: np.ndarray
+    errors: np.ndarray
+    lengths: np.ndarray
+    angles: np.ndarray
+    tracks: tuple[np.ndarray, ...]
+
+
+def cloud_of(model: pycolmap.Reconstruction, files: list[str]) -> Cloud:
+    """The points of a model with tracks as rows of `files`, in the order of their identifiers."""
+    row = {name: i for i, name in enumerate(files)}
+    rows = {i: row[model.images[i].name] for i in model.reg_image_ids()}
+    centres = np.zeros((len(files), 3))
+    for i, k in rows.items():
+        centres[k] = model.images[i].projection_center()
+    points = sorted(model.points3D.items())
+    xyz = np.array([p.xyz for _, p in points]).reshape(-1, 3)
+    tracks = [np.array(sorted({rows[e.image_id] for e in p.track.elements}), dtype=np.int64) for _, p in points]
+    return Cloud(
+        ids=np.array([i for i, _ in points], dtype=np.int64),
+        xyz=xyz,
+        rgb=np.array([p.color for _, p in points], dtype=np.uint8).reshape(-1, 3),
+        errors=np.array([p.error for _, p in points]),
+        lengths=np.array([len(track) for track in tracks], dtype=int),
+        angles=widest_angles(xyz, tracks, centres),
+        tracks=tuple(tracks),
+    )
+
+
+def triangulate(
+    database: Path,
+    images: Path,
+    out: Path,
+    files: list[str],
+    viewmats: np.ndarray,
+    Ks: np.ndarray,
+    size: tuple[int, int],
+) -> pycolmap.Reconstruction:
+    """Points from the matches in `database`, with cameras that are known and stay as they are.
+
+    `files` were extracted in this order with model PINHOLE, with one camera a file if `Ks` differ.
+    """
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed, options.num_threads = SEED, 1
+    out.mkdir()
+    model = posed_model(files, viewmats, Ks, *size)
+    return pycolmap.triangulate_points(model, database, images, out, options=options)
+
+
+def set_pinholes(database: Path, Ks: np.ndarray) -> None:
+    """Give each of a database's cameras, one a file in order, its own pinhole."""
+    with pycolmap.Database.open(database) as store:
+        for camera, K in zip(sorted(store.read_all_cameras(), key=lambda c: c.camera_id), Ks, strict=True):
+            camera.params = pinhole_params(K)
+            store.update_camera(camera)
+
+
+def camera_of(lens: Lens) -> pycolmap.Camera:
+    """COLMAP's camera for a lens."""
+    return pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))
+
+
+def pinhole_params(K: np.ndarray) -> list[float]:
+    """fx, fy, cx, cy of K [3,3]."""
+    return [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]
+
+
+def make_pinhole(model: pycolmap.Reconstruction, focal: float) -> None:
+    """Replace the model's SIMPLE_RADIAL camera by a centred pinhole of `focal` px, and move its observations along."""
+    for camera in model.cameras.values():
+        f, cx, cy, k = camera.params
+        middle = np.array([camera.width / 2, camera.height / 2])
+        for image in model.images.values():
+            xy = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+            moved = lens.undistort((xy - [cx, cy]) / f, k) * focal + middle
+            for point, place in zip(image.points2D, moved, strict=True):
+                point.xy = place
+        camera.model = pycolmap.CameraModelId.PINHOLE
+        camera.params = [focal, focal, *middle]
+
+
+def posed_model(
+    files: list[str], viewmats: np.ndarray, Ks: np.ndarray, width: int, height: int
+) -> pycolmap.Reconstruction:
+    """A model with cameras and no points; identifiers count from 1, with one camera in all if all `Ks` are the same."""
+    model = pycolmap.Reconstruction()
+    shared = bool((Ks == Ks[0]).all())
+    for i, K in enumerate(Ks[:1] if shared else Ks, 1):
+        camera = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=pinhole_params(K), camera_id=i)
+        model.add_camera_with_trivial_rig(camera)
+    for i, (name, viewmat) in enumerate(zip(files, viewmats, strict=True), 1):
+        image = pycolmap.Image(name=name, camera_id=1 if shared else i, image_id=i)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(viewmat[:3]))
+    return model
+
+
+def add_points(model: pycolmap.Reconstruction, cloud: Cloud, keep: np.ndarray) -> None:
+    """Put points of another model into one with cameras only; without tracks, whose features are not at hand."""
+    for xyz, rgb in zip(cloud.xyz[keep], cloud.rgb[keep], strict=True):
+        model.add_point3D(xyz, pycolmap.Track(), rgb)

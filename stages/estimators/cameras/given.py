@@ -1,0 +1,144 @@
+"""Cameras of another program joined to a clip's frames: which is whose, and the pinhole in place of its lens."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from stages.avatar.cameras import lens as lenses
+from stages.avatar.cameras.pinhole import camera_centers
+from stages.contract import Job, StageError
+from stages.estimators.cameras import colmap
+from stages.estimators.cameras.sparse_model import Pinholes
+from stages.formats.datasets.undistorted import Grid
+from stages.formats.frame_names import count_from_one, join, named, number, stem
+from stages.formats.given_cameras.files import read_camera_files
+from stages.formats.given_cameras.model import GivenCameras, Lens, widest_angles
+from stages.formats.images import same_shape
+
+STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that moves less stands
+
+
+def imported(job: Job, path: Path, listing: dict[str, Any], min_share: float, first: Literal["auto", 0, 1]) -> Pinholes:
+    """The cameras in `path` of the frames in `listing` (frames.json); StageError where they cannot be the frames' own.
+
+    At least `min_share` of the frames need a camera. `first` is the number of the video's first frame in the names.
+    """
+    size = width, height = listing["width"], listing["height"]
+    given = read_camera_files(path, *size)
+    rows = match_frames(given, listing, min_share, first)
+    own = given.lenses[0]
+    if not same_shape((own.width, own.height), (width, height)):
+        facts = [f"cameras for {own.width}x{own.height}, frames {width}x{height}"]
+        hint = "give cameras of the same pictures; their size may differ, their shape not"
+        raise StageError("the given cameras are not for these frames", hint, facts)
+    order = list(rows.values())
+    made = {lens: straighten(lens, *size) for lens in {given.lenses[i] for i in order}}
+    Ks, grids, shifts = zip(*(made[given.lenses[i]] for i in order), strict=True)
+    missing, verdict = len(listing["frames"]) - len(order), motion_of(given.viewmats[order])
+    job.note(f"{len(order)} cameras from a {given.source}; their lens moves pixels by up to {max(shifts):.1f} px")
+    if missing:
+        job.warn(f"{missing} of {len(listing['frames'])} frames have no camera in {path.name} and are left out")
+    if verdict != "moving":
+        do = "stand still" if verdict == "static camera" else "only turn"
+        job.warn(f"the given cameras {do}: the clip shows no depth, so only the person is modelled")
+    lens, focal = given.lenses[order[0]], float(np.median([K[0, 0] for K in Ks]))
+    facts = {
+        "source": given.source,
+        "focal_px": lens.K[0, 0] * width / lens.width,
+        "focal_source": "given",
+        "pinhole_focal_px": focal,
+        "distortion": {"model": lens.model, "params": lens.distortion.tolist(), "max_shift_px": max(shifts)},
+    }
+    cloud = cloud_of(given, order, width / own.width) if len(given.points) else None
+    grid_of = dict(zip(rows, grids, strict=True))
+    return Pinholes(verdict, list(rows), given.viewmats[order], np.stack(Ks), grid_of, facts, None, cloud)
+
+
+def match_frames(
+    given: GivenCameras, listing: dict[str, Any], min_share: float, first: Literal["auto", 0, 1]
+) -> dict[str, int]:
+    """Frame name -> row of its camera; StageError if too few have one, or numbers could count from 0 or from 1."""
+    stems = [stem(file) for file in given.files]
+    names, total = [frame["name"] for frame in listing["frames"]], listing["video"]["frames"]
+    numbers = {number(name) for name in stems}
+    picked = len(names) < total and set(stems) <= set(names)  # the frames of an earlier run
+    if first == "auto":
+        first = int(count_from_one(listing, stems))
+        if not (named(listing) or first or 0 in numbers or picked or numbers == {None}):
+            facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
+            hint = (
+                "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "
+                "every few frames of the video, give their folder in place of the video"
+            )
+            raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
+    rows = join(listing, stems, first, "cameras")
+    missing = [name for name in names if name not in rows]
+    if len(rows) < math.ceil(min_share * len(names)):
+        facts = [
+            f"missing: {', '.join(missing[:5])} and so on" if len(missing) > 5 else f"missing: {', '.join(missing)}",
+            f"given: {len(given)} cameras, {given.files[0]} to {given.files[-1]}; frames {names[0]} to {names[-1]}",
+        ]
+        hint = "names are those of the pictures, or have the frame's number in the video; `hugs run PICTURES/` joins by name"
+        raise StageError(f"{len(missing)} of {len(names)} frames have no camera", hint, facts)
+    return rows
+
+
+def cloud_of(given: GivenCameras, order: list[int], scale: float) -> colmap.Cloud:
+    """The given points, with tracks as rows of the frames and errors in their pixels."""
+    row = {i: k for k, i in enumerate(order)}
+    return colmap.Cloud(
+        ids=np.arange(1, len(given.points) + 1),
+        xyz=given.points,
+        rgb=given.colors,
+        errors=given.errors * scale,
+        lengths=np.array([len(track) for track in given.tracks]),
+        angles=widest_angles(given.points, given.tracks, camera_centers(given.viewmats)),
+        tracks=tuple(np.array([row[i] for i in track.tolist() if i in row], np.int64) for track in given.tracks),
+    )
+
+
+def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, Grid | None, float]:
+    """K [3,3] of the pinhole that replaces a lens, where to sample its picture, and its largest move in px.
+
+    K and grid are for pictures of `width` x `height`. A lens that bends is replaced by the centred pinhole with the
+    smallest focal length that sees nothing outside its picture. StageError for a lens that folds over or sees sideways.
+    """
+    scale = np.array([width / lens.width, height / lens.height])
+    K = np.diag([*scale, 1.0]) @ lens.K
+    if lens.model in ("SIMPLE_PINHOLE", "PINHOLE"):
+        return K, None, 0.0
+    camera = colmap.camera_of(lens)
+    outline = lenses.border(lens.width, lens.height)
+    ideal = camera.cam_from_img(outline)
+    whole = np.isfinite(ideal).all()
+    back = camera.img_from_cam(np.c_[ideal, np.ones(len(ideal))]) if whole else np.full_like(outline, np.nan)
+    if not np.abs(back - outline).max() < 0.01:
+        fact = f"{lens.model} {' '.join(f'{value:g}' for value in lens.params)} for {lens.width}x{lens.height}"
+        hint = "undistort the pictures in the program that found the cameras, and give both"
+        raise StageError("a given lens cannot be turned into a pinhole", hint, [fact])
+    shift = float(np.linalg.norm((ideal @ lens.K[:2, :2].T + lens.K[:2, 2] - outline) * scale, axis=1).max())
+    if shift < lenses.NO_SHIFT:
+        return K, None, shift
+    try:
+        focal = lenses.focal_within(ideal, width, height)
+    except ValueError as error:
+        raise StageError(
+            str(error), "undistort the pictures in the program that found the cameras, and give both"
+        ) from error
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([(x - width / 2) / focal, (y - height / 2) / focal, np.ones_like(x)], -1).reshape(-1, 3)
+    source = (camera.img_from_cam(rays) * scale - 0.5).astype(np.float32).reshape(height, width, 2)
+    return K, (source[..., 0], source[..., 1]), shift
+
+
+def motion_of(viewmats: np.ndarray) -> Literal["moving", "rotation only", "static camera"]:
+    """How the cameras [C,4,4] move."""
+    centres = camera_centers(viewmats)
+    if np.ptp(centres, axis=0).max() > STILL * max(1.0, np.abs(centres).max()):
+        return "moving"
+    return "rotation only" if np.ptp(viewmats[:, :3, :3], axis=0).max() > STILL else "static camera"

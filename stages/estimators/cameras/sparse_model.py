@@ -1,0 +1,100 @@
+"""What the sfm stage leaves of its cameras and points: points.ply and sparse/, without what is weak or the person's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stages.avatar.cameras.pinhole import project
+from stages.contract import Job
+from stages.estimators.cameras import colmap
+from stages.estimators.cameras.colmap import Cloud
+from stages.formats import points
+from stages.formats.datasets.undistorted import Grid
+from stages.formats.images import read_mask, write_mask
+
+PERSON = 64  # mask value from which a pixel counts as the person when features are looked for
+DILATION = 0.01  # of the longer side: descriptors reach beyond their keypoint, and masks miss hair and hands
+MIN_TRACK, MAX_ERROR = 3, 2.0  # pictures that must see a point; px it may be off on average
+PERSON_SHARE = 0.8  # a point that falls on the person in more of its views than this is taken for the person's
+FLAT = 0.02  # thickness over width of the points: below it focal length and depth are poorly fixed
+
+
+@dataclass
+class Pinholes:
+    """The cameras of `names` with their lens taken out, whoever found them, and numbers for sfm.json.
+
+    `viewmats` [C,4,4]; `Ks` [C,3,3] px at the frames' size; `grids` say where to sample each frame, None where nothing
+    is to be done; `model` has the points that COLMAP made, `cloud` those that a file brought.
+    """
+
+    verdict: str
+    names: list[str]
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    grids: dict[str, Grid | None]
+    facts: dict
+    model: Any = None
+    cloud: Cloud | None = None
+
+
+def write_model(job: Job, found: Pinholes, size: tuple[int, int]) -> dict:
+    """Write points.ply and sparse/, without weak points; numbers for sfm.json."""
+    files = [f"{name}.png" for name in found.names]
+    model = found.model or colmap.posed_model(files, found.viewmats, found.Ks, *size)
+    cloud = found.cloud or colmap.cloud_of(model, files)
+    keep, facts = write_points(job, found, cloud)
+    if found.cloud is None:
+        for i in cloud.ids[~keep]:
+            model.delete_point3D(i)
+    else:
+        colmap.add_points(model, cloud, keep)
+    (job.out / "sparse").mkdir()
+    model.write_binary(job.out / "sparse")
+    return facts
+
+
+def write_points(job: Job, found: Pinholes, cloud: Cloud) -> tuple[np.ndarray, dict]:
+    """Write points.ply without weak points: bool [P] of those kept, and how many went and how the rest lie."""
+    on_person, in_view = np.zeros(len(cloud.ids)), np.zeros(len(cloud.ids))
+    for name, viewmat, K in zip(found.names, found.viewmats, found.Ks, strict=True) if len(cloud.ids) else ():
+        mask = read_mask(job.out / "masks" / f"{name}.png")
+        pixels, z = project(cloud.xyz, viewmat, K)
+        inside = (z > 0) & (pixels >= 0).all(1) & (pixels < mask.shape[::-1]).all(1)
+        x, y = pixels[inside].astype(int).T
+        in_view += inside
+        on_person[inside] += mask[y, x] > 127
+    short, loose = cloud.lengths < MIN_TRACK, cloud.errors > MAX_ERROR
+    person = on_person > PERSON_SHARE * np.maximum(in_view, 1)
+    keep = ~(short | loose | person)
+    points.write_points(job.out / "points.ply", cloud.xyz[keep], cloud.rgb[keep])
+    facts: dict = {
+        "points": int(keep.sum()),
+        "points_dropped": {"short_track": int(short.sum()), "error": int(loose.sum()), "on_person": int(person.sum())},
+    }
+    if not keep.any():
+        return keep, facts
+    spread = np.linalg.svd((cloud.xyz - np.median(cloud.xyz, 0))[keep & (cloud.errors < MAX_ERROR)], compute_uv=False)
+    flatness = float(spread[2] / spread[0])
+    if flatness < FLAT:
+        job.warn(f"the points lie on a plane (thickness {flatness:.3f} of their width): the focal length is uncertain")
+    return keep, facts | {
+        "reprojection_px": float(cloud.errors[keep].mean()),
+        "median_track": float(np.median(cloud.lengths[keep])),
+        "median_triangulation_deg": float(np.median(cloud.angles[keep])),
+        "flatness": flatness,
+    }
+
+
+def write_ignored(names: list[str], masks: Path, out: Path, side: int) -> None:
+    """Write COLMAP's masks, 0 = ignore: the person, made a little larger."""
+    out.mkdir()
+    reach = max(2, round(DILATION * side))
+    brush = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    for name in names:
+        person = (read_mask(masks / "masks" / f"{name}.png") >= PERSON).astype(np.uint8)
+        write_mask(out / f"{name}.png", 255 * (1 - cv2.dilate(person, brush)))

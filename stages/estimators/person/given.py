@@ -1,0 +1,156 @@
+"""Masks of another program joined to a clip's frames: which is whose, which object is the person, black or white."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from stages.contract import Job, StageError
+from stages.formats.frame_names import count_from_one, join
+from stages.formats.given_masks.files import ForeignMasks
+from stages.formats.given_masks.objects import Object, labelled, pick, ranked
+from stages.formats.given_masks.sets import MaskSet, read_mask_files
+from stages.formats.images import same_shape
+
+
+@dataclass(frozen=True)
+class Person:
+    """The masks of one person: `masks` reads those of `rows`, of label masks only `labels` (None: all)."""
+
+    id: str
+    masks: ForeignMasks
+    rows: frozenset[int]
+    labels: frozenset[int] | None = None
+
+
+def imported(
+    job: Job, path: Path, listing: dict[str, Any], invert: Literal["auto", "always", "never"], person: int | str | None
+) -> tuple[dict[str, Any], Iterator[np.ndarray]]:
+    """What was decided, and a mask uint8 [H,W], 255 = person, for each frame in `listing` (frames.json).
+
+    Raises StageError where frames have no mask, where the masks are those of another picture, and for an unknown person.
+    """
+    total, names = listing["video"]["frames"], [frame["name"] for frame in listing["frames"]]
+    given = read_mask_files(path, total)
+    joined = joined_to(job, listing, given.names)
+    missing = [name for name in names if name not in joined]
+    if missing:
+        raise StageError(
+            f"masks are missing for {len(missing)} of {len(names)} frames",
+            "name each mask by its frame's number in the video (or its picture's name), or leave out --masks",
+            [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(list(given.names or ()))}"],
+        )
+    rows = [joined[name] for name in names]
+    chosen = person_of(job, given, rows, person)
+    inverted = polarity(job, chosen, invert)
+    encodings = chosen.masks.encodings()
+    job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
+    unused = (total if given.names is None else len(given.names)) - len(set(rows))
+    details = {"folder": path.name, "kind": given.kind, "inverted": inverted, "encodings": encodings, "unused": unused}
+    size = (listing["width"], listing["height"])
+    return details | {"person": chosen.id}, fitted_masks(chosen, list(zip(names, rows, strict=True)), size, inverted)
+
+
+def joined_to(job: Job, listing: dict[str, Any], names: tuple[str, ...] | None) -> dict[str, int]:
+    """Frame name -> row of its mask: by the same stem, else by the frame's number in the video; by order without names.
+
+    Files numbered from 1 to the number of the video's frames, with no 0, are taken as counted from 1, and that is said.
+    """
+    if names is None:
+        return {frame["name"]: frame["index"] for frame in listing["frames"]}
+    first = int(count_from_one(listing, names))
+    if first:
+        job.warn(f"given masks are numbered 1 to {listing['video']['frames']}: taken as counted from 1")
+    return join(listing, names, first, "masks")
+
+
+def person_of(job: Job, given: MaskSet, rows: list[int], person: int | str | None) -> Person:
+    """The person's masks; where there are several objects, they are named with numbers, and which is followed."""
+    if given.objects == ("",):
+        masks = ForeignMasks(rows, partial(given.read, ""))
+        objects = labelled(masks)
+        if not objects and person is not None:
+            facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
+            raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
+        chosen = pick(objects, person) if objects else Object("", 0, 0.0)
+        say(job, objects, chosen)
+        return Person(chosen.id, masks, frozenset(rows), chosen.labels or None)
+    people = {one: ForeignMasks(rows, partial(given.read, one)) for one in given.objects}
+    objects = []
+    for one, masks in people.items():
+        shares = [share for i in masks.keys if (share := float((masks.read(i) > 127).mean()))]
+        objects.append(Object(one, len(shares), sum(shares) / max(len(shares), 1)))
+    objects = ranked(objects)
+    if not objects:
+        raise StageError("no object in the given masks is in any frame", "check the masks", [f"{len(people)} objects"])
+    chosen = pick(objects, person)
+    say(job, objects, chosen)
+    return Person(chosen.id, people[chosen.id], frozenset(people[chosen.id].keys))
+
+
+def say(job: Job, objects: list[Object], chosen: Object) -> None:
+    """Name the objects if there are several, and which is followed."""
+    if len(objects) > 1:
+        more = f" and {len(objects) - 8} more" if len(objects) > 8 else ""
+        job.note(f"{len(objects)} objects in the given masks: {'; '.join(map(str, objects[:8]))}{more}")
+        job.warn(f"following object {chosen.id} of {len(objects)}; `--person ID` takes another")
+    elif chosen.labels and len(chosen.labels) > 1:
+        job.note(f"labels {', '.join(map(str, sorted(chosen.labels)))} touch nearly always: parts of one person")
+
+
+def polarity(job: Job, person: Person, invert: Literal["auto", "always", "never"]) -> bool:
+    """Whether the masks mark the background; said with numbers."""
+    areas, borders = [], []
+    for i in person.rows:
+        mask = person.masks.read(i, person.labels)
+        areas.append(float((mask > 127).mean()))
+        borders.append(border_share(mask))
+    area, border = sum(areas) / len(areas), sum(borders) / len(borders)
+    inverted = invert == "always" or (invert == "auto" and area > 0.5 and border > 0.5)
+    marked = f"marked: {area:.0%} of the picture, {border:.0%} of its border"
+    job.note(f"given masks {'inverted' if inverted else 'taken as they are, white = person'} ({marked})")
+    if invert == "auto" and (area > 0.5) != (border > 0.5):
+        job.warn(f"unsure whether the given masks mark the person ({marked}); see --set masks.invert=always|never")
+    return inverted
+
+
+def fitted_masks(
+    person: Person, frames: list[tuple[str, int]], size: tuple[int, int], invert: bool
+) -> Iterator[np.ndarray]:
+    """The mask of each frame (name, row) at the frames' size, empty where the person is not."""
+    for name, i in frames:
+        if i not in person.rows:
+            yield np.zeros(size[::-1], np.uint8)
+        else:
+            yield fitted(person.masks.read(i, person.labels), size, name, invert)
+
+
+def fitted(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool) -> np.ndarray:
+    """A given mask at the frames' size, person white; StageError if its shape is that of another picture."""
+    height, width = mask.shape
+    if not same_shape((width, height), size):
+        raise StageError(
+            f"the mask of frame {name} is not a mask of these frames",
+            "make masks from the same video, turned as it is shown",
+            [f"mask {width}x{height}, frames {size[0]}x{size[1]}"],
+        )
+    if (width, height) != size:
+        mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR)
+    return 255 - mask if invert else mask
+
+
+def border_share(mask: np.ndarray) -> float:
+    """Share of the picture's outermost pixels that are marked."""
+    return float((np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]) > 127).mean())
+
+
+def listed(names: list[str], most: int = 8) -> str:
+    """The first names of a list, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

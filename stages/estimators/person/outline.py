@@ -1,0 +1,83 @@
+"""The outline of the person BlazePose follows: looks averaged, halves looked at closely, edges set by colour."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stages.estimators.person.blazepose import CROP_SIDE, SURE, BlazePose, Roi, sigmoid
+
+# Looks at the whole person: (side as a share of the fitting crop, turn in degrees), each also at the mirrored picture.
+# Measured on ten frames of the synthetic clip: IoU 0.88 from one look, 0.904 from these six.
+WHOLE = ((1.0, 0), (0.9, 8), (0.9, -8))
+# Closer looks at the upper and the lower half: (side, turn in degrees, shift along the body), as shares of the crop.
+HALVES = tuple((0.65, turn, shift) for shift in (-0.2, 0.2) for turn in (0, 8, -8))
+BAND = 2  # px of the whole person's mask: closer looks only move an edge that far
+CLOSE_SHARE = 0.5  # their say there; alone they err at the halves' ends (IoU 0.903, with both 0.907)
+FADE = 0.12  # share of a close look's side over which it fades out towards its rim
+GUIDE_RADIUS = 1.5  # px of the whole person's mask over which edges are set by colour
+GUIDE_EPS = 2e-4 * 255**2  # colour variance below which a guided filter takes a patch for flat
+ISLAND = 0.01  # a part smaller than this share of the person is no part of the person
+
+
+def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
+    """Probability [H,W] float32 that a pixel of the image uint8 [H,W,3] shows the person of the crop `roi`."""
+    whole = np.zeros(image.shape[:2], np.float32)
+    mirror = np.ascontiguousarray(image[:, ::-1])
+    for change in WHOLE:
+        part = roi.moved(*change)
+        mirrored = Roi(image.shape[1] - part.x, part.y, part.side, -part.angle)
+        whole += look(network, image, part)[0] + look(network, mirror, mirrored)[0][:, ::-1]
+    whole /= 2 * len(WHOLE)
+    edge = near_edge(whole, BAND * roi.side / CROP_SIDE)
+    close, weights = np.zeros_like(whole), np.zeros_like(whole)
+    for change in HALVES:
+        part = roi.moved(*change)
+        mask, presence = look(network, image, part)
+        if presence >= SURE:
+            share = paste(rim_fade(), part, image.shape)
+            close += mask * share
+            weights += share
+    trust = CLOSE_SHARE * edge * np.minimum(weights, 1)
+    mixed = whole + trust * (close / np.maximum(weights, 1e-6) - whole)
+    radius = max(round(GUIDE_RADIUS * roi.side / CROP_SIDE), 2)
+    return without_islands(cv2.ximgproc.guidedFilter(image, mixed, radius, GUIDE_EPS).clip(0, 1))
+
+
+def look(network: BlazePose, image: np.ndarray, roi: Roi) -> tuple[np.ndarray, float]:
+    """The mask of one look, in the picture [H,W], and the probability that somebody is there."""
+    pose, logits = network.look(image, roi)
+    return paste(sigmoid(logits), roi, image.shape), pose.presence
+
+
+def paste(mask: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarray:
+    """Put a crop's mask [S,S] into a picture of this shape, zero outside the crop."""
+    matrix = roi.matrix()
+    matrix[:, :2] /= len(mask)
+    matrix[:, 2] += matrix[:, :2].sum(1) / 2 - 0.5  # cv2 counts pixel centres at whole numbers
+    return cv2.warpAffine(mask, matrix, (shape[1], shape[0]), flags=cv2.INTER_LINEAR)
+
+
+def rim_fade() -> np.ndarray:
+    """Trust [S,S] in a close look: 1 inside, falling to 0 at its rim, where a body cut off is guessed at."""
+    x = (np.arange(CROP_SIDE) + 0.5) / CROP_SIDE
+    ramp = np.minimum(np.minimum(x, 1 - x) / FADE, 1).astype(np.float32)
+    return np.minimum.outer(ramp, ramp)
+
+
+def near_edge(mask: np.ndarray, distance: float) -> np.ndarray:
+    """1 on the mask's outline, falling to 0 at this distance in px; float32 [H,W]."""
+    inside = (mask > SURE).astype(np.uint8)
+    far = cv2.distanceTransform(inside, cv2.DIST_L2, 3) + cv2.distanceTransform(1 - inside, cv2.DIST_L2, 3)
+    return (2 - 2 * far / distance).clip(0, 1)
+
+
+def without_islands(mask: np.ndarray) -> np.ndarray:
+    """Set parts that do not touch the person, and are small, to zero."""
+    solid = (mask > 0.1).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(solid)
+    if count < 2:
+        return mask
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    small = 1 + np.flatnonzero(areas < ISLAND * areas.max())
+    return np.where(np.isin(labels, small), 0, mask)

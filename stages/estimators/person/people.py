@@ -1,0 +1,71 @@
+"""Several people before the built-in segmenter: how many are seen, who is followed, and where the outline holds two."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stages.contract import Job, StageError
+from stages.estimators.person.blazepose import Pose, Sighting, clearest, torso_share
+
+JUMP = 0.5  # of the crop's side between neighbouring frames: a person does not move that far, the follower changed
+
+
+class Company:
+    """Who else is in view of a clip, from `sightings` in a few of its frames (`names`)."""
+
+    def __init__(self, job: Job, names: list[str], sightings: list[Sighting], person: int | str | None):
+        self.job, self.names, self.sightings = job, names, sightings
+        self.seen: dict[str, bool] = {}
+        count = {one.frame: sum(other.frame == one.frame for other in sightings) for one in sightings}
+        fullest = max(count, key=lambda frame: (count[frame], -frame), default=None)
+        people = [one for one in sightings if one.frame == fullest]
+        self.start = clearest(sightings) if person is None else chosen(people, person, names)
+        if len(people) > 1:
+            told = "; ".join(f"{i} {where(one)}" for i, one in enumerate(people, 1))
+            frames = sum(n > 1 for n in count.values())
+            job.note(
+                f"{len(people)} people in frame {names[fullest]}, several in {frames} of {len(count)} frames looked at: {told}"
+            )
+            whom = "the largest" if person is None else f"person {person}"
+            job.warn(f"{len(people)} people are in view: following {whom}; `--person N` takes another of those named")
+
+    def look(self, i: int, pose: Pose, mask: np.ndarray) -> None:
+        """Remember whether the mask of frame `i` holds somebody else than `pose`."""
+        others = [one for one in self.sightings if one.frame == i and not pose.next_roi.covers(one.pose.next_roi)]
+        if others:
+            self.seen[self.names[i]] = any(torso_share(one.pose, mask) > 0.5 for one in others)
+
+    def warn_of_jumps(self, poses: list[Pose | None]) -> None:
+        """Name the frames at which the person followed may have become another."""
+        jumps = []
+        for i in range(1, len(poses)):
+            if poses[i] is not None and poses[i - 1] is not None:
+                a, b = poses[i - 1].next_roi, poses[i].next_roi
+                jumps += [self.names[i]] if np.hypot(a.x - b.x, a.y - b.y) > JUMP * max(a.side, b.side) else []
+        if jumps:
+            self.job.warn(
+                f"the person followed jumps in {len(jumps)} of {len(poses)} frames, first {jumps[0]}: may be another"
+            )
+
+    def close(self) -> None:
+        """Say how often the outline held two people, where others were seen."""
+        both = [name for name, held in self.seen.items() if held]
+        if both:
+            self.job.warn(
+                f"the outline holds somebody else too in {len(both)} of {len(self.seen)} frames looked at, first {both[0]}: "
+                "the built-in segmenter cannot part people who overlap; give masks with `--masks`"
+            )
+
+
+def chosen(people: list[Sighting], person: int | str, names: list[str]) -> Sighting:
+    """The `person`-th of those in the frame with the most, from the largest on; StageError if there are not as many."""
+    if str(person).isdigit() and 1 <= int(person) <= len(people):
+        return people[int(person) - 1]
+    told = "; ".join(f"{i} {where(one)}" for i, one in enumerate(people, 1)) or "nobody"
+    facts = [f"{len(people)} seen" + (f" in frame {names[people[0].frame]}: {told}" if people else "")]
+    raise StageError(f"no person {person!r} in view", "choose one of those with `--person N`", facts)
+
+
+def where(one: Sighting) -> str:
+    """Where somebody is, in words: the middle of the hips in px, and how large."""
+    return f"at x {one.pose.next_roi.x:.0f}, y {one.pose.next_roi.y:.0f} px, {one.pose.next_roi.side:.0f} px across"

@@ -1,0 +1,57 @@
+"""Which program a camera file or folder is from, told by its content."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stages.contract import StageError
+from stages.formats.cameras import read_cameras
+from stages.formats.given_cameras.colmap_model import is_model, read_colmap
+from stages.formats.given_cameras.model import GivenCameras, checked_lens, without_points
+from stages.formats.given_cameras.transforms_json import read_transforms
+
+HINT = "`--cameras` takes the folder of a COLMAP model (cameras, images, points3D as .bin or .txt), or transforms.json"
+PLACES = ("", "*", "sparse/*", "colmap/sparse/*")
+"""Where COLMAP and programs that call it put models under a folder."""
+
+
+def read_camera_files(path: Path, width: int, height: int) -> GivenCameras:
+    """Read a COLMAP model, a transforms.json or a cameras.npz of ours, or a folder that holds one of them.
+
+    `width` and `height` are the clip's, for files without a picture size. Raises StageError for anything else, and for
+    a folder with several.
+    """
+    path = _only_one(path) if path.is_dir() else path
+    if path.is_dir():
+        return read_colmap(path)
+    if path.suffix.lower() == ".json":
+        return read_transforms(path, width, height)
+    if path.suffix.lower() == ".npz":
+        return _ours(path)
+    hint = f"give the folder {path.parent}" if is_model(path.parent) else HINT
+    raise StageError(f"{path} holds no cameras that can be read", hint, [f"it is a file {path.suffix or 'of no kind'}"])
+
+
+def _only_one(folder: Path) -> Path:
+    """The model or the transforms.json in a folder."""
+    found = [place for name in PLACES for place in ([folder] if not name else sorted(folder.glob(name)))]
+    found = [place for place in found if is_model(place)]
+    found += [file for file in [folder / "transforms.json"] if file.is_file()]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        names = ", ".join(str(place.relative_to(folder)) for place in found)
+        raise StageError(f"{len(found)} sets of cameras in {folder}", "give one of them", [names])
+    inside = ", ".join(sorted(file.name for file in folder.iterdir())[:12]) or "nothing"
+    raise StageError(f"no cameras in {folder}", HINT, [f"it holds {inside}"])
+
+
+def _ours(path: Path) -> GivenCameras:
+    cameras = read_cameras(path)
+    lenses = [
+        checked_lens(
+            "PINHOLE", (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), cameras.width, cameras.height, f"{name} in {path}", HINT
+        )
+        for name, K in zip(cameras.names, cameras.Ks, strict=True)
+    ]
+    return without_points("cameras.npz", cameras.names, cameras.viewmats, lenses)

@@ -1,0 +1,86 @@
+"""SMPL fits made by other programs: says whose file it is, and reads it.
+
+| tool              | what to give                                             | poses of  | read by          |
+|-------------------|----------------------------------------------------------|-----------|------------------|
+| 4D-Humans, PHALP  | results/demo_VIDEO.pkl                                   | everybody | fits_people      |
+| ROMP, simple-romp | video_results.npz, VIDEO_results.npz, a folder of .npz   | everybody | fits_people      |
+| WHAM              | wham_output.pkl                                          | everybody | fits_video       |
+| GVHMR             | hmr4d_results.pt                                         | one       | fits_video       |
+| TRAM              | the folder with camera.npy and hps/                      | everybody | fits_video       |
+| EasyMocap         | the folder of .json                                      | everybody | fits_easymocap   |
+| plain, AMASS, ... | .npz of arrays                                           | one       | fits_npz         |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stages.contract import StageError
+from stages.formats.given_fits.easymocap import read_easymocap
+from stages.formats.given_fits.npz import TRANSL, read_plain
+from stages.formats.given_fits.people import read_phalp, read_romp
+from stages.formats.given_fits.record import SmplFit, joined
+from stages.formats.given_fits.tool_pickles import read_tool_file
+from stages.formats.given_fits.video import read_gvhmr, read_tram, read_wham
+
+HINT = (
+    "a fit is an .npz with betas, global_orient, body_pose and transl, or what 4D-Humans, ROMP, WHAM, GVHMR, TRAM or "
+    "EasyMocap wrote"
+)
+WHOLE = ("hmr4d_results.pt", "wham_output.pkl", "video_results.npz")
+"""Files that hold all frames of a folder."""
+
+
+def read_smpl_fit(path: Path, size: tuple[int, int]) -> SmplFit:
+    """Read any of the files above; `size` (width, height) px is that of this clip's pictures.
+
+    Raises StageError if it is none of them, or with the key, what was found and what was wanted.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise StageError(f"no file {path}", HINT)
+    if path.is_dir():
+        return _read_folder(path, size)
+    if path.suffix == ".json":
+        return read_easymocap([path], str(path))
+    return _recognised(read_tool_file(path, HINT), path, size)
+
+
+def _read_folder(folder: Path, size: tuple[int, int]) -> SmplFit:
+    if (folder / "hps").is_dir():
+        return read_tram(folder, size)
+    whole = [folder / name for name in WHOLE if (folder / name).is_file()]
+    kinds = {suffix: sorted(folder.glob(f"*{suffix}")) for suffix in (".json", ".npz", ".pkl")}
+    if whole or len(kinds[".pkl"]) == 1:
+        return read_smpl_fit((whole or kinds[".pkl"])[0], size)
+    if kinds[".json"]:
+        return read_easymocap(kinds[".json"], str(folder))
+    fits = [_recognised(read_tool_file(file, HINT), file, size) for file in kinds[".npz"]]
+    if fits and {fit.tool for fit in fits} == {"ROMP"}:
+        return joined(fits, str(folder))
+    found = ", ".join(sorted(file.name for file in folder.iterdir())[:8]) or "nothing"
+    raise StageError(f"{folder} holds no fit that is known", HINT, [f"found {found}"])
+
+
+def _recognised(content: Any, path: Path, size: tuple[int, int]) -> SmplFit:
+    if isinstance(content, Mapping) and content:
+        first = next(iter(content.values()))
+        inner = first.keys() if isinstance(first, Mapping) else ()
+        if "smpl_params_incam" in content:
+            return read_gvhmr(dict(content), str(path), size)
+        if "results" in content:
+            return read_romp(dict(content), str(path), size, path.stem)
+        if "pred_rotmat" in content:
+            raise StageError(f"{path} is one person of TRAM", "give the folder that holds camera.npy and hps/")
+        if {"pose", "trans"} & set(inner):
+            return read_wham(dict(content), str(path), size)
+        if {"tid", "smpl"} & set(inner):
+            return read_phalp(dict(content), str(path), size)
+        if path.suffix == ".npz" or any(key in content for key in TRANSL):
+            return read_plain(dict(content), str(path))
+    facts = [
+        f"it holds {', '.join(map(str, list(content)[:8]))}" if isinstance(content, Mapping) else "no named values"
+    ]
+    raise StageError(f"{path} is no fit that is known", HINT, facts)

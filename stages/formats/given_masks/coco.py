@@ -1,0 +1,190 @@
+"""Masks in COCO's .json: run lengths (compressed or not) or polygons, for each object of each picture.
+
+{"images": [{"id", "file_name", "height", "width"}], "categories": [{"id", "name"}],
+ "annotations": [{"image_id", "category_id", "segmentation", "track_id" or "instance_id" where there is one}]}
+
+Run lengths count background and object in turn, down the columns; as text, each is 5 bits a letter from 48 on, the
+lowest first, 32 means that more follow, with sign, and from the fourth on as the difference to the one two before.
+Polygons are x y x y ... with the first pixel's corner at (0, 0); a pixel belongs to one if its centre does.
+Source: https://cocodataset.org/#format-data and cocoapi, common/maskApi.c.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.frame_names import stem
+from stages.formats.given_masks.sets import MaskSet, Values
+
+HINT = "COCO masks need images with id, file_name, height, width, and annotations with image_id and segmentation"
+TRACKS = ("track_id", "instance_id", "object_id", "obj_id")
+LARGEST = 1 << 14  # px a side
+OVERLAP = 0.2
+"""Intersection over union of boxes from which an object without an id is the same as one seen before."""
+
+
+def read_coco(path: Path) -> MaskSet:
+    """Read instances; only people, if a category is called person. StageError with the annotation that is wrong.
+
+    Objects are told apart by a track id; without, they are followed from picture to picture by their boxes, in the order
+    of the pictures' names. Parts of one object in one picture are joined.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise StageError(f"{path} is not JSON", HINT, [str(error)]) from error
+    for key in ("images", "annotations"):
+        if not isinstance(content, dict) or not isinstance(content.get(key), list) or not content[key]:
+            found = ", ".join(list(content)[:12]) if isinstance(content, dict) else f"a {type(content).__name__}"
+            raise StageError(f"{path} has no {key}", HINT, [f"it holds {found or 'nothing'}"])
+    images = {}
+    for i, image in enumerate(content["images"]):
+        key, name, *size = (_taken(image, k, f"image {i} of {path}") for k in ("id", "file_name", "height", "width"))
+        if not all(isinstance(n, int) and 0 < n <= LARGEST for n in size):
+            raise StageError(f"image {i} of {path} has no picture size", HINT, [f"height {size[0]}, width {size[1]}"])
+        images[_identifier(key, f"id of image {i} of {path}")] = (stem(str(name)), *size)
+    order = sorted(images, key=lambda key: images[key][0])
+    shown = defaultdict(list)
+    people = _people(content.get("categories") or [])
+    for i, one in enumerate(content["annotations"]):
+        what = f"annotation {i} of {path}"
+        if people and _identifier(_taken(one, "category_id", what), f"category_id of {what}") not in people:
+            continue
+        image = _identifier(_taken(one, "image_id", what), f"image_id of {what}")
+        if image not in images:
+            raise StageError(
+                f"{what} belongs to no image", HINT, [f"image_id is {str(image)[:60]}, {len(images)} images are there"]
+            )
+        _taken(one, "segmentation", what)
+        shown[image].append((one, what))
+    every = [one for image in shown.values() for one, _ in image]
+    key = next((key for key in TRACKS if every and all(key in one for one in every)), None)
+    parts: dict[str, dict[int, list]] = defaultdict(lambda: defaultdict(list))
+    if key:
+        for row, image in enumerate(order):
+            for one, what in shown[image]:
+                parts[str(one[key])][row].append((one["segmentation"], what))
+    else:
+        for row, mask_id, part in _followed(order, images, shown):
+            parts[mask_id][row].append(part)
+
+    def read(person: str, i: int) -> Values | None:
+        if i not in parts[person]:
+            return None
+        _, height, width = images[order[i]]
+        masks = [decode(segmentation, height, width, what) for segmentation, what in parts[person][i]]
+        return np.logical_or.reduce(masks).astype(np.uint8), "COCO"
+
+    names = tuple(images[image][0] for image in order)
+    return MaskSet(f"COCO file of {len(parts)} objects", names, tuple(parts), read)
+
+
+def _taken(entry: Any, key: str, what: str) -> Any:
+    if not isinstance(entry, dict) or key not in entry:
+        found = ", ".join(list(entry)[:12]) if isinstance(entry, dict) else f"a {type(entry).__name__}"
+        raise StageError(f"{what} has no {key}", HINT, [f"it holds {found or 'nothing'}"])
+    return entry[key]
+
+
+def _identifier(value: Any, what: str) -> int | str:
+    if not isinstance(value, int | str):
+        raise StageError(f"{what} is neither number nor text", HINT, [f"it is {str(value)[:60]}"])
+    return value
+
+
+def _people(categories: list[Any]) -> list[Any]:
+    """Ids of the categories that are called person."""
+    known = [one for one in categories if isinstance(one, dict)]
+    return [one.get("id") for one in known if str(one.get("name")).lower() == "person"]
+
+
+def _followed(order: list, images: dict, shown: dict):
+    """(row of the picture, id, part) of each annotation; ids count from 1, a box that overlaps an earlier one keeps its."""
+    last: dict[str, np.ndarray] = {}
+    for row, image in enumerate(order):
+        _, height, width = images[image]
+        boxes = [(box_of(decode(one["segmentation"], height, width, what)), one, what) for one, what in shown[image]]
+        free = dict(last)
+        for box, one, what in sorted(boxes, key=lambda each: -each[0][2:].prod()):
+            best = max(free, key=lambda known: overlap(free[known], box), default="")
+            if not best or overlap(free[best], box) < OVERLAP:
+                best = str(len(last) + 1)
+            free.pop(best, None)
+            last[best] = box
+            yield row, best, (one["segmentation"], what)
+
+
+def box_of(mask: np.ndarray) -> np.ndarray:
+    """x, y, width, height of what is marked in [H,W]; zeros if nothing is."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return np.zeros(4)
+    return np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1], np.float64)
+
+
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """Intersection over union of two boxes x, y, width, height."""
+    shared = (np.minimum(a[:2] + a[2:], b[:2] + b[2:]) - np.maximum(a[:2], b[:2])).clip(0).prod()
+    return float(shared / max(a[2:].prod() + b[2:].prod() - shared, 1e-9))
+
+
+def decode(segmentation: Any, height: int, width: int, what: str) -> np.ndarray:
+    """The mask bool [height,width] of run lengths or polygons; StageError where they do not belong to that size."""
+    if isinstance(segmentation, list):
+        return polygons(segmentation, height, width, what)
+    counts, size = _taken(segmentation, "counts", what), _taken(segmentation, "size", what)
+    if size != [height, width]:
+        raise StageError(f"the size of {what} is not its image's", HINT, [f"found {size}, wanted [{height}, {width}]"])
+    runs = run_lengths(counts, what) if isinstance(counts, str) else counts
+    if not isinstance(runs, list) or not all(isinstance(run, int) and run >= 0 for run in runs):
+        found = [run for run in runs if not isinstance(run, int) or run < 0][:1] if isinstance(runs, list) else runs
+        raise StageError(f"the counts of {what} are no run lengths", HINT, [f"found {str(found)[:60]}"])
+    if sum(runs) != height * width:
+        facts = [f"they come to {sum(runs)} pixels, wanted {height} x {width} = {height * width}"]
+        raise StageError(f"the counts of {what} do not fill its image", HINT, facts)
+    return np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(width, height).T
+
+
+def run_lengths(text: str, what: str) -> list[int]:
+    """Run lengths from COCO's text."""
+    runs: list[int] = []
+    value = shift = 0
+    for place, letter in enumerate(text):
+        bits = ord(letter) - 48
+        if not 0 <= bits < 64:
+            raise StageError(f"the counts of {what} are not COCO's text", HINT, [f"letter {place} is {letter!r}"])
+        value |= (bits & 31) << shift
+        shift += 5
+        if bits & 32:
+            continue
+        value -= (1 << shift) if bits & 16 else 0
+        runs.append(value + (runs[-2] if len(runs) > 2 else 0))
+        value = shift = 0
+    if shift:
+        raise StageError(f"the counts of {what} are cut short", HINT, [f"{len(text)} letters, the last {text[-1]!r}"])
+    return runs
+
+
+def polygons(parts: list, height: int, width: int, what: str) -> np.ndarray:
+    """Pixels [height,width] whose centre lies in any of the polygons, each filled by the even-odd rule."""
+    mask = np.zeros((height, width), bool)
+    for part in parts:
+        try:
+            corners = np.array(part, np.float64).reshape(-1, 2)
+        except (TypeError, ValueError) as error:
+            raise StageError(f"{what} has a polygon that is no list of x and y", HINT, [str(error)]) from error
+        if len(corners) < 3 or not np.isfinite(corners).all():
+            raise StageError(f"{what} has a polygon that is none", HINT, [f"{len(corners)} corners: {str(part)[:60]}"])
+        crossings = np.zeros((height, width + 1), np.int64)
+        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            rows = np.arange(*np.clip(np.ceil(np.sort([y0, y1]) - 0.5), 0, height).astype(int))
+            across = x0 + (rows + 0.5 - y0) * ((x1 - x0) / (y1 - y0)) if len(rows) else rows
+            crossings[rows, np.clip(np.ceil(across - 0.5), 0, width).astype(int)] += 1
+        mask |= np.cumsum(crossings, axis=1)[:, :-1] % 2 == 1
+    return mask

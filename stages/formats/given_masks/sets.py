@@ -1,0 +1,107 @@
+"""Masks as another program stored them, whichever it was: names, objects, and how to read each.
+
+| layout                                                     | joined by                | objects                     |
+|------------------------------------------------------------|--------------------------|-----------------------------|
+| folder of pictures or .npy, one a frame                    | name or number           | labels, palette or colours  |
+| folder of such folders, one an object (SAM 2, SA-V)        | name or number           | the folders' names          |
+| .npz with an array a frame                                 | the arrays' names        | labels                      |
+| .npy or .npz with a stack [N,H,W]                          | names in it, else order  | labels                      |
+| COCO .json, RLE or polygons                                | file_name                | track_id, else followed     |
+| video                                                      | order                    | none                        |
+
+By order only where there are exactly as many masks as the video has frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.frame_names import ENDINGS, stem
+from stages.formats.given_masks.files import mask_files, read_values
+from stages.formats.video import decode, natural, probe
+
+Values = tuple[np.ndarray, str]
+HINT = (
+    "`--masks` takes a folder of masks (or of a folder for each object), a .npy or .npz stack, a COCO .json, or a video"
+)
+
+
+@dataclass(frozen=True)
+class MaskSet:
+    """`names` of the masks without endings; None: the i-th belongs to the video's i-th frame.
+
+    `objects` are the ids of what is kept apart, ("",) if nothing is. `read(object, i)` gives the values [H,W] and the
+    name of what holds them, None where that object is not in that mask's frame.
+    """
+
+    kind: str
+    names: tuple[str, ...] | None
+    objects: tuple[str, ...]
+    read: Callable[[str, int], Values | None]
+
+
+def read_mask_files(path: Path, frames: int) -> MaskSet:
+    """Recognise masks of another program; `frames` is how many the video has. StageError for anything else."""
+    if path.is_dir():
+        return folder_of_masks(path)
+    suffix = path.suffix.lower()
+    if suffix in (".npy", ".npz"):
+        from stages.formats.given_masks.stacks import read_stack
+
+        return read_stack(path, frames)
+    if suffix == ".json":
+        from stages.formats.given_masks.coco import read_coco
+
+        return read_coco(path)
+    if suffix in ENDINGS:
+        raise StageError(f"{path} is one mask", "give the folder that holds one mask per frame", [f"a {suffix} file"])
+    return film(path, frames)
+
+
+def folder_of_masks(folder: Path) -> MaskSet:
+    """Files in a folder, or in its folders, each of which is an object; a single inner folder is looked into."""
+    inner = sorted((p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")), key=natural)
+    if any(p.suffix.lower() in ENDINGS and not p.name.startswith(".") for p in folder.iterdir()) or not inner:
+        files = mask_files(folder)
+        names = tuple(stem(file) for file in files)
+        return MaskSet("folder of masks", names, ("",), lambda _, i: read_values(files[i]))
+    if len(inner) == 1:
+        return folder_of_masks(inner[0])
+    found = {one.name: {stem(file): file for file in mask_files(one)} for one in inner}
+    names = tuple(sorted({name for files in found.values() for name in files}))
+
+    def read(person: str, i: int) -> Values | None:
+        file = found[person].get(names[i])
+        return read_values(file) if file else None
+
+    return MaskSet(f"folder for each of {len(inner)} objects", names, tuple(found), read)
+
+
+def film(path: Path, frames: int) -> MaskSet:
+    """A video of masks, frame by frame those of the clip; StageError if it has another number of frames."""
+    count = sum(1 for _ in decode(path))
+    info = probe(path)
+    in_order(count, frames, f"{path} ({info.duration_s:.2f} s at {info.fps:.2f} frames/s)")
+    last: dict[str, object] = {"frames": decode(path), "at": -1, "values": None}
+
+    def read(_: str, i: int) -> Values:
+        if i < last["at"]:
+            last.update(frames=decode(path), at=-1)
+        while last["at"] < i:
+            index, _time, pixels = next(last["frames"])
+            last.update(at=index, values=pixels.max(2))
+        return last["values"], "video"
+
+    return MaskSet("video of masks", None, ("",), read)
+
+
+def in_order(count: int, frames: int, what: str) -> None:
+    """StageError unless masks without names are as many as the video's frames."""
+    if count != frames:
+        hint = "masks without names belong to frames by their order: give one for each frame of the video, or name them"
+        raise StageError(f"{what} does not have a mask for each frame", hint, [f"{count} masks, {frames} frames"])

@@ -1,0 +1,272 @@
+"""A clip whose truth is known: a dressed body moves in a textured room before a hand-held camera, all from one seed.
+
+The world is in metres with y up, the floor at y = 0 and the person at the origin. Cameras have OpenCV axes and are
+exact pinholes; the centre of the first pixel is at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from stages.avatar.body.smpl import Body, vertex_normals
+from stages.avatar.cameras.pinhole import look_at, pinhole
+from stages.avatar.kernels.mesh import cast, fill
+from stages.synthetic import person
+from stages.synthetic.effects import (
+    NO_EFFECTS,
+    Course,
+    Effects,
+    Shadow,
+    bend,
+    gains,
+    margin,
+    open_times,
+    read_out,
+    seen_from,
+    to_linear,
+    to_srgb,
+)
+from stages.synthetic.passers import make_passers
+from stages.synthetic.room import LAMPS, Room, make_room, sky
+
+SUPERSAMPLE = 2
+DISTANCE, ARC = 2.75, 1.0
+"""The camera's distance from the person in m, and the angle of its path around them in rad."""
+NEAR_WALL = 1.15
+"""Where a camera that changes its distance begins, as share of DISTANCE: a little before the wall behind it."""
+FOCAL = 0.95
+"""Focal length in image heights: a field of view of 56 degrees."""
+LIGHT = np.array([0.3, 0.9, 0.32]) / np.linalg.norm([0.3, 0.9, 0.32])
+UP = np.array([0.0, 1.0, 0.0])
+
+Motion = Literal["moving", "static", "rotating"]
+
+
+@dataclass(frozen=True)
+class Views:
+    """V pictures of the person with everything that is true of them.
+
+    `images` [V,H,W,3] and `masks` [V,H,W] uint8 (255 = person, soft edges), `depths` [V,H,W] float32 z in metres at
+    the pixel centres, `viewmats` [V,4,4] camera_from_world, `Ks` [V,3,3] px, `global_orient` [V,3], `body_pose` [V,69]
+    rad, `transl` [V,3] m, `joints` [V,24,3] m in the world.
+    """
+
+    images: np.ndarray
+    masks: np.ndarray
+    depths: np.ndarray
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    global_orient: np.ndarray
+    body_pose: np.ndarray
+    transl: np.ndarray
+    joints: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+@dataclass(frozen=True)
+class SyntheticClip:
+    """The clip's `frames`, further views in `novel` poses that no frame shows, the body's `betas` [10], frame rate."""
+
+    frames: Views
+    novel: Views
+    betas: np.ndarray
+    fps: float
+
+
+def make_clip(
+    model: Any,
+    *,
+    seed: int = 0,
+    width: int = 384,
+    height: int = 512,
+    frames: int = 60,
+    fps: float = 12.0,
+    camera: Motion = "moving",
+    effects: Effects = NO_EFFECTS,
+    done: Callable[[int, int], None] = lambda done, total: None,
+) -> SyntheticClip:
+    """Make the clip of that seed; the same arguments give the same bytes.
+
+    `model` is a formats.body_model.BodyModel with keypoints. `camera`: "moving" goes around the person, "rotating"
+    only turns, "static" stands. `effects` change the pictures and nothing that is drawn at random; novel views have those
+    of the scene and the person, and none of the recording. Depths and masks are those of room and person at the frame's
+    own time, masks blurred as the pictures are. `done` hears of pictures made and their number.
+    """
+    rng, apart = np.random.default_rng(seed), np.random.default_rng([seed, 1])  # effects change nothing else
+    room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
+    stage = _Stage(model, room, betas, pinhole(FOCAL * height, width, height), effects)
+    viewmats = camera_path(frames, fps, camera, rng, effects.antialias)
+    orient, pose = person.make_motion(frames, fps, rng)
+    novel_orient, novel_pose = person.novel_poses()
+    beside = novel_cameras(len(novel_pose))
+    total = frames + len(novel_pose)
+    passers = make_passers(round(effects.transients), frames, apart)
+    gain = gains(effects, frames, apart)
+    clip = stage.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain)
+    calm = replace(stage, effects=effects.of_the_scene())
+    novel = calm.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
+    return SyntheticClip(clip, novel, stage.betas, fps)
+
+
+def camera_path(
+    frames: int, fps: float, motion: Motion, rng: np.random.Generator, range_ratio: float = 0.0
+) -> np.ndarray:
+    """viewmats [F,4,4] of a hand-held camera that goes around the origin, or only turns, or stands still.
+
+    With `range_ratio` > 1 it comes nearer by that factor in the middle of the clip.
+    """
+    t = np.arange(frames) / fps
+    u = np.linspace(-0.5, 0.5, frames)
+    shake = np.stack([sum(np.sin(2 * np.pi * f * t + p) / f for f, p in _tones(rng)) for _ in range(7)], 1)
+    still = np.zeros((frames, 3))
+    angle = ARC * u if motion == "moving" else np.zeros(frames)
+    eye = np.stack([DISTANCE * np.sin(angle), 1.35 + 0.12 * np.sin(2.5 * u), DISTANCE * np.cos(angle)], 1)
+    eye[:, 2] -= 0.15 * np.cos(np.pi * u) if motion == "moving" else 0
+    eye = eye + 0.01 * shake[:, :3] if motion == "moving" else np.broadcast_to([0, 1.35, DISTANCE], still.shape)
+    if range_ratio:
+        eye = eye * (NEAR_WALL * range_ratio ** (-(np.sin(np.pi * (u + 0.5)) ** 2)))[:, None] * [1, 0, 1] + eye * [
+            0,
+            1,
+            0,
+        ]
+    target = np.broadcast_to([0, 0.93, 0], still.shape) + (0.012 * shake[:, 3:6] if motion != "static" else 0)
+    if motion == "rotating":
+        target = target + np.stack([0.9 * u, 0.2 * np.sin(6 * u), 0 * u], 1)
+    roll = 0.008 * shake[:, 6] if motion != "static" else np.zeros(frames)
+    up = UP + np.stack([np.sin(roll) * np.cos(angle), 0 * roll, -np.sin(roll) * np.sin(angle)], 1)
+    return np.stack([look_at(*view) for view in zip(eye, target, up)])
+
+
+def novel_cameras(count: int) -> np.ndarray:
+    """viewmats [count,4,4] along the moving camera's arc, a little higher, lower and farther than it is there."""
+    views = []
+    for i, angle in enumerate(np.linspace(-0.42, 0.42, count) * ARC):
+        distance, lift = DISTANCE * (1.0 + 0.03 * (i % 2)), 0.08 * (-1) ** i
+        eye = np.array([distance * np.sin(angle), 1.35 + lift, distance * np.cos(angle)])
+        views.append(look_at(eye, np.array([0, 0.94, 0]), UP))
+    return np.stack(views)
+
+
+def _tones(rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Frequencies in Hz and phases of a hand's tremor."""
+    return [(f * rng.uniform(0.8, 1.25), rng.uniform(0, 2 * np.pi)) for f in (0.4, 1.1, 2.3)]
+
+
+@dataclass
+class _Stage:
+    """Everything that does not change from picture to picture."""
+
+    model: Any
+    room: Room
+    betas: np.ndarray
+    K: np.ndarray
+    effects: Effects = NO_EFFECTS
+
+    def __post_init__(self) -> None:
+        self.body = Body(self.model, dtype=torch.float64)
+        self.faces = np.ascontiguousarray(self.model.faces, dtype=np.int64)
+        self.rest = np.asarray(self.model.v_template, np.float64)
+        self.clothes = person.Clothes(self.model)
+
+    def views(
+        self, viewmats, orient, pose, width: int, height: int, done: Callable[[int], None], passers=(), gain=None
+    ) -> Views:
+        """Draw the person in each pose from its camera, with `passers` behind and colours times `gain` [V,3]."""
+        transl, vertices, joints = person.pose_body(self.body, self.betas, orient, pose)
+        if self.effects.clothing:
+            vertices = vertices + person.swing(self.model, self.faces, vertices, pose, self.effects.clothing)
+        course, drawn = Course(viewmats, vertices), []
+        for i in range(len(viewmats)):
+            drawn.append(self.shoot(course, i, width, height, passers, 1.0 if gain is None else gain[i]))
+            done(i + 1)
+        images, masks, depths = (np.stack(kind) for kind in zip(*drawn))
+        Ks = np.broadcast_to(self.K, (len(viewmats), 3, 3)).copy()
+        return Views(images, masks, depths, viewmats, Ks, orient, pose, transl, joints)
+
+    def shoot(self, course: Course, i: int, width: int, height: int, passers, gain):
+        """Image uint8 [H,W,3], mask uint8 [H,W] and depth float32 [H,W] of frame `i`, as its camera takes it."""
+        fine, size = self.K * np.array([[SUPERSAMPLE], [SUPERSAMPLE], [1]]), (width * SUPERSAMPLE, height * SUPERSAMPLE)
+        pad = margin(self.effects, fine, *size)
+        moments = [self.draw(course, i + t, fine, *size, pad, passers) for t in open_times(self.effects)]
+        colours, seen = moments[0][0], moments[0][1] * 1.0
+        if len(moments) > 1:
+            colours = to_srgb(np.mean([to_linear(colours) for colours, _ in moments], 0))
+            seen = np.mean([seen for _, seen in moments], 0)
+        image = bend((colours * gain).clip(0, 1) * 255, self.effects, fine, pad)
+        mask = bend(seen[..., None] * 255.0, self.effects, fine, pad)
+        pad = margin(self.effects, self.K, width, height)
+        depth = bend(self.depth(course, i, width, height, pad)[..., None], self.effects, self.K, pad, order=0)
+        return _shrink(image), _shrink(mask)[..., 0], depth[..., 0].astype(np.float32)
+
+    def draw(self, course: Course, t: float, K: np.ndarray, width: int, height: int, pad: int, passers):
+        """Colours [H+2pad,W+2pad,3] 0..1 of moment `t`, and where the person is seen in them."""
+        wide, width, height = K + np.array([[0, 0, pad], [0, 0, pad], [0, 0, 0]]), width + 2 * pad, height + 2 * pad
+        vertices = course.body(t)
+        room, room_depth = self.cast(course, t, wide, width, height, vertices)
+        for passer in (passer for passer in passers if passer.inside(t)):
+            depth, face, weights = self.fill(course, passer.at, passer.faces, t, wide, width, height)
+            near = depth < room_depth
+            room[near] = (passer.colours[passer.faces[face[near]]] * weights[near][..., None]).sum(1)
+            room_depth = np.minimum(room_depth, depth)
+        depth, face, weights = self.fill(course, course.body, self.faces, t, wide, width, height)
+        seen = depth < room_depth
+        corners, blend = self.faces[face[seen]], weights[seen][..., None]
+        normals = vertex_normals(torch.from_numpy(vertices), torch.from_numpy(self.faces)).numpy()
+        normal = (normals[corners] * blend).sum(1)
+        facing = normal @ LIGHT / np.linalg.norm(normal, axis=1)
+        room[seen] = self.clothes((self.rest[corners] * blend).sum(1)) * (0.66 + 0.34 * (0.5 + 0.5 * facing))[:, None]
+        return room.clip(0, 1), seen
+
+    def depth(self, course: Course, t: float, width: int, height: int, pad: int) -> np.ndarray:
+        """z in m [H+2pad,W+2pad] of room and person at the pixel centres."""
+        wide, width, height = (
+            self.K + np.array([[0, 0, pad], [0, 0, pad], [0, 0, 0]]),
+            width + 2 * pad,
+            height + 2 * pad,
+        )
+        room = self.cast(course, t, wide, width, height)[1]
+        return np.minimum(room, self.fill(course, course.body, self.faces, t, wide, width, height)[0])
+
+    def fill(self, course: Course, things, faces: np.ndarray, t: float, K: np.ndarray, width: int, height: int):
+        """Depth, face and weights of the mesh `things`(moment) as seen at moment `t`."""
+        return fill(seen_from(course, things, t, self.effects, K, height), faces, K, width, height)
+
+    def cast(
+        self, course: Course, t: float, K: np.ndarray, width: int, height: int, vertices: np.ndarray | None = None
+    ):
+        """Colour and depth of the room at moment `t`, with the shadow of `vertices`, without the person."""
+        room, effects = self.room, self.effects
+        poses = np.stack([np.linalg.inv(course.viewmat(t + s)) for s in read_out(effects, height)])
+        colours, depth = cast(poses, K, width, height, room.boxes, room.paint, room.tints, room.mips, room.per_metre,
+                              LIGHT, effects.view_dependence, LAMPS, effects.sky > 0)  # fmt: skip
+        if vertices is None or not (effects.sky or effects.shadow):
+            return colours, depth
+        rays = _rays(K, width, height) @ poses[:, :3, :3].mT
+        if effects.sky:
+            far = np.isinf(depth)
+            colours[far] = sky(rays[far])
+        if effects.shadow:
+            hit = np.isfinite(depth)
+            points = (poses[:, None, :3, 3] + rays * depth[..., None])[hit]
+            colours[hit] *= Shadow(vertices, self.faces, LIGHT, effects.shadow)(points)[:, None]
+        return colours, depth
+
+
+def _rays(K: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Directions [H,W,3] of the pixel centres in camera coordinates, z = 1."""
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    return np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
+
+
+def _shrink(fine: np.ndarray) -> np.ndarray:
+    """Mean of each SUPERSAMPLE x SUPERSAMPLE block, as uint8."""
+    height, width, channels = fine.shape
+    blocks = fine.reshape(height // SUPERSAMPLE, SUPERSAMPLE, width // SUPERSAMPLE, SUPERSAMPLE, channels)
+    return np.rint(blocks.mean((1, 3))).astype(np.uint8)

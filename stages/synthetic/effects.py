@@ -1,0 +1,209 @@
+"""What a synthetic clip may have beside a room and a person: effects that a detector shall find and a model shall learn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.cameras import lens
+from stages.avatar.cameras.pinhole import look_at
+from stages.avatar.kernels.mesh import fill
+
+MOMENTS = 9
+"""How many moments a blurred picture is the mean of, and at how many a rolling shutter's path is known."""
+DRIFT = 0.25
+"""White balance drifts by this share of the exposure's drift."""
+LAMP_AWAY, MAP_SIDE, MAP_M = 100.0, 640, 3.2
+"""The lamp of a shadow map is so far that its rays are parallel, m; its pixels, and how many m they show."""
+SOFT, CONTACT_SOFT, CONTACT_HEIGHT = 0.02, 0.035, 0.12
+"""Blur of a shadow's edge, of the dark rim of the feet, and up to where a body touches the floor, m."""
+
+
+@dataclass(frozen=True)
+class Effects:
+    """How strong each effect is; 0 leaves it out."""
+
+    view_dependence: float = 0.0
+    """Weight of the blurred mirror on all surfaces of the room."""
+    exposure: float = 0.0
+    """Standard deviation of the log gain over the frames; the colours drift by a quarter of it."""
+    white_balance: float = 0.0
+    """Standard deviation of the log gains of the colours over the frames; brightness stays."""
+    lens: float = 0.0
+    """k of a SIMPLE_RADIAL lens; negative for a barrel."""
+    rolling_shutter: float = 0.0
+    """Time from the first to the last row, as share of the frame interval."""
+    motion_blur: float = 0.0
+    """How long the shutter is open, as share of the frame interval."""
+    shadow: float = 0.0
+    """How much darker the floor is in the person's shadow, 0..1."""
+    clothing: float = 0.0
+    """Width in m of a skirt and sleeves that swing with the pose."""
+    sky: float = 0.0
+    """1: no back wall and no ceiling, but sky and far hills."""
+    transients: float = 0.0
+    """How many strangers walk through the room."""
+    antialias: float = 0.0
+    """Ratio of the camera's largest and smallest distance from the person."""
+
+    def of_the_scene(self) -> Effects:
+        """Without what belongs to one recording: camera, lens, shutter, strangers."""
+        return replace(
+            self, exposure=0.0, white_balance=0.0, lens=0.0, rolling_shutter=0.0, motion_blur=0.0, transients=0.0
+        )
+
+
+NO_EFFECTS = Effects()
+
+
+class Course:
+    """Where camera and body are at each moment, in frames: exact at whole numbers, splines between.
+
+    `viewmats` [F,4,4] camera_from_world and `vertices` [F,V,3] m.
+    """
+
+    def __init__(self, viewmats: np.ndarray, vertices: np.ndarray):
+        self.viewmats, self.vertices = viewmats, vertices
+
+    def viewmat(self, t: float) -> np.ndarray:
+        """camera_from_world [4,4] at moment `t`."""
+        if t == int(t):
+            return self.viewmats[int(t)]
+        turns, places, middle = self._path
+        matrix = np.eye(4)
+        matrix[:3, :3] = (Rotation.from_rotvec(turns(t)) * middle).as_matrix()
+        matrix[:3, 3] = -matrix[:3, :3] @ places(t)
+        return matrix
+
+    def body(self, t: float) -> np.ndarray:
+        """Vertices [V,3] at moment `t`."""
+        return self.vertices[int(t)] if t == int(t) else self._motion(t)
+
+    @cached_property
+    def _path(self) -> tuple[CubicSpline, CubicSpline, Rotation]:
+        rotations, frames = Rotation.from_matrix(self.viewmats[:, :3, :3]), np.arange(len(self.viewmats))
+        middle = rotations[len(frames) // 2]
+        centres = -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
+        return CubicSpline(frames, (rotations * middle.inv()).as_rotvec()), CubicSpline(frames, centres), middle
+
+    @cached_property
+    def _motion(self) -> CubicSpline:
+        return CubicSpline(np.arange(len(self.vertices)), self.vertices)
+
+
+def open_times(effects: Effects) -> np.ndarray:
+    """Moments at which a shutter is open, in frames around the frame's own time; only that without motion blur."""
+    if not effects.motion_blur:
+        return np.zeros(1)
+    return effects.motion_blur * ((np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5)
+
+
+def read_out(effects: Effects, height: int) -> np.ndarray:
+    """When each row [H] is read, in frames after the middle one; one time for all [1] without a rolling shutter."""
+    if not effects.rolling_shutter:
+        return np.zeros(1)
+    return effects.rolling_shutter * ((np.arange(height) + 0.5) / height - 0.5)
+
+
+def seen_from(course: Course, things, t: float, effects: Effects, K: np.ndarray, height: int) -> np.ndarray:
+    """`things`(moment) [V,3] in coordinates of the camera at `t`, each point when the row it falls on is read."""
+
+    def at(moment: float) -> np.ndarray:
+        viewmat = course.viewmat(moment)
+        return things(moment) @ viewmat[:3, :3].T + viewmat[:3, 3]
+
+    if not effects.rolling_shutter:
+        return at(t)
+    nodes = np.stack([at(t + s) for s in effects.rolling_shutter * (np.linspace(0, 1, MOMENTS) - 0.5)])
+    share, which = np.full(nodes.shape[1], 0.5), np.arange(nodes.shape[1])
+    for _ in range(4):
+        below = (share * (MOMENTS - 1)).astype(int).clip(0, MOMENTS - 2)
+        part = (share * (MOMENTS - 1) - below)[:, None]
+        points = nodes[below, which] * (1 - part) + nodes[below + 1, which] * part
+        share = ((K[1, 1] * points[:, 1] / points[:, 2] + K[1, 2]) / height).clip(0, 1)
+    return points
+
+
+def gains(effects: Effects, frames: int, rng: np.random.Generator) -> np.ndarray:
+    """Factors [F,3] of the colours of each frame: a drift in two slow waves, mean log gain 0."""
+    if not (effects.exposure or effects.white_balance):
+        return np.ones((frames, 3))
+    u = np.linspace(0, 1, frames)[:, None]
+    phase = rng.uniform(0, 2 * np.pi, (2, 4))
+    waves = np.sin(2 * np.pi * u + phase[0]) + 0.7 * np.sin(5 * np.pi * u + phase[1])
+    waves = (waves - waves.mean(0)) / waves.std(0)
+    colour = waves[:, 1:] - waves[:, 1:].mean(1, keepdims=True)
+    tint = waves[:, 1:] - waves[:, 1:] @ [[0.299], [0.587], [0.114]]  # of grey, as pictures are made grey
+    return np.exp(effects.exposure * (waves[:, :1] + DRIFT * colour) + effects.white_balance * tint)
+
+
+def to_linear(colours: np.ndarray) -> np.ndarray:
+    """Light 0..1 of sRGB values 0..1 (IEC 61966-2-1)."""
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(light: np.ndarray) -> np.ndarray:
+    """The inverse of `to_linear`."""
+    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def margin(effects: Effects, K: np.ndarray, width: int, height: int) -> int:
+    """Pixels around the picture that a lens looks at beyond the pinhole's view."""
+    if not effects.lens:
+        return 0
+    reach = lens.undistort((lens.border(width, height) - K[:2, 2]) / K[0, 0], effects.lens) * K[0, 0] + K[:2, 2]
+    return int(np.ceil(max(-reach.min(), (reach - [width, height]).max(), 0))) + 2
+
+
+def bend(picture: np.ndarray, effects: Effects, K: np.ndarray, pad: int, order: int = 1) -> np.ndarray:
+    """What the lens makes of a pinhole's `picture` [H+2pad,W+2pad,C]: [H,W,C]; `K` is that without the margin."""
+    if not effects.lens:
+        return picture
+    height, width = picture.shape[0] - 2 * pad, picture.shape[1] - 2 * pad
+    at = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), -1)
+    ideal = lens.undistort((at - K[:2, 2]) / K[0, 0], effects.lens) * K[0, 0] + K[:2, 2] + pad - 0.5
+    x, y = ideal[..., 0], ideal[..., 1]
+    channels = [map_coordinates(c, [y, x], order=order, mode="nearest") for c in np.moveaxis(picture, -1, 0)]
+    return np.stack(channels, -1)
+
+
+class Shadow:
+    """How dark a body with `vertices` [V,3] m and `faces` makes what lies behind it in the light: along `light`, and
+    around the feet."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, light: np.ndarray, darkness: float):
+        low = vertices[:, 1] < CONTACT_HEIGHT
+        self.darkness = darkness
+        self.lit = _Lamp(vertices, faces, light, SOFT)
+        self.touched = _Lamp(vertices, faces[low[faces].all(1)], np.array([0.0, 1.0, 1e-3]), CONTACT_SOFT)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """The factor [N] of the brightness at `points` [N,3] of the room."""
+        on_floor = points[:, 1] < 0.02
+        return (1 - self.darkness * self.lit(points)) * (1 - self.darkness * on_floor * self.touched(points))
+
+
+class _Lamp:
+    """A shadow map: how much of the light towards a point a body takes, its edge blurred by `soft` m."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, light: np.ndarray, soft: float):
+        centre = np.array([0.0, 0.8, 0.0])
+        self.viewmat = look_at(centre + LAMP_AWAY * light / np.linalg.norm(light), centre, np.array([0.0, 0.0, -1.0]))
+        focal = MAP_SIDE / MAP_M * LAMP_AWAY
+        self.K = np.array([[focal, 0, MAP_SIDE / 2], [0, focal, MAP_SIDE / 2], [0, 0, 1.0]])
+        depth, face, _ = fill(self._seen(vertices), faces, self.K, MAP_SIDE, MAP_SIDE)
+        self.nearest = depth.min()
+        self.cover = gaussian_filter((face >= 0).astype(float), soft * MAP_SIDE / MAP_M)
+
+    def _seen(self, points: np.ndarray) -> np.ndarray:
+        return points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        seen = self._seen(points)
+        x, y = (self.K[i, i] * seen[:, i] / seen[:, 2] + self.K[i, 2] - 0.5 for i in (0, 1))
+        return map_coordinates(self.cover, [y, x], order=1, mode="constant") * (seen[:, 2] > self.nearest)

@@ -1,0 +1,167 @@
+"""How many steps fit into a time: a few real ones are timed first, and what has been taken corrects what is to come."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from statistics import median
+
+import numpy as np
+
+from stages.training.checkpoint import restore, snapshot
+from stages.training.fit import Fit
+from stages.training.schedule import SCENE_GROWTH, SETTLE
+
+WARM_UP = 2  # steps that no clock sees
+TIMED = 4  # steps of one timing, at least: whole groups of all that comes every few steps
+LONG = 24  # steps; an LPIPS that comes more rarely is not waited for
+TIMINGS = 3  # at each corner of a Pace, before sizes are chosen: the middle one counts, so one disturbance does not
+OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
+PARTS = 200  # of an integral; no clock is finer
+LATE = 0.99  # share of the schedule, the last at which steps are timed
+PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed
+HASTE = 300  # seconds; a training that has fewer times its steps once
+HELD = 10**9  # steps of a schedule that hardly moves
+SHORT_OF = {360: 3.1, 560: 2.6, 1100: 1.8, 3000: 0.8, 8500: 0.2, 10_000: 0.0}
+"""Steps -> dB of the whole picture that a training within a time was short of one of 10,000 steps: the phone clip."""
+
+
+def short_of(steps: int) -> float:
+    """About how many dB `steps` are short of 10,000: read off SHORT_OF between logarithms, its ends beyond."""
+    return float(np.interp(math.log(steps), [math.log(known) for known in SHORT_OF], list(SHORT_OF.values())))
+
+
+class Pace:
+    """Seconds a step takes, by the share of the schedule that is behind it.
+
+    `half` and `full` are seconds a step at each resolution, before and after the share `half_until`, with as many
+    Gaussians as at the start and as at the end; in between they grow evenly. `slow` is what steps were found to take,
+    as a multiple of that.
+    """
+
+    def __init__(self, half: tuple[float, float], full: tuple[float, float], half_until: float, slow: float = 1.0):
+        self.half, self.full, self.half_until, self.slow = half, full, half_until, slow
+
+    def mean(self, start: float, end: float = 1.0) -> float:
+        """Mean seconds a step between two shares of the schedule."""
+        shares = [start + (end - start) * (i + 0.5) / PARTS for i in range(PARTS)]
+        return self.slow * sum(map(self._at, shares)) / PARTS
+
+    @property
+    def last(self) -> float:
+        """Seconds a full, grown step takes: as long as drawing what was trained."""
+        return self.slow * self.full[1]
+
+    def _at(self, done: float) -> float:
+        few, many = self.half if done < self.half_until else self.full
+        grown = min(max((done - SCENE_GROWTH[0]) / (SETTLE - SCENE_GROWTH[0]), 0.0), 1.0)
+        return few + grown * (many - few)
+
+    def steps(self, seconds: float, done: float = 0.0) -> int:
+        """How many steps from `done` on take `seconds`; at least one."""
+        return max(1, int(seconds / self.mean(done)))
+
+    def learn(self, seconds: float, steps: int, start: float, end: float) -> None:
+        """What `steps` steps took between two shares of the schedule: what comes is believed to be as slow."""
+        if steps > 0 and end > start:
+            self.slow *= seconds / (steps * self.mean(start, end))
+
+
+class Deadline:
+    """The time that a training may take. Its steps are fitted into it before the first, and again and again on the way.
+
+    `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over. `pauses`
+    are still to come, in which the training is judged.
+    """
+
+    def __init__(self, seconds: float, reserve: float, began: float, pauses: int):
+        self.seconds, self.reserve, self.began, self.pauses = seconds, reserve, began, pauses
+        self.pace: Pace | None = None
+        self.paused = 0.0
+
+    @property
+    def spent(self) -> float:
+        """Seconds gone."""
+        return time.perf_counter() - self.began
+
+    @property
+    def left(self) -> float:
+        """Seconds left for steps."""
+        return self.seconds - self.spent - self.reserve * self.pace.last - self.pauses * self.pause
+
+    @property
+    def to_go(self) -> float:
+        """Seconds until the last step, pauses included."""
+        return max(0.0, self.left + self.pauses * self.pause)
+
+    def start(self, fit: Fit, timings: int = TIMINGS) -> int:
+        """Time a few steps of a training that has not begun, see `rehearse`; returns how many fit into the time."""
+        self.pace = rehearse(fit, timings if self.seconds >= HASTE else 1)
+        self.pause = PAUSE * self.pace.last
+        self.leg = self.spent, fit.step, fit.done
+        return self.pace.steps(self.left)
+
+    def judged(self, pause: float) -> None:
+        """The training was judged, which took `pause` seconds."""
+        self.pause, self.pauses, self.paused = pause, self.pauses - 1, self.paused + pause
+
+    def mark(self, fit: Fit) -> None:
+        """If the last time was long ago, learn from the steps since then how long those to come will take; fit them in."""
+        spent, step, done = self.leg
+        stepping = self.spent - spent - self.paused
+        if stepping < OFTEN * self.seconds:
+            return
+        self.leg, self.paused = (self.spent, fit.step, fit.done), 0.0
+        self.pace.learn(stepping, fit.step - step, done, fit.done)
+        fit.retime(self.pace.steps(self.left, fit.done))
+
+    def state(self) -> list:
+        """For a checkpoint."""
+        pace = self.pace
+        return [self.spent, self.pauses, self.pause, pace.half, pace.full, pace.half_until, pace.slow]
+
+    def load(self, state: list, fit: Fit) -> None:
+        """Go on from `state()`."""
+        spent, self.pauses, self.pause, *pace = state
+        self.began -= spent
+        self.pace = Pace(*pace)
+        self.leg = self.spent, fit.step, fit.done
+
+
+def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
+    """Time real steps of a training that has not begun, small and grown; it is then as it was, bit for bit.
+
+    Each kind is timed `timings` times, and the middle one counts.
+    """
+    before, options = copy.deepcopy(snapshot(fit)), fit.options
+    late = min(options.half_until, LATE)
+    fit.options = options._replace(half_until=late)  # a full step is timed even where training has none: films are full
+    few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
+    fit.fill_up()
+    many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
+    restore(fit, before)
+    fit.options, fit.clock.seconds = options, {}
+    return Pace((few[0], many[0]), (few[1], many[1]), options.half_until)
+
+
+def hold(fit: Fit, done: float = LATE) -> None:
+    """From now on a training stays at a share of its schedule, however many steps it takes."""
+    fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
+
+
+def _timed(fit: Fit, done: float, timings: int) -> float:
+    """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`."""
+    hold(fit, done)
+    for _ in range(WARM_UP):
+        fit.advance()
+    views, took = fit.options.views_per_decode, []
+    often = math.lcm(views, fit.options.perceptual_every or 1)
+    often = often if often <= LONG else views
+    count = often * math.ceil(TIMED / often)
+    for _ in range(timings):
+        began = time.perf_counter()
+        for _ in range(count):
+            fit.advance()
+        took.append((time.perf_counter() - began) / count)
+    return median(took)

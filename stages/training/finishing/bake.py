@@ -1,0 +1,170 @@
+"""From what was trained to the person that is kept: what frames have not taught is filled in, and nobody is seen through."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from stages.avatar.body.rotations import rotation_z_to
+from stages.avatar.body.smpl import edge_lengths, vertex_normals
+from stages.avatar.model.human import Canonical, rest
+from stages.avatar.splats.compose import painted
+from stages.avatar.splats.gaussians import finite_rows
+from stages.avatar.splats.neighbours import median_near, nearest, spread_out
+from stages.training.densify import strays
+from stages.training.finishing.depths import evened
+from stages.training.losses import widened
+from stages.training.views import Person, Views, asked
+
+TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
+EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
+EDGE_DOUBT = 0.05  # neighbours' pixels for each at an outline; with 1 twice the accuracy is lost, for the same look
+DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
+SURE = 0.1  # of that mean: neighbours that are asked paint this many
+NEIGHBOURS = 24  # that are asked
+FAR = 0.05  # metres to the nearest of them, from where the median of so few is a chance: a pale collar became a stripe
+SPOTS = 200  # spread over what is seen, each the median of its neighbours: far ones ask the nearest of these
+ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
+COMPANY = 8  # neighbours of a Gaussian of a surface
+APART = 1.2  # times as far away as a body vertex has them: what floats beside the person, if it is small, too
+SMALL = 5.0  # times its own size away from them
+THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
+INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
+THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
+LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
+PEELS = 8  # times at most: what goes may have hidden others
+
+
+class Finished(NamedTuple):
+    """The `person` to keep, and how many Gaussians were left out, moved back, recoloured or added on the way."""
+
+    person: Canonical
+    broken: int
+    strays: int
+    evened: int
+    leant: int
+    lining: int
+
+
+def finished(person: Canonical, lost: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
+    """What is kept of a trained person: without what is not finite, strayed, floats or lost[N] its part; even, leant, lined.
+
+    `frames` of `views` are those it was trained on.
+    """
+    whole = finite_rows(person)
+    kept = Canonical(*(part[whole] for part in person))
+    stray = strays(kept.means, body.vertices) | lost[whole]
+    stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
+    kept, moved = evened(Canonical(*(part[~stray] for part in kept)), body, views, frames)
+    kept, leant = lean(kept, body, views, frames)
+    done = lined(kept, body, views, frames)
+    return Finished(done, int((~whole).sum()), int(stray.sum()), moved, leant, len(done.means) - len(kept.means))
+
+
+def floating(person: Canonical, body: Person) -> Tensor:
+    """Which rows [N] are no part of a surface: farther from their neighbours than the body's nearest vertex is from its own,
+    and than they reach, or thick across the skin.
+    """
+    under = nearest(body.vertices, person.means, 1)[1][:, 0]
+    usual = nearest(body.vertices, body.vertices, COMPANY + 1)[0][under, -1]
+    away = nearest(person.means, person.means, COMPANY + 1)[0][:, -1]
+    normals = vertex_normals(body.vertices, body.faces)[under]
+    thick = ((normals[:, None] @ person.frames)[:, 0] * person.scales).norm(dim=1)
+    return ((away > APART * usual) & (away > SMALL * person.scales.amax(1))) | (thick > THICK)
+
+
+def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor) -> Canonical:
+    """The person as `decoded`, but `untaught`, as the body says, in rows where no training frame has shown it.
+
+    taught[N] >= 0 is the sum of the gradients of each colour. There networks speak to features that are still random.
+    """
+    never = unseen(taught)
+    pairs = zip(untaught, decoded, strict=True)
+    return Canonical(*(torch.where(never.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
+
+
+def unseen(taught: Tensor) -> Tensor:
+    """Which rows [N] no training frame has shown, by the sums taught[N] of the gradients of their colours."""
+    return taught <= TAUGHT * taught.mean()
+
+
+def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
+    """Colours that frames have not shown well lean on the nearest that they have: on the median of these, over a larger
+    patch where the nearest are far.
+
+    At an outline a pixel mixes the person with what is behind, and masks end late. A Gaussian that `frames` of `views`
+    show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay.
+    Returned with it: how many colours are more their neighbours' than their own.
+    """
+    inside, edge, _ = _painted(person, body, views, frames)[0].unbind(1)
+    mean = inside.mean()
+    sure = (inside > SURE * mean) & (inside > 2 * edge)
+    if not sure.any():
+        return person, 0
+    means = person.means
+    away, rows = nearest(means[sure], means, NEIGHBOURS)
+    around, far = person.sh[sure][rows].median(1).values, away[:, 0] > FAR
+    spots = sure.nonzero()[:, 0][spread_out(means[sure], SPOTS)]
+    around[far] = median_near(around[spots], means[spots], means[far], ASKED)
+    own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
+    return person._replace(sh=own * person.sh + (1 - own) * around), int((own < 0.5).sum())
+
+
+def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
+    """The person and, after its rows, an opaque lining under the skin, which shows in holes that new poses tear open.
+
+    The lining is the body's own vertices moved inwards, in the colours above them. Where it would show beside the
+    person's masks in `frames` of `views`, it is left out: there the person is thinner than the body.
+    """
+    inner = _lining(person, body)
+    for _ in range(PEELS):
+        both = Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
+        counts, pixels = _painted(both, body, views, frames)
+        leaks = counts[len(person.means) :, 2] > LEAK * pixels
+        if not leaks.any():
+            break
+        inner = Canonical(*(part[~leaks] for part in inner))
+    return Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
+
+
+def _lining(person: Canonical, body: Person) -> Canonical:
+    normals = vertex_normals(body.vertices, body.faces)
+    depth = torch.full_like(normals[:, :1], INSET)
+    for _ in range(6):
+        distance, _ = nearest(body.vertices, body.vertices - depth * normals, 1)
+        depth[distance < THIN * depth] *= 0.5
+    means = body.vertices - depth * normals
+    half = 0.5 * edge_lengths(body.vertices, body.faces)
+    opaque = person.opacities >= person.opacities.max().clamp(max=0.5)
+    return Canonical(
+        means=means,
+        frames=rotation_z_to(normals),
+        scales=torch.stack([1.2 * half, 1.2 * half, 0.25 * half], 1),
+        opacities=torch.full_like(half, 0.99),
+        sh=median_near(person.sh[opaque], person.means[opaque], means, 8),
+        weights=body.weights,
+    )
+
+
+def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
+    """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
+    masks' pixels: sums over those of `frames` that are asked.
+
+    The first two only count where the skin under a Gaussian faces the camera: the far side shines through the near one.
+    """
+    bones = body.canonical_bones()
+    _, under = nearest(body.vertices, person.means, 1)
+    outwards = vertex_normals(body.vertices, body.faces)[under[:, 0]]
+    resting, skin = rest(person, bones), rest(person._replace(frames=rotation_z_to(outwards)), bones)
+    counts, pixels = torch.zeros_like(person.means), 0.0
+    for i in asked(body, views, frames):
+        mask = views.masks[i].float() / 255
+        splats, inside = body.posed(resting, i), -widened(-mask, EDGE)
+        paints = painted(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
+        sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
+        facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
+        counts += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
+        pixels += mask.sum().item()
+    return counts, pixels

@@ -1,0 +1,70 @@
+"""What one training step draws: everything, the person alone, and what of the scene is before the person."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from stages.avatar.rasterize import Layer
+from stages.avatar.splats.gaussians import Splats
+from stages.training.schedule import Options
+from stages.training.views import NEAR, person_box
+
+CELLS = 64  # along the longer side of a picture, in which the person's nearest depth is looked up
+
+
+@torch.no_grad()
+def veil(scene: Splats, person: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int) -> Tensor:
+    """Which Gaussians of the scene are nearer to a camera than the person's means[N,3] in the same part of the picture.
+
+    Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told. Beside
+    the person they count that are nearer than all of them. The floor under a foot is farther than the foot, and stays:
+    if a depth of the whole person decides, it goes, and shadows fall into the hole.
+    """
+    size = max(width, height) / CELLS
+    columns, rows = math.ceil(width / size), math.ceil(height / size)
+
+    def seen(points: Tensor) -> tuple[Tensor, Tensor]:
+        local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+        on = local[:, :2] / local[:, 2:].clamp_min(NEAR) * K.diagonal()[:2] + K[:2, 2]
+        column, row = (on / size).floor().nan_to_num(-1.0).unbind(1)  # what is not finite is in no cell
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (local[:, 2] > NEAR)
+        return local[:, 2], torch.where(inside, row * columns + column, rows * columns).long()
+
+    (depth, cell), (theirs, home) = seen(scene.means), seen(person)
+    nearest = theirs.new_full((rows * columns + 1,), torch.inf).scatter_reduce(0, home, theirs, "amin")
+    nearest[-1] = torch.inf
+    first = theirs[home < rows * columns]
+    beside = first.amin() if len(first) else -torch.inf
+    return depth < torch.where(nearest.isinf(), beside, nearest)[cell]
+
+
+def layers_of(
+    human: Splats | None,
+    scene: Splats | None,
+    mask: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    options: Options,
+    generator: torch.Generator,
+) -> dict[str, Layer]:
+    """The pictures that a step's losses need, by name: `all`, `person`, and `veil` where the scene learns.
+
+    mask[H,W] 0..1 and K[3,3] px of the frame; the random backgrounds come from `generator`.
+    """
+    layers = {}
+    if scene is not None:
+        layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K), stop=options.early_stop)
+    if human is not None:
+        n, total = len(human.means), len(human.means) + (0 if scene is None else len(scene.means))
+        rows = torch.arange(total, device=K.device) < n
+        height, width = mask.shape
+        box = person_box(mask, human.means.detach(), viewmat, K)
+        if options.human_loss:
+            layers["person"] = Layer(rows, box, torch.rand(3, generator=generator).to(K), options.early_stop)
+        if scene is not None and scene.means.requires_grad:
+            before = torch.cat([~rows[:n], veil(scene, human.means, viewmat, K, width, height)])
+            layers["veil"] = Layer(before, box, stop=options.early_stop)
+    return layers

@@ -1,0 +1,46 @@
+"""Who moves what: one Adam for the person, one for the scene, one for effects, one for what is learned per frame."""
+
+from __future__ import annotations
+
+from torch import nn
+from torch.optim import Adam, Optimizer, SparseAdam
+
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.scene import SceneModel
+from stages.training.refine import FrameCorrections
+from stages.training.schedule import LR_EFFECTS, LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE
+
+
+def optimizers(
+    frames: FrameCorrections,
+    human: HumanModel | None,
+    scene: SceneModel | None,
+    extent: float,
+    effects: nn.Module | None = None,
+) -> dict[str, Optimizer]:
+    """The optimisers of `frames`, `human`, `scene` and of the `effects` that have anything to learn.
+
+    Each group has its `name` and `base` rate, lengths by `extent` m.
+    """
+    groups = {"frames": [([getattr(frames, n).weight], n, rate) for n, rate in LR_FRAMES.items()]}
+    if human is not None:
+        rates = LR_HUMAN | LR_OWN
+        parts = {name: [getattr(owner, name)] for owner, name in human.rows()}
+        if human.triplane is not None:
+            parts["triplane"] = [human.triplane.table]
+            parts |= {name: list(network.parameters()) for name, network in human.decoders.named_children()}
+        groups["human"] = [(parameters, name, rates[name]) for name, parameters in parts.items()]
+    if scene is not None:
+        rates = LR_SCENE | {"means": LR_SCENE["means"] * extent}
+        groups["scene"] = [([getattr(scene, name)], name, rate) for name, rate in rates.items()]
+    learned = {} if effects is None else dict(effects.named_parameters())
+    if learned:
+        groups["effects"] = [([p], n, LR_EFFECTS[n.rpartition(".")[2]]) for n, p in learned.items()]
+    return {
+        name: (SparseAdam if name == "frames" else _adam)([dict(zip(("params", "name", "base"), g)) for g in rows])
+        for name, rows in groups.items()
+    }
+
+
+def _adam(groups: list[dict]) -> Adam:
+    return Adam(groups, eps=1e-15, fused=True)

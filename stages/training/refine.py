@@ -1,0 +1,88 @@
+"""What is learned per frame: small corrections of the person's pose and place, and of the camera and its exposure."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from stages.avatar.effects.camera_refinement import corrected
+from stages.training.views import Person
+
+
+class FrameCorrections(nn.Module):
+    """Corrections of F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m, log gain [F,3].
+
+    And of cameras: turn [F,3] rad and shift [F,3] m, see `effects.camera_refinement`. Rows have sparse gradients, so
+    that a frame moves only when it is seen.
+    """
+
+    def __init__(self, frames: int):
+        super().__init__()
+        self.pose = nn.Embedding(frames, 72, sparse=True)
+        self.place = nn.Embedding(frames, 3, sparse=True)
+        self.gain = nn.Embedding(frames, 3, sparse=True)
+        self.turn = nn.Embedding(frames, 3, sparse=True)
+        self.shift = nn.Embedding(frames, 3, sparse=True)
+        for table in self.children():
+            nn.init.zeros_(table.weight)
+
+    def body(self, frame: int, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, ...]:
+        """Corrected global_orient[3], body_pose[69] and transl[3] of one frame."""
+        row = torch.tensor(frame, device=transl.device)
+        pose = torch.cat([global_orient, body_pose]) + self.pose(row)
+        return pose[:3], pose[3:], transl + self.place(row)
+
+    def gains(self, frame: int) -> Tensor:
+        """Factors [3] on the drawn colours of one frame."""
+        return self.gain(torch.tensor(frame, device=self.gain.weight.device)).exp()
+
+    def camera(self, frame: int, viewmat: Tensor, trained: Tensor) -> Tensor:
+        """The corrected camera [4,4] of a frame; the mean correction of the frames trained[F] is taken off."""
+        row = torch.tensor(frame, device=viewmat.device)
+        tables = self.turn, self.shift
+        return corrected(viewmat, *(table(row) - table.weight.detach()[trained].mean(0) for table in tables))
+
+    @torch.no_grad()
+    def bodies(self, person: Person, trained: Tensor, moments: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; frames not trained[F] take their neighbours'."""
+        turn, place = (spread(table.weight, trained, moments) for table in (self.pose, self.place))
+        return person.global_orient + turn[:, :3], person.body_pose + turn[:, 3:], person.transl + place
+
+    @torch.no_grad()
+    def all_gains(self, trained: Tensor, moments: Tensor | None) -> Tensor:
+        """Exposure factors [F,3], of geometric mean 1 over the frames trained[F]; the others take their neighbours'."""
+        table = self.gain.weight
+        return spread(table - table[trained].mean(0), trained, moments).exp()
+
+    @torch.no_grad()
+    def cameras(self, viewmats: Tensor, trained: Tensor, moments: Tensor | None) -> Tensor:
+        """The corrected cameras [F,4,4]; those not trained[F] take their neighbours', as far as these agree."""
+        tables = [table.weight - table.weight[trained].mean(0) for table in (self.turn, self.shift)]
+        known = trained[:, None].to(viewmats.device)
+        shares = (torch.where(known, 1.0, agreement(table[trained])) for table in tables)
+        return corrected(viewmats, *(share * spread(t, trained, moments) for share, t in zip(shares, tables)))
+
+
+def agreement(rows: Tensor) -> Tensor:
+    """How much of a row [D] of rows[F,D] its neighbour tells, 0..1: the correlation of rows that follow each other.
+
+    Errors that drift agree, those of each frame's own say nothing of the next; 0 for rows of zeros.
+    """
+    return ((rows[1:] * rows[:-1]).sum() / rows.square().sum().clamp_min(1e-30)).clamp(0, 1)
+
+
+def spread(table: Tensor, trained: Tensor, moments: Tensor | None = None) -> Tensor:
+    """Rows [F,D], those of untrained frames (trained[F] bool) from their neighbours: linear, constant at the ends.
+
+    Neighbours in time: `moments` [F] int64, not falling; None: the frames follow each other.
+    """
+    at = torch.arange(len(table), device=table.device) if moments is None else moments
+    rows, known = trained.nonzero()[:, 0].to(at.device), at[trained]
+    if len(known) == 0:
+        return torch.zeros_like(table)
+    right = torch.searchsorted(known, at).clamp(max=len(known) - 1)
+    left = (right - 1).clamp(min=0)
+    left = torch.where(known[right] <= at, right, left)
+    gap = (known[right] - known[left]).clamp_min(1)
+    part = ((at - known[left]) / gap).clamp(0, 1).to(table)[:, None]
+    return table[rows[left]] * (1 - part) + table[rows[right]] * part

@@ -1,0 +1,112 @@
+"""What training looks at: the pictures of a clip, the fitted body in them, and the window around the person."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from stages.avatar.effects.clothing import Clothing
+from stages.avatar.model.human import Resting, bone_transforms, pose
+from stages.avatar.splats.gaussians import Splats
+from stages.avatar.splats.neighbours import evenly
+
+CROP = 12  # pixels left around the person in the person-only render
+LOOKS = 32  # training frames that are asked what they show
+NEAR = 0.05  # metres: points of the person nearer to the camera do not widen the window
+
+
+class Views(NamedTuple):
+    """Pictures: images uint8[F,H,W,3], masks uint8[F,H,W] (255 = person), viewmats[F,4,4] (metres), Ks[F,3,3] px.
+
+    moments int64[F], not falling: when each was taken, in frames; None: one after the other.
+    """
+
+    images: Tensor
+    masks: Tensor
+    viewmats: Tensor
+    Ks: Tensor
+    moments: Tensor | None = None
+
+    def half(self) -> Views:
+        """The same at half the resolution, by area."""
+        height, width = (max(1, n // 2) for n in self.masks.shape[1:])
+        images = torch.stack(
+            [_shrunk(image.permute(2, 0, 1), (height, width)).permute(1, 2, 0) for image in self.images]
+        )
+        masks = torch.stack([_shrunk(mask[None], (height, width))[0] for mask in self.masks])
+        Ks = self.Ks.clone()
+        Ks[:, 0] *= width / self.masks.shape[2]
+        Ks[:, 1] *= height / self.masks.shape[1]
+        return Views(images, masks, self.viewmats, Ks, self.moments)
+
+
+def _shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
+    """A picture uint8 [C,H,W] at another size, by area: in floats one at a time, whatever the clip's length."""
+    return F.adaptive_avg_pool2d(picture.float(), size).round().to(torch.uint8)
+
+
+class Person(NamedTuple):
+    """The fitted body of all frames, and what the canonical pose needs.
+
+    global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
+    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3],
+    how their clothes move, if they are known to, and whether they are drawn antialiased.
+    """
+
+    global_orient: Tensor
+    body_pose: Tensor
+    transl: Tensor
+    confidence: Tensor
+    joints: Tensor
+    parents: list[int]
+    canonical_pose: Tensor
+    vertices: Tensor
+    weights: Tensor
+    faces: Tensor
+    clothing: Clothing | None = None
+    antialias: bool = False
+
+    def canonical_bones(self) -> Tensor:
+        """Transforms [24,4,4] of the bones from rest to the canonical pose."""
+        return bone_transforms(self.joints, self.parents, torch.zeros_like(self.joints[0]), self.canonical_pose)
+
+    def bones(self, frame: int) -> Tensor:
+        """Transforms [24,4,4] of the bones from rest to the pose of a frame; `transl` is not in them."""
+        return bone_transforms(self.joints, self.parents, self.global_orient[frame], self.body_pose[frame])
+
+    def posed(self, resting: Resting, frame: int) -> Splats:
+        """Someone at rest with this body and these clothes, as they stand in a frame."""
+        dressed = resting if self.clothing is None else self.clothing(resting, self.body_pose[frame])
+        return pose(dressed, self.bones(frame), self.transl[frame])._replace(antialias=self.antialias)
+
+
+def asked(body: Person, views: Views, frames: list[int]) -> list[int]:
+    """At most LOOKS of those `frames` that show the person, spread evenly."""
+    return evenly([i for i in frames if body.confidence[i] > 0 and views.masks[i].max() > 0], LOOKS)
+
+
+def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:
+    """Window (left, top, right, bottom) px of the picture around the person's mask[H,W] and points[N,3] in the world."""
+    height, width = mask.shape
+    rows, columns = (mask > 0.5).any(1).nonzero()[:, 0], (mask > 0.5).any(0).nonzero()[:, 0]
+    low, high = [], []
+    if len(rows):
+        low.append(torch.stack([columns[0], rows[0]]))
+        high.append(torch.stack([columns[-1], rows[-1]]) + 1)
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    local = local[local[:, 2] > NEAR]
+    if len(local):
+        at = local[:, :2] / local[:, 2:] * torch.stack([K[0, 0], K[1, 1]]) + K[:2, 2]
+        low.append(at.amin(0).floor())
+        high.append(at.amax(0).ceil())
+    if not low:
+        return 0, 0, width, height
+    size = torch.tensor([width, height])
+    start = (
+        (torch.stack([p.cpu().float() for p in low]).amin(0) - CROP).clamp(torch.zeros(2), size - 1.0).int().tolist()
+    )
+    end = (torch.stack([p.cpu().float() for p in high]).amax(0) + CROP).clamp(torch.ones(2), size * 1.0).int().tolist()
+    return start[0], start[1], max(end[0], start[0] + 1), max(end[1], start[1] + 1)

@@ -1,0 +1,49 @@
+"""The stage's process: what it tells of what went wrong, and what it is given to compute with."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import pytest
+
+from hugs_cli.cache.child import failed, processors
+from stages.contract import StageError
+
+
+class OutOfMemoryError(RuntimeError):
+    """As torch.cuda's."""
+
+
+def raised(error: Exception) -> dict:
+    try:
+        raise error
+    except Exception as caught:
+        return failed(caught, "store/train.part")
+
+
+@pytest.mark.parametrize(
+    ("error", "problem"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "the disk is full at store/train.part"),
+        (MemoryError(), "the machine has no memory left for this stage"),
+        (OutOfMemoryError("CUDA out of memory. Tried"), "the machine has no memory left for this stage"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory"), "the machine has no memory left for this stage"),
+    ],
+)
+def test_what_the_machine_lacks_is_an_error_with_a_hint(error, problem):
+    event = raised(error)
+    assert event["event"] == "error" and event["problem"] == problem and event["hint"]
+
+
+def test_a_stage_error_passes_unchanged_and_a_bug_is_one_line_with_its_traceback():
+    event = raised(StageError("no person", "look", ["in 3 frames"]))
+    assert event == {"event": "error", "problem": "no person", "facts": ("in 3 frames",), "hint": "look"}
+    event = raised(OSError(errno.ENOENT, "No such file"))
+    assert event["event"] == "crash" and "Traceback" in event["traceback"]
+    event = raised(ValueError("first\nsecond"))
+    assert event["problem"] == "ValueError: first" and "second" in event["traceback"]
+
+
+def test_processors_are_those_of_this_process():
+    assert 1 <= processors() <= len(os.sched_getaffinity(0))

@@ -1,0 +1,328 @@
+"""What re-runs and why; killed, stopped, doubled and damaged runs. Every test goes through the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+
+import pytest
+
+from hugs_cli.cache import engine
+from hugs_cli.cache.engine import UsageError
+
+ALL = ["one", "two", "three", "four"]
+WHOLE = "four:a(two:a(one:a(pixels)),three:a(one:a(pixels)))"
+
+
+def child_of(pid: int) -> list[int]:
+    """Processes that a process started."""
+    return [int(p) for p in open(f"/proc/{pid}/task/{pid}/children").read().split()]
+
+
+def alive(pid: int) -> bool:
+    """True while a process runs (a dead one that nobody has waited for does not)."""
+    try:
+        return open(f"/proc/{pid}/stat").read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_first_run_makes_all_and_the_second_nothing(flow):
+    out, err = flow.hugs()
+    assert out == "work/clip/default/four\n"
+    assert flow.text("four") == WHOLE
+    assert [line.split()[:2] for line in err.splitlines()[1:]] == [[name, "done"] for name in ALL]
+    assert "first run" in err
+    out, err = flow.hugs()
+    assert [line.split()[:3] for line in err.splitlines()[1:]] == [[name, "cached", "saved"] for name in ALL]
+
+
+def test_run_of_one_stage_runs_what_it_needs_and_no_more(flow):
+    assert list(flow.ran("two")) == ["one", "two"]
+    assert list(flow.ran("two", "three")) == ["three"]
+    out, _ = flow.hugs("two")
+    assert out == "work/clip/default/two\n"
+
+
+def test_comments_and_docstrings_make_nothing_stale(flow):
+    flow.hugs()
+    flow.edit("helper", "# with a comment", "# with another comment, and a line\n")
+    flow.edit("helper", "What all stages do.", "What every stage does.")
+    flow.edit("two", "Write one file.", "Write a file.")
+    flow.edit("two", "What to write.", "The word to write.")
+    assert flow.ran() == {}
+
+
+def test_edited_helper_reruns_all_that_import_it_and_same_bytes_stop_the_wave(flow):
+    flow.hugs()
+    flow.edit("helper", "count = len(", "count = 0 + len(")
+    assert flow.ran() == {name: ["code flow.helper edited"] for name in ALL}
+    flow.edit("two", "from flow import helper", "from flow import helper as helper; helper.x = 1")
+    assert flow.ran() == {"two": ["code flow.two edited"]}  # four sees the same bytes
+    flow.edit("one", '"one"', '"eins"')
+    ran = flow.ran()
+    assert ran["one"] == ["code flow.one edited"]
+    assert ran["two"] == ["inputs.one changed"]
+    assert ran["four"] == ["inputs.three changed", "inputs.two changed"]
+
+
+def test_a_changed_input_tells_what_its_stage_decides_otherwise(flow):
+    note = '; (job.out / \'one.json\').write_text(\'{"decisions": {"shadow": true, "sky": false}}\')'
+    flow.edit("one", "[video])", "[video])" + note)
+    flow.hugs("two")
+    flow.edit("one", "true", "false")
+    assert flow.ran("one") == {"one": ["code flow.one edited"]}
+    out, _ = flow.hugs("two", command="why")
+    assert "inputs   one                    changed since: shadow on -> off" in out and "sky" not in out
+    assert flow.ran("two")["two"] == ["inputs.one changed (shadow on -> off)"]
+
+
+def test_edited_code_and_settings_are_named_together(flow):
+    flow.hugs()
+    flow.edit("two", "helper.work(", "helper.x = 1; helper.work(")
+    ran = flow.ran("--set", "two.word=b")
+    assert ran == {"two": ["params.word: a -> b", "code flow.two edited"], "four": ["inputs.two changed"]}
+
+
+def test_settings_that_only_change_speed_make_nothing_stale(flow):
+    flow.hugs()
+    assert flow.ran("--set", "four.delay=0.1") == {}
+    assert flow.ran("--set", "four.word=b") == {"four": ["params.word: a -> b"]}
+    assert flow.ran() == {}  # the first result is still there
+    assert flow.text("four") == WHOLE
+
+
+def test_h20_edited_video_and_masks(flow):
+    flow.hugs()
+    flow.video.write_text("other pixels")
+    assert flow.ran()["one"] == ["inputs.video changed"]
+    masks = flow.folder / "masks.txt"
+    masks.write_text("m")
+    assert flow.ran("--masks", "masks.txt")["three"] == ["inputs.mask_files new"]
+    assert flow.ran("--masks", "masks.txt") == {}
+    masks.write_text("n")
+    assert flow.ran("--masks", "masks.txt") == {
+        "three": ["inputs.mask_files changed"],
+        "four": ["inputs.three changed"],
+    }
+    os.utime(flow.video)
+    assert flow.ran("--masks", "masks.txt") == {}  # touched, not changed
+
+
+def test_seed_is_in_the_key_and_force_is_not(flow):
+    flow.hugs()
+    assert flow.ran("one", "--seed", "1") == {"one": ["seed: 0 -> 1"]}
+    assert flow.ran() == {}
+    assert flow.ran("two", "--force") == {"two": ["forced"]}
+    assert flow.ran("--force") == {name: ["forced"] for name in ALL}
+    assert not list(flow.store.glob("*.old"))
+
+
+def test_pipelines_share_results(flow):
+    flow.hugs()
+    assert flow.ran("--pipeline", "other") == {"four": ["first run"]}
+    assert flow.text("four", "other").startswith("four:z(")
+    assert (flow.work / "clip/other/one").resolve() == (flow.work / "clip/default/one").resolve()
+
+
+@pytest.mark.parametrize("stage", ALL)
+def test_killed_inside_each_stage_and_run_again(flow, stage):
+    slow = f"{stage}.delay=30"
+    run = flow.start("--set", slow)
+    flow.wait_for(lambda: list(flow.store.glob(f"{stage}-*.part/step0")))
+    children = child_of(run.pid)
+    run.kill()
+    run.wait()
+    before = {name for name in ALL if (flow.work / "clip/default" / name).exists()}
+    assert stage not in before
+    flow.wait_for(lambda: not any(map(alive, children)))  # the stage ends with its run
+    assert not [folder for folder in flow.store.iterdir() if folder.name.startswith(stage) and folder.suffix != ".part"]
+    ran = flow.ran("--set", f"{stage}.delay=0.05")
+    assert set(ran) == set(ALL) - before
+    how = "continues a run cut short" if stage == "three" else "last run was cut short"
+    assert ran[stage] == ["first run", how]
+    assert flow.text("four") == WHOLE
+    stamp = json.loads((flow.work / "clip/default" / stage / "stamp.json").read_text())
+    assert (stamp["notes"] == ["began at step 0"]) == (stage != "three")
+    assert not list(flow.store.glob("*.part"))
+
+
+def test_what_a_stage_says_twice_is_kept_once(flow):
+    flow.edit(
+        "helper", "# with a comment", "[say(text) for say in (job.note, job.warn) for text in ('again', 'again')]"
+    )
+    flow.ran()
+    stamp = json.loads((flow.work / "clip/default/one/stamp.json").read_text())
+    assert stamp["notes"] == stamp["warnings"] == ["again"]
+
+
+def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
+    run = flow.start("--set", "two.delay=30")
+    flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
+    os.kill(child_of(run.pid)[0], signal.SIGKILL)
+    _, err = run.communicate(timeout=30)
+    assert run.returncode == 1
+    assert "error: stage two was killed by SIGKILL" in err and "hint: most often the system ran out of memory" in err
+    lines = [json.loads(line) for line in (flow.work / "clip/runs.jsonl").read_text().splitlines()]
+    assert [(line["stage"], line["result"]) for line in lines] == [("one", "done"), ("two", "killed")]
+
+
+@pytest.mark.parametrize(("number", "stage"), [(signal.SIGTERM, "two"), (signal.SIGINT, "three")])
+def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, stage):
+    run = flow.start("--set", f"{stage}.delay=30")
+    flow.wait_for(lambda: list(flow.store.glob(f"{stage}-*.part/step0")))
+    asked = time.monotonic()
+    run.send_signal(number)
+    _, err = run.communicate(timeout=30)
+    assert run.returncode == 130 and time.monotonic() - asked < 5
+    assert err.splitlines()[-1].startswith(f"stopped in {stage}; the next run ")
+    ran = flow.ran("--set", f"{stage}.delay=0.05")
+    assert "one" not in ran and stage in ran
+    assert flow.text("four") == WHOLE
+
+
+def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
+    first = flow.start("--set", "two.delay=1.5")
+    flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
+    _, err = flow.hugs("--set", "two.delay=1.5")
+    assert f"waiting: process {first.pid} is working on this clip" in err
+    assert err.count(" cached ") == 4
+    _, err = first.communicate(timeout=30)
+    assert first.returncode == 0 and err.count(" done ") == 4
+    lines = [json.loads(line) for line in (flow.work / "clip/runs.jsonl").read_text().splitlines()]
+    assert [line["stage"] for line in lines] == ALL
+
+
+def test_damaged_results_are_made_again(flow):
+    flow.hugs()
+    folder = (flow.work / "clip/default/two").resolve()
+    time_ = (folder / "out.txt").stat().st_mtime_ns
+    (folder / "out.txt").write_text("half")
+    assert flow.ran() == {"two": ["result damaged: out.txt is not what was written"]}
+    (folder / "out.txt").write_text((folder / "out.txt").read_text())  # same bytes, another time
+    assert flow.ran() == {} and (folder / "out.txt").stat().st_mtime_ns != time_
+    (folder / "out.txt").unlink()
+    assert flow.ran() == {"two": ["result damaged: out.txt is missing"]}
+    (folder / "stamp.json").write_text("{")
+    assert list(flow.ran()) == ["two"]
+    assert flow.text("four") == WHOLE
+
+
+def test_half_written_part_is_emptied_unless_the_stage_resumes(flow):
+    flow.hugs()
+    for stage in ("two", "three"):
+        folder = (flow.work / f"clip/default/{stage}").resolve()
+        part = folder.with_name(folder.name + ".part")
+        folder.rename(part)
+        (part / "step0").write_text("")
+        (part / "rubbish").write_text("")
+    assert list(flow.ran()) == ["two", "three", "four"]  # what three kept is new content for four
+    assert not (flow.work / "clip/default/two/rubbish").exists()
+    assert (flow.work / "clip/default/three/rubbish").exists()
+
+
+def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
+    flow.edit("two", "from flow import helper", "from stages.contract import StageError\n    raise StageError("
+              "'only 41 of 300 frames placed', 'try `--set two.word=b`', ['median 38 matches'])")  # fmt: skip
+    out, err = flow.hugs(code=1)
+    assert out == ""
+    assert err.endswith("error: only 41 of 300 frames placed\n  median 38 matches\n\nhint: try `--set two.word=b`\n")
+    assert "Traceback" not in err and "  two      failed" in err
+    flow.edit("two", "raise StageError(", "print('seen'); 1 / 0; StageError(")
+    _, err = flow.hugs(code=1)
+    assert "Traceback" in err and "error: stage two has a bug: ZeroDivisionError: division by zero" in err
+    assert "seen" in next(flow.store.glob("two-*.part/log.txt")).read_text()
+    assert (flow.work / "clip/default/one").is_dir()
+
+
+def test_a_stage_that_writes_nothing_or_dies_early_is_an_error(flow):
+    flow.edit("two", "helper.work(", "return (")
+    _, err = flow.hugs(code=1)
+    assert "error: stage two has a bug: it ended as if all was well but wrote no file" in err
+    flow.edit("two", "from flow import helper", "import os; os._exit(3)")
+    _, err = flow.hugs(code=1)
+    assert "error: stage two ended with exit code 3" in err
+    flow.edit("two", "import os; os._exit(3)", "import os; os.abort()")
+    _, err = flow.hugs(code=1)
+    assert "error: stage two was killed by SIGABRT" in err
+
+
+def test_a_worker_that_a_stage_leaves_behind_does_not_hold_the_run(flow):
+    line = "import os, time\n    if os.fork() == 0:\n        time.sleep(60)\n        os._exit(0)\n    "
+    flow.edit("four", "from flow import helper", line + "from flow import helper")
+    flow.hugs()
+    assert flow.text("four") == WHOLE
+
+
+def test_status_why_and_dry_run_say_what_would_run(flow):
+    out, _ = flow.hugs(command="status")
+    assert [line.split()[:2] for line in out.splitlines()] == [[name, "missing"] for name in ALL]
+    assert not flow.work.exists()
+    flow.hugs()
+    flow.edit("two", '"two"', '"zwei"')
+    out, _ = flow.hugs("--dry-run")
+    states = {line.split()[0]: line.split()[1] for line in out.splitlines()}
+    assert states == {"one": "fresh", "two": "stale", "three": "fresh", "four": "waits"}
+    out, _ = flow.hugs("two", "--set", "two.word=b", command="why")
+    assert "two would run. Its last result (" in out
+    assert "  code     flow.two               edited since" in out
+    assert "  params   word                   a -> b" in out
+    assert "Same as before: one, 0 settings, 2 modules" in out
+    out, _ = flow.hugs("one", command="why")
+    assert out.startswith("one is fresh (")
+    rows = json.loads(flow.hugs("--json", command="status")[0])
+    assert [(row["stage"], row["state"]) for row in rows] == list(states.items())
+
+
+def test_accept_takes_code_changes_and_nothing_else(flow):
+    flow.hugs()
+    flow.hugs("--pipeline", "other")
+    flow.edit("helper", "count = len(", "count = 0 + len(")
+    out, _ = flow.hugs("two", command="accept")
+    assert "two not accepted, only changes of code can be: code flow.helper edited, after one" in out
+    out, _ = flow.hugs(command="accept")
+    assert out.count("accepted: ") == 4 and "code flow.helper edited" in out
+    assert flow.ran() == {}
+    assert flow.ran("--pipeline", "other") == {"four": ["code flow.helper edited"]}
+    out, _ = flow.hugs("--set", "two.word=b", "two", command="accept")
+    assert out == "two not accepted, only changes of code can be: params.word: a -> b\n"
+    stamp = json.loads((flow.work / "clip/default/one/stamp.json").read_text())
+    assert stamp["accepted"][0]["changes"] == ["code flow.helper edited"]
+
+
+def test_gc_removes_what_nothing_links_to(flow):
+    flow.hugs()
+    flow.hugs("--set", "four.word=b")
+    flow.hugs("--pipeline", "other")
+    (flow.store / "two-00000000.part").mkdir()
+    kept = {p.name for p in flow.store.iterdir()}
+    out, _ = flow.hugs("--dry-run", command="gc")
+    assert out.count("would remove") == 2 and {p.name for p in flow.store.iterdir()} == kept
+    out, _ = flow.hugs(command="gc")
+    assert out.count("removed") == 2
+    assert flow.ran("--set", "four.word=b") == {}
+    assert flow.ran("--pipeline", "other") == {}
+    assert flow.ran() == {"four": ["params.word: b -> a"]}
+
+
+def test_runs_are_logged_with_cost_and_machine(flow):
+    flow.hugs("one")
+    (line,) = map(json.loads, (flow.work / "clip/runs.jsonl").read_text().splitlines())
+    assert line["stage"] == "one" and line["result"] == "done" and line["reasons"] == ["first run"]
+    assert line["seconds"] > 0 and line["peak_memory_bytes"] > 1e6
+    stamp = json.loads((flow.work / "clip/default/one/stamp.json").read_text())
+    assert stamp["machine"]["device"] == "cpu" and "python" in stamp["machine"]["versions"]
+    assert (flow.work / "clip/default/one/log.txt").exists()
+
+
+def test_a_gpu_counts_only_with_gsplat(monkeypatch):
+    monkeypatch.setattr(engine, "find_device", lambda: "cuda")
+    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
+    assert engine.device_of("auto") == engine.device_of("cpu") == "cpu"
+    with pytest.raises(UsageError) as error:
+        engine.device_of("cuda")
+    assert "gsplat" in error.value.problem and "hugs-avatar[gpu]" in error.value.hint
+    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: object())
+    assert engine.device_of("auto") == engine.device_of("cuda") == "cuda"

@@ -1,0 +1,140 @@
+"""Digests of code: what counts, what does not, and how imports are followed."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hugs_cli.cache.fingerprint import Code, content_digest, look_into, stat_digest
+
+BASE = '''
+"""Doc."""
+X = 1
+
+def f(a, b=2):
+    """Doc of f."""
+    # comment
+    return a + b * X
+'''
+
+
+def code(text: str) -> str:
+    return look_into(text.encode(), "p.m", False)["digest"]
+
+
+@pytest.mark.parametrize(
+    "same",
+    [
+        BASE.replace("Doc of f.", "Another."),
+        BASE.replace("# comment", "# more\n\n"),
+        BASE.replace('"""Doc."""', ""),
+        BASE.replace("a + b * X", "(a + (b * X))"),
+        BASE.replace("X = 1", 'X = 1\n"""About X."""'),
+    ],
+)
+def test_docstrings_comments_and_layout_do_not_count(same):
+    assert code(same) == code(BASE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("X = 1", "X = 2"), ("X = 1", "X = 1.0"), ("a + b", "a - b"), ("b=2", "b=3"), ("X = 1", "X = '1'"), ("f(", "g(")],
+)
+def test_everything_else_counts(old, new):
+    assert code(BASE.replace(old, new)) != code(BASE)
+
+
+names = st.sampled_from(["a", "b", "c"])
+expressions = st.recursive(
+    st.one_of(names, st.integers(0, 3).map(str), st.sampled_from(["''", "'x'", "()", "[]", "None"])),
+    lambda inner: st.one_of(
+        st.tuples(inner, st.sampled_from("+-*"), inner).map(lambda t: f"({t[0]} {t[1]} {t[2]})"),
+        st.lists(inner, max_size=3).map(lambda x: f"f({', '.join(x)})"),
+        st.lists(inner, max_size=3).map(lambda x: f"[{', '.join(x)}]"),
+    ),
+    max_leaves=6,
+)
+
+
+@given(expressions, expressions)
+def test_digests_are_equal_exactly_where_the_trees_are(first, second):
+    first, second = f"x = {first}", f"x = {second}"
+    assert (code(first) == code(second)) == (ast.dump(ast.parse(first)) == ast.dump(ast.parse(second)))
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package `pkg` in which `pkg.stage` comes to other modules in every way there is."""
+    files = {
+        "pkg/__init__.py": "'doc'",
+        "pkg/stage.py": "import os\nfrom pkg import a\ndef run():\n    from .sub import b\n    import pkg.sub.deep.c\n",
+        "pkg/a.py": "import numpy\n",
+        "pkg/other.py": "",
+        "pkg/sub/__init__.py": "from . import d as e\n",
+        "pkg/sub/b.py": "from ..late import value\nimport importlib\nx = importlib.import_module('pkg.named')\n",
+        "pkg/sub/d.py": "from pkg.a import thing\nDATA = 'table.npz'\n",
+        "pkg/sub/deep/__init__.py": "",
+        "pkg/sub/deep/c.py": "from . import nothing_there\n",
+        "pkg/late.py": "value = 1\n",
+        "pkg/named.py": "import pkg.stage\n",
+        "pkg/table.npz": "1",
+        "pkg/unused.npz": "1",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_imports_are_followed_wherever_they_stand_and_named_data_files_count(package):
+    found = Code().digests("pkg.stage")
+    assert list(found) == [
+        "pkg",
+        "pkg.a",
+        "pkg.late",
+        "pkg.named",
+        "pkg.stage",
+        "pkg.sub",
+        "pkg.sub.b",
+        "pkg.sub.d",
+        "pkg.sub.deep",
+        "pkg.sub.deep.c",
+        "pkg/table.npz",
+    ]
+    (package / "pkg/table.npz").write_text("2")
+    (package / "pkg/unused.npz").write_text("2")
+    (package / "pkg/late.py").write_text("value = 2\n")
+    (package / "pkg/other.py").write_text("x = 1\n")
+    new = Code().digests("pkg.stage")
+    assert {name for name in found if found[name] != new[name]} == {"pkg/table.npz", "pkg.late"}
+
+
+def test_remembered_digests_are_the_same_and_a_broken_memory_does_no_harm(package, tmp_path):
+    memory = tmp_path / "code.json"
+    first = Code(memory)
+    found = first.digests("pkg.stage")
+    first.save()
+    second = Code(memory)
+    assert second.digests("pkg.stage") == found and second.known
+    (package / "pkg/late.py").write_text("value = 3\n")
+    assert Code(memory).digests("pkg.stage")["pkg.late"] != found["pkg.late"]
+    memory.write_text("{half")
+    assert set(Code(memory).digests("pkg.stage")) == set(found)
+
+
+def test_digests_of_folders_follow_names_and_bytes(tmp_path):
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    (folder / "a.png").write_text("a")
+    (folder / "b.png").write_text("b")
+    content, stat = content_digest(folder), stat_digest(folder)
+    (folder / ".DS_Store").write_text("x")
+    assert (content_digest(folder), stat_digest(folder)) == (content, stat)
+    (folder / "a.png").rename(folder / "c.png")
+    assert content_digest(folder) != content and stat_digest(folder) != stat
+    (folder / "c.png").rename(folder / "a.png")
+    assert content_digest(folder) == content

@@ -1,0 +1,117 @@
+"""`hugs ablate` on a pipeline that trains nothing: what is run, what is shared, what is printed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hugs_cli.studies import ablate
+from hugs_cli.studies.comparison import cell
+from hugs_cli.studies.variants import ABLATIONS
+
+PARTS = ["", *(f".{part}" for part in ABLATIONS)]
+
+
+def ablate_(clip, *args: str, code: int = 0) -> tuple[str, str]:
+    return clip.hugs("--pipeline", "tiny", *args, command="ablate", code=code)
+
+
+def test_a_dry_run_lists_every_training_and_runs_none(clip):
+    out, err = ablate_(clip, "--dry-run", "--seeds", "2")
+    first, *rows = out.splitlines()
+    assert first == "12 trainings: 0 cached, 12 to do" and not err and not clip.work.exists()
+    assert [row.split() for row in rows] == [["tiny" + p, "seed", s, "missing"] for s in "01" for p in PARTS]
+    assert len(json.loads(ablate_(clip, "--dry-run", "--json")[0])) == 18
+
+
+def test_parts_can_be_chosen_or_none_for_the_spread_of_seeds_alone(clip):
+    out, _ = ablate_(clip, "--dry-run", "--seeds", "1", "--part", "no_lbs", "--part", "no_joint")
+    assert [row.split()[0] for row in out.splitlines()[1:]] == ["tiny", "tiny.no_lbs", "tiny.no_joint"]
+    lines = ablate_(clip, "--part", "none")[0].splitlines()
+    assert [line.split()[0] for line in lines if line.startswith("tiny")] == ["tiny"] * sum(
+        "PSNR" in line for line in lines
+    )
+    assert all("±" in line for line in lines if line.startswith("tiny"))
+    assert "no part 'no_lbz'" in ablate_(clip, "--part", "no_lbz", code=2)[1]
+
+
+def test_all_share_what_lies_before_training_and_are_cached(clip):
+    clip.hugs("--pipeline", "tiny")
+    out, err = ablate_(clip, "--seeds", "2")
+    assert err.startswith("12 trainings: 1 cached, 11 to do, about ")
+    counts = {name: len(list(clip.store.glob(f"{name}-*"))) for name in ("one", "train", "evaluate")}
+    assert counts == {"one": 1, "train": 12, "evaluate": 12}
+    assert ablate_(clip, "--seeds", "2")[0] == out
+    assert "12 trainings: 12 cached, 0 to do\n" in ablate_(clip, "--dry-run", "--seeds", "2")[0]
+    assert "18 trainings: 12 cached, 6 to do" in ablate_(clip, "--dry-run")[0]
+    assert clip.hugs(command="gc")[0] == "0 B freed\n"
+
+
+def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(clip):
+    out, _ = ablate_(clip, "--part", "none", "--seeds", "2")
+    assert "paper" not in out, "not its clip"
+    listing = clip.work / "clip" / "tiny" / "frames" / "frames.json"
+    listing.parent.mkdir()
+    listing.write_text(json.dumps({"dataset": {"name": "neuman", "sequence": "bike"}}))
+    numbers = {"psnr_per_channel": 25.0, "ssim": 0.9, "lpips_legacy": 0.1}
+    found = {"": [{"full": numbers}, {"full": numbers | {"psnr_per_channel": 26.0}}]}
+    table = ablate.beside_the_paper(listing.parent, "tiny", found)
+    assert table["full"]["tiny"]["psnr_per_channel"]["mean"] == 25.5
+    blank = {metric: {"mean": None, "spread": None} for metric in ("psnr", "ssim", "lpips")}
+    heldout = {"tiny": dict.fromkeys(("full", "person_crop", "person_white"), blank)}
+    lines = ablate.table({"pipeline": "tiny", "seeds": [0, 1], "heldout": heldout, "paper": table})
+    block = lines[lines.index("beside the paper, measured as its code does") :]
+    assert block[2].split()[:2] == ["whole", "picture"] and "PSNR BY CHANNEL" in block[2]
+    assert block[3].split() == ["tiny", "25.50", "±0.71", "0.9000", "±0.0000", "0.1000", "±0.0000"]
+    assert block[4].split()[3:] == ["25.46", "0.8400", "0.1300"], "of HUGS"
+    assert block[7].split() == ["tiny", "-", "-", "-"], "the person's box was not measured"
+
+
+def test_a_variant_is_the_pipeline_with_one_setting_and_has_a_status(clip):
+    ablate_(clip, "--seeds", "1")
+    for part, setting in ABLATIONS.items():
+        assert json.loads(clip.text("train", f"tiny.{part}")) == [0, [setting]]
+        states = json.loads(clip.hugs("--pipeline", f"tiny.{part}", "--json", command="status")[0])
+        assert [row["state"] for row in states] == ["fresh"] * 3
+        assert clip.ran("--pipeline", "tiny", "--set", f"train.{setting}=false") == {}
+    assert json.loads(clip.text("train", "tiny.no_joint")) == [0, ["joint"]]
+
+
+def test_the_table_has_mean_spread_and_difference(clip):
+    out, _ = ablate_(clip, "--seed", "4", "--set", "one.word=b")
+    lines = [line.split() for line in out.splitlines()]
+    assert lines[0][:4] == ["frames", "never", "trained", "on,"]
+    assert lines[2] == ["whole", "picture", "PSNR", "SSIM", "LPIPS"] and lines[10][0] == "person"
+    assert lines[18][:3] == ["person", "over", "white"] and len(lines) == 25
+    assert lines[3] == ["tiny", "35.00", "±1.00", "0.9000", "±0.0000", "0.1000", "±0.0000"]
+    assert lines[4][:4] == ["tiny.no_lbs", "30.00", "±1.00", "-5.00"]
+    result = json.loads(ablate_(clip, "--seed", "4", "--set", "one.word=b", "--json")[0])
+    assert (result["clip"], result["pipeline"], result["seeds"]) == ("clip.mp4", "tiny", [4, 5, 6])
+    got = result["heldout"]["tiny.no_joint"]["person_crop"]["psnr"]
+    assert got == {"mean": 30.0, "spread": 1.0, "difference": -5.0, "values": [29.0, 30.0, 31.0]}
+
+
+def test_without_a_scene_the_person_over_white_is_compared(clip):
+    out, err = ablate_(clip, "--seeds", "1", "--set", "evaluate.scene=false")
+    for part in ablate.NEEDS_SCENE:
+        assert f"tiny.{part} is left out: it needs a scene" in err and part not in out
+    assert "person over white" in out and "whole picture" not in out and "tiny.no_triplane" in out
+
+
+def test_one_seed_has_no_spread_and_what_was_not_measured_no_number():
+    assert cell({"mean": 28.914, "spread": None, "difference": -0.3}, 2) == "28.91  -0.30"
+    assert cell({"mean": None, "spread": None, "difference": None}, 2) == "-"
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "problem", "hint"),
+    [
+        ("default", "pipeline default: no stage 'train'", "one of: one, two, three, four"),
+        ("tiny.no_lbs", "tiny.no_lbs is a variant already", "`--pipeline tiny`"),
+        ("tiny.no_lsb", "pipeline tiny: no variant 'no_lsb'", "did you mean `no_lbs`?"),
+    ],
+)
+def test_pipelines_that_cannot_be_compared_are_refused(clip, pipeline, problem, hint):
+    _, err = clip.hugs("--pipeline", pipeline, command="ablate", code=2)
+    assert err.startswith(f"error: {problem}\n") and hint in err

@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.cameras import lens
+from stages.avatar.cameras import pinhole as cameras
+from stages.estimators.cameras.motion import (
+    Pair,
+    camera_rotations,
+    fit_rotation_camera,
+    judge_motion,
+    rotations_between,
+)
+
+WIDTH, HEIGHT, FOCAL = 480, 360, 520.0
+K = cameras.pinhole(FOCAL, WIDTH, HEIGHT)
+FRAMES = 24
+
+
+def clip(turn: float, travel: float, flat: bool = False, k: float = 0.0, noise: float = 0.2, outliers: float = 0.0):
+    """Pairs and views of a synthetic clip: `turn` degrees and `travel` metres to each side, points 3 to 8 m away."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform([-6, -4, 3], [6, 4, 8], (1500, 3))
+    if flat:
+        points[:, 2] = 5 + 0.3 * points[:, 0]
+    phase = np.linspace(0, 2 * np.pi, FRAMES)
+    views = np.tile(np.eye(4), (FRAMES, 1, 1))
+    angles = np.stack([turn * np.sin(phase), 0.4 * turn * np.sin(2 * phase), 0.2 * turn * np.cos(phase)], 1)
+    views[:, :3, :3] = Rotation.from_euler("yxz", angles, degrees=True).as_matrix()
+    at = np.stack([travel * np.sin(phase), 0.1 * travel * np.cos(phase), 0.2 * travel * np.sin(phase)], 1)
+    views[:, :3, 3] = -(views[:, :3, :3] @ at[..., None])[..., 0]
+    seen = []
+    for view in views:
+        pixels, z = cameras.project(points, view, K)
+        pixels = lens.distort((pixels - K[:2, 2]) / FOCAL, k) * FOCAL + K[:2, 2] + rng.normal(0, noise, pixels.shape)
+        seen.append((pixels, (z > 0.1) & (pixels > 0).all(1) & (pixels < [WIDTH, HEIGHT]).all(1)))
+    pairs = []
+    for gap in (1, 2, 4, 8, 16):
+        for i in range(FRAMES - gap):
+            (a, in_a), (b, in_b) = seen[i], seen[i + gap]
+            both = np.flatnonzero(in_a & in_b)[:200]
+            wrong = rng.random(len(both)) < outliers
+            moved = b[both] + wrong[:, None] * rng.normal(0, 60, (len(both), 2))
+            if len(both) >= 15:
+                pairs.append(Pair(i, i + gap, a[both], moved))
+    return pairs, views
+
+
+def test_a_static_camera_is_named_even_with_moving_things_in_view():
+    motion = judge_motion(clip(0, 0, outliers=0.3)[0], WIDTH, HEIGHT)
+    assert motion.verdict == "static camera" and motion.displacement_px < 0.5
+
+
+@pytest.mark.parametrize(("turn", "k"), [(14, 0.0), (14, -0.08), (14, 0.06), (3, 0.0)])
+def test_i01_a_turning_camera_is_named_and_calibrated(turn, k, held):
+    motion = judge_motion(clip(turn, 0, k=k, outliers=0.1)[0], WIDTH, HEIGHT)
+    assert motion.verdict == "rotation only"
+    held(motion.rotation_residual_px / motion.rotation_limit_px, 0.6)
+    if turn > 10:
+        assert motion.focal_px == pytest.approx(FOCAL, rel=0.03) and motion.k == pytest.approx(k, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("turn", "travel", "flat"), [(8, 0.8, False), (0, 0.5, False), (3, 0.2, False), (5, 0.8, True)]
+)
+def test_i01_i03_a_travelling_camera_is_not_taken_for_a_turning_one(turn, travel, flat, held):
+    motion = judge_motion(clip(turn, travel, flat)[0], WIDTH, HEIGHT)
+    assert motion.verdict == "moving"
+    held(motion.rotation_limit_px / motion.rotation_residual_px, 1 / 1.5)
+
+
+@pytest.mark.parametrize(("travel", "nearly"), [(0.15, True), (0.8, False)])
+def test_a_camera_that_travels_little_nearly_turns(travel, nearly):
+    motion = judge_motion(clip(8, travel)[0], WIDTH, HEIGHT)
+    assert motion.verdict == "moving" and motion.nearly_turns is nearly
+
+
+def test_i03_a_known_focal_length_is_kept():
+    pairs, _ = clip(10, 0)
+    focal, _, residuals = fit_rotation_camera(pairs[-20:], WIDTH, HEIGHT, FOCAL)
+    assert focal == pytest.approx(FOCAL) and np.median(residuals) < 0.5
+
+
+def test_rotations_are_found_in_the_first_camera_and_lonely_frames_are_marked():
+    pairs, views = clip(14, 0)
+    rotations, known = camera_rotations(pairs, FRAMES + 1, FOCAL, 0.0, WIDTH, HEIGHT)
+    truth = views[:, :3, :3] @ views[0, :3, :3].T
+    assert known[:-1].all() and not known[-1] and np.array_equal(rotations[-1], np.eye(3))
+    off = Rotation.from_matrix(rotations[:-1] @ truth.mT).magnitude()
+    assert np.degrees(off).max() < 0.1
+
+
+def test_rotation_between_rays_ignores_outliers_and_never_mirrors():
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(1, 60, 3)) * [0.3, 0.3, 0.05] + [0, 0, 1]
+    a /= np.linalg.norm(a, axis=-1, keepdims=True)
+    R = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix()
+    b = a @ R.T
+    b[0, :6] = a[0, :6]
+    found = rotations_between(a, b, 0.003)[0]
+    assert np.abs(found - R).max() < 2e-3 and np.linalg.det(found) == pytest.approx(1)

@@ -1,0 +1,107 @@
+"""Several people before the built-in segmenter: all are found, one is followed, another can be picked, doubts are said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.contract import Job, StageError
+from stages.estimators.person.blazepose import NAMES, Pose, Roi, Sighting, clearest, masked
+from stages.estimators.person.outline import outline
+from stages.estimators.person.people import Company
+from stages.formats.body_model import read_body_model
+from stages.synthetic.clip import make_clip
+
+FRAMES = [f"{3 * i:06d}" for i in range(6)]
+
+
+def seen(frame: int, x: float, side: float, score: float = 0.9) -> Sighting:
+    """Somebody whose hips are at x, 100."""
+    roi = Roi(x, 100.0, side, 0.0)
+    xy = np.full((len(NAMES), 2), [x, 100.0])
+    return Sighting(frame, score, roi, Pose(xy, xy[:, 0], xy[:, 0], np.zeros((33, 3)), 1.0, roi, roi))
+
+
+def company(sightings: list[Sighting], person: int | str | None = None) -> tuple[Company, list[str]]:
+    said: list[str] = []
+    return Company(Job(Path(), emit=lambda event: said.append(event["text"])), FRAMES, sightings, person), said
+
+
+TWO = [seen(0, 50, 80), seen(2, 52, 90), seen(2, 250, 60), seen(5, 55, 100)]
+
+
+def test_the_largest_is_followed_and_the_others_are_named_with_numbers():
+    one, said = company(TWO)
+    assert one.start is TWO[3]
+    assert said[0].startswith(
+        "2 people in frame 000006, several in 1 of 3 frames looked at: 1 at x 52, y 100 px, 90 px across; 2 at"
+    )
+    assert "following the largest" in said[1] and "--person" in said[1]
+
+
+def test_another_is_picked_by_number_and_an_unknown_one_is_refused():
+    one, said = company(TWO, 2)
+    assert one.start is TWO[2] and "following person 2" in said[1]
+    for person in (3, 0, "bob"):
+        with pytest.raises(StageError, match=f"no person {person!r} in view") as error:
+            company(TWO, person)
+        assert "2 seen in frame 000006: 1 at x 52" in error.value.facts[0] and "--person" in error.value.hint
+    with pytest.raises(StageError, match="no person 1 in view"):
+        company([], 1)
+
+
+def test_one_person_is_not_worth_a_word():
+    one, said = company([seen(0, 50, 80), seen(3, 60, 80)])
+    assert one.start.frame in (0, 3) and said == []
+    assert company([])[0].start is None
+
+
+def test_an_outline_that_holds_two_and_a_jump_are_said():
+    one, said = company(TWO)
+    mask = np.full((200, 300), 255, np.uint8)
+    one.look(2, TWO[1].pose, mask)
+    one.close()
+    assert "holds somebody else too in 1 of 1 frames looked at, first 000006" in said[-1]
+    alone, said = company(TWO)
+    mask[:, 150:] = 0
+    alone.look(2, TWO[1].pose, mask)
+    alone.close()
+    assert len(said) == 2
+    poses = [TWO[0].pose, TWO[0].pose, None, TWO[2].pose, TWO[0].pose, TWO[0].pose]
+    alone.warn_of_jumps(poses)
+    assert "jumps in 1 of 6 frames, first 000012" in said[-1]
+
+
+def test_the_masked_person_is_followed():
+    masks = [np.zeros((200, 300), np.uint8) for _ in FRAMES]
+    masks[2][80:120, 230:270] = 255
+    assert masked(TWO, masks) is TWO[2] and clearest(TWO) is TWO[3]
+    assert masked(TWO, [np.zeros((200, 300), np.uint8)] * 6) is TWO[3], "masks that fit nobody choose nobody"
+
+
+@pytest.mark.slow
+def test_two_people_side_by_side_are_found_and_either_is_followed(blazepose):
+    clip = make_clip(read_body_model(), width=240, height=320, frames=3, fps=4).frames
+    images, truth = [], []
+    for i in range(3):
+        small = [cv2.resize(p[2 - i], (180, 240), interpolation=cv2.INTER_AREA) for p in (clip.images, clip.masks)]
+        right = np.full((320, 180, 3), 90, np.uint8), np.zeros((320, 180), np.uint8)
+        for whole, part in zip(right, small, strict=True):
+            whole[80:] = part
+        images.append(np.concatenate([clip.images[i], right[0]], 1))
+        one, two = np.zeros((320, 420), bool), np.zeros((320, 420), bool)
+        one[:, :240], two[:, 240:] = clip.masks[i] > 127, right[1] > 127
+        truth.append((one, two))
+    sightings = blazepose.sightings(images)
+    assert max(sum(one.frame == i for one in sightings) for i in range(3)) == 2
+    alone = blazepose.sightings(list(clip.images))
+    assert len({one.frame for one in alone}) == len(alone) == 3, "one person is seen once a frame"
+    for person in (None, 2):
+        poses = blazepose.track(images, company(sightings, person)[0].start)
+        found = outline(blazepose, images[0], poses[0].next_roi) > 0.5
+        wanted, other = truth[0] if person != 2 else truth[0][::-1]
+        assert (found & wanted).sum() / (found | wanted).sum() > 0.75 and not (found & other).any()
+    assert masked(sightings, [two.astype(np.uint8) * 255 for _, two in truth]).pose.next_roi.x > 240

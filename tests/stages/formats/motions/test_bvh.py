@@ -1,0 +1,187 @@
+"""BVH files: what they mean, and what is said of broken ones."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stages.contract import StageError
+from stages.formats.body_model import JOINT_NAMES
+from stages.formats.motions.bvh import read_bvh
+from stages.formats.motions.bvh_names import map_body
+from tests.stages.bvh_made import MIXAMO
+
+GOOD = """HIERARCHY
+ROOT Bip01 Pelvis
+{
+  OFFSET 1 2 3
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+  JOINT Knee {
+    OFFSET 0 -5 0
+    CHANNELS 2 Yrotation Xrotation
+    End Site
+    {
+      OFFSET 0 -4 0
+    }
+  }
+  JOINT Slider
+  {
+    OFFSET 7 8 9
+    CHANNELS 1 Yposition
+  }
+}
+MOTION
+Frames: 2
+Frame Time: .025
+10 20 30 90 0 0 0 0 1
+11 20 30 30 20 10 50 60 2
+"""
+
+
+def write(tmp_path, text):
+    path = tmp_path / "m.bvh"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_what_a_file_means(tmp_path):
+    bvh = read_bvh(write(tmp_path, GOOD))
+    assert bvh.names == ("Bip01 Pelvis", "Knee", "", "Slider") and bvh.parents.tolist() == [-1, 0, 1, 0]
+    assert bvh.fps == pytest.approx(40) and len(bvh) == 2
+    np.testing.assert_allclose(bvh.places[1], [[11, 20, 30], [0, -5, 0], [0, -4, 0], [7, 2, 9]])
+    np.testing.assert_allclose(bvh.rotations[0, 0] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    x, y, z = (Rotation.from_euler(axis, angle, degrees=True) for axis, angle in (("x", 10), ("y", 20), ("z", 30)))
+    np.testing.assert_allclose(bvh.rotations[1, 0], (z * y * x).as_matrix(), atol=1e-12)
+    x, y = (Rotation.from_euler(axis, angle, degrees=True) for axis, angle in (("x", 60), ("y", 50)))
+    np.testing.assert_allclose(bvh.rotations[1, 1], (y * x).as_matrix(), atol=1e-12)
+    np.testing.assert_array_equal(bvh.rotations[:, 2:], np.tile(np.eye(3), (2, 2, 1, 1)))
+
+
+def test_line_ends_case_and_byte_order_marks_do_not_matter(tmp_path):
+    other = "\ufeff" + GOOD.replace("\n", "\r\n\r\n").replace("OFFSET", "offset").replace("Zrotation", "zRotation")
+    a, b = read_bvh(write(tmp_path, GOOD)), read_bvh(write(tmp_path, other))
+    np.testing.assert_array_equal(a.rotations, b.rotations)
+
+
+@pytest.mark.parametrize(
+    "old,new,line,expected,found",
+    [
+        ("HIERARCHY", "HIERARCHIE", 1, "HIERARCHY", "HIERARCHIE"),
+        ("ROOT Bip01 Pelvis", "ROOT", 2, "the name of a joint", "ROOT"),
+        ("ROOT", "JOINT", 2, "ROOT", "JOINT Bip01 Pelvis"),
+        ("{\n  OFFSET 1", "OFFSET 1", 3, "{", "OFFSET 1 2 3"),
+        ("OFFSET 1 2 3", "OFFSET 1 2", 4, "3 numbers (x y z)", "2 numbers"),
+        ("OFFSET 1 2 3", "OFFSET 1 2,5 3", 4, "3 numbers (x y z)", "'2,5'"),
+        ("OFFSET 1 2 3", "OFFSET 1 inf 3", 4, "finite numbers (x y z)", "inf"),
+        ("  OFFSET 1 2 3\n", "", 4, "OFFSET", "CHANNELS 6"),
+        ("CHANNELS 6", "CHANNELS 5", 5, "a count and as many channels", "'5' and 6 channels"),
+        ("CHANNELS 2 Yrotation Xrotation", "CHANNELS", 8, "a count and as many", "'none'"),
+        ("CHANNELS 1 Yposition", "CHANNELS 1 Wrotation", 17, "channels of Xposition", "'Wrotation'"),
+        ("CHANNELS 2 Yrotation Xrotation", "CHANNELS 2 Xrotation Xrotation", 8, "each channel once", "Xrotation"),
+        ("JOINT Slider", "JOINT Knee", 14, "a name of its own", "'Knee' twice"),
+        ("JOINT Slider", "BONE Slider", 14, "JOINT, End Site or a closing brace", "BONE Slider"),
+        ("OFFSET 0 -4 0\n    }", "OFFSET 0 -4 0\n    CHANNELS 1 Xrotation }", 12, "}", "CHANNELS 1 Xrotation"),
+        ("  }\n}\nMOTION", "  }\nMOTION", 19, "a closing brace (of Bip01 Pelvis)", "MOTION"),
+        ("MOTION", "ROOT Two", 20, "MOTION", "ROOT Two"),
+        ("Frames: 2", "Frames: two", 21, "a whole number of frames", "Frames: two"),
+        ("Frames: 2", "Frames: 0", 21, "at least 1", "Frames: 0"),
+        ("Frame Time: .025", "Frame Time: 0", 22, "above 0 s", "Frame Time: 0"),
+        ("Frame Time: .025", "Frame Time:", 22, "1 numbers (seconds", "0 numbers"),
+        ("90 0 0 0 0 1", "90 0 0 0 0", 23, "9 numbers (the channels of frame 0)", "8 numbers"),
+        ("60 2", "60 x", 24, "the channels of frame 1", "'x'"),
+        ("60 2", "60 nan", 24, "finite numbers", "nan"),
+        ("60 2\n", "60 2\n1 2 3\n", 25, "the end of the file after 2 frames", "1 2 3"),
+    ],
+)
+def test_broken_files_are_refused_with_line_and_expectation(tmp_path, old, new, line, expected, found):
+    assert old in GOOD
+    path = write(tmp_path, GOOD.replace(old, new, 1))
+    with pytest.raises(StageError) as refused:
+        read_bvh(path)
+    assert refused.value.problem == f"line {line} of {path} is not as in a BVH"
+    assert expected in refused.value.facts[0] and found in refused.value.facts[1] and refused.value.hint
+
+
+@pytest.mark.parametrize(
+    "text,problem,fact",
+    [
+        ("", "ends too soon", "after line 0: expected HIERARCHY"),
+        (GOOD[: GOOD.index("  JOINT Slider")], "ends too soon", "expected JOINT, End Site or a closing brace"),
+        (GOOD[: GOOD.index("11 20")], "ends too soon", "after line 23: 1 frames of 2"),
+        (b"HIERARCHY \xff\xfe\x00", "is not a text", "utf-8"),
+    ],
+)
+def test_cut_files_are_refused(tmp_path, text, problem, fact):
+    with pytest.raises(StageError, match=problem) as refused:
+        read_bvh(write(tmp_path, text))
+    assert fact in refused.value.facts[0]
+
+
+def test_a_thousand_joints_in_a_row_are_no_trouble(tmp_path):
+    deep = "".join(f"JOINT j{i} {{ OFFSET 0 1 0\nCHANNELS 0\n" for i in range(2000))
+    text = f"HIERARCHY\nROOT r {{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n{deep}{'}' * 2001}\nMOTION\nFrames: 1\nFrame Time: 1\n0\n"
+    with pytest.raises(StageError, match="no person"):
+        map_body(read_bvh(write(tmp_path, text)), tmp_path)
+
+
+FAMILIES = {
+    "mixamo": [f"mixamorig:{name}" for name in MIXAMO],
+    "cmu": """hip LeftHip RightHip abdomen LeftKnee RightKnee chest LeftAnkle RightAnkle chest2 LeftToe RightToe neck
+        LeftCollar RightCollar head LeftShoulder RightShoulder LeftElbow RightElbow LeftWrist RightWrist a b""".split(),
+    "biped": """Bip01;Bip01 L Thigh;Bip01 R Thigh;Bip01 Spine;Bip01 L Calf;Bip01 R Calf;Bip01 Spine1;Bip01 L Foot;
+        Bip01 R Foot;Bip01 Spine2;Bip01 L Toe0;Bip01 R Toe0;Bip01 Neck;Bip01 L Clavicle;Bip01 R Clavicle;Bip01 Head;
+        Bip01 L UpperArm;Bip01 R UpperArm;Bip01 L Forearm;Bip01 R Forearm;Bip01 L Hand;Bip01 R Hand;L;R""".split(";"),
+    "rigify": """spine thigh.L thigh.R spine.001 shin.L shin.R spine.002 foot.L foot.R spine.003 toe.L toe.R spine.004
+        shoulder.L shoulder.R head upper_arm.L upper_arm.R forearm.L forearm.R hand.L hand.R palm.L palm.R""".split(),
+    "unreal": """pelvis thigh_l thigh_r spine_01 calf_l calf_r spine_02 foot_l foot_r spine_03 ball_l ball_r neck_01
+        clavicle_l clavicle_r head upperarm_l upperarm_r lowerarm_l lowerarm_r hand_l hand_r index_l index_r""".split(),
+    "poser": """hip lThigh rThigh abdomen lShin rShin chest lFoot rFoot chest2 lToe rToe neck lCollar rCollar head lShldr
+        rShldr lForeArm rForeArm lHand rHand lThumb rThumb""".split(),
+    "smpl": [name.replace("left_", "L_").replace("right_", "R_") for name in JOINT_NAMES],
+}
+
+
+def named(tmp_path, names, **more):
+    """A body's tree of joints under other names; `more` takes joints out."""
+    parents = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
+    without = more.get("without", ())
+
+    def told(joint):
+        inner = "".join(told(child) for child in range(24) if parents[child] == joint)
+        if joint in without:
+            return inner
+        kind = "ROOT" if joint == 0 else "JOINT"
+        return f"{kind} {names[joint].strip()}\n{{\nOFFSET 0 1 0\nCHANNELS 0\n{inner}}}\n"
+
+    return write(
+        tmp_path,
+        f"HIERARCHY\n{told(0)}MOTION\nFrames: 1\nFrame Time: 1\n".replace("CHANNELS 0", "CHANNELS 1 Xposition", 1)
+        + "0\n",
+    )
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_bodies_of_all_families_are_found(tmp_path, family):
+    names = [name.strip() for name in FAMILIES[family]]
+    path = named(tmp_path, names)
+    bvh = read_bvh(path)
+    body = map_body(bvh, path)
+    assert {joint: bvh.names[i] for joint, i in body.limbs.items()} == {
+        joint: names[joint] for joint in (*range(1, 12), 13, 14, *range(16, 22)) if joint not in (3, 6, 9)
+    }
+    assert bvh.names[body.pelvis] == names[0]
+    assert [bvh.names[i] for i in (*body.spine, *body.neck)] == [names[i] for i in (3, 6, 9, 12, 15)]
+    assert body.used == 22 and len(body.unused) == 2
+
+
+def test_toes_collars_and_a_head_may_be_missing(tmp_path):
+    path = named(tmp_path, MIXAMO, without=(10, 11, 13, 14, 15, 12))
+    body = map_body(read_bvh(path), path)
+    assert not {10, 11, 13, 14} & set(body.limbs) and body.neck == () and len(body.spine) == 3
+
+
+def test_a_missing_limb_is_named_with_what_there_is(tmp_path):
+    path = named(tmp_path, MIXAMO, without=(4, 21, 23))
+    with pytest.raises(StageError, match="no person's legs and arms") as refused:
+        map_body(read_bvh(path), path)
+    missing, joints = refused.value.facts
+    assert missing == "missing: left knee, right wrist" and "LeftUpLeg" in joints and "Mixamo" in refused.value.hint

@@ -1,0 +1,78 @@
+"""SMPL motions of other programs."""
+
+import numpy as np
+import pytest
+
+from stages.contract import StageError
+from stages.formats.motions.smpl import read_smpl_motion
+
+N = 5
+RNG = np.random.default_rng(0)
+POSES = RNG.normal(0, 0.3, (N, 165))
+TRANS = RNG.normal(size=(N, 3))
+
+
+def read(tmp_path, **arrays):
+    np.savez(tmp_path / "m.npz", **arrays)
+    return read_smpl_motion(tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize(
+    "arrays,kept,fps",
+    [
+        ({"poses": POSES[:, :72], "trans": TRANS}, 24, None),
+        ({"poses": POSES[:, :72].reshape(N, 24, 3), "transl": TRANS, "fps": 25}, 24, 25),
+        ({"poses": POSES[:, :156], "trans": TRANS, "mocap_framerate": 120.0, "gender": "male"}, 22, 120),
+        ({"poses": POSES, "trans": TRANS, "mocap_frame_rate": np.array([59.94])}, 22, 59.94),
+        ({"smpl_poses": POSES[:, :72], "smpl_trans": TRANS * 93.8, "smpl_scaling": [93.8]}, 24, 60),
+        ({"global_orient": POSES[:, :3], "body_pose": POSES[:, 3:72], "transl": TRANS}, 24, None),
+    ],
+    ids=["plain", "joints", "AMASS SMPL-H", "AMASS SMPL-X", "AIST++", "body.npz"],
+)
+def test_the_families(tmp_path, arrays, kept, fps):
+    motion = read(tmp_path, **arrays)
+    np.testing.assert_allclose(motion.rotvecs[:, :kept], POSES[:, : 3 * kept].reshape(N, kept, 3))
+    assert (motion.rotvecs[:, kept:] == 0).all() and motion.rotvecs.shape == (N, 24, 3)
+    np.testing.assert_allclose(motion.transl, TRANS, atol=1e-12)
+    assert motion.fps == (fps and pytest.approx(fps)) and len(motion) == N
+    assert bool(motion.notes) == (kept == 22)
+
+
+def test_pickles_beside_the_motion_are_not_opened(tmp_path):
+    labels = np.array([{"a": 1}], dtype=object)
+    assert len(read(tmp_path, poses=POSES, trans=TRANS, markers_latent_vids=labels)) == N
+
+
+GOOD = {"poses": POSES[:, :72], "trans": TRANS}
+
+
+@pytest.mark.parametrize(
+    "changed,problem,fact",
+    [
+        ({"poses": None}, "has no poses", "it holds trans"),
+        ({"trans": None}, "has no trans", "it holds poses"),
+        ({"poses": POSES[:, :63]}, "poses in .* wrong shape", "found 5x63, wanted 5x72"),
+        ({"poses": POSES[:3, :72]}, "poses in .* wrong shape", "found 3x72, wanted 5x72"),
+        ({"poses": np.array(1.0)}, "poses in .* wrong shape", "found a single number"),
+        ({"trans": TRANS[:, :2]}, "trans in .* wrong shape", "found 5x2"),
+        ({"trans": TRANS[:0], "poses": POSES[:0, :72]}, "holds no frame", "0x3"),
+        ({"poses": np.where(np.arange(72) == 7, np.nan, POSES[:, :72])}, "not finite", "[0, 7]"),
+        ({"poses": np.degrees(POSES[:, :72])}, "looks like degrees", "turns by"),
+        ({"mocap_framerate": 0.0}, "mocap_framerate in .* not above 0", "it is 0"),
+        ({"mocap_framerate": np.array([30.0, 60])}, "mocap_framerate in .* wrong shape", "found 2, wanted 1"),
+        ({"smpl_poses": POSES[:, :72], "smpl_trans": TRANS}, "has no smpl_scaling", "it holds"),
+        ({"poses": None, "body_pose": POSES[:, 3:72]}, "has no global_orient", "body_pose"),
+        ({"poses": POSES.astype(str)[:, :72]}, "does not hold numbers", "its type"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(tmp_path, changed, problem, fact):
+    arrays = {key: value for key, value in (GOOD | changed).items() if value is not None}
+    with pytest.raises(StageError, match=problem) as refused:
+        read(tmp_path, **arrays)
+    assert fact in refused.value.facts[0] and refused.value.hint
+
+
+def test_a_file_that_is_no_npz_is_refused(tmp_path):
+    (tmp_path / "m.npz").write_text("no zip")
+    with pytest.raises(StageError, match="cannot read"):
+        read_smpl_motion(tmp_path / "m.npz")

@@ -1,0 +1,184 @@
+"""What is kept of a person: unseen rows as the body says, colours that lean on sure ones, a lining under the skin."""
+
+import pytest
+import torch
+
+from stages.avatar.body.smpl import DA_POSE
+from stages.avatar.model.human import Canonical, bone_transforms, pose, rest
+from stages.avatar.splats.compose import compose
+from stages.avatar.splats.neighbours import nearest
+from stages.training.finishing import bake
+from stages.training.views import Person, Views, asked
+from tests.stages.avatar.effects.standing import around, stand
+
+SIZE, STILL = 192, torch.zeros(3)
+EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))
+ARMS_UP = DA_POSE.clone().view(23, 3)
+ARMS_UP[15, 2], ARMS_UP[16, 2] = 1.0, -1.0  # shoulders, far above the da-pose
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """A red person as the free body has it, opaque, and where it stands: at the origin, in the da-pose."""
+    human, where = stand(len(EYES))
+    red = torch.tensor([1.0, -1, -1]).expand(len(human), 1, 3)
+    person = human.untaught()
+    person = person._replace(sh=red, opacities=torch.full_like(person.opacities, 0.99), scales=1.5 * person.scales)
+    return person, where
+
+
+def drawn(person: Canonical, where: Person, frame: int, body_pose=DA_POSE):
+    resting = rest(person, where.canonical_bones())
+    splats = pose(resting, bone_transforms(where.joints, where.parents, STILL, body_pose), STILL)
+    cameras = views(torch.zeros(len(EYES), SIZE, SIZE))
+    return compose(splats, None, cameras.viewmats[frame], cameras.Ks[frame], SIZE, SIZE)
+
+
+def views(masks) -> Views:
+    return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), (255 * masks).round().byte(), *around(EYES, 270.0, SIZE))
+
+
+def silhouettes(person, where, body_pose=DA_POSE):
+    return torch.stack([drawn(person, where, frame, body_pose).alpha for frame in range(len(EYES))])
+
+
+@pytest.fixture(scope="module")
+def torn(standing):
+    """The same with a hole on each side of the chest, and what is kept of it; and which rows the holes took."""
+    person, where = standing
+    hole = (person.means[:, 0].abs() > 0.02) & (person.means[:, 0].abs() < 0.11)
+    hole &= where.weights[:, [3, 6, 9]].sum(1) > 0.5
+    left = Canonical(*(part[~hole] for part in person))
+    kept = bake.lined(left, where, views(silhouettes(person, where)), [0, 1, 2])
+    return left, kept, hole
+
+
+def test_nobody_is_seen_through_in_any_pose(standing, torn):
+    (person, where), (left, kept, hole) = standing, torn
+    assert hole.sum() > 50 and len(left.means) < len(kept.means)
+    for body_pose in (DA_POSE, ARMS_UP.flatten()):
+        whole, open_, closed = (silhouettes(p, where, body_pose)[0] for p in (person, left, kept))
+        seen = (whole > 0.98) & (open_ < 0.6)
+        assert seen.sum() > 40, "the hole is there"
+        assert closed[seen].quantile(0.02) > 0.9
+
+
+def test_the_lining_has_the_colour_of_the_skin_above_it(standing, torn):
+    (person, where), (left, kept, _) = standing, torn
+    assert torch.equal(kept.means[: len(left.means)], left.means), "the person's own rows stay as they are"
+    assert torch.allclose(kept.sh[len(left.means) :], person.sh[:1], atol=1e-6)
+    image = drawn(kept, where, 0).image
+    opaque = drawn(kept, where, 0).alpha > 0.98
+    red = 0.5 + 0.28209479 * person.sh[0, 0]
+    assert (image[opaque] - red).abs().max() < 0.03
+
+
+def test_the_lining_never_shows_beside_the_masks(standing, torn):
+    (person, where), (left, kept, _) = standing, torn
+    masks = silhouettes(person, where)
+    out = masks < 0.05
+    assert (silhouettes(kept, where)[out] - silhouettes(left, where)[out]).max() < 0.02
+    armless = Canonical(*(part[person.means[:, 0] < 0.3] for part in person))
+    kept = bake.lined(armless, where, views(silhouettes(armless, where)), [0, 1, 2])
+    inner = kept.means[len(armless.means) :]
+    assert len(inner) > 3000 and inner[:, 0].min() < -0.5 and inner[:, 0].max() < 0.4, "an arm that is not there"
+
+
+def test_the_lining_stays_inside_thin_parts(standing):
+    person, where = standing
+    inner = bake._lining(person, where)
+    depth = (inner.means - where.vertices).norm(dim=1)
+    assert depth.max() <= bake.INSET * 1.001 and (depth < 0.5 * bake.INSET).any(), "fingers are thinner than the inset"
+    apart = torch.cdist(inner.means, where.vertices).amin(1)
+    assert (apart > 0.6 * depth).all()
+
+
+def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
+    person, where = standing
+    empty = views(torch.zeros(len(EYES), SIZE, SIZE))
+    assert len(bake.lined(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
+
+
+def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
+    person, where = standing
+    cameras = views(silhouettes(person, where))
+    painted, pixels = bake._painted(person, where, cameras, [0, 1, 2])
+    assert (painted >= 0).all() and painted[:, :2].sum().item() > 0.9 * pixels
+    flank = painted[:, 0] < 0.3 * painted[:, 1]
+    front = (painted[:, 0] > bake.SURE * painted[:, 0].mean()) & (painted[:, 0] > 20 * painted[:, 1])
+    assert flank.sum() > 300 and front.sum() > 300
+    speckled = person._replace(sh=torch.where(flank[:, None, None], 2.0, person.sh))
+    off = lambda p: (p.sh - person.sh).abs().amax((1, 2))  # noqa: E731
+    out, leant = bake.lean(speckled, where, cameras, [0, 1, 2])
+    assert flank.sum() / 2 < leant < len(person.means)
+    assert off(out)[flank].mean() < 0.3 * off(speckled)[flank].mean() and off(out)[front].max() < 0.1
+    assert all(a is b for name, a, b in zip(person._fields, out, speckled, strict=True) if name != "sh")
+    empty = views(torch.zeros(len(EYES), SIZE, SIZE))
+    assert bake.lean(speckled, where, empty, [0, 1, 2])[0] is speckled, "nobody is sure of anything"
+
+
+def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing):
+    """A front that is not opaque lets colours of the back learn what no frame shows of them: pale patches."""
+    person, where = standing
+    sheer = person._replace(opacities=torch.full_like(person.opacities, 0.5))
+    far = person.frames[:, 2, 2] < -0.8
+    pale = sheer._replace(sh=torch.where(far[:, None, None], 2.0, person.sh))
+    cameras = views(silhouettes(person, where))
+    splats = where.posed(rest(pale, where.canonical_bones()), 0)
+    through = compose(splats, None, cameras.viewmats[0], cameras.Ks[0], SIZE, SIZE).image - drawn(sheer, where, 0).image
+    assert far.sum() > 300 and through.amax() > 0.1, "the back does shine through"
+    out, _ = bake.lean(pale, where, cameras, [0])
+    assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()
+
+
+def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(standing, monkeypatch):
+    """A pale collar was all that is near to a strip of the back, through the neck: a pale stripe."""
+    person, where = standing
+    cameras = views(silhouettes(person, where))
+    back = (person.frames[:, 2, 2] < -0.8) & (where.weights[:, [3, 6, 9]].sum(1) > 0.5)
+    inside, edge, _ = bake._painted(person, where, cameras, [0])[0].unbind(1)
+    front = ((inside > bake.SURE * inside.mean()) & (inside > 2 * edge)).nonzero()[:, 0]
+    asked = nearest(person.means[front], person.means[back], bake.NEIGHBOURS)[1].flatten()
+    collar = front[asked.bincount().argsort(descending=True)[:40]]  # nearest to most of the back
+    pale = person._replace(sh=person.sh.index_fill(0, collar, 2.0))
+    striped = lambda: (bake.lean(pale, where, cameras, [0])[0].sh - person.sh)[back].abs().amax((1, 2)) > 0.5  # noqa: E731
+    assert not striped().any()
+    monkeypatch.setattr(bake, "FAR", torch.inf)
+    assert striped().sum() > 10, "the test can fail"
+
+
+def test_frames_are_asked_among_those_that_show_the_person(standing):
+    _, where = standing
+    masks = torch.zeros(200, 8, 8)
+    masks[[37, 41, 90]] = 1
+    where = where._replace(confidence=torch.ones(200).index_fill(0, torch.tensor([41]), 0))
+    look = Views(
+        masks[..., None].expand(-1, -1, -1, 3), masks, torch.eye(4).expand(200, 4, 4), torch.eye(3).expand(200, 3, 3)
+    )
+    assert asked(where, look, list(range(200))) == [37, 90], "few of many"
+    assert asked(where, look, [0, 1]) == []
+
+
+def test_a_person_is_judged_as_it_is_drawn(standing):
+    person, where = standing
+    resting = rest(person, where.canonical_bones())
+    assert where._replace(antialias=True).posed(resting, 0).antialias and not where.posed(resting, 0).antialias
+
+
+def test_what_floats_beside_the_person_is_left_out(standing):
+    person, where = standing
+    person = person._replace(scales=person.scales / 1.5)  # as the body has them
+    tip = person.means[:, 0].topk(2).indices  # of a hand
+    ends = Canonical(*(part[tip] for part in person))
+    floaters = ends._replace(means=ends.means + torch.tensor([0.06, 0, 0]), scales=torch.full_like(ends.scales, 0.01))
+    cloud = ends._replace(scales=ends.scales + torch.tensor([0, 0, 0.03]))
+    found = bake.floating(Canonical(*map(torch.cat, zip(person, floaters, cloud, strict=True))), where)
+    assert not found[:-4].any() and found[-4:].all()
+
+
+def test_rows_never_shown_are_as_the_body_says():
+    parts = [torch.randn(3, *shape) for shape in ((3,), (3, 3), (3,), (), (1, 3), (24,))]
+    a, b = Canonical(*parts), Canonical(*(-part for part in parts))
+    out = bake.as_body_where_unseen(a, b, torch.tensor([1.0, 0.0, 1e-4]))
+    for x, y, z in zip(out, a, b, strict=True):
+        assert torch.equal(x, torch.cat([y[:1], z[1:]]))

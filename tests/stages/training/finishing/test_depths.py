@@ -1,0 +1,76 @@
+"""Gaussians that stand out of the surface along a sight are put back, where no other sight holds them."""
+
+import pytest
+import torch
+
+from stages.avatar.model.human import Canonical
+from stages.training.finishing import depths
+from stages.training.views import Views
+from tests.stages.avatar.effects.standing import around, stand
+
+SIZE = 96
+EYES = ((0, 0, 3), (3, 0, 0), (0.3, 0, 3))  # before, beside, nearly before
+OUT = 0.03
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A person, where it stands, the same with Gaussians of the front pushed to the eye and away, which, and sights."""
+    human, where = stand(len(EYES))
+    person = human.untaught()
+    sights = torch.nn.functional.normalize(torch.tensor(EYES[0]) - person.means, dim=1)
+    thick = where.weights[:, [0, 1, 2, 3, 4, 5, 6, 9]].sum(1) > 0.9  # in a hand, either side may be meant
+    front = (thick & ((person.frames[..., 2] * sights).sum(1) > 0.8)).nonzero()[:, 0]
+    chosen = front[torch.randperm(len(front), generator=torch.Generator().manual_seed(0))[:60]]
+    sign = torch.where(torch.arange(60) % 2 == 0, 1.0, -1.0)[:, None]
+    means = person.means.clone()
+    means[chosen] += OUT * sign * sights[chosen]
+    return person, where, person._replace(means=means), chosen, sights
+
+
+def views() -> Views:
+    masks = torch.full((len(EYES), SIZE, SIZE), 255, dtype=torch.uint8)
+    return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), masks, *around(EYES, 130.0, SIZE))
+
+
+@pytest.mark.parametrize("frames", [[0], [0, 2]])
+def test_what_stands_out_where_all_look_from_one_side_goes_back_along_the_sight(pushed, frames):
+    person, where, off, chosen, sights = pushed
+    even, moved = depths.evened(off, where, views(), frames)
+    left = (even.means - person.means)[chosen].norm(dim=1)
+    assert left.quantile(0.9) < 0.5 * OUT and left.median() < 2 * depths.OUT
+    assert 0.9 * len(chosen) <= moved <= len(chosen)
+    shift = (even.means - off.means)[chosen]
+    across = shift - (shift * sights[chosen]).sum(1, keepdim=True) * sights[chosen]
+    assert across.norm(dim=1).max() < 0.12 * OUT, "to that eye nothing has moved"
+    assert all(a is b for name, a, b in zip(Canonical._fields, even, off, strict=True) if name != "means")
+
+
+def test_what_is_seen_from_two_sides_stays(pushed):
+    _, where, off, chosen, _ = pushed
+    even, moved = depths.evened(off, where, views(), [0, 1])
+    assert torch.equal(even.means[chosen], off.means[chosen]) and moved < 0.01 * len(off.means)
+
+
+def test_what_is_seen_edge_on_stays(pushed):
+    person, where, *_ = pushed
+    flank = ((person.frames[:, 2, 2].abs() < 0.3) & (where.weights[:, [0, 1, 2, 3]].sum(1) > 0.9)).nonzero()[::20, 0]
+    means = person.means.clone()
+    means[flank] += OUT * person.frames[flank][..., 2]
+    even, _ = depths.evened(person._replace(means=means), where, views(), [0])
+    assert torch.equal(even.means[flank], means[flank])
+
+
+def test_where_nobody_looks_nothing_moves(pushed):
+    _, where, off, *_ = pushed
+    for cameras, frames in ((views(), []), (views()._replace(masks=torch.zeros(3, SIZE, SIZE)), [0, 1, 2])):
+        even, moved = depths.evened(off, where, cameras, frames)
+        assert moved == 0 and torch.equal(even.means, off.means)
+
+
+def test_an_even_person_stays_even_when_evened_again(pushed):
+    _, where, off, *_ = pushed
+    once, _ = depths.evened(off, where, views(), [0])
+    again, _ = depths.evened(once, where, views(), [0])
+    assert (once.means - off.means).norm(dim=1).max() > 0.7 * OUT
+    assert (again.means - once.means).norm(dim=1).max() < 0.1 * OUT

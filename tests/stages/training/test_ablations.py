@@ -1,0 +1,169 @@
+"""Each switch of the paper's ablations does what it says, on the tiny clip of test_fit.py."""
+
+import io
+
+import numpy as np
+import pytest
+import torch
+
+from stages.training import losses
+from stages.training.checkpoint import restore, snapshot
+from stages.training.fit import Fit
+from stages.training.schedule import Options, phases
+from tests.stages.training.test_fit import ellipsoid, make_clip, models, run
+
+clip = pytest.fixture(scope="module")(make_clip)
+
+
+def fit_of(clip, steps: int = 40, sh_degree: int = 0, lbs_learning: bool = True, triplane: bool = True, **more) -> Fit:
+    views, person = clip
+    human, wall, generator = models(sh_degree=sh_degree, lbs_learning=lbs_learning, triplane=triplane)
+    options = Options(steps, 2, 300, 260, 1.0, exposure=True, growth_rounds=4)._replace(**more)
+    return Fit(views, [0, 1, 3, 4, 5], person, human, wall, options, generator)
+
+
+def states(fit: Fit) -> dict[str, torch.Tensor]:
+    return {f"{n}.{k}": v.clone() for n, m in fit.modules().items() for k, v in m.state_dict().items()}
+
+
+@pytest.mark.parametrize("triplane", [True, False])
+@pytest.mark.parametrize("sh_degree", [0, 1])
+def test_without_lbs_learning_each_gaussian_keeps_the_weights_it_began_with(clip, triplane, sh_degree):
+    kept, learned = (fit_of(clip, 20, sh_degree, lbs, triplane, human_densify=False) for lbs in (False, True))
+    began = kept.human.untaught().weights
+    for fit in (kept, learned):
+        before = fit.human()[0].means.detach()
+        run(fit, 20)
+        assert fit.guard.left_out == 0 and not torch.equal(fit.human()[0].means, before), "the rest learns"
+    assert torch.equal(kept.human()[0].weights, began) and not torch.equal(learned.human()[0].weights, began)
+    assert len(kept.reference) == 0, "nothing looks for neighbours that teach nothing"
+    named = [name for name, _ in kept.human.named_parameters()]
+    assert named and not [name for name in named if "deformation" in name or "skin" in name]
+
+
+def test_without_densification_the_person_keeps_its_rows_and_the_scene_grows(clip):
+    fit = fit_of(clip, human_densify=False)
+    run(fit, 40)
+    assert len(fit.human) == len(ellipsoid()[0]) and len(fit.scene) > 150
+
+
+def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch):
+    monkeypatch.setattr(losses, "person_only", lambda *a: pytest.fail("the person was compared alone"))
+    monkeypatch.setattr(losses, "outside_person", lambda *a: pytest.fail("person pixels were taken out"))
+    fit = fit_of(clip, 80, human_loss=False)
+    numbers = [fit.advance() for _ in range(80)]
+    assert all(set(n) == {"image"} for n in numbers)
+    image = [n["image"] for n in numbers]
+    assert np.mean(image[-10:]) < 0.8 * np.mean(image[:10])
+    assert fit.taught.max() > 0 and len(fit.human) > len(ellipsoid()[0]), "its screen gradients are counted"
+
+
+def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
+    free, decoded = fit_of(clip, 80, triplane=False), fit_of(clip, 80)
+    for a, b in zip(free.human()[0], decoded.human()[0], strict=True):
+        assert torch.equal(a, b)
+    numbers = run(free, 80)
+    assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
+    assert free.guard.left_out == 0, "though weights begin where their prior is 0, so its first gradients are sudden"
+    assert 162 < len(free.human) <= 300 and {len(p) for p in free.human.own.parameters()} == {len(free.human)}
+    assert all(p.abs().max() > 0 for p in free.human.own.parameters())
+    held = {id(p) for group in free.adam["human"].param_groups for p in group["params"]}
+    assert held == {id(p) for p in free.human.parameters()}
+
+
+def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
+    human = fit_of(clip, 80).human
+    assert set(human.own()) == {"opacity", "sh", "turn", "scale"}, "place is its point's, skinning weights are shared"
+    before = human()[0]
+    with torch.no_grad():
+        for own in human.own().values():
+            own[3] += 0.1
+    after = human()[0]
+    for name in ("opacities", "sh", "frames", "scales"):
+        changed = (getattr(after, name) != getattr(before, name)).reshape(len(human), -1).any(1)
+        assert changed.nonzero().flatten().tolist() == [3], name
+
+
+def test_a_person_who_grows_stays_as_opaque(clip):
+    fit = fit_of(clip, 80)
+    before = fit.human()[0].opacities
+    fit._grow_human(0.0, 1)
+    after = fit.human()[0].opacities
+    assert len(after) > len(before)
+    light = [(1 - opacities).log().sum().item() for opacities in (before, after)]
+    assert light[1] == pytest.approx(light[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("triplane", [True, False])
+def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
+    fit = fit_of(clip, 80, triplane=triplane)
+    while len(fit.human) == 162:
+        last = [fit.human.own.scale.detach().clone(), fit.adam["human"].state[fit.human.own.scale]]
+        fit.advance()
+    now, moments = fit.human.own.scale, fit.adam["human"].state[fit.human.own.scale]
+    assert len(moments["exp_avg"]) == len(moments["exp_avg_sq"]) == len(now) > 162
+    assert moments["step"] == last[1]["step"] and (moments["exp_avg_sq"][-1] == 0).all()
+    assert (moments["exp_avg_sq"][:10] > 0).any(), "rows that stay keep theirs"
+
+
+@pytest.mark.parametrize("case", [{"triplane": False}, {"joint": False}, {"human_loss": False, "lbs_learning": False}])
+def test_resumed_equals_uninterrupted_bit_for_bit(clip, case):
+    straight, first = fit_of(clip, **case), fit_of(clip, **case)
+    run(straight, 40)
+    run(first, 30)  # behind growth of the scene and of the person, in the second phase where there are two
+    file = io.BytesIO()
+    torch.save(snapshot(first), file)
+    file.seek(0)
+    second = fit_of(clip, **case)
+    restore(second, torch.load(file, weights_only=True))
+    assert len(second.scene) > 150
+    run(second, 40)
+    for key, value in states(straight).items():
+        assert torch.equal(value, states(second)[key]), key
+
+
+def test_scene_first_then_the_person_before_a_scene_that_no_gradient_reaches(clip):
+    fit = fit_of(clip, joint=False)
+    numbers = [fit.advance() for _ in range(20)]
+    assert all(set(n) == {"image"} for n in numbers) and len(fit.scene) > 150
+    began = fit_of(clip, joint=False)
+    for key, value in states(began).items():
+        assert key.startswith(("scene.", "frames.gain")) or torch.equal(value, states(fit)[key]), key
+    scene = {k: v for k, v in states(fit).items() if k.startswith("scene.")}
+    seen, person = [], states(fit)
+    for parameter in fit.scene.parameters():
+        parameter.register_hook(lambda grad: seen.append(grad))
+    numbers = [fit.advance() for _ in range(20)]
+    assert any("person" in n for n in numbers) and fit.step == fit.options.steps
+    assert not seen and all(torch.equal(v, states(fit)[k]) for k, v in scene.items())
+    assert len(fit.human) > 162 and not torch.equal(person["human.triplane.table"], fit.human.triplane.table)
+
+
+def test_the_scene_alone_learns_from_background_pixels_only(clip, monkeypatch):
+    monkeypatch.setattr(losses, "SSIM_SHARE", 0.0)  # its windows reach over the outline
+    views, person = clip
+    dark = views._replace(images=torch.where(views.masks[..., None] == 255, 0, views.images))
+    fits = [fit_of((v, person), joint=False) for v in (views, dark)]
+    assert (views.masks == 255).any()
+    for fit in fits:
+        fit.small = fit.full  # smaller pictures mix both into pixels of the outline
+        run(fit, 20)
+    first, second = map(states, fits)
+    assert all(torch.equal(first[key], value) for key, value in second.items())
+
+
+def test_frames_without_a_person_teach_nothing_in_the_second_phase(clip):
+    views, person = clip
+    fit = fit_of((views._replace(masks=torch.zeros_like(views.masks)), person), 8, joint=False)
+    run(fit, 4)
+    before = states(fit)
+    assert [fit.advance() for _ in range(4)] == [{}] * 4
+    assert all(torch.equal(v, states(fit)[k]) for k, v in before.items())
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7, 4000])
+def test_phases_share_out_all_steps(steps):
+    assert phases(steps, True) == ((0, steps, True, True, 0.0),)
+    scene, person = phases(steps, False)
+    assert scene.first == 0 and person.first == scene.steps and scene.steps + person.steps == steps
+    assert (scene.human, scene.scene, person.human, person.scene) == (False, True, True, False)

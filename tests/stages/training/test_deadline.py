@@ -1,0 +1,135 @@
+import pytest
+
+from stages.training.deadline import Deadline, Pace, rehearse, short_of
+from stages.training.schedule import HALF_UNTIL, SETTLE
+from tests.stages.training.test_fit import fit_of, make_clip, run, same
+
+clip = pytest.fixture(scope="module")(make_clip)
+PACE = Pace(half=(0.1, 0.2), full=(0.3, 0.6), half_until=HALF_UNTIL)
+
+
+class Time:
+    """A clock that is put forward by hand."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0.0
+        monkeypatch.setattr("stages.training.deadline.time.perf_counter", lambda: self.now)
+
+
+def test_a_pace_is_that_of_the_corners_and_between_them():
+    assert PACE.mean(0.0, 0.05) == pytest.approx(0.1) and PACE.mean(0.7) == pytest.approx(0.6)
+    assert 0.1 < PACE.mean(0.0, HALF_UNTIL) < 0.2 and 0.3 < PACE.mean(HALF_UNTIL, SETTLE) < 0.6
+    whole = HALF_UNTIL * PACE.mean(0.0, HALF_UNTIL) + (1 - HALF_UNTIL) * PACE.mean(HALF_UNTIL)
+    assert PACE.mean(0.0) == pytest.approx(whole, rel=0.01)
+
+
+def test_as_many_steps_as_fit_and_at_least_one():
+    assert PACE.steps(60.0, 0.7) == 100 and PACE.steps(-5.0) == 1
+
+
+def test_more_steps_are_nearer_to_10_000_and_none_is_beyond():
+    assert short_of(1100) == pytest.approx(1.8) and 0.8 < short_of(2000) < 1.8
+    assert short_of(10) == pytest.approx(3.1) and short_of(50_000) == 0
+
+
+def test_what_was_slow_is_believed_to_stay_slow():
+    pace = Pace(PACE.half, PACE.full, HALF_UNTIL)
+    expected = 50 * pace.mean(0.0, 0.2)
+    pace.learn(1.5 * expected, 50, 0.0, 0.2)
+    assert pace.slow == pytest.approx(1.5) and pace.mean(0.7) == pytest.approx(0.9)
+    pace.learn(1.0, 0, 0.2, 0.2)
+    assert pace.slow == pytest.approx(1.5), "no steps teach nothing"
+
+
+def test_a_rehearsal_leaves_no_trace(clip):
+    fit, other = fit_of(clip), fit_of(clip)
+    pace = rehearse(fit)
+    assert same(fit, other) and fit.total == other.total
+    run(fit, 12), run(other, 12)
+    assert same(fit, other)
+    assert all(seconds > 0 for seconds in (*pace.half, *pace.full))
+
+
+@pytest.mark.parametrize(
+    ("group", "lpips", "timed"), [(6, 0, 6), (3, 0, 6), (4, 0, 4), (4, 3, 12), (5, 7, 5), (30, 0, 30)]
+)
+def test_what_is_timed_is_whole_groups_of_steps_and_a_full_step_even_where_training_has_none(
+    clip, monkeypatch, group, lpips, timed
+):
+    fit, seen = fit_of(clip), []
+    advance = fit.advance
+    fit.options = fit.options._replace(half_until=1.0, views_per_decode=group, perceptual_every=lpips)
+    monkeypatch.setattr(fit, "advance", lambda: (seen.append(fit.done < fit.options.half_until), advance())[1])
+    rehearse(fit, 1)
+    steps = 2 + timed  # two to warm up
+    assert seen == 2 * (steps * [True] + steps * [False]), "small and large, at two sizes"
+    assert fit.options.half_until == 1.0
+
+
+def test_filled_up_sets_are_at_their_caps(clip):
+    fit = fit_of(clip)
+    run(fit, 4)
+    fit.fill_up()
+    assert fit.sizes() == {"human": fit.options.human_cap, "scene": fit.options.scene_cap}
+    run(fit, 6)
+    fit.options = fit.options._replace(scene_cap=20 * fit.options.scene_cap)
+    fit.fill_up()
+    assert fit.sizes()["scene"] == fit.options.scene_cap, "more than four doublings away"
+
+
+def test_a_run_with_other_steps_goes_through_the_whole_schedule(clip):
+    fit = fit_of(clip, steps=40)
+    run(fit, 10)
+    assert fit.done == 0.25
+    fit.retime(60)
+    assert fit.done == 0.25 and fit.total == 70
+    seen = []
+    while fit.step < fit.total:
+        seen.append(fit.done)
+        fit.advance()
+    assert seen == sorted(seen) and seen[-1] == pytest.approx(0.25 + 0.75 * 59 / 60) and fit.done == 1.0
+    assert len(fit.scene) > 150 and len(fit.human) > 162
+
+
+@pytest.mark.parametrize("slower", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("pause", [0.0, 4.0])
+@pytest.mark.parametrize("disturbed", [1.0, 8.0])
+def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, monkeypatch, slower, pause, disturbed):
+    """Seconds are those of a made-up machine, which turns `slower` as fast after a quarter of the way; it was at other
+    work while small pictures were rehearsed, so that large ones seem to take no longer than those."""
+    clock, fit = Time(monkeypatch), fit_of(clip, steps=40)
+    half = tuple(disturbed * seconds for seconds in PACE.half)
+    monkeypatch.setattr("stages.training.deadline.rehearse", lambda fit, timings: Pace(half, PACE.full, HALF_UNTIL))
+    deadline = Deadline(seconds=300.0, reserve=10, began=0.0, pauses=12)
+    fit.retime(deadline.start(fit))
+    planned, pauses = fit.total, 0
+    monkeypatch.setattr(fit, "advance", lambda: setattr(fit, "step", fit.step + 1))
+    while fit.step < fit.total:
+        clock.now += PACE._at(fit.done) * (1 if fit.done < 0.25 else slower)
+        fit.advance()
+        if fit.step == fit.total or fit.share * 12 >= pauses + 1:
+            pauses += 1
+            clock.now += pause
+            deadline.judged(pause)
+        if fit.step < fit.total:
+            deadline.mark(fit)
+    left_over = 10 * 0.6 * slower
+    assert pauses == 12 and abs(clock.now + left_over - 300) < 0.02 * 300
+    if disturbed != 1:
+        return
+    if slower != 1:
+        assert (fit.total > 1.2 * planned) if slower < 1 else (fit.total < 0.7 * planned)
+    elif not pause:  # it was reckoned with 3.6 s of pause a mark
+        assert planned < fit.total < 1.25 * planned
+
+
+def test_a_deadline_goes_on_where_it_was_stopped(clip, monkeypatch):
+    clock, fit = Time(monkeypatch), fit_of(clip)
+    deadline = Deadline(100.0, 0, began=0.0, pauses=4)
+    deadline.pace, deadline.pause = Pace(PACE.half, PACE.full, HALF_UNTIL), 5.0
+    clock.now = 30.0
+    state = deadline.state()
+    clock.now = 1000.0
+    other = Deadline(100.0, 0, began=990.0, pauses=12)
+    other.load(state, fit)
+    assert other.spent == pytest.approx(40.0) and other.left == pytest.approx(40.0)

@@ -1,0 +1,110 @@
+"""What effects are worth in a finished training: told without a trace, and as drawing without them tells it."""
+
+import pytest
+import torch
+
+from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.effects.shadow import casters
+from stages.estimators.detectors.every import DETECTORS
+from stages.training.accuracy import judge
+from stages.training.effect_gains import ONLY_TAUGHT, OPTIONS, PARTS, effects_of, without, worth
+from stages.training.optimizers import optimizers
+from tests.stages.training.test_effects_in_training import everything
+from tests.stages.training.test_fit import fit_of, make_clip, run, same
+
+clip = pytest.fixture(scope="module")(make_clip)
+HELD_OUT = [2]
+
+
+def changing(clip):
+    """A training in which all that frames can do is on, and learned to something that shows."""
+    fit = everything(clip, 24)
+    run(fit, 24)
+    body = casters(fit.person.vertices, fit.person.weights).moved(torch.linalg.inv(fit.canonical_bones))
+    effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)
+    effects.clothing, effects.transients = fit.effects.clothing, fit.effects.transients
+    fit.effects, fit.speeds = effects, fit._speeds()
+    fit.options = fit.options._replace(refine_camera=True)
+    fit.adam = optimizers(fit.frames, fit.human, fit.scene, 1.0, effects)
+    fit.behind = torch.zeros(len(fit.scene.means), dtype=torch.bool)
+    with torch.no_grad():
+        fit.effects.readout.fill_(0.8), fit.effects.clothing.offsets.fill_(0.01)
+        fit.scene.shN.fill_(0.05), fit.frames.gain.weight[1].fill_(0.3), fit.frames.place.weight.fill_(0.02)
+        fit.frames.shift.weight[:3] = 0.02
+    return fit
+
+
+def everything_of(fit):
+    parts = [getattr(fit.effects, part) for part in PARTS.values()]
+    return [fit.options, fit.speeds, fit.scene.shN, fit.scene.antialias, *parts]
+
+
+def test_every_effect_that_survey_looks_for_can_be_taken_out_but_two():
+    assert set(DETECTORS) - {*OPTIONS, *PARTS, "view_dependence"} == {"lens", "sky"}
+
+
+def test_it_leaves_no_trace(clip):
+    fit, other = everything(clip), everything(clip)
+    run(fit, 9), run(other, 9)
+    spent = dict(fit.clock.seconds)
+    found = worth(fit, HELD_OUT)
+    assert list(found) == effects_of(fit)
+    assert set(found) == {"pose_refinement", "exposure", "antialias", "clothing", "transients", "view_dependence"}
+    assert same(fit, other) and fit.total == other.total and fit.clock.seconds == spent
+    assert fit.behind is None or torch.equal(fit.behind, other.behind)
+    run(fit, 24), run(other, 24)
+    assert same(fit, other)
+
+
+@pytest.mark.parametrize("effect", [*OPTIONS, *PARTS, "view_dependence"])
+def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
+    fit = changing(clip)
+    whole, kept = judge(fit, HELD_OUT), everything_of(fit)
+    with without(fit, effect):
+        assert effect not in effects_of(fit) and len(effects_of(fit)) == len(OPTIONS) + len(PARTS)
+        drawn = judge(fit, HELD_OUT)
+        fit.advance()
+    assert all(a is b for a, b in zip(kept, everything_of(fit), strict=True))
+    assert (drawn["psnr"] == whole["psnr"]) == (effect in ONLY_TAUGHT), "else this test says nothing"
+
+
+def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
+    """A made-up clock: three pictures take three times as long as one."""
+    fit = changing(clip)
+    monkeypatch.setattr("stages.training.effect_gains._seconds", lambda fit: 3.0 if fit.effects.blurs else 1.0)
+    whole = judge(fit, HELD_OUT)
+    found = worth(fit, HELD_OUT)
+    for effect in ("shadow", "clothing", "exposure"):
+        with without(fit, effect):
+            assert found[effect]["psnr_person"] == whole["psnr_person"] - judge(fit, HELD_OUT)["psnr_person"]
+    assert found["transients"]["psnr"] is None
+    shares = {name: effect["share"] for name, effect in found.items()}
+    assert shares.pop("motion_blur") == pytest.approx(2 / 3) and set(shares.values()) == {0.0}
+
+
+def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
+    fit = fit_of(clip, scene=False, refine_pose=False, exposure=False)
+    monkeypatch.setattr(fit, "advance", lambda: pytest.fail("a step was taken"))
+    assert effects_of(fit) == [] and worth(fit, HELD_OUT) == {}
+
+
+def test_without_held_out_frames_there_is_only_a_cost(clip):
+    fit = everything(clip, 6)
+    run(fit, 6)
+    found = worth(fit, [])
+    assert all(effect["psnr"] is None and effect["share"] < 1 for effect in found.values())
+
+
+def test_a_step_that_fails_while_it_is_timed_leaves_no_trace(clip, monkeypatch):
+    fit, other = everything(clip, 6), everything(clip, 6)
+    run(fit, 6), run(other, 6)
+    advance = fit.advance
+
+    def breaks():
+        advance()
+        raise FloatingPointError("too many bad steps")
+
+    monkeypatch.setattr(fit, "advance", breaks)
+    with pytest.raises(FloatingPointError):
+        worth(fit, HELD_OUT)
+    assert same(fit, other) and fit.total == other.total

@@ -1,0 +1,76 @@
+"""What the effects that change learning are in a whole training: nothing where they are off, resumable where they are on."""
+
+import pytest
+import torch
+from torch.nn.functional import avg_pool2d
+
+from stages.avatar.effects.clothing import Clothing
+from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.model.human import rest
+from stages.avatar.model.scene import SceneModel
+from stages.training.checkpoint import restore
+from stages.training.fit import Fit
+from stages.training.schedule import Options
+from stages.training.transients import Transients
+from tests.stages.training.test_fit import fit_of, make_clip, models, run, same, stored
+
+clip = pytest.fixture(scope="module")(make_clip)
+TRAIN = [0, 1, 3, 4, 5]
+
+
+def everything(clip, steps: int = 24) -> Fit:
+    """A training with a sky, antialiasing, clothes and transients."""
+    views, person = clip
+    blurred = avg_pool2d(views.images.permute(0, 3, 1, 2).float(), 7, 1, 3, count_include_pad=False)
+    views = views._replace(images=blurred.permute(0, 2, 3, 1).round().byte())  # of noise others know nothing
+    human, _, generator = models()
+    wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
+    scene = SceneModel(wall, torch.full((150, 3), 0.5), 3, 1.0, antialias=True)
+    scene.surround(
+        torch.tensor([[0.0, 0, 300], [5, 0, 300], [0, 5, 300]]),
+        torch.rand(3, 3, generator=generator),
+        torch.zeros(3),
+        300.0,
+    )
+    effects = FrameEffects()
+    effects.clothing = Clothing.start(rest(human.untaught(), person.canonical_bones()).means, person.body_pose[TRAIN])
+    effects.transients = Transients(views, TRAIN)
+    options = Options(steps, 2, 300, 260, 1.0, exposure=True, growth_rounds=4, antialias=True)
+    return Fit(views, TRAIN, person, human, scene, options, generator, effects=effects)
+
+
+def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
+    straight, first, second = (everything(clip) for _ in range(3))
+    run(straight, 24)
+    run(first, 11)
+    assert first.effects.clothing.offsets.abs().max() > 0, "clothes are learned"
+    restore(second, stored(first))
+    run(second, 24)
+    assert same(straight, second) and straight.guard.left_out == 0
+    assert (straight.scene.means.norm(dim=1) > 200).sum() >= 3, "the sky stays where it is"
+
+
+def test_what_is_off_changes_no_bit(clip):
+    plain, off, on = fit_of(clip, steps=12), fit_of(clip, steps=12), fit_of(clip, steps=12)
+    off.effects = FrameEffects()
+    on.effects.transients = Transients(clip[0], TRAIN)
+    on.effects.transients.cells.fill_(0.3)  # all other frames show grey
+    for fit in (plain, off, on):
+        run(fit, 12)
+    assert same(plain, off)
+    assert not torch.equal(plain.scene.sh0, on.scene.sh0), "else this test says nothing"
+
+
+def test_clothes_move_the_person_that_is_drawn_and_judged(clip):
+    fit = everything(clip)
+    body = [part[1] for part in clip[1][:3]]
+    resting = fit.resting()
+    before = fit.posed(resting, *body).means
+    with torch.no_grad():
+        fit.effects.clothing.offsets[..., 0] = 0.02
+    moved = fit.posed(resting, *body)
+    shift = 0.02 * fit.effects.clothing.features(body[1])[0].abs()
+    torch.testing.assert_close((moved.means - before).norm(dim=1).max(), shift * 3**0.5, rtol=0.05, atol=0)
+    assert moved.antialias and fit.scene.splats().antialias
+    dressed = fit.person._replace(clothing=fit.effects.clothing)
+    torch.testing.assert_close(dressed.posed(resting, 1).means, moved.means, rtol=0, atol=1e-6)
