@@ -19,10 +19,10 @@ test: $(VENV)/ready
 	$(VENV)/bin/python -m pytest
 
 hard: $(VENV)/ready
-	$(VENV)/bin/python -m tests.hard_cases
+	$(VENV)/bin/python -m tests.tools.hard_cases
 
 mutants: $(VENV)/ready
-	$(VENV)/bin/python -m tests.mutants
+	$(VENV)/bin/python -m tests.tools.mutants
 
 bench: $(VENV)/ready
 	@mkdir -p build

@@ -77,8 +77,9 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
     from stages.estimators.cameras.check import compare_colours, triangulate
     from stages.estimators.cameras.given import imported
     from stages.estimators.cameras.sparse_model import write_model
-    from stages.formats.cameras import Cameras, write_cameras
+    from stages.formats.cameras import write_cameras
     from stages.formats.datasets.undistorted import write_undistorted
+    from stages.records import Cameras
 
     listing = read_facts(frames / "frames.json", LISTING)
     names, size = [frame["name"] for frame in listing["frames"]], (listing["width"], listing["height"])

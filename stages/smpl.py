@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from stages.estimators.bodyfit.quality import Verdict
-    from stages.formats.body_model import BodyModel
-    from stages.formats.cameras import Cameras
-    from stages.formats.poses import BodyPoses
+    from stages.records import BodyModel, BodyPoses, Cameras
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best

@@ -427,8 +427,8 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
     from dataclasses import fields
 
     from stages.avatar.body.rotations import quat_from_matrix
-    from stages.formats.clothes import Clothes
-    from stages.formats.splats import Avatar, write_splats
+    from stages.formats.splats import write_splats
+    from stages.records import Avatar, Clothes
     from stages.training.finishing.bake import finished
 
     baked, _ = fit.baked()
@@ -462,7 +462,8 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
 def _write_scene(fit: Fit, job: Job) -> int:
     """Write scene.npz; returns how many Gaussians are not finite and left out."""
     from stages.avatar.splats.gaussians import finite_rows
-    from stages.formats.splats import Scene, write_splats
+    from stages.formats.splats import write_splats
+    from stages.records import Scene
 
     s = fit.scene
     quats = s.quats / s.quats.norm(dim=1, keepdim=True)
@@ -479,8 +480,9 @@ def _write_clip(fit: Fit, clip: Clip, job: Job, person: Person) -> None:
     import numpy as np
 
     from stages.formats.cameras import write_cameras
-    from stages.formats.effects import Effects, write_effects
+    from stages.formats.effects import write_effects
     from stages.formats.poses import write_poses
+    from stages.records import Effects
 
     poses = {name: _array(getattr(person, name)) for name in ("global_orient", "body_pose", "transl")}
     write_poses(job.out / "body.npz", replace(clip.body, **poses))

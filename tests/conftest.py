@@ -42,6 +42,6 @@ def held(record_property: Callable[[str, object], None]) -> Callable[..., None]:
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory) -> Path:
     """The folder of small whole files of every kind that we read; a test that damages one puts it back."""
-    from tests import corpus
+    from tests.made import corpus
 
     return corpus.make(tmp_path_factory.mktemp("corpus"))

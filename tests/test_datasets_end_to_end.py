@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from stages.formats.images import read_image, write_image
-from tests import datasets
+from tests.made import datasets
 from tests.test_end_to_end import hugs
 
 pytestmark = pytest.mark.slow

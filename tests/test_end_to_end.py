@@ -18,8 +18,8 @@ import pytest
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.poses import read_poses
-from tests.browser import probe
-from tests.truth import align, camera_errors, joint_errors, mask_ious, novel_psnr, tell_novel_poses
+from tests.made.browser import probe
+from tests.made.truth import align, camera_errors, joint_errors, mask_ious, novel_psnr, tell_novel_poses
 
 pytestmark = pytest.mark.slow
 

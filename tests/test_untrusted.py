@@ -14,8 +14,8 @@ import pytest
 
 from hugs_cli import pipelines
 from stages.contract import StageError
-from tests.corpus import KINDS, Kind
-from tests.mutations import with_checksums
+from tests.made.corpus import KINDS, Kind
+from tests.tools.mutations import with_checksums
 
 PICKLES = [kind for kind in KINDS if Path(kind.file).suffix in (".npz", ".npy", ".pkl")]
 

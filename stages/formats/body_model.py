@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,51 +11,13 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, read_npz, take
 from stages.formats.safe_pickle import read_pickle
+from stages.records import BETAS, JOINTS, BodyModel
 
 FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"
-BETAS = 10
-JOINTS = 24
-JOINT_NAMES = tuple(
-    """pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot
-    neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
-    left_hand right_hand""".split()
-)
+
 HINT = "give SMPL_NEUTRAL.pkl (SMPL 1.0 or 1.1, 24 joints) or its .npz, or leave --body-model out to use the free body"
 _OTHER_NAMES = {"f": "faces", "weights": "lbs_weights"}
 _SIBLINGS = {52: "an SMPL-H", 55: "an SMPL-X", 16: "a MANO"}
-
-
-@dataclass(frozen=True)
-class BodyModel:
-    """SMPL-format body of V vertices: metres, y up, facing +z, T-pose, its left hand at +x; float32.
-
-    `v_template` [V,3]; `faces` [T,3] int32; `shapedirs` [V,3,10] m per unit of beta; `posedirs` [V,3,207] m per entry
-    of (R - I), zero where the body has none; `J_regressor` [24,V]; `lbs_weights` [V,24], rows sum to 1; `parents` [24],
-    the root's is -1. `keypoint_regressor` [K,V] with `keypoint_names`, where the file has them.
-    """
-
-    v_template: np.ndarray
-    faces: np.ndarray
-    shapedirs: np.ndarray
-    posedirs: np.ndarray
-    J_regressor: np.ndarray
-    lbs_weights: np.ndarray
-    parents: np.ndarray
-    keypoint_regressor: np.ndarray | None = None
-    keypoint_names: tuple[str, ...] | None = None
-    name: str = ""
-
-    def landmark_regressor(self) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names and matrix [K,V]: landmarks = matrix @ vertices, on posed vertices too.
-
-        The stored keypoints (nose, left_ear, left_shoulder, ..., left_heel, left_big_toe), or where the file has none
-        the model's own limb joints (left_shoulder ... left_ankle, left_foot). Vertex ids mean nothing across models.
-        """
-        if self.keypoint_regressor is not None and self.keypoint_names is not None:
-            return self.keypoint_names, self.keypoint_regressor
-        parts = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
-        rows = [i for i, name in enumerate(JOINT_NAMES) if name.partition("_")[2] in parts]
-        return tuple(JOINT_NAMES[i] for i in rows), self.J_regressor[rows]
 
 
 def read_body_model(path: Path | None = None) -> BodyModel:

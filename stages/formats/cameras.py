@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,33 +9,9 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
 from stages.formats.facts import is_file_name
+from stages.records import Cameras
 
 LARGEST_SIDE = 1 << 16  # px
-
-
-@dataclass(frozen=True)
-class Cameras:
-    """Pinhole cameras of one clip, all of one size.
-
-    `names` [C] str are frame names without suffix; `viewmats` [C,4,4] float64 are camera_from_world with OpenCV axes
-    (x right, y down, z forward), in the units of the file they came from (SfM units in sfm/cameras.npz);
-    `Ks` [C,3,3] float64 in px, the centre of the first pixel at (0.5, 0.5).
-    """
-
-    names: tuple[str, ...]
-    viewmats: np.ndarray
-    Ks: np.ndarray
-    width: int
-    height: int
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    @property
-    def centers(self) -> np.ndarray:
-        """Camera positions in the world [C,3]."""
-        rotation = self.viewmats[:, :3, :3]
-        return -(rotation.mT @ self.viewmats[:, :3, 3:])[..., 0]
 
 
 def write_cameras(path: Path, cameras: Cameras) -> None:

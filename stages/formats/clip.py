@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.body_model import BodyModel, read_body_model
-from stages.formats.cameras import Cameras, read_cameras
+from stages.formats.body_model import read_body_model
+from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask
 from stages.formats.points import read_points
-from stages.formats.poses import BodyPoses, read_poses
-from stages.formats.splits import Split, read_split
+from stages.formats.poses import read_poses
+from stages.formats.splits import read_split
+from stages.records import BodyModel, BodyPoses, Cameras, Split
 
 FARTHEST = 1000.0  # metres from a world's origin: there float32 knows a place to 0.06 mm
 

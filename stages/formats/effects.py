@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
+from stages.records import Effects
 
 HINT = "train again: `hugs run VIDEO train --force`"
 SHADOW = ("light", "darkness", "softness", "density", "size", "middles", "covariances")
@@ -21,33 +22,6 @@ _LIMITS = {
     "shutter": (0, 1),
     "readout": (-1, 1),
 }
-
-
-@dataclass(frozen=True)
-class Effects:
-    """What a clip called for; None for what is off.
-
-    The person's shadow: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of
-    all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the
-    share of its covariance that casts; `middles` [24,3] m and `covariances` [24,3,3] m^2 of the body's parts at rest. Of the
-    time between two frames `shutter` is the share in which the shutter is
-    open, `readout` that in which the rows are read, negative from below.
-    """
-
-    light: np.ndarray | None = None
-    darkness: float | None = None
-    softness: float | None = None
-    density: float | None = None
-    size: float | None = None
-    middles: np.ndarray | None = None
-    covariances: np.ndarray | None = None
-    shutter: float | None = None
-    readout: float | None = None
-
-    def known(self) -> dict[str, np.ndarray]:
-        """What is not None, by name."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: np.asarray(value, np.float64) for name, value in values.items() if value is not None}
 
 
 def write_effects(path: Path, effects: Effects) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.splats import Scene
+from stages.records import Scene
 
 REST = 15  # higher coefficients a channel: many viewers take degree 3 only, so lower degrees are padded with zeros
 CHUNK = 1 << 14  # rows made at a time, so that ten million need no more memory than these

@@ -3,36 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, take
+from stages.records import BodyPoses
 
 HINT = "body.npz needs names [F], betas [10], global_orient [F,3], body_pose [F,69], transl [F,3], world_from_sfm"
-
-
-@dataclass(frozen=True)
-class BodyPoses:
-    """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
-
-    `names` are frame names; `betas` [10]; `global_orient` [F,3] and `body_pose` [F,69] rotation vectors in radians;
-    `transl` [F,3] m; `confidence` [F] from 0 (no evidence, do not train on it) to 1. The world has the axes of the SfM
-    frame; `world_from_sfm` is its metres per SfM unit.
-    """
-
-    names: tuple[str, ...]
-    betas: np.ndarray
-    global_orient: np.ndarray
-    body_pose: np.ndarray
-    transl: np.ndarray
-    confidence: np.ndarray
-    world_from_sfm: float = 1.0
-
-    def __len__(self) -> int:
-        return len(self.names)
 
 
 def write_poses(path: Path, poses: BodyPoses) -> None:

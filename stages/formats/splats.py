@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
-from stages.formats.clothes import Clothes, clothes_of
+from stages.formats.clothes import clothes_of
+from stages.records import Avatar, Scene
 
 HINT = "train again: `hugs run VIDEO train --force`"
 _ROWS = {
@@ -22,43 +23,6 @@ _ROWS = {
     "lbs_weights": (24,),
 }
 _REST = {"joints": (24, 3), "parents": (24,), "betas": (10,), "canonical_pose": (69,)}
-
-
-@dataclass(frozen=True)
-class Scene:
-    """N Gaussians in the world frame, metres.
-
-    means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
-    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms. `antialias`: they were learned with opacities
-    lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493), and want to be drawn so.
-    """
-
-    means: np.ndarray
-    quats: np.ndarray
-    scales: np.ndarray
-    opacities: np.ndarray
-    sh0: np.ndarray
-    shN: np.ndarray
-    antialias: bool = field(default=False, kw_only=True)
-
-    def __len__(self) -> int:
-        return len(self.means)
-
-
-@dataclass(frozen=True)
-class Avatar(Scene):
-    """N Gaussians in the canonical da-pose frame, metres, and all that posing them needs.
-
-    lbs_weights[N,24] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
-    canonical_pose[69] axis-angle of the pose in which the Gaussians stand; `clothes`, or None, move before skinning.
-    """
-
-    lbs_weights: np.ndarray
-    joints: np.ndarray
-    parents: np.ndarray
-    betas: np.ndarray
-    canonical_pose: np.ndarray
-    clothes: Clothes | None = field(default=None, kw_only=True)
 
 
 def write_splats(path: Path, splats: Scene | Avatar) -> None:

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stages.formats.facts import read_facts
+from stages.records import Split
 
 EVERY_FIFTH = "Every 5th registered frame is held out."
 HELD_OUT_EVERY, HELD_OUT_FIRST = 5, 2
-
-
-@dataclass(frozen=True)
-class Split:
-    """Of C frames: `training` and `heldout` bool [C] (a frame may be neither), `moments` int [C], not falling.
-
-    Frames of one moment show one pose, so what training learns of a pose holds for all of them. `rule` is a sentence.
-    """
-
-    training: np.ndarray
-    heldout: np.ndarray
-    moments: np.ndarray
-    rule: str
 
 
 def write_split(path: Path, rule: str, frames: dict[str, tuple[str, int]]) -> None:

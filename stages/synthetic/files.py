@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.cameras import write_cameras
 from stages.formats.images import write_image, write_mask
-from stages.formats.poses import BodyPoses, write_poses
+from stages.formats.poses import write_poses
 from stages.formats.video import write_video
+from stages.records import BodyPoses, Cameras
 
 CRF = 14
 DEPTH_EVERY, DEPTH_FIRST = 5, 2

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tests.mutants import copy_tree
+from tests.tools.mutants import copy_tree
 
 DRAWING, LANES = (f"stages/avatar/rasterize/{name}.py" for name in ("rendering", "lanes"))
 EXP2 = "polynomial = (1.32647273e-03, 9.67151299e-03, 5.55073358e-02, 2.40222424e-01, 6.93147004e-01, 1.0)"

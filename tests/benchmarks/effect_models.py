@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.effect_models WORK [EFFECT ...] [--steps 500] [--seed 0] [--json out.json]
 
-A clip is a NeuMan folder with true inputs (see tests/datasets.py), or with the noise that EFFECTS says. Frames that were
+A clip is a NeuMan folder with true inputs (see tests/made/datasets.py), or with the noise that EFFECTS says. Frames that were
 not trained on are drawn as their camera took them and compared: PSNR of the whole picture and of the person's box. Where
 TRULY says so they are drawn sharp, from true cameras and with true poses, and compared with those of the clip without the
 effect; where AFAR does, as from four times as far away, and in place of the clip without stands the same training drawn
@@ -34,7 +34,7 @@ from stages.training.accuracy import judge
 from stages.training.fit import Fit
 from stages.training.refine import FrameCorrections
 from stages.training.views import Views
-from tests import datasets
+from tests.made import datasets
 
 SIZE = {"frames": 30, "width": 192, "height": 256, "points": 3000}
 PARAMS = {"rounds": 0, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
@@ -52,7 +52,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "sky": {"effects": Effects(sky=1)},
     "clothing": {"effects": Effects(clothing=0.06)},
 }
-"""Effect -> what `tests.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
+"""Effect -> what `tests.made.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
 TRULY = ("motion_blur", "camera_refinement", "pose_refinement", "transients")
 """Blurred pictures are easier to meet than sharp ones; no model knows the errors of a frame it has not seen, nor who passes."""
 AFAR = ("antialias",)

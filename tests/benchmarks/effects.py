@@ -19,7 +19,7 @@ from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
 from stages.formats.clip import load_clip
 from stages.synthetic.effects import Effects
-from tests import datasets
+from tests.made import datasets
 
 SIZE = {"frames": 30, "width": 240, "height": 320, "points": 2000}
 STRENGTHS = {
@@ -36,7 +36,7 @@ STRENGTHS = {
     "transients": (1, 2, 3),
     "antialias": (1.8, 2.2, 2.6),
 }
-"""Of each effect, as stages.synthetic.effects means it; of the refinements the noise of tests.datasets.neuman."""
+"""Of each effect, as stages.synthetic.effects means it; of the refinements the noise of tests.made.datasets.neuman."""
 GIVEN = {"pose_refinement": "noise", "camera_refinement": "camera_noise"}
 
 

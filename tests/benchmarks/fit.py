@@ -20,10 +20,11 @@ from stages.estimators.bodyfit.quality import posed_vertices
 from stages.estimators.bodyfit.solve import sole_vertices
 from stages.estimators.person.blazepose import NAMES, Pose
 from stages.formats.arrays import read_npz
-from stages.formats.body_model import BodyModel, read_body_model
-from stages.formats.cameras import Cameras, read_cameras
-from stages.formats.poses import BodyPoses, read_poses
-from tests.truth import Similarity, align, joints_of, mask_ious, rows
+from stages.formats.body_model import read_body_model
+from stages.formats.cameras import read_cameras
+from stages.formats.poses import read_poses
+from stages.records import BodyModel, BodyPoses, Cameras
+from tests.made.truth import Similarity, align, joints_of, mask_ious, rows
 
 TALL = 864  # px, the height of the pictures that the bar on reprojection is for
 STANDS = 0.02  # m that a true sole may move between two frames and still stand: the person turns on the spot

@@ -12,7 +12,7 @@ import torch
 from stages import train
 from stages.avatar import rasterize
 from stages.estimators.detectors.every import DETECTORS
-from stages.formats.splats import Scene
+from stages.records import Scene
 from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance

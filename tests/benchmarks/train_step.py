@@ -34,7 +34,8 @@ from stages.avatar.rasterize import projection as kernels
 from stages.avatar.splats import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.clip import load_clip
-from stages.formats.splats import Scene, read_scene
+from stages.formats.splats import read_scene
+from stages.records import Scene
 from stages.training import fit, layers, losses
 from stages.training.schedule import HALF_UNTIL
 from tests.benchmarks.host import machine, summary

@@ -4,7 +4,7 @@
 
 The pictures are those of the video that `hugs demo` makes, with what its coding left of them, so that the inputs are
 all that differs from a run on that video. `--noise` adds errors of that standard deviation to the poses (see
-tests/datasets.py), which refinement has to find.
+tests/made/datasets.py), which refinement has to find.
 Other options go to `hugs run`: `--set train.steps=1000 --seed 1`.
 """
 
@@ -17,8 +17,8 @@ import sys
 from pathlib import Path
 
 from stages.synthetic.files import CRF
-from tests import datasets
-from tests.truth import novel_psnr, tell_novel_poses
+from tests.made import datasets
+from tests.made.truth import novel_psnr, tell_novel_poses
 
 HUGS = [sys.executable, "-c", "from hugs_cli import main; main()"]
 SIZE = {"frames": 60, "width": 384, "height": 512, "points": 4000}  # as `hugs demo` has it

@@ -13,13 +13,15 @@ from hugs_cli.app import main
 from hugs_cli.cache.workspace import Stamp
 from stages.avatar.motion.formulas import MOTIONS
 from stages.formats.body_model import read_body_model, write_body_model
-from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.cameras import write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, write_splats
 from stages.formats.video import decode
-from tests.stages import bvh_made, tiny
-from tests.stages.tiny import HEIGHT, WIDTH, colour_of
+from stages.records import Cameras
+from tests.made import bvh as bvh_made
+from tests.made import tiny
+from tests.made.tiny import HEIGHT, WIDTH, colour_of
 
 RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
 

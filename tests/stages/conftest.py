@@ -7,7 +7,7 @@ import pytest
 from stages.contract import StageError
 from stages.estimators import assets
 from stages.formats.video import decode
-from tests.stages import tiny as tiny_clip
+from tests.made import tiny as tiny_clip
 
 
 @pytest.fixture(scope="session")

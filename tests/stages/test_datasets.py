@@ -14,14 +14,15 @@ from hugs_cli import pipelines
 from stages import calibrated, masks, neuman, smpl, zju
 from stages.contract import Job, StageError
 from stages.formats.body_model import read_body_model
-from stages.formats.cameras import Cameras, read_cameras
+from stages.formats.cameras import read_cameras
 from stages.formats.clip import load_clip
 from stages.formats.datasets.neuman import paper_split
 from stages.formats.datasets.zju import number
 from stages.formats.images import read_image, read_mask, write_mask
-from stages.formats.poses import BodyPoses, read_poses
-from tests import datasets
-from tests.truth import Similarity, align, camera_errors, joints_of, psnr
+from stages.formats.poses import read_poses
+from stages.records import BodyPoses, Cameras
+from tests.made import datasets
+from tests.made.truth import Similarity, align, camera_errors, joints_of, psnr
 
 
 def go(folder: Path, first, out: Path, **params) -> tuple[dict[str, Path], list[str]]:

@@ -12,12 +12,12 @@ from stages.avatar.drawing.draw import load_learned
 from stages.contract import Job, StageError
 from stages.estimators import assets
 from stages.formats.clip import load_clip
-from stages.formats.effects import Effects
 from stages.formats.images import read_image
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
-from tests.stages import tiny as tiny_clip
-from tests.stages.tiny import HEIGHT, STAGES, WIDTH
+from stages.records import Effects
+from tests.made import tiny as tiny_clip
+from tests.made.tiny import HEIGHT, STAGES, WIDTH
 
 HELD = 2  # the held-out frame that shows the person
 

@@ -7,8 +7,8 @@ import pytest
 
 from stages import export
 from stages.contract import Job
-from stages.formats.clothes import Clothes
 from stages.formats.splats import read_avatar, write_splats
+from stages.records import Clothes
 
 
 def read(path):

@@ -6,10 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.motion.formulas import upright
 from stages.contract import StageError
-from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.cameras import write_cameras
 from stages.formats.images import read_pixels
-from stages.formats.poses import BodyPoses, write_poses
-from stages.formats.splats import Avatar, Scene, write_splats
+from stages.formats.poses import write_poses
+from stages.formats.splats import write_splats
+from stages.records import Avatar, BodyPoses, Cameras, Scene
 from stages.render import render_views
 
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]

@@ -7,7 +7,7 @@ from stages import render
 from stages.contract import Job
 from stages.formats.clip import load_clip
 from stages.formats.video import decode
-from tests.stages.tiny import EMPTY, FOCAL, HEIGHT, WIDTH, colour_of, make_poses, make_viewmats
+from tests.made.tiny import EMPTY, FOCAL, HEIGHT, WIDTH, colour_of, make_poses, make_viewmats
 
 RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
 PARAMS = render.Params(fps=8, turntable_frames=8, motion_seconds=1.0)

@@ -7,8 +7,8 @@ import pytest
 from stages import evaluate, export, render, report
 from stages.contract import Job, StageError
 from stages.estimators import assets
-from tests.browser import probe
-from tests.stages import tiny as tiny_clip
+from tests.made import tiny as tiny_clip
+from tests.made.browser import probe
 
 
 def make(clip, folder):

@@ -13,7 +13,7 @@ from stages.estimators.cameras.sparse_model import write_ignored
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points
-from tests.worlds import umeyama
+from tests.made.worlds import umeyama
 
 WIDTH, HEIGHT, FOCAL, K1 = 320, 240, 300.0, 0.06
 

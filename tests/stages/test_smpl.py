@@ -67,7 +67,7 @@ def camera_fit(clip):
     joints = clip.joints @ views[:, :3, :3].mT + views[:, None, :3, 3]
     orient, transl = [], []
     for a, b in zip(rest, joints, strict=True):
-        from tests.worlds import umeyama
+        from tests.made.worlds import umeyama
 
         _, turn, _ = umeyama(a.astype(float), b)
         orient.append(rotvec_from_matrix(torch.tensor(turn)).numpy())

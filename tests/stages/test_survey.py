@@ -72,11 +72,12 @@ def test_confidence_grows_with_the_distance_from_the_threshold():
 def body_clip(tmp_path):
     """A tiny clip: the free body stands 3 m before a camera; its mask is its own silhouette."""
     from stages.formats.body_model import read_body_model, write_body_model
-    from stages.formats.cameras import Cameras, write_cameras
+    from stages.formats.cameras import write_cameras
     from stages.formats.clip import load_clip
     from stages.formats.images import write_image, write_mask
     from stages.formats.points import write_points
-    from stages.formats.poses import BodyPoses, write_poses
+    from stages.formats.poses import write_poses
+    from stages.records import BodyPoses, Cameras
 
     names, count = ("000000", "000004"), 2
     sfm, smpl = tmp_path / "sfm", tmp_path / "smpl"

@@ -19,13 +19,14 @@ from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize.rendering import T_STOP
 from stages.contract import Job, StageError, Stopped
 from stages.formats.body_model import read_body_model, write_body_model
-from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.cameras import write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.effects import SHADOW, read_effects
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points, write_points
-from stages.formats.poses import BodyPoses, read_poses, write_poses
+from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
+from stages.records import BodyPoses, Cameras
 from stages.training import losses
 from stages.training.deadline import Pace
 from stages.training.finishing.bake import floating

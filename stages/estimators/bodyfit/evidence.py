@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.estimators.person.blazepose import NAMES, Pose
-from stages.formats.body_model import JOINT_NAMES, BodyModel
+from stages.records import JOINT_NAMES, BodyModel
 
 STAND_INS = {
     "left_hand": ("left_pinky", "left_index"),

@@ -16,9 +16,7 @@ from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import Evidence
 from stages.estimators.bodyfit.solve import Solver, State, World
 from stages.estimators.bodyfit.start import continuous, fill_limbs, fill_poses, place, start_pose
-from stages.formats.body_model import BodyModel
-from stages.formats.cameras import Cameras
-from stages.formats.poses import BodyPoses
+from stages.records import BodyModel, BodyPoses, Cameras
 
 FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, then feet and scale as well
 

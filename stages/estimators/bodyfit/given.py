@@ -18,10 +18,8 @@ from stages.estimators.bodyfit.quality import posed_vertices
 from stages.estimators.bodyfit.scale import Views, find_scale
 from stages.estimators.bodyfit.solve import sole_vertices
 from stages.estimators.bodyfit.start import fill_poses
-from stages.formats.body_model import BodyModel
-from stages.formats.cameras import Cameras
 from stages.formats.given_fits.record import SmplFit
-from stages.formats.poses import BodyPoses
+from stages.records import BodyModel, BodyPoses, Cameras
 
 
 def import_fit(

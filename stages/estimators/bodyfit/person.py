@@ -12,9 +12,8 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.contract import StageError
 from stages.estimators.bodyfit.placing import place_in_world
-from stages.formats.body_model import BodyModel
-from stages.formats.cameras import Cameras
 from stages.formats.given_fits.record import SmplFit
+from stages.records import BodyModel, Cameras
 
 EVERY = 10  # of the body's vertices, enough for its hull
 SIDE = 200  # px of the longer side at which hulls are compared

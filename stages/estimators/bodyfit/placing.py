@@ -6,9 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.body_model import BodyModel
 from stages.formats.given_fits.record import SmplFit
-from stages.formats.poses import BodyPoses
+from stages.records import BodyModel, BodyPoses
 
 VARIES, EXTREME = 1e-3, 5.0
 

@@ -12,9 +12,7 @@ from stages.avatar.body.rotations import angle_between, matrix_from_rotvec
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.evidence import Evidence
-from stages.formats.body_model import JOINT_NAMES, BodyModel
-from stages.formats.cameras import Cameras
-from stages.formats.poses import BodyPoses
+from stages.records import JOINT_NAMES, BodyModel, BodyPoses, Cameras
 
 SIDE = 480  # px of the longer side at which outlines are compared
 FAST = 20.0  # rad/s: no joint of a person turns faster

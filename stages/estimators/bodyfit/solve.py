@@ -14,7 +14,7 @@ from stages.avatar.body.smpl import Body, Landmarks, vertex_normals
 from stages.avatar.splats.neighbours import spread_out
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import Evidence
-from stages.formats.body_model import JOINT_NAMES
+from stages.records import JOINT_NAMES
 
 # Standard deviations; lengths in the picture are shares of the person's height there.
 LANDMARK, OUTLINE = 0.010, 0.008

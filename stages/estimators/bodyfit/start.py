@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stages.estimators.bodyfit.evidence import Evidence
-from stages.formats.body_model import JOINT_NAMES
+from stages.records import JOINT_NAMES
 
 LIMBS = (
     ("left_shoulder", "left_elbow", "left_wrist", (0.0, -1.0, 0.0)),

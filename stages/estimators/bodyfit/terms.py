@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.formats.body_model import JOINT_NAMES
+from stages.records import JOINT_NAMES
 
 SPREAD = {
     # standard deviation in rad about x, y, z of the joint's rotation vector; large means no opinion

@@ -19,9 +19,10 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, take
-from stages.formats.cameras import Cameras, write_cameras
+from stages.formats.cameras import write_cameras
 from stages.formats.images import read_image, shrink, write_image, write_mask
 from stages.formats.points import write_points
+from stages.records import Cameras
 
 GIVEN = "given"
 LEAST_TRAINING = 4

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stages.contract import StageError
-from stages.formats.body_model import JOINT_NAMES
 from stages.formats.motions.bvh import Bvh
+from stages.records import JOINT_NAMES
 
 SYNONYMS = {  # SMPL's joint: what others call it, the clearest word first; claimed in this order, each joint once
     "hip": "upleg upperleg thigh hip",

@@ -12,7 +12,7 @@ import pytest
 from hugs_cli.studies import costs, costs_page
 from hugs_cli.studies.comparison import METRICS, REGIONS
 from stages.formats.images import read_image
-from tests.browser import probe
+from tests.made.browser import probe
 
 
 def run_(name: str, seconds: float, psnr: float, **changed) -> costs.Run:

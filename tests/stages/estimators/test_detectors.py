@@ -20,7 +20,7 @@ from stages.synthetic import person
 from stages.synthetic.effects import Effects
 from stages.synthetic.passers import make_passers
 from stages.synthetic.room import make_room
-from tests.datasets import points_of
+from tests.made.datasets import points_of
 
 
 def gains(frames: int = 30, drift: float = 0.0, step: float = 0.0, hidden: float = 0.4):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
-from stages.formats.cameras import Cameras, read_cameras, write_cameras
+from stages.formats.cameras import read_cameras, write_cameras
+from stages.records import Cameras
 
 
 def some_cameras() -> Cameras:

@@ -11,7 +11,7 @@ from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.images import write_image
 from stages.formats.poses import read_poses, write_poses
-from tests.stages import tiny as tiny_clip
+from tests.made import tiny as tiny_clip
 
 
 def test_cameras_points_and_body_share_a_world_of_metres(tiny):

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
-from stages.formats.effects import Effects, read_effects, write_effects
+from stages.formats.effects import read_effects, write_effects
+from stages.records import Effects
 
 SHADOW = {"light": [0.6, 0.8, 0.0], "darkness": 0.5, "softness": 0.03, "density": 1.4, "size": 0.6}
 SHADOW |= {"middles": np.ones((24, 3)), "covariances": np.ones((24, 3, 3))}

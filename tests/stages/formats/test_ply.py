@@ -9,7 +9,7 @@ import torch
 from stages.avatar.splats.gaussians import finite_rows
 from stages.contract import StageError
 from stages.formats.ply import write_ply
-from stages.formats.splats import Scene
+from stages.records import Scene
 
 
 def scene(n=5, bases=4, **changes):

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
-from stages.formats.poses import BodyPoses, read_poses, write_poses
+from stages.formats.poses import read_poses, write_poses
+from stages.records import BodyPoses
 
 
 def some_poses(frames=3):

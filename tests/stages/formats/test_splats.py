@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
-from stages.formats.splats import Avatar, Scene, read_avatar, read_scene, write_splats
+from stages.formats.splats import read_avatar, read_scene, write_splats
+from stages.records import Avatar, Scene
 
 
 def scene(n: int = 5) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from stages.avatar.cameras.pinhole import camera_centers, project
 from stages.formats.body_model import read_body_model
 from stages.synthetic.clip import camera_path, make_clip
-from tests.worlds import unproject
+from tests.made.worlds import unproject
 
 SIZE = {"width": 120, "height": 160, "frames": 7, "fps": 1.4}
 

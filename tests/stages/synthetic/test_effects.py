@@ -15,7 +15,7 @@ from stages.synthetic import person
 from stages.synthetic.effects import Course, Effects, gains, open_times, read_out, to_linear, to_srgb
 from stages.synthetic.passers import make_passers
 from stages.synthetic.room import make_room
-from tests.worlds import unproject
+from tests.made.worlds import unproject
 
 WIDTH, HEIGHT, FRAMES = 90, 120, 5
 AS_BEFORE = "c1315ebb4ed884f43a57dd9f56baa6f9d9f7296d6da8dffd6167bfc78ac2bcb6"

@@ -5,7 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import DA_POSE, Body, Landmarks, subdivide, vertex_normals
-from stages.formats.body_model import JOINT_NAMES, read_body_model
+from stages.formats.body_model import read_body_model
+from stages.records import JOINT_NAMES
 
 F64 = torch.float64
 

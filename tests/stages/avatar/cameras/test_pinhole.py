@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras import pinhole as cameras
-from tests.worlds import align_viewmats, umeyama, unproject
+from tests.made.worlds import align_viewmats, umeyama, unproject
 
 K = np.array([[500.0, 0, 320], [0, 480.0, 200], [0, 0, 1]])
 WORLD = cameras.look_at(np.array([1.0, 2, 3]), np.array([0.0, 0, 0]), np.array([0.0, 1, 0]))

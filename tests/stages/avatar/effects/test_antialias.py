@@ -9,8 +9,8 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import rasterize
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
-from stages.formats.effects import Effects
-from stages.formats.splats import Avatar, Scene, read_avatar, read_scene, write_splats
+from stages.formats.splats import read_avatar, read_scene, write_splats
+from stages.records import Avatar, Effects, Scene
 
 SIDE = 32
 VIEW, K = torch.eye(4), torch.tensor([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]])

@@ -5,7 +5,8 @@ import torch
 from stages.avatar.effects.clothing import FEATURES, Clothing
 from stages.avatar.model.human import Resting
 from stages.contract import StageError
-from stages.formats.clothes import Clothes, clothes_of
+from stages.formats.clothes import clothes_of
+from stages.records import Clothes
 
 NAMES = ("nodes", "mean", "axes", "low", "high", "offsets")
 

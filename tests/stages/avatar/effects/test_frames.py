@@ -16,13 +16,13 @@ from stages.avatar.rasterize import Layer
 from stages.avatar.splats.compose import compose_layers
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.body_model import read_body_model
-from stages.formats.effects import Effects
+from stages.records import Effects
 from stages.training.accuracy import judge
 from stages.training.checkpoint import restore
 from stages.training.fit import Fit
 from stages.training.refine import FrameCorrections, agreement
 from stages.training.schedule import Options
-from tests.stages import tiny
+from tests.made import tiny
 from tests.stages.training.test_fit import HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, same, stored
 
 UP = torch.tensor([0.0, -0.6, -0.8])  # the wall is behind the person, and takes the shadow

@@ -11,8 +11,8 @@ from stages.avatar.motion.formulas import MOTIONS
 from stages.formats.body_model import read_body_model
 from stages.formats.motions.bvh import read_bvh
 from stages.formats.motions.bvh_names import map_body
-from tests.stages import bvh_made
-from tests.stages.bvh_made import PARENTS
+from tests.made import bvh as bvh_made
+from tests.made.bvh import PARENTS
 
 Z_UP = Rotation.from_euler("x", 90, degrees=True).as_matrix()
 

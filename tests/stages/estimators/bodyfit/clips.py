@@ -12,8 +12,7 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
 from stages.estimators.bodyfit.evidence import NAMES, STAND_INS, model_landmarks
 from stages.estimators.person.blazepose import Pose, Roi
-from stages.formats.body_model import BodyModel
-from stages.formats.cameras import Cameras
+from stages.records import BodyModel, Cameras
 
 WIDTH, HEIGHT, FOCAL = 480, 864, 760.0
 SFM_FROM_WORLD = 2.7  # SfM units per metre

@@ -23,7 +23,8 @@ from stages.estimators.bodyfit.scale import Floor, find_floor, floor_scale, stil
 from stages.estimators.bodyfit.start import continuous, fill_limbs, fill_poses
 from stages.estimators.bodyfit.terms import acceleration, outlines, pose_prior, robust, spreads
 from stages.estimators.person.blazepose import NAMES
-from stages.formats.body_model import JOINT_NAMES, read_body_model
+from stages.formats.body_model import read_body_model
+from stages.records import JOINT_NAMES
 from tests.stages.estimators.bodyfit import clips as bodyfit_clips
 
 MODEL = read_body_model()
@@ -200,7 +201,7 @@ def test_a_hidden_limb_turns_evenly_between_the_frames_that_show_it():
 
 
 def test_d07_half_turns_of_either_sign_are_one_pose():
-    from stages.formats.poses import BodyPoses
+    from stages.records import BodyPoses
 
     orient = np.tile([0, 3.14, 0], (4, 1)) * np.array([[1], [-1], [1], [-1]])
     steps = np.linalg.norm(np.diff(continuous(orient[:, None])[:, 0], axis=0), axis=1)
@@ -267,7 +268,7 @@ def test_a_drawn_body_covers_its_own_mask():
 
 def test_j07_a_joint_that_jumps_is_named():
     clip = bodyfit_clips.make(MODEL, frames=5)
-    from stages.formats.poses import BodyPoses
+    from stages.records import BodyPoses
 
     pose = np.zeros((5, 69))
     pose[3, 3 * 17 + 1] = 2.5  # left elbow, body_pose starts at the left hip

@@ -17,16 +17,17 @@ from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap
 from stages.estimators.cameras import given as camera_import
 from stages.formats.body_model import read_body_model
-from stages.formats.cameras import Cameras, read_cameras, write_cameras
+from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.given_cameras.files import read_camera_files
 from stages.formats.given_cameras.model import PARAMS, Lens
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points
+from stages.records import Cameras
 from stages.synthetic.clip import make_clip
-from tests import camera_files as files
-from tests.datasets import points_of
+from tests.made import camera_files as files
+from tests.made.datasets import points_of
+from tests.made.truth import align, camera_errors
 from tests.stages.test_sfm import FOCAL, HEIGHT, WIDTH, walk, write_clip
-from tests.truth import align, camera_errors
 
 FRAMES, TOTAL = 10, 30
 

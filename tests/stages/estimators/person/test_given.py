@@ -16,7 +16,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.given_masks.coco import decode, polygons
 from stages.formats.images import read_mask, write_image, write_mask
 from stages.synthetic.clip import make_clip
-from tests import mask_files as files
+from tests.made import mask_files as files
 
 TOTAL, PICKED = 10, (0, 2, 3, 5, 9)
 

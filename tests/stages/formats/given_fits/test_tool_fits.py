@@ -13,12 +13,12 @@ from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.given import import_fit
 from stages.estimators.bodyfit.person import choose_person
 from stages.estimators.bodyfit.placing import place_in_world
-from stages.formats.cameras import Cameras
 from stages.formats.given_fits.files import read_smpl_fit
 from stages.formats.given_fits.record import SmplFit
-from tests import fits
-from tests.datasets import TURN, UNITS
-from tests.truth import joints_of
+from stages.records import Cameras
+from tests.made import fits
+from tests.made.datasets import TURN, UNITS
+from tests.made.truth import joints_of
 
 ROUNDED = ("ROMP v1 video", "ROMP v1 tracks", "ROMP v1 pictures", "EasyMocap")  # half precision, three decimals
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.body_model import JOINT_NAMES
 from stages.formats.motions.bvh import read_bvh
 from stages.formats.motions.bvh_names import map_body
-from tests.stages.bvh_made import MIXAMO
+from stages.records import JOINT_NAMES
+from tests.made.bvh import MIXAMO
 
 GOOD = """HIERARCHY
 ROOT Bip01 Pelvis

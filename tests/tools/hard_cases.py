@@ -1,7 +1,7 @@
 """The hard cases: which there are, which tests hold them, and how far each stays from its bound.
 
-    python -m tests.hard_cases          runs the tests that name a case and prints the table (`make hard`)
-    python -m tests.hard_cases --list   prints what is covered, without running
+    python -m tests.tools.hard_cases          runs the tests that name a case and prints the table (`make hard`)
+    python -m tests.tools.hard_cases --list   prints what is covered, without running
 
 A test covers the cases its name starts with: `test_a05_a16_what_must_hold` covers A05 and A16. It states its bounds through
 the fixture `held` (tests/conftest.py): `held(measured, bound)`. `hard_cases.txt` names all cases: number, severity
@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
+TESTS = HERE.parent
 NAMED = re.compile(r"test_((?:[a-l]\d\d_)+)")
 
 
@@ -89,7 +90,7 @@ def main() -> int:
     """Run or list the tests of hard cases, and print the table."""
     table = Table()
     options = ["--collect-only", "-qq"] if "--list" in sys.argv else []
-    code = pytest.main(["-q", str(HERE), *options], plugins=[table])
+    code = pytest.main(["-q", str(TESTS), *options], plugins=[table])
     print("\n".join(table.lines()))
     return int(code)
 

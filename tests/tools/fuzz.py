@@ -1,4 +1,4 @@
-"""Damaged files for every reader: `python -m tests.fuzz --tries 10000 --seed 0` prints what became of them.
+"""Damaged files for every reader: `python -m tests.tools.fuzz --tries 10000 --seed 0` prints what became of them.
 
 A reader may return a value or raise StageError. Anything else is a finding: another exception, a process that dies,
 more than LONGEST seconds, more than GROWTH bytes of memory, a file written elsewhere than in the folder of results.
@@ -26,8 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.corpus import KINDS, WHOLE, Kind, make
-from tests.mutations import mutated
+from tests.made.corpus import KINDS, WHOLE, Kind, make
+from tests.tools.mutations import mutated
 
 LONGEST = 10.0  # s for one file
 START = 300.0  # s until the first one, on a machine with much else to do
@@ -49,7 +49,7 @@ def damaged(kind: Kind, whole: Path, seed: int, number: int) -> bytes:
     return mutated((whole / kind.file).read_bytes(), rng)
 
 
-def fuzz(kind: Kind, whole: Path, seed: int, tries: int, kinds: str = "tests.corpus") -> Tally:
+def fuzz(kind: Kind, whole: Path, seed: int, tries: int, kinds: str = "tests.made.corpus") -> Tally:
     """Run `tries` damaged files of one kind; a process that dies or hangs is replaced by another one that goes on.
 
     `kinds` is the module whose KINDS have it.
@@ -57,7 +57,7 @@ def fuzz(kind: Kind, whole: Path, seed: int, tries: int, kinds: str = "tests.cor
     tally, number = Tally(), 0
     while number < tries:
         job = [kinds, kind.file, str(whole), str(seed), str(number), str(tries)]
-        for outcome, text in results([sys.executable, "-m", "tests.fuzz", "--work", *job]):
+        for outcome, text in results([sys.executable, "-m", "tests.tools.fuzz", "--work", *job]):
             tally.counts[outcome] += 1
             if outcome in ("crashed", "hung"):
                 tally.findings.append(f"{kind.file}:{number} {outcome} {text}")

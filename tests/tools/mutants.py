@@ -1,6 +1,6 @@
 """Takes stabilisers out of the code, one by one, and shows that the test of each turns red.
 
-    python -m tests.mutants        prints a table (`make mutants`); exit code 1 if any test stayed green
+    python -m tests.tools.mutants        prints a table (`make mutants`); exit code 1 if any test stayed green
 
 Every row of MUTANTS puts back a mistake that is easily made: the entries of the torture set of the hard cases (14-1 to
 14-16), and single cases. Two copies of the tree are worked on at a time, each with a cache of its own for compiled kernels.
@@ -19,7 +19,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 COPIED = ("hugs_cli", "stages", "tests", "pipelines.yaml", "pyproject.toml")
 WORKERS = 2
 

@@ -17,12 +17,12 @@ from stages.avatar.body.smpl import DA_POSE, Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
 from stages.formats.body_model import read_body_model, write_body_model
-from stages.formats.cameras import Cameras, write_cameras
-from stages.formats.effects import Effects
+from stages.formats.cameras import write_cameras
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
-from stages.formats.poses import BodyPoses, write_poses
-from stages.formats.splats import Avatar, Scene, write_splats
+from stages.formats.poses import write_poses
+from stages.formats.splats import write_splats
+from stages.records import Avatar, BodyPoses, Cameras, Effects, Scene
 
 FRAMES, WIDTH, HEIGHT, EMPTY = 8, 96, 128, 7
 FOCAL = 100.0

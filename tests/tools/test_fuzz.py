@@ -1,13 +1,14 @@
-"""A few damaged files of each kind, and a few kills: `python -m tests.fuzz` and `python -m tests.kills` do thousands."""
+"""A few damaged files of each kind, and a few kills; `python -m tests.tools.fuzz` and `tests.tools.kills` do thousands."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from tests import faulty, fuzz, kills
-from tests.corpus import KINDS
-from tests.mutations import DAMAGE, mutated, with_checksums
+from tests.made import faulty
+from tests.made.corpus import KINDS
+from tests.tools import fuzz, kills
+from tests.tools.mutations import DAMAGE, mutated, with_checksums
 
 TRIES = 5  # of each kind
 
@@ -30,7 +31,7 @@ def test_i14_i15_every_kind_of_damaged_file_is_read_or_refused(whole, tmp_path):
 def test_the_fuzzer_finds_bugs_files_elsewhere_memory_aborts_and_hangs(whole, monkeypatch):
     monkeypatch.setattr(fuzz, "LONGEST", 2.0)
     for kind, last in zip(faulty.KINDS, ("crashed exit code -6", "hung for 2 s"), strict=True):
-        tally = fuzz.fuzz(kind, whole, 0, 5, "tests.faulty")
+        tally = fuzz.fuzz(kind, whole, 0, 5, "tests.made.faulty")
         found = [finding.partition(":")[2] for finding in tally.findings]
         wanted = ["0 crashed KeyError", "1 crashed wrote", "2 crashed MemoryError", f"3 {last}", "4 crashed KeyError"]
         assert [text.startswith(start) for text, start in zip(found, wanted, strict=True)] == [True] * 5, found
@@ -55,7 +56,7 @@ def test_checksums_are_made_right(whole):
 
 @pytest.mark.slow
 def test_killed_at_random_moments_nothing_is_lost(tmp_path):
-    """Stand-in stages; `python -m tests.kills` also kills a real training."""
+    """Stand-in stages; `python -m tests.tools.kills` also kills a real training."""
     times = 8
     found = kills.harass(kills.StandIns(tmp_path), times, np.random.default_rng(3))
     assert {what: found[what] for what in kills.FINDINGS} == dict.fromkeys(kills.FINDINGS, 0)

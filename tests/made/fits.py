@@ -21,10 +21,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl import Body
-from stages.formats.body_model import BodyModel, read_body_model
+from stages.formats.body_model import read_body_model
+from stages.records import BodyModel
 from stages.synthetic import clip as synthetic
-from tests.datasets import SHIFT, TURN, UNITS
-from tests.worlds import align_viewmats
+from tests.made.datasets import SHIFT, TURN, UNITS
+from tests.made.worlds import align_viewmats
 
 SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
 STRANGER = np.array([1.1, 0.05, 0.6])  # m, in each camera, from the person to somebody else

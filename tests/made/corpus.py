@@ -1,4 +1,4 @@
-"""A small valid file of every kind that we read, made by our own writers, and who reads each: what tests/fuzz.py damages."""
+"""A small valid file of every kind that we read, made by our own writers, and who reads each: what tests/tools/fuzz.py damages."""
 
 from __future__ import annotations
 
@@ -246,7 +246,7 @@ KINDS = [
 
 def make(folder: Path) -> Path:
     """Write the corpus; returns the folder of whole files."""
-    from tests import datasets
+    from tests.made import datasets
 
     root = folder / WHOLE
     root.mkdir(parents=True)
@@ -396,7 +396,7 @@ def write_pictures(root: Path, rng: np.random.Generator) -> None:
 
 def write_masks(root: Path, rng: np.random.Generator) -> None:
     """Masks of two people in several encodings, one a frame."""
-    from tests import mask_files
+    from tests.made import mask_files
 
     images, folder = formats("images"), root / "masks"
     both = np.zeros((2, len(NAMES), SIDE, SIDE), bool)
@@ -418,8 +418,8 @@ def write_masks(root: Path, rng: np.random.Generator) -> None:
 def write_tools(root: Path) -> None:
     """What tools that fit bodies, move them and find cameras leave, and a training that broke down."""
     from stages.formats.failure import write_failure
-    from tests import camera_files, fits
-    from tests.stages import bvh_made
+    from tests.made import bvh as bvh_made
+    from tests.made import camera_files, fits
 
     truth = fits.make_truth(len(NAMES), SIDE, SIDE)
     truth = replace(truth, numbers=np.arange(len(NAMES)))

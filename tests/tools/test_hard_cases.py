@@ -3,13 +3,13 @@
 import re
 from pathlib import Path
 
-from tests.hard_cases import HERE, cases_of, catalogue, left
+from tests.tools.hard_cases import TESTS, cases_of, catalogue, left
 
 
 def named() -> set[str]:
     """The cases that some test of this tree covers."""
     tests = re.compile(r"^\s*def (test_\w+)", re.M)
-    files = (path.read_text() for path in Path(HERE).rglob("test_*.py"))
+    files = (path.read_text() for path in TESTS.rglob("test_*.py"))
     return {case for text in files for name in tests.findall(text) for case in cases_of(name)}
 
 

@@ -14,11 +14,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl import Body
-from stages.formats.body_model import BodyModel, read_body_model
-from stages.formats.cameras import Cameras, read_cameras, write_cameras
+from stages.formats.body_model import read_body_model
+from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.images import read_image, read_mask
-from stages.formats.poses import BodyPoses, read_poses, write_poses
-from tests.worlds import align_viewmats
+from stages.formats.poses import read_poses, write_poses
+from stages.records import BodyModel, BodyPoses, Cameras
+from tests.made.worlds import align_viewmats
 
 
 @dataclass(frozen=True)

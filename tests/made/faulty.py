@@ -1,4 +1,4 @@
-"""Readers with the faults that tests/fuzz.py is there to find: the first file is read, the next ones meet one fault each."""
+"""Readers with the faults that tests/tools/fuzz.py is there to find: the first file is read, the next ones meet one fault each."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.corpus import Kind
+from tests.made.corpus import Kind
 
 
 def faults(last: Callable[[], object]) -> Callable[[Path], None]:

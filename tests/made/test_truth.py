@@ -12,8 +12,8 @@ from stages.formats.cameras import read_cameras
 from stages.formats.poses import read_poses
 from stages.synthetic.clip import make_clip
 from stages.synthetic.files import write_clip
-from tests.truth import align, camera_errors, in_result_world, joint_errors, joints_of, mask_ious
-from tests.worlds import align_viewmats
+from tests.made.truth import align, camera_errors, in_result_world, joint_errors, joints_of, mask_ious
+from tests.made.worlds import align_viewmats
 
 SCALE, R, T = 0.37, Rotation.from_rotvec([0.4, -2.0, 0.7]).as_matrix(), np.array([1.0, -2.0, 0.3])
 

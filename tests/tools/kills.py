@@ -1,4 +1,4 @@
-"""Runs of the real engine, killed at random moments: `python -m tests.kills --times 200` prints what was found.
+"""Runs of the real engine, killed at random moments: `python -m tests.tools.kills --times 200` prints what was found.
 
 Two pipelines: stand-in stages of a fraction of a second, and a real training that goes on from its checkpoints. After
 each kill every finished result is read again, byte by byte; in the end the results are those of a run left in peace.
@@ -23,7 +23,7 @@ import numpy as np
 from hugs_cli.cache.fingerprint import file_digest, files_under
 from hugs_cli.cache.workspace import OLD, OURS, PART, Stamp
 from tests.hugs_cli.conftest import Flow
-from tests.stages import tiny
+from tests.made import tiny
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 FINDINGS = ("corrupt", "lost", "other bytes", "not said", "traceback")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.mutants import MUTANTS, mutated, node
+from tests.tools.mutants import MUTANTS, mutated, node
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=[m.name for m in MUTANTS])
@@ -16,4 +16,4 @@ def test_what_is_not_there_or_there_twice_is_refused():
     with pytest.raises(LookupError, match="found 0 times"):
         mutated(MUTANTS[0]._replace(text="nobody wrote this"))
     with pytest.raises(LookupError, match="0 tests are called nothing"):
-        node("tests/test_mutants.py::nothing")
+        node("tests/tools/test_mutants.py::nothing")

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import project
-from stages.formats.cameras import Cameras
 from stages.formats.given_cameras.model import PARAMS
-from tests.worlds import align_viewmats
+from stages.records import Cameras
+from tests.made.worlds import align_viewmats
 
 TURN, SHIFT, UNITS = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix(), np.array([3.0, -1.2, 0.8]), 2.7
 LENSES = {

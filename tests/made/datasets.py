@@ -22,7 +22,7 @@ from stages.synthetic import person
 from stages.synthetic.effects import NO_EFFECTS, Effects
 from stages.synthetic.files import write_views
 from stages.synthetic.room import make_room
-from tests.worlds import align_viewmats
+from tests.made.worlds import align_viewmats
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
 SHIFT = np.array([3.0, -1.2, 0.8])

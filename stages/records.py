@@ -1,0 +1,197 @@
+"""What the houses hand each other: plain arrays with names, shapes and units. No files, no tensors, no mathematics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+BETAS = 10
+JOINTS = 24
+JOINT_NAMES = tuple(
+    """pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot
+    neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
+    left_hand right_hand""".split()
+)
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Pinhole cameras of one clip, all of one size.
+
+    `names` [C] str are frame names without suffix; `viewmats` [C,4,4] float64 are camera_from_world with OpenCV axes
+    (x right, y down, z forward), in the units of the file they came from (SfM units in sfm/cameras.npz);
+    `Ks` [C,3,3] float64 in px, the centre of the first pixel at (0.5, 0.5).
+    """
+
+    names: tuple[str, ...]
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    width: int
+    height: int
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def centers(self) -> np.ndarray:
+        """Camera positions in the world [C,3]."""
+        rotation = self.viewmats[:, :3, :3]
+        return -(rotation.mT @ self.viewmats[:, :3, 3:])[..., 0]
+
+
+@dataclass(frozen=True)
+class BodyPoses:
+    """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
+
+    `names` are frame names; `betas` [10]; `global_orient` [F,3] and `body_pose` [F,69] rotation vectors in radians;
+    `transl` [F,3] m; `confidence` [F] from 0 (no evidence, do not train on it) to 1. The world has the axes of the SfM
+    frame; `world_from_sfm` is its metres per SfM unit.
+    """
+
+    names: tuple[str, ...]
+    betas: np.ndarray
+    global_orient: np.ndarray
+    body_pose: np.ndarray
+    transl: np.ndarray
+    confidence: np.ndarray
+    world_from_sfm: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """SMPL-format body of V vertices: metres, y up, facing +z, T-pose, its left hand at +x; float32.
+
+    `v_template` [V,3]; `faces` [T,3] int32; `shapedirs` [V,3,10] m per unit of beta; `posedirs` [V,3,207] m per entry
+    of (R - I), zero where the body has none; `J_regressor` [24,V]; `lbs_weights` [V,24], rows sum to 1; `parents` [24],
+    the root's is -1. `keypoint_regressor` [K,V] with `keypoint_names`, where the file has them.
+    """
+
+    v_template: np.ndarray
+    faces: np.ndarray
+    shapedirs: np.ndarray
+    posedirs: np.ndarray
+    J_regressor: np.ndarray
+    lbs_weights: np.ndarray
+    parents: np.ndarray
+    keypoint_regressor: np.ndarray | None = None
+    keypoint_names: tuple[str, ...] | None = None
+    name: str = ""
+
+    def landmark_regressor(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names and matrix [K,V]: landmarks = matrix @ vertices, on posed vertices too.
+
+        The stored keypoints (nose, left_ear, left_shoulder, ..., left_heel, left_big_toe), or where the file has none
+        the model's own limb joints (left_shoulder ... left_ankle, left_foot). Vertex ids mean nothing across models.
+        """
+        if self.keypoint_regressor is not None and self.keypoint_names is not None:
+            return self.keypoint_names, self.keypoint_regressor
+        parts = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
+        rows = [i for i, name in enumerate(JOINT_NAMES) if name.partition("_")[2] in parts]
+        return tuple(JOINT_NAMES[i] for i in rows), self.J_regressor[rows]
+
+
+@dataclass(frozen=True)
+class Clothes:
+    """M nodes on the body at rest, each with an offset for each of K features of the pose.
+
+    nodes[M,3] m, offsets[M,3,K] m, features = (body_pose - mean[69]) @ axes[69,K], held within low[K] and high[K].
+    A Gaussian at rest takes the offsets of the nodes around it, see `avatar.effects.clothing`, and is then skinned.
+    """
+
+    nodes: np.ndarray
+    mean: np.ndarray
+    axes: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    offsets: np.ndarray
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays as the file names them."""
+        return {f"clothes_{f.name}": np.asarray(getattr(self, f.name)) for f in fields(self)}
+
+    @property
+    def largest(self) -> float:
+        """The largest offset in m that a feature at its limit causes: what a viewer that ignores clothes gets wrong."""
+        reach = np.maximum(abs(self.low), abs(self.high))
+        return float(np.linalg.norm(self.offsets * reach, axis=1).max(initial=0))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """N Gaussians in the world frame, metres.
+
+    means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
+    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms. `antialias`: they were learned with opacities
+    lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493), and want to be drawn so.
+    """
+
+    means: np.ndarray
+    quats: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    sh0: np.ndarray
+    shN: np.ndarray
+    antialias: bool = field(default=False, kw_only=True)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True)
+class Avatar(Scene):
+    """N Gaussians in the canonical da-pose frame, metres, and all that posing them needs.
+
+    lbs_weights[N,24] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
+    canonical_pose[69] axis-angle of the pose in which the Gaussians stand; `clothes`, or None, move before skinning.
+    """
+
+    lbs_weights: np.ndarray
+    joints: np.ndarray
+    parents: np.ndarray
+    betas: np.ndarray
+    canonical_pose: np.ndarray
+    clothes: Clothes | None = field(default=None, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Effects:
+    """What a clip called for; None for what is off.
+
+    The person's shadow: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of
+    all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the
+    share of its covariance that casts; `middles` [24,3] m and `covariances` [24,3,3] m^2 of the body's parts at rest. Of the
+    time between two frames `shutter` is the share in which the shutter is
+    open, `readout` that in which the rows are read, negative from below.
+    """
+
+    light: np.ndarray | None = None
+    darkness: float | None = None
+    softness: float | None = None
+    density: float | None = None
+    size: float | None = None
+    middles: np.ndarray | None = None
+    covariances: np.ndarray | None = None
+    shutter: float | None = None
+    readout: float | None = None
+
+    def known(self) -> dict[str, np.ndarray]:
+        """What is not None, by name."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: np.asarray(value, np.float64) for name, value in values.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Split:
+    """Of C frames: `training` and `heldout` bool [C] (a frame may be neither), `moments` int [C], not falling.
+
+    Frames of one moment show one pose, so what training learns of a pose holds for all of them. `rule` is a sentence.
+    """
+
+    training: np.ndarray
+    heldout: np.ndarray
+    moments: np.ndarray
+    rule: str
