@@ -1,11 +1,14 @@
 # make run [VIDEO=dance.mp4]   the environment, the models, and the flow on a video (or on a synthetic clip)
-# make test                    the environment and the tests
+# make test                    the environment and the tests; HUGS_CLIPS=FOLDER names real clips, without it their tests are skipped
+# make quick                   the tests that take under a second each (WORKERS=2 processes, as with make test)
 # make hard                    the numerical hard cases: what holds each, how far from its bound
 # make mutants                 takes stabilisers out, one by one, and shows that a test notices
 # make bench WORK=work/kitchen/default   how fast it is here, with what that pipeline left; JSON in build/
 PYTHON ?= python3
 VENV   ?= .venv
+WORKERS ?= 2
 HUGS    = $(VENV)/bin/hugs
+PYTEST  = $(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist loadfile
 
 run: $(VENV)/ready
 	@$(HUGS) doctor --fetch
@@ -17,7 +20,10 @@ test: $(VENV)/ready
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/mypy
-	$(VENV)/bin/python -m pytest
+	$(PYTEST)
+
+quick: $(VENV)/ready
+	$(PYTEST) -m "not slow"
 
 hard: $(VENV)/ready
 	$(VENV)/bin/python -m tests.tools.hard_cases
@@ -38,4 +44,4 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
 	touch $@
 
-.PHONY: run test hard mutants bench
+.PHONY: run test quick hard mutants bench

@@ -1,4 +1,4 @@
-"""Shared by all tests: where the real clips lie, and the markers."""
+"""What all tests share: the folder of real clips, one thread a worker, and the list of slow tests that no mark names."""
 
 from __future__ import annotations
 
@@ -11,21 +11,37 @@ import pytest
 os.environ.setdefault(
     "OMP_WAIT_POLICY", "PASSIVE"
 )  # as the engine does: waiting threads that spin make torch 25x slower
+if "PYTEST_XDIST_WORKER" in os.environ:  # several tests at a time: the processors are taken
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
+CLIPS = "HUGS_CLIPS"  # the environment variable that names the folder of real clips
+QUICK = 1.0  # s; `make quick` leaves out tests marked `slow`, which take longer
+over: dict[str, float] = {}
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """`slow` sorts tests of more than 5 s; it leaves none out."""
-    config.addinivalue_line("markers", "slow: takes more than 5 s")
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Remember a test that took longer than QUICK and is not marked `slow`."""
+    if report.when == "call" and report.duration > QUICK and "slow" not in report.keywords:
+        over[report.nodeid] = report.duration
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name these tests; on a busy machine some are there by accident, therefore nothing fails."""
+    if over:
+        terminalreporter.section(f"over {QUICK:g} s and not marked slow")
+    for name, seconds in sorted(over.items(), key=lambda row: -row[1]):
+        terminalreporter.write_line(f"{seconds:6.1f} s  {name}")
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """The folder of real clips; the test is skipped, with the reason printed, where it is absent."""
-    if not DATA.is_dir():
-        pytest.skip(f"no real clips at {DATA}")
-    return DATA
+def clips() -> Path:
+    """The folder of real clips; without it the test is skipped, with the reason printed."""
+    folder = os.environ.get(CLIPS)
+    if not folder:
+        pytest.skip(f"{CLIPS} names no folder of real clips")
+    if not Path(folder).is_dir():
+        pytest.skip(f"{CLIPS}: there is no folder {folder}")
+    return Path(folder)
 
 
 @pytest.fixture

@@ -24,9 +24,9 @@ def blazepose():
 
 
 @pytest.fixture(scope="session")
-def kitchen(shared_data):
+def kitchen(clips):
     """Every 10th frame of the kitchen clip: index -> uint8 [864,480,3]."""
-    return {i: image for i, _, image in decode(shared_data / "kitchen" / "kitchen.mp4") if i % 10 == 0}
+    return {i: image for i, _, image in decode(clips / "kitchen" / "kitchen.mp4") if i % 10 == 0}
 
 
 @pytest.fixture(scope="session")

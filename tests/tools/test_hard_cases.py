@@ -1,7 +1,6 @@
 """The catalogue of hard cases is whole: each has a test or a reason, those of weight a test, and no number is made up."""
 
 import re
-from pathlib import Path
 
 from tests.tools.hard_cases import TESTS, cases_of, catalogue, left
 

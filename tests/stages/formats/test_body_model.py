@@ -2,7 +2,6 @@ import copyreg
 import pickle
 import sys
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from stages.contract import StageError
 from stages.formats.body_model import FREE_BODY, read_body_model, write_body_model
 
 V = 40
-SHARED = Path(__file__).parents[4] / "shared" / "data" / "body" / "free_body_smpl.npz"
 
 
 def smpl_arrays(components=10, joints=24, vertices=V):
@@ -285,10 +283,9 @@ def test_the_free_body_is_a_person():
     assert (counts == 2).all()  # closed
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason=f"no {SHARED}")
-def test_the_free_body_is_built_as_its_reference():
+def test_the_free_body_is_built_as_its_reference(clips):
     """An earlier bake of the same recipe: joints agree to some cm once both are as tall."""
-    ours, theirs = read_body_model(), read_body_model(SHARED)
+    ours, theirs = read_body_model(), read_body_model(clips / "body" / "free_body_smpl.npz")
     joints = [m.J_regressor @ m.v_template / np.ptp(m.v_template[:, 1]) * 1.7 for m in (ours, theirs)]
     off = np.linalg.norm(joints[0] - joints[1], axis=1)
     assert np.delete(off, [10, 11]).max() < 0.03  # the feet's joint was moved to the ball of the foot

@@ -192,15 +192,15 @@ def test_turns_between_directions():
 
 
 @pytest.mark.parametrize("name", ["jesse_dance", "jumping_jacks", "wave_hello"])
-def test_real_motions_turn_no_faster_than_in_their_file(shared_data, joints, name):
-    path = shared_data / "motion" / f"{name}.bvh"
+def test_real_motions_turn_no_faster_than_in_their_file(clips, joints, name):
+    path = clips / "motion" / f"{name}.bvh"
     found, source = retargeted(path, joints).rotations, read_bvh(path).rotations
     steps, own = (degrees(rotations[1:], rotations[:-1]) for rotations in (found, source))
     assert steps.max() < 1.1 * own.max(), f"frame {steps.max(1).argmax()}, joint {steps.max(0).argmax()}"
 
 
-def test_the_right_hand_of_wave_hello_waves(shared_data, joints):
-    found = retargeted(shared_data / "motion" / "wave_hello.bvh", joints)
+def test_the_right_hand_of_wave_hello_waves(clips, joints):
+    found = retargeted(clips / "motion" / "wave_hello.bvh", joints)
     world = bvh_made.world_of(found.rotations)
     left, right = ((world[:, elbow] @ (joints[wrist] - joints[elbow]))[:, 2] for elbow, wrist in ((18, 20), (19, 21)))
     assert right.max() > 0.12 and left.max() < 0.03  # z is up in this file
