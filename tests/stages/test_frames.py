@@ -1,3 +1,5 @@
+"""Stage frames picks sharp frames, spread in time, and refuses too little video."""
+
 import json
 
 import cv2

@@ -1,3 +1,5 @@
+"""Stage masks joins given masks by name, finds their polarity, and outlines the person otherwise."""
+
 import json
 import shutil
 

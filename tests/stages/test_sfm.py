@@ -1,3 +1,5 @@
+"""Stage sfm on drawn rooms: walks, turns, standing cameras, lenses, and what cannot be reconstructed."""
+
 import json
 
 import cv2

@@ -1,3 +1,5 @@
+"""Stage survey decides on scene and effects by what it measures."""
+
 import json
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Stage train: what it writes, resumes, refuses, and leaves behind when it breaks down."""
+
 import csv
 import json
 import os

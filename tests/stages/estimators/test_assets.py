@@ -1,3 +1,5 @@
+"""Networks and weights are fetched, checked by their digest, and unpacked without running code."""
+
 import hashlib
 import io
 import pickle

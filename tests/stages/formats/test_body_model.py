@@ -1,3 +1,5 @@
+"""Body models: every SMPL file is the same body, no pickle runs code, and the free body is a person."""
+
 import copyreg
 import pickle
 import sys

@@ -1,3 +1,5 @@
+"""cameras.npz keeps every bit, and wrong cameras are refused by name."""
+
 from dataclasses import replace
 
 import numpy as np

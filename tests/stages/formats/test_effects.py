@@ -1,3 +1,5 @@
+"""effects.npz gives back what was learned, and what cannot be is refused."""
+
 import numpy as np
 import pytest
 

@@ -1,3 +1,5 @@
+"""JSON facts between stages: read with all keys, refused at the first place that does not fit."""
+
 import json
 
 import pytest

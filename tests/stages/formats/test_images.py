@@ -1,3 +1,5 @@
+"""Pictures: exact round trips, turned as EXIF says, damaged files refused, full disks told."""
+
 import resource
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""points.ply as other readers see it, and broken headers refused."""
+
 import numpy as np
 import pytest
 import trimesh

@@ -1,3 +1,5 @@
+"""body.npz comes back as written, and wrong poses are refused by key."""
+
 import numpy as np
 import pytest
 

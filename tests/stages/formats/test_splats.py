@@ -1,3 +1,5 @@
+"""avatar.npz and scene.npz without pickles, with damage named."""
+
 import numpy as np
 import pytest
 

@@ -1,3 +1,5 @@
+"""Videos: colour, time, rotation, range and damage on reading; H.264 on writing."""
+
 import struct
 from fractions import Fraction
 

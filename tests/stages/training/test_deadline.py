@@ -1,3 +1,5 @@
+"""Training within a time: pace, rehearsal, and the end on time on any machine."""
+
 import pytest
 
 from stages.training.deadline import Deadline, Pace, rehearse, short_of

@@ -1,3 +1,5 @@
+"""Growth and pruning of the scene's Gaussians, whatever the unit of length."""
+
 import pytest
 import torch
 

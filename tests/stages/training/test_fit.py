@@ -1,3 +1,5 @@
+"""The training loop: it learns, resumes bit for bit, and survives bad rows, gradients and frames."""
+
 import io
 import subprocess
 import sys

@@ -1,3 +1,5 @@
+"""Losses: what they pull, what they leave alone, and their size at every resolution."""
+
 import pytest
 import torch
 

@@ -1,3 +1,5 @@
+"""Passers-by are outvoted by other frames and teach nothing."""
+
 import numpy as np
 import pytest
 import torch

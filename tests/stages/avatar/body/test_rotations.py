@@ -1,3 +1,5 @@
+"""Rotations: values and gradients at every singular point, round trips, and what is degenerate."""
+
 import itertools
 import math
 

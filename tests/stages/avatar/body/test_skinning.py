@@ -1,3 +1,5 @@
+"""Skinning: points and covariances follow the bones, and weights come from the nearest vertices."""
+
 import math
 
 import numpy as np

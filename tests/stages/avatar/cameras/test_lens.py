@@ -1,3 +1,5 @@
+"""Lens distortion is inverted, and a folded lens is refused."""
+
 import cv2
 import numpy as np
 import pytest

@@ -1,3 +1,5 @@
+"""Pinhole cameras in numpy and torch, and the similarity between two worlds."""
+
 import numpy as np
 import pytest
 import torch

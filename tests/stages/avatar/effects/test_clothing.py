@@ -1,3 +1,5 @@
+"""Clothes that follow the joints: at rest at first, learned, bounded, and kept in a file."""
+
 import numpy as np
 import pytest
 import torch

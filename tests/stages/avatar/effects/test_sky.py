@@ -1,3 +1,5 @@
+"""The sky shell: where the sky is, what it looks like, and that training leaves it far away."""
+
 import numpy as np
 import torch
 

@@ -1,3 +1,5 @@
+"""LPIPS agrees with the paper by the book, and its gradient is its slope."""
+
 import numpy as np
 import pytest
 import torch

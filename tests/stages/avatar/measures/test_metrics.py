@@ -1,3 +1,5 @@
+"""PSNR, SSIM and LPIPS of whole pictures, of masked ones and of the person's crop."""
+
 import math
 
 import numpy as np

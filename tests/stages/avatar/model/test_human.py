@@ -1,3 +1,5 @@
+"""The person's model: before training it is the body, and gradients stay finite and alive."""
+
 import numpy as np
 import pytest
 import torch

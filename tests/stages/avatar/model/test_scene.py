@@ -1,3 +1,5 @@
+"""The scene's Gaussians: lengths, the start from points, and points that fill what SfM left empty."""
+
 import numpy as np
 import pytest
 import torch

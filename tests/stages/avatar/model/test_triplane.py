@@ -1,3 +1,5 @@
+"""The triplane equals grid_sample in value and gradient, and names points that are not finite."""
+
 import subprocess
 import sys
 

@@ -1,3 +1,5 @@
+"""Motions by formula: at rest at the start, feet on the floor, arms and legs as people move them."""
+
 import pytest
 import torch
 

@@ -1,3 +1,5 @@
+"""Spherical harmonics: the basis, its signs, and colours clamped at black."""
+
 import math
 
 import pytest

@@ -1,3 +1,5 @@
+"""How the camera moved: static, only turning or travelling, by matches of made worlds."""
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

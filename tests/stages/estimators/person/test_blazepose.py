@@ -1,3 +1,5 @@
+"""Landmarks and outlines by BlazePose; its networks are tried on the kitchen clip."""
+
 from dataclasses import replace
 
 import cv2

@@ -1,3 +1,5 @@
+"""The person's outline from crops: pasted, moved along the body, cleaned and weighted."""
+
 import cv2
 import numpy as np
 

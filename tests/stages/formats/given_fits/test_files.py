@@ -1,3 +1,5 @@
+"""Fits of the body that the user gives: layouts, joins by name, refusals by key."""
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,3 +1,5 @@
+"""Masks that the user gives: every encoding reads as the same mask, bad files are refused."""
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
