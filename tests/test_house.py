@@ -1,0 +1,126 @@
+"""The shape of the house: who imports whom, where tests lie, which parameters have types, how long a file is."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("stages", "hugs_cli")
+HOUSES = ("avatar", "training", "estimators", "formats", "synthetic")
+LONGEST = 350  # lines
+TABLES: set[str] = set()  # files that are long because they are lists
+KERNELS = ("njit", "jit", "intrinsic", "overload", "vectorize")  # decorators of functions that numba gives their types
+ELSEWHERE = {}  # a test file that is called after no module of its folder: why
+
+
+def sources() -> dict[str, Path]:
+    """Every module of the packages: dotted name -> file."""
+    files = (path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    named = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in files}
+    return {name.removesuffix(".__init__"): path for name, path in sorted(named.items())}
+
+
+SOURCES = sources()
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in SOURCES.items()}
+
+
+def imported(name: str) -> Iterator[str]:
+    """All that a module imports, at its top or inside a function: dotted names of modules, or of things in them."""
+    package = name if SOURCES[name].name == "__init__.py" else name.rpartition(".")[0]
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            place = ".".join([*above, *filter(None, [node.module])])
+            yield from (f"{place}.{alias.name}" for alias in node.names)
+
+
+def graph() -> dict[str, set[str]]:
+    """Module -> the modules of the packages that it imports."""
+    found: dict[str, set[str]] = {}
+    for name in SOURCES:
+        parts = {one if one in SOURCES else one.rpartition(".")[0] for one in imported(name)}
+        found[name] = (parts & set(SOURCES)) - {name}
+    return found
+
+
+def circles(edges: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules each of which reaches all others of its group."""
+    reach = {name: set(targets) for name, targets in edges.items()}
+    while True:
+        more = {name: known.union(*(reach[one] for one in known)) for name, known in reach.items()}
+        if more == reach:
+            break
+        reach = more
+    groups = {tuple(sorted(other for other in reach[name] if name in reach[other])) for name in edges}
+    return sorted(list(group) for group in groups if group)
+
+
+def test_circles_are_found():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
+    assert graph()["stages.formats.cameras"] >= {"stages.records"}
+
+
+def test_nobody_imports_in_a_circle():
+    found = circles(graph())
+    assert not found, "\n".join(map(str, found))
+
+
+def test_the_product_imports_no_test():
+    assert [name for name in SOURCES if any(one.partition(".")[0] == "tests" for one in imported(name))] == []
+
+
+def test_tests_lie_where_the_modules_lie_that_they_test():
+    """test_x.py tests the module x, or the room x, of the folder that is called like its own."""
+    lost = []
+    for path in (path for package in PACKAGES for path in (ROOT / "tests" / package).rglob("test_*.py")):
+        place = path.relative_to(ROOT / "tests").with_name(path.stem.removeprefix("test_"))
+        if not (ROOT / place).is_dir() and not (ROOT / place).with_suffix(".py").is_file():
+            lost.append(path.relative_to(ROOT / "tests").as_posix())
+    assert sorted(lost) == sorted(ELSEWHERE)
+
+
+def unclear(tree: ast.Module) -> Iterator[str]:
+    """Parameters of public functions and methods without a type, or with `Any` for one."""
+    scopes: list[tuple[str, list[ast.stmt]]] = [("", tree.body)]
+    for prefix, body in scopes:
+        for node in body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                scopes.append((f"{node.name}.", node.body))
+            if not isinstance(node, ast.FunctionDef) or node.name.startswith("_") and node.name != "__init__":
+                continue
+            marks = [ast.unparse(mark) for mark in node.decorator_list]
+            if any(word in mark for mark in marks for word in KERNELS):
+                continue
+            given = node.args
+            rows = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+            if prefix and not any(mark == "staticmethod" for mark in marks):
+                rows = rows[1:]  # self, cls
+            for row in filter(None, rows):
+                kind = ast.unparse(row.annotation) if row.annotation else ""
+                if not kind or "Any" in kind.split(" | "):
+                    yield f"{prefix}{node.name}({row.arg})"
+
+
+def test_parameters_without_a_type_are_found():
+    text = "def f(a, b: Any, c: dict[str, Any], d: int): ...\nclass C:\n  def g(self, e): ...\ndef _h(x): ..."
+    assert list(unclear(ast.parse(text))) == ["f(a)", "f(b)", "C.g(e)"]
+
+
+@pytest.mark.parametrize("house", HOUSES)
+def test_public_parameters_have_types(house):
+    inside = [name for name in SOURCES if f"{name}.".startswith(f"stages.{house}.")]
+    assert inside
+    unknown = [f"{name}.{found}" for name in inside for found in unclear(TREES[name])]
+    assert not unknown, "\n".join(unknown)
+
+
+def test_no_file_is_long_unless_it_is_a_table():
+    lines = {path.relative_to(ROOT).as_posix(): len(path.read_text("utf-8").splitlines()) for path in SOURCES.values()}
+    long = {name: count for name, count in lines.items() if count > LONGEST}
+    assert set(long) == TABLES, long
