@@ -113,7 +113,7 @@ MUTANTS = (
         "stages/avatar/rasterize/rendering.py",
         "ALPHA_MAX = 0.999",
         "ALPHA_MAX = 1.0",
-        "tests/stages/avatar/rasterize/test_blending.py::the_early_stop_leaves_no_hole",
+        "tests/stages/avatar/rasterize/test_blend.py::the_early_stop_leaves_no_hole",
     ),
     Mutant(
         "14-6 B13 a reset of opacities",
