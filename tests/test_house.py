@@ -106,7 +106,7 @@ def unclear(tree: ast.Module) -> Iterator[str]:
         for node in body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 scopes.append((f"{node.name}.", node.body))
-            if not isinstance(node, ast.FunctionDef) or node.name.startswith("_") and node.name != "__init__":
+            if not isinstance(node, ast.FunctionDef) or (node.name.startswith("_") and node.name != "__init__"):
                 continue
             marks = [ast.unparse(mark) for mark in node.decorator_list]
             if any(word in mark for mark in marks for word in KERNELS):
