@@ -81,17 +81,14 @@ MALFORMED = []
 for tool, spoil, words in (
     # 4D-Humans
     ("PHALP", within(0, "smpl")(gone), ["000001.jpg", "no smpl", "tracked_time"]),
-    ("PHALP", within(0, "tid")(gone), ["000001.jpg", "no tid"]),
     ("PHALP", within(0, "time")(put("a")), ["000001.jpg", "time", "a str"]),
     ("PHALP", within(0, "camera")(lambda v: v[:1]), ["000001.jpg", "different lengths", "camera 1", "tid 2"]),
     ("PHALP", within(0, "tid")(put(3)), ["000001.jpg", "different lengths", "tid None"]),
-    ("PHALP", within(*PERSON, "betas")(part(slice(9))), ["person 7", "betas", "1x9", "1x10"]),
     ("PHALP", within(*PERSON, "betas")(with_number(np.inf, 2)), ["person 7", "betas", "[0, 2]", "inf"]),
     ("PHALP", within(*PERSON, "body_pose")(part(slice(21))), ["person 7", "body_pose", "1x21x3x3"]),
     ("PHALP", within(*PERSON, "body_pose")(lambda v: 1.2 * v), ["person 7", "body_pose", "not rotations"]),
     ("PHALP", within(*PERSON, "global_orient")(gone), ["person 7", "no global_orient"]),
     ("PHALP", within(0, "camera", 1)(put(np.zeros(2))), ["person 7", "camera", "found 2, wanted 3"]),
-    ("PHALP", within(0, "camera", 1)(with_number(np.nan, 1)), ["person 7", "camera", "[1]", "nan"]),
     ("PHALP", within(0, "tracked_time", 1)(put(np.zeros(3))), ["person 7", "tracked_time", "wanted a single number"]),
     ("PHALP", within(0, "size", 1)(put([96, 128])), ["another shape", "128x96", "48x64"]),
     ("PHALP", within(0, "size", 1)(put([0, 0])), ["without a size"]),
@@ -101,7 +98,6 @@ for tool, spoil, words in (
     # ROMP
     ("ROMP v1 video", within(0, 0, "cam")(gone), ["00000000.jpg", "no cam", "betas"]),
     ("ROMP v1 video", within(0, 0, "poses")(part(slice(66))), ["00000000.jpg", "poses", "1x66", "1x72"]),
-    ("ROMP v1 video", within(0, 0, "poses")(with_number(np.nan, 5)), ["poses", "[0, 5]", "nan"]),
     ("ROMP v1 video", within(0, 0, "poses")(lambda v: v + 60), ["00000000.jpg", "poses", "degrees"]),
     ("ROMP v1 video", within(0, 0, "cam")(with_number(-1, 0)), ["00000000.jpg", "cam", "not positive", "-1"]),
     ("ROMP v1 video", within(0, 0)(put(3)), ["00000000.jpg", "no named values", "a int"]),
@@ -117,12 +113,9 @@ for tool, spoil, words in (
     ),
     ("simple-romp video", within("sequence_results", 0, "cam")(lambda v: v[:1]), ["track 0", "lengths", "cam"]),
     ("simple-romp video", within("sequence_results", 0, "frame_id")(put(None)), ["track 0", "lengths"]),
-    ("simple-romp video", within("sequence_results", 0, "frame_id")(gone), ["track 0", "no frame_id"]),
     # WHAM
-    ("WHAM", within(*WHAM, "trans")(gone), ["track 1", "no trans", "pose_world"]),
     ("WHAM", within(*WHAM, "pose")(lambda v: v[:, :69]), ["track 1", "pose", "4x69", "4x72"]),
     ("WHAM", within(*WHAM, "trans")(lambda v: v[:3]), ["track 1", "trans", "3x3", "4x3"]),
-    ("WHAM", within(*WHAM, "trans")(nan), ["track 1", "trans", "[0, 1]", "nan"]),
     ("WHAM", within(*WHAM, "betas")(lambda v: v[:2]), ["track 1", "betas", "2x10", "1x10"]),
     ("WHAM", within(*WHAM, "frame_ids")(lambda v: v[:3]), ["track 1", "frame_ids", "found 3, wanted 4"]),
     ("WHAM", within(*WHAM, "frame_ids")(lambda v: v + 0.5), ["track 1", "frame_ids", "row 0 has 0.5"]),
@@ -133,13 +126,11 @@ for tool, spoil, words in (
     ("GVHMR", within(*INCAM, "transl")(gone), ["smpl_params_incam", "no transl", "body_pose"]),
     ("GVHMR", within(*INCAM, "body_pose")(lambda v: v[:, :60]), ["body_pose", "12x60", "12x63"]),
     ("GVHMR", within(*INCAM, "global_orient")(nan), ["global_orient", "[0, 1]", "nan"]),
-    ("GVHMR", within("K_fullimg")(gone), ["no K_fullimg", "smpl_params_global"]),
     ("GVHMR", within("K_fullimg")(lambda v: v[:2]), ["K_fullimg", "2x3x3", "12x3x3"]),
     ("GVHMR", within("K_fullimg")(with_number(-5, slice(None), 0, 0)), ["focal length that is not positive"]),
     ("GVHMR", within("K_fullimg")(with_number(0, slice(None), 0, 2)), ["without a size", "found 0"]),
     ("GVHMR", within("smpl_params_incam")(put(torch.zeros(3))), ["smpl_params_incam", "no named values"]),
     # TRAM
-    ("TRAM", within("camera", "img_focal")(gone), ["camera.npy", "no img_focal", "img_center"]),
     ("TRAM", within("camera", "img_focal")(put(0.0)), ["camera.npy", "focal length that is not positive"]),
     ("TRAM", within("camera", "img_center")(put(np.ones(3))), ["camera.npy", "img_center", "found 3, wanted 2"]),
     ("TRAM", within("camera", "img_center")(put(np.array([64.0, 48]))), ["another shape", "128x96"]),
@@ -149,10 +140,8 @@ for tool, spoil, words in (
     ("TRAM", within("tracks")(put([])), ["holds no poses"]),
     # EasyMocap
     ("EasyMocap", within(0, 1, "Th")(gone), ["000000.json", "no Th", "Rh"]),
-    ("EasyMocap", within(0, 1, "id")(gone), ["000000.json", "no id"]),
     ("EasyMocap", within(0, 1, "id")(put(None)), ["000000.json", "names nobody"]),
     ("EasyMocap", within(0, 1, "poses")(lambda v: [v[0][:60]]), ["000000.json", "poses", "1x60", "1x69"]),
-    ("EasyMocap", within(0, 1, "poses")(put("rest")), ["000000.json", "poses", "a str"]),
     ("EasyMocap", within(0, 1, "Th")(put([[1, 2], [3]])), ["000000.json", "Th", "a list"]),
     ("EasyMocap", within(0, 1, "Rh")(put([[float("nan")] * 3])), ["000000.json", "Rh", "nan"]),
     ("EasyMocap", within(0)(put("[{")), ["000000.json is not valid JSON"]),
@@ -181,19 +170,15 @@ def test_one_thing_wrong_is_named(tmp_path, truth, whole, tool, spoil, words):
     assert caught.value.hint and caught.value.problem[-1] != "."
 
 
-def test_there_are_at_least_forty():
-    assert len(MALFORMED) >= 40
-
-
 @pytest.mark.parametrize("tool", [t for t, name in fits.FILES.items() if "." in name])
-@pytest.mark.parametrize("spoil", ["empty", "half", "text", "zeros"])
-def test_damaged_files_are_refused(tmp_path, truth, whole, tool, spoil):
+def test_damaged_files_are_refused(tmp_path, truth, whole, tool):
     path = fits.write(tool, whole[tool], tmp_path)
     data = path.read_bytes()
-    path.write_bytes({"empty": b"", "half": data[: len(data) // 2], "text": b"hello", "zeros": bytes(100)}[spoil])
-    with pytest.raises(StageError) as caught:
-        read_smpl_fit(path, truth.size)
-    assert str(path) in caught.value.problem and caught.value.hint
+    for damaged in (b"", data[: len(data) // 2], b"hello", bytes(100)):
+        path.write_bytes(damaged)
+        with pytest.raises(StageError) as caught:
+            read_smpl_fit(path, truth.size)
+        assert str(path) in caught.value.problem and caught.value.hint, damaged[:10]
 
 
 class Bomb:
@@ -204,7 +189,7 @@ class Bomb:
         return os.system, (f"touch {self.sign}",)
 
 
-@pytest.mark.parametrize("tool", ["PHALP", "WHAM", "GVHMR", "TRAM", "ROMP v1 video", "plain"])
+@pytest.mark.parametrize("tool", ["PHALP", "GVHMR", "TRAM", "ROMP v1 video"])  # test_untrusted.py tries the others
 def test_nothing_in_a_file_is_run(tmp_path, truth, whole, tool):
     sign = tmp_path / "ran"
     content = copy.deepcopy(whole[tool])
