@@ -11,7 +11,7 @@ import pytest
 
 from stages.formats.images import read_image, write_image
 from tests.made import datasets
-from tests.test_end_to_end import hugs
+from tests.made.command import hugs
 
 pytestmark = pytest.mark.slow
 

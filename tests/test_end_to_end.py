@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,20 +17,12 @@ from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.poses import read_poses
 from tests.made.browser import probe
+from tests.made.command import hugs
 from tests.made.truth import align, camera_errors, joint_errors, mask_ious, novel_psnr, tell_novel_poses
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[1]
 PIPELINE = "ci"
-
-
-def hugs(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """Run the command line; the test fails with all it said if it does."""
-    command = [sys.executable, "-c", "from hugs_cli import main; main()", *map(str, arguments)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1200)
-    assert done.returncode == 0, f"hugs {' '.join(map(str, arguments))}\n{done.stdout}\n{done.stderr}"
-    return done
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from hugs_cli.cache import child, engine
 from hugs_cli.cache.freshness import Recipe
 from hugs_cli.cache.workspace import Stamp, clip_name
 from hugs_cli.pipelines import UsageError
-from tests.hugs_cli.cache.test_engine import ALL, WHOLE
+from tests.made.flow import ALL, WHOLE
 
 FULL = "open('/dev/full', 'w').write('x' * 100_000); "
 

@@ -12,8 +12,8 @@ from stages.formats.poses import write_poses
 from stages.formats.splats import write_splats
 from stages.records import Avatar, BodyPoses, Cameras, Scene
 from stages.render import render_views
+from tests.made.skeleton import PARENTS
 
-PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
 WIDTH, HEIGHT = 48, 40
 RED, BLUE = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
 

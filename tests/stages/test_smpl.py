@@ -19,7 +19,7 @@ from stages.formats.cameras import write_cameras
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import read_poses
-from tests.stages.estimators.bodyfit import clips as bodyfit_clips
+from tests.made import bodyfit_clips
 
 MODEL = read_body_model()
 

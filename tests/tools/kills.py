@@ -22,8 +22,8 @@ import numpy as np
 
 from hugs_cli.cache.fingerprint import file_digest, files_under
 from hugs_cli.cache.workspace import OLD, OURS, PART, Stamp
-from tests.hugs_cli.conftest import Flow
 from tests.made import tiny
+from tests.made.flow import Flow
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 FINDINGS = ("corrupt", "lost", "other bytes", "not said", "traceback")

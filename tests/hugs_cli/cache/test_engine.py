@@ -11,9 +11,7 @@ import pytest
 
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import UsageError
-
-ALL = ["one", "two", "three", "four"]
-WHOLE = "four:a(two:a(one:a(pixels)),three:a(one:a(pixels)))"
+from tests.made.flow import ALL, WHOLE
 
 
 def child_of(pid: int) -> list[int]:

@@ -9,7 +9,7 @@ import pytest
 from hugs_cli.studies import costs_page
 from hugs_cli.studies import sweep as sweeps
 from stages.formats.plot import Dot
-from tests.hugs_cli.studies.compared import TRAIN
+from tests.made.studies import TRAIN
 
 MADE = (("train", "train.json"), ("evaluate", "metrics.json"))
 SURVEY = """

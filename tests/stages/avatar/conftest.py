@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-PARENTS = np.array([-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21])
+from tests.made.skeleton import PARENTS
 
 
 def make_small_body(vertices=60, seed=0, posedirs=True):
@@ -26,7 +26,7 @@ def make_small_body(vertices=60, seed=0, posedirs=True):
         posedirs=rng.normal(0, 0.01, (vertices, 3, 207)) * posedirs,
         J_regressor=regressor / regressor.sum(1, keepdims=True),
         lbs_weights=weights / weights.sum(1, keepdims=True),
-        parents=PARENTS,
+        parents=np.array(PARENTS),
     )
 
 

@@ -10,13 +10,14 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.body_model import FREE_BODY, read_body_model, write_body_model
+from tests.made.skeleton import PARENTS
 
 V = 40
 
 
 def smpl_arrays(components=10, joints=24, vertices=V):
     rng = np.random.default_rng(0)
-    parents = np.array([2**32 - 1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21])
+    parents = np.array(PARENTS) % 2**32
     weights, regressor = rng.random((vertices, joints)), rng.random((joints, vertices))
     regressor[regressor < 0.7] = 0
     return {

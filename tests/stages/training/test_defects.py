@@ -16,7 +16,7 @@ from stages.training import fit as fit_module
 from stages.training import losses
 from stages.training.checkpoint import restore, snapshot
 from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
-from tests.stages.avatar.measures.test_lpips import small_weights
+from tests.made.lpips_weights import small_weights
 from tests.stages.training.test_ablations import states
 from tests.stages.training.test_fit import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run
 

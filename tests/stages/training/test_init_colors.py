@@ -5,7 +5,7 @@ import torch
 
 from stages.training.init_colors import seen_colors
 from stages.training.views import Views
-from tests.stages.avatar.effects.standing import around, stand
+from tests.made.standing import around, stand
 
 SIZE = 64
 RED, BLUE = torch.tensor([200, 20, 20], dtype=torch.uint8), torch.tensor([20, 20, 200], dtype=torch.uint8)

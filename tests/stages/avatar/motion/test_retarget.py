@@ -12,7 +12,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.motions.bvh import read_bvh
 from stages.formats.motions.bvh_names import map_body
 from tests.made import bvh as bvh_made
-from tests.made.bvh import PARENTS
+from tests.made.skeleton import PARENTS
 
 Z_UP = Rotation.from_euler("x", 90, degrees=True).as_matrix()
 

@@ -25,7 +25,7 @@ from stages.estimators.bodyfit.terms import acceleration, outlines, pose_prior, 
 from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
-from tests.stages.estimators.bodyfit import clips as bodyfit_clips
+from tests.made import bodyfit_clips
 
 MODEL = read_body_model()
 

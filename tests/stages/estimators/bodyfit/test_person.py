@@ -11,7 +11,7 @@ from stages.contract import StageError
 from stages.estimators.bodyfit.person import choose_person, overlaps
 from stages.formats.body_model import read_body_model
 from stages.formats.given_fits.record import SmplFit, joined
-from tests.stages.estimators.bodyfit import clips as bodyfit_clips
+from tests.made import bodyfit_clips
 
 MODEL = read_body_model()
 FRAMES = 6

@@ -26,8 +26,8 @@ from stages.records import Cameras
 from stages.synthetic.clip import make_clip
 from tests.made import camera_files as files
 from tests.made.datasets import points_of
+from tests.made.rooms import FOCAL, HEIGHT, WALLS, WIDTH, walk, write_clip
 from tests.made.truth import align, camera_errors
-from tests.stages.test_sfm import FOCAL, HEIGHT, WIDTH, walk, write_clip
 
 FRAMES, TOTAL = 10, 30
 
@@ -165,7 +165,6 @@ def test_cameras_without_points_get_them_by_triangulation(tmp_path, monkeypatch)
     facts = run("out", files.nerfstudio(tmp_path / "transforms.json", truth))
     found = read_cameras(tmp_path / "out/cameras.npz")
     assert camera_errors(found, truth, 8).worst < 1e-6 and facts["epipolar_px"] < 0.3 and facts["reprojection_px"] < 0.5
-    from tests.stages.test_sfm import WALLS
 
     placed = align(found, truth).to_truth(read_points(tmp_path / "out/points.ply")[0])
     away = np.min([abs(placed @ normal - offset) for normal, offset, _ in WALLS], 0)

@@ -20,9 +20,9 @@ from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import write_ignored
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, write_image
+from tests.made import rooms as room
+from tests.made.rooms import run, walk, write_clip
 from tests.made.worlds import umeyama
-from tests.stages import test_sfm as room
-from tests.stages.test_sfm import run, walk, write_clip
 
 NAMES = [f"{3 * i:06d}" for i in range(10)]
 

@@ -9,6 +9,7 @@ from stages.formats.motions.bvh import read_bvh
 from stages.formats.motions.bvh_names import map_body
 from stages.records import JOINT_NAMES
 from tests.made.bvh import MIXAMO
+from tests.made.skeleton import PARENTS
 
 GOOD = """HIERARCHY
 ROOT Bip01 Pelvis
@@ -142,11 +143,10 @@ FAMILIES = {
 
 def named(tmp_path, names, **more):
     """A body's tree of joints under other names; `more` takes joints out."""
-    parents = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
     without = more.get("without", ())
 
     def told(joint):
-        inner = "".join(told(child) for child in range(24) if parents[child] == joint)
+        inner = "".join(told(child) for child in range(24) if PARENTS[child] == joint)
         if joint in without:
             return inner
         kind = "ROOT" if joint == 0 else "JOINT"

@@ -9,7 +9,7 @@ from stages.avatar.splats.compose import compose
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import bake
 from stages.training.views import Person, Views, asked
-from tests.stages.avatar.effects.standing import around, stand
+from tests.made.standing import around, stand
 
 SIZE, STILL = 192, torch.zeros(3)
 EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))

@@ -6,7 +6,7 @@ import torch
 from stages.avatar.model.human import Canonical
 from stages.training.finishing import depths
 from stages.training.views import Views
-from tests.stages.avatar.effects.standing import around, stand
+from tests.made.standing import around, stand
 
 SIZE = 96
 EYES = ((0, 0, 3), (3, 0, 0), (0.3, 0, 3))  # before, beside, nearly before

@@ -1,0 +1,134 @@
+"""A small pipeline of its own package, in a folder, and a way to run `hugs` on it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+HUGS = "from hugs_cli import main; main()"  # what the installed command does
+
+STAGE = '''
+"""A stage that writes what its inputs hold, after its own name."""
+from stages.contract import Params as Base, speed_only
+
+RESUMES = {resumes}
+
+class Params(Base):
+    word: str = "a"
+    """What to write."""
+    delay: float = speed_only(0.0)
+    """Seconds to wait before the end."""
+
+def run(job, params, *, {needs}):
+    """Write one file."""
+    from flow import helper
+    helper.work(job, params, "{name}", [{needs}])
+'''
+
+HELPER = '''
+"""What all stages do."""
+import os, time
+from pathlib import Path
+
+def work(job, params, name, inputs):
+    # with a comment
+    path = job.out / "out.txt"
+    count = len(list(job.out.glob("step*")))
+    if params.delay or count:
+        for i in range(count, 5):
+            (job.out / f"step{i}").write_text("")
+            job.progress(i + 1, 5, psnr=20.0 + i)
+            end = time.monotonic() + params.delay / 5
+            while time.monotonic() < end:
+                time.sleep(0.01)
+                if job.stop_asked:
+                    from stages.contract import Stopped
+                    raise Stopped
+        job.note(f"began at step {count}")
+        for file in job.out.glob("step*"):
+            file.unlink()
+    texts = [(p / "out.txt").read_text() if p.is_dir() else p.read_text() for p in inputs if p]
+    path.write_text(f"{name}:{params.word}({','.join(texts)})"[:10_000])
+'''
+
+ALL = ["one", "two", "three", "four"]
+WHOLE = "four:a(two:a(one:a(pixels)),three:a(one:a(pixels)))"  # what the last one writes
+# one -> two, three (resumes) -> four: a diamond
+NEEDS = {"one": ["video"], "two": ["one"], "three": ["one", "mask_files"], "four": ["two", "three"]}
+
+
+class Flow:
+    """A clip, a package of four stages, pipelines for them, and the command line."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.package = folder / "flow"
+        self.video = folder / "clip.mp4"
+        self.work = folder / "work"
+        self.package.mkdir()
+        self.write("__init__", "")
+        self.write("helper", HELPER)
+        for name, needs in NEEDS.items():
+            self.write(name, STAGE.format(name=name, needs=", ".join(needs), resumes=name == "three"))
+        self.video.write_text("pixels")
+        stages = "".join(f"    {n}: {{needs: [{', '.join(d)}], module: flow.{n}}}\n" for n, d in NEEDS.items())
+        more = "other:\n  doc: Another.\n  extends: default\n  stages: {four: {params: {word: z}}}\n"
+        (folder / "pipelines.yaml").write_text(f"default:\n  doc: Four.\n  stages:\n{stages}{more}")
+
+    def write(self, name: str, text: str) -> None:
+        """Write one module of the package."""
+        (self.package / f"{name}.py").write_text(textwrap.dedent(text))
+
+    def edit(self, name: str, old: str, new: str) -> None:
+        """Change one module of the package."""
+        text = (self.package / f"{name}.py").read_text()
+        assert old in text
+        self.write(name, text.replace(old, new))
+
+    def start(self, *args: str, command: str = "run") -> subprocess.Popen:
+        """Start `hugs COMMAND clip.mp4 ARGS`."""
+        place = ["--pipelines-file", str(self.folder / "pipelines.yaml")] if command not in ("gc", "render") else []
+        return subprocess.Popen(
+            [sys.executable, "-c", HUGS, command, "clip.mp4", *args, *place],
+            cwd=self.folder,
+            env={**os.environ, "PYTHONPATH": f"{self.folder}:{ROOT}", "NO_COLOR": "1", "COLUMNS": "200"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def hugs(self, *args: str, command: str = "run", code: int = 0) -> tuple[str, str]:
+        """Run it to its end; its stdout and stderr. The exit code must be `code`."""
+        process = self.start(*args, command=command)
+        out, err = process.communicate(timeout=60)
+        assert process.returncode == code, f"exit code {process.returncode}\n{out}\n{err}"
+        return out, err
+
+    def ran(self, *args: str) -> dict[str, list[str]]:
+        """Run it; the stages that ran (not those cached), each with its reasons."""
+        out, _ = self.hugs(*args, "--json")
+        return {row["stage"]: row["reasons"] for row in json.loads(out)["stages"] if row["state"] == "done"}
+
+    def text(self, stage: str, pipeline: str = "default") -> str:
+        """What a stage wrote."""
+        return (self.work / "clip" / pipeline / stage / "out.txt").read_text()
+
+    @staticmethod
+    def wait_for(condition: Callable[[], object], seconds: float = 30.0) -> None:
+        """Wait until something is so; fails if it does not come to be."""
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, "waited in vain"
+            time.sleep(0.01)
+
+    @property
+    def store(self) -> Path:
+        """The folder of results."""
+        return self.work / "clip" / "store"
