@@ -14,6 +14,22 @@ from typing import Any
 import numpy as np
 
 from stages import report
+from stages.formats import images
+from stages.formats.body_model import read_body_model, write_body_model
+from stages.formats.cameras import read_cameras, write_cameras
+from stages.formats.effects import read_effects, write_effects
+from stages.formats.facts import read_facts
+from stages.formats.failure import read_failure, write_failure
+from stages.formats.given_fits.files import read_smpl_fit
+from stages.formats.motions import bvh
+from stages.formats.motions.bvh_names import map_body
+from stages.formats.motions.smpl import read_smpl_motion
+from stages.formats.points import read_points, write_points
+from stages.formats.poses import read_poses, write_poses
+from stages.formats.splats import read_avatar, read_scene, write_splats
+from stages.formats.splits import read_split, write_split
+from stages.formats.video import write_video
+from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Scene
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
 SIDE = 24  # px of the pictures
@@ -34,22 +50,18 @@ class Kind:
     read: Callable[[Path], Any]
 
 
-def formats(name: str) -> Any:
-    """A module of stages.formats, imported when it is needed."""
-    import importlib
-
-    return importlib.import_module(f"stages.formats.{name}")
-
-
 def fit(file: str, given: str = "") -> Kind:
     """An SMPL fit, or one file of those in the folder `given`: read, joined to the frames, and brought into the world."""
 
     def read(root: Path) -> Any:
-        body, cameras = formats("body_model").read_body_model(root / "whole.npz"), still_cameras()
-        found = formats("smpl_fits").read_smpl_fit(root / (given or file), (SIDE, SIDE))
-        found, rows = formats("fit_frames").join_frames(found, NAMES, np.arange(len(NAMES)) / FPS)
+        from stages.estimators.bodyfit.frames import join_frames
+        from stages.estimators.bodyfit.placing import place_in_world
+
+        body, cameras = read_body_model(root / "whole.npz"), still_cameras()
+        found = read_smpl_fit(root / (given or file), (SIDE, SIDE))
+        found, rows = join_frames(found, NAMES, np.arange(len(NAMES)) / FPS)
         names = tuple(NAMES[i] for i in rows)
-        return formats("fit_placing").place_in_world(found, names, cameras.viewmats[rows], cameras.Ks[rows], body, 1.0)
+        return place_in_world(found, names, cameras.viewmats[rows], cameras.Ks[rows], body, 1.0)
 
     return Kind(file, read)
 
@@ -74,7 +86,7 @@ def given_cameras(file: str) -> Kind:
         from stages.contract import Job
         from stages.estimators.cameras.given import imported
 
-        path, listing = root / file, formats("facts").read_facts(root / "film" / "frames.json", sfm.LISTING)
+        path, listing = root / file, read_facts(root / "film" / "frames.json", sfm.LISTING)
         return imported(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
 
     return Kind(file, read)
@@ -82,15 +94,15 @@ def given_cameras(file: str) -> Kind:
 
 def read_bvh(root: Path) -> Any:
     """A BVH motion, and which of its joints are whose."""
-    found = formats("bvh").read_bvh(root / "motion.bvh")
-    return formats("bvh_names").map_body(found, root / "motion.bvh")
+    found = bvh.read_bvh(root / "motion.bvh")
+    return map_body(found, root / "motion.bvh")
 
 
-def still_cameras() -> Any:
+def still_cameras() -> Cameras:
     """A camera for each of NAMES, all in the same place."""
     K = np.array([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]])
     n = len(NAMES)
-    return formats("cameras").Cameras(NAMES, np.tile(np.eye(4), (n, 1, 1)), np.tile(K, (n, 1, 1)), SIDE, SIDE)
+    return Cameras(NAMES, np.tile(np.eye(4), (n, 1, 1)), np.tile(K, (n, 1, 1)), SIDE, SIDE)
 
 
 def stage(file: str, module: str, video: str, **params: Any) -> Kind:
@@ -107,14 +119,14 @@ def stage(file: str, module: str, video: str, **params: Any) -> Kind:
     return Kind(file, read)
 
 
-def one(file: str, module: str, reader: str, *more: Any) -> Kind:
+def one(file: str, reader: Callable[..., Any], *more: Any) -> Kind:
     """A file that one function of stages.formats reads."""
-    return Kind(file, lambda root: getattr(formats(module), reader)(root / file, *more))
+    return Kind(file, lambda root: reader(root / file, *more))
 
 
 def picture(root: Path, file: str) -> Any:
     """A picture, as frames are read."""
-    return formats("images").read_image(root / file)
+    return images.read_image(root / file)
 
 
 PICTURES = [Kind(f"picture.{end}", lambda root, e=end: picture(root, f"picture.{e}")) for end in
@@ -139,7 +151,7 @@ def calibrated(file: str) -> Kind:
 
 def facts(file: str, wanted: Any) -> Kind:
     """A .json file between stages."""
-    return Kind(file, lambda root: formats("facts").read_facts(root / file, wanted))
+    return Kind(file, lambda root: read_facts(root / file, wanted))
 
 
 def read_stamp(root: Path) -> Any:
@@ -186,14 +198,14 @@ def read_curve(root: Path) -> Any:
 
 
 KINDS = [
-    one("points.ply", "points", "read_points"),
-    one("cameras.npz", "cameras", "read_cameras"),
-    one("body.npz", "poses", "read_poses"),
-    one("avatar.npz", "splats", "read_avatar"),
-    one("scene.npz", "splats", "read_scene"),
-    one("effects.npz", "effects", "read_effects"),
-    one("body_model.npz", "body_model", "read_body_model"),
-    one("body_model.pkl", "body_model", "read_body_model"),
+    one("points.ply", read_points),
+    one("cameras.npz", read_cameras),
+    one("body.npz", read_poses),
+    one("avatar.npz", read_avatar),
+    one("scene.npz", read_scene),
+    one("effects.npz", read_effects),
+    one("body_model.npz", read_body_model),
+    one("body_model.pkl", read_body_model),
     fit("fit_named.npz"),
     fit("fit_poses.npz"),
     fit("fit_zju.npz"),
@@ -202,9 +214,9 @@ KINDS = [
     fit("hmr4d_results.pt"),
     fit("video_results.npz"),
     fit("smpl/000000.json", "smpl"),
-    one("motion.npz", "motions", "read_smpl_motion"),
+    one("motion.npz", read_smpl_motion),
     Kind("motion.bvh", read_bvh),
-    one("failure.npz", "failure", "read_failure"),
+    one("failure.npz", read_failure),
     given_cameras("colmap/cameras.bin"),
     given_cameras("colmap/images.bin"),
     given_cameras("colmap/points3D.bin"),
@@ -232,7 +244,7 @@ KINDS = [
     calibrated("frames/given/lenses.npz"),
     calibrated("frames/given/points.ply"),
     calibrated("frames/given/sfm.json"),
-    one("split.json", "splits", "read_split", NAMES),
+    one("split.json", read_split, NAMES),
     facts("survey.json", report.SURVEY),
     facts("metrics.json", report.METRICS),
     Kind("curve.csv", read_curve),
@@ -267,16 +279,13 @@ def make(folder: Path) -> Path:
 
 def write_arrays(root: Path, rng: np.random.Generator) -> None:
     """Points, cameras, poses, Gaussians, body models."""
-    poses, splats, body = (formats(name) for name in ("poses", "splats", "body_model"))
     n, rows = len(NAMES), 20
-    formats("points").write_points(
-        root / "points.ply", rng.normal(size=(rows, 3)), rng.integers(0, 255, (rows, 3), np.uint8)
-    )
-    formats("cameras").write_cameras(root / "cameras.npz", still_cameras())
-    turned = poses.BodyPoses(
+    write_points(root / "points.ply", rng.normal(size=(rows, 3)), rng.integers(0, 255, (rows, 3), np.uint8))
+    write_cameras(root / "cameras.npz", still_cameras())
+    turned = BodyPoses(
         NAMES, np.zeros(10), rng.normal(size=(n, 3)), rng.normal(size=(n, 69)), np.ones((n, 3)), np.ones(n)
     )
-    poses.write_poses(root / "body.npz", turned)
+    write_poses(root / "body.npz", turned)
     quats = np.tile([1.0, 0, 0, 0], (rows, 1))
     look = (
         rng.normal(size=(rows, 3)),
@@ -286,16 +295,15 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         np.zeros((rows, 3)),
         np.zeros((rows, 3, 3)),
     )
-    splats.write_splats(root / "scene.npz", splats.Scene(*look))
-    effects = formats("effects")
-    effects.write_effects(
+    write_splats(root / "scene.npz", Scene(*look))
+    write_effects(
         root / "effects.npz",
-        effects.Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, np.zeros((24, 3)), np.zeros((24, 3, 3)), 0.5, -0.3),
+        Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, np.zeros((24, 3)), np.zeros((24, 3, 3)), 0.5, -0.3),
     )
     weights = np.eye(24)[rng.integers(0, 24, rows)]
     rest = (weights, rng.normal(size=(24, 3)), np.arange(-1, 23), np.zeros(10), np.zeros(69))
-    splats.write_splats(root / "avatar.npz", splats.Avatar(*look, *rest))
-    model = body.BodyModel(
+    write_splats(root / "avatar.npz", Avatar(*look, *rest))
+    model = BodyModel(
         v_template=rng.normal(size=(VERTICES, 3)),
         faces=rng.integers(0, VERTICES, (40, 3)),
         shapedirs=rng.normal(size=(VERTICES, 3, 10)),
@@ -305,7 +313,7 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         parents=np.arange(-1, 23),
     )
     for name in ("body_model.npz", "whole.npz"):
-        body.write_body_model(root / name, model)
+        write_body_model(root / name, model)
     with np.load(root / "body_model.npz") as arrays, open(root / "body_model.pkl", "wb") as file:
         pickle.dump(dict(arrays), file, protocol=2)
 
@@ -321,9 +329,7 @@ def write_facts(root: Path) -> None:
     listing = {"width": SIDE, "height": SIDE, "video": {"frames": len(NAMES)}}
     listing["frames"] = [{"name": name, "index": i} for i, name in enumerate(NAMES)]
     (root / "film" / "frames.json").write_text(json.dumps(listing))
-    formats("splits").write_split(
-        root / "split.json", "one apart", {name: ("train", i) for i, name in enumerate(NAMES)}
-    )
+    write_split(root / "split.json", "one apart", {name: ("train", i) for i, name in enumerate(NAMES)})
     scores = {"full": {"psnr": 20.5, "ssim": None}}
     metrics = {"heldout": scores, "heldout_fitted": scores, "gaussians": {"human": 3, "scene": 4}, "protocol": "ours"}
     metrics |= {"seconds": {"total": 3.5}, "peak_memory_bytes": 5}
@@ -386,19 +392,18 @@ def write_fits(root: Path, rng: np.random.Generator) -> None:
 
 def write_pictures(root: Path, rng: np.random.Generator) -> None:
     """Pictures and a video."""
-    images = formats("images")
     smooth = np.kron(rng.integers(0, 255, (SIDE // 8, SIDE // 8, 3), np.uint8), np.ones((8, 8, 1), np.uint8))
     for kind in PICTURES:
         images.write_image(root / kind.file, smooth)
     frames = (rng.integers(0, 255, (SIDE, SIDE, 3), np.uint8).repeat(2, 0).repeat(2, 1) for _ in range(10))
-    formats("video").write_video(root / "clip.mp4", frames, 10.0)
+    write_video(root / "clip.mp4", frames, 10.0)
 
 
 def write_masks(root: Path, rng: np.random.Generator) -> None:
     """Masks of two people in several encodings, one a frame."""
     from tests.made import mask_files
 
-    images, folder = formats("images"), root / "masks"
+    folder = root / "masks"
     both = np.zeros((2, len(NAMES), SIDE, SIDE), bool)
     both[0, :, 4:20, 3:10], both[1, :, 8:20, 14:19] = True, True
     soft = np.where(both[0], rng.integers(150, 255, both[0].shape), rng.integers(0, 50, both[0].shape)).astype(np.uint8)
@@ -417,7 +422,6 @@ def write_masks(root: Path, rng: np.random.Generator) -> None:
 
 def write_tools(root: Path) -> None:
     """What tools that fit bodies, move them and find cameras leave, and a training that broke down."""
-    from stages.formats.failure import write_failure
     from tests.made import bvh as bvh_made
     from tests.made import camera_files, fits
 
