@@ -93,7 +93,7 @@ def imported(
 ) -> tuple[BodyPoses, dict[str, Any]]:
     """Poses read from another program's file; says which of its people was taken, and what else is worth knowing."""
     from stages.estimators.bodyfit.given import import_fit
-    from stages.formats.given_fits.files import read_smpl_fit
+    from stages.formats.given_fits.recognize import read_smpl_fit
 
     fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
     poses, facts = import_fit(fit, model, cameras, times, masks, points, moving, sources)

@@ -15,8 +15,8 @@ from stages.estimators.cameras import colmap
 from stages.estimators.cameras.sparse_model import Pinholes
 from stages.formats.datasets.undistorted import Grid
 from stages.formats.frame_names import count_from_one, join, named, number, stem
-from stages.formats.given_cameras.files import read_camera_files
-from stages.formats.given_cameras.model import GivenCameras, Lens, widest_angles
+from stages.formats.given_cameras.recognize import read_camera_files
+from stages.formats.given_cameras.record import GivenCameras, Lens, widest_angles
 from stages.formats.images import same_shape
 
 STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that moves less stands

@@ -13,9 +13,10 @@ import numpy as np
 
 from stages.contract import Job, StageError
 from stages.formats.frame_names import count_from_one, join
-from stages.formats.given_masks.files import ForeignMasks
+from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import Object, labelled, pick, ranked
-from stages.formats.given_masks.sets import MaskSet, read_mask_files
+from stages.formats.given_masks.recognize import read_mask_files
+from stages.formats.given_masks.values import ForeignMasks
 from stages.formats.images import same_shape
 
 

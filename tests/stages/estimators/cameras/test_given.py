@@ -18,8 +18,8 @@ from stages.estimators.cameras import colmap
 from stages.estimators.cameras import given as camera_import
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
-from stages.formats.given_cameras.files import read_camera_files
-from stages.formats.given_cameras.model import PARAMS, Lens
+from stages.formats.given_cameras.recognize import read_camera_files
+from stages.formats.given_cameras.record import PARAMS, Lens
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points
 from stages.records import Cameras
