@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from stages import report
+from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Scene
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
 SIDE = 24  # px of the pictures
@@ -45,11 +45,13 @@ def fit(file: str, given: str = "") -> Kind:
     """An SMPL fit, or one file of those in the folder `given`: read, joined to the frames, and brought into the world."""
 
     def read(root: Path) -> Any:
+        from stages.estimators.bodyfit import frames, placing
+
         body, cameras = formats("body_model").read_body_model(root / "whole.npz"), still_cameras()
-        found = formats("smpl_fits").read_smpl_fit(root / (given or file), (SIDE, SIDE))
-        found, rows = formats("fit_frames").join_frames(found, NAMES, np.arange(len(NAMES)) / FPS)
+        found = formats("given_fits.recognize").read_smpl_fit(root / (given or file), (SIDE, SIDE))
+        found, rows = frames.join_frames(found, NAMES, np.arange(len(NAMES)) / FPS)
         names = tuple(NAMES[i] for i in rows)
-        return formats("fit_placing").place_in_world(found, names, cameras.viewmats[rows], cameras.Ks[rows], body, 1.0)
+        return placing.place_in_world(found, names, cameras.viewmats[rows], cameras.Ks[rows], body, 1.0)
 
     return Kind(file, read)
 
@@ -70,11 +72,11 @@ def given_cameras(file: str) -> Kind:
     """Cameras of another program, joined to the frames; of a COLMAP model its folder is given."""
 
     def read(root: Path) -> Any:
-        from stages import sfm
         from stages.contract import Job
         from stages.estimators.cameras.given import imported
+        from stages.formats.facts import Listing, read_facts
 
-        path, listing = root / file, formats("facts").read_facts(root / "film" / "frames.json", sfm.LISTING)
+        path, listing = root / file, read_facts(root / "film" / "frames.json", Listing)
         return imported(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
 
     return Kind(file, read)
@@ -82,15 +84,15 @@ def given_cameras(file: str) -> Kind:
 
 def read_bvh(root: Path) -> Any:
     """A BVH motion, and which of its joints are whose."""
-    found = formats("bvh").read_bvh(root / "motion.bvh")
-    return formats("bvh_names").map_body(found, root / "motion.bvh")
+    found = formats("motions.bvh").read_bvh(root / "motion.bvh")
+    return formats("motions.bvh_names").map_body(found, root / "motion.bvh")
 
 
 def still_cameras() -> Any:
     """A camera for each of NAMES, all in the same place."""
     K = np.array([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]])
     n = len(NAMES)
-    return formats("cameras").Cameras(NAMES, np.tile(np.eye(4), (n, 1, 1)), np.tile(K, (n, 1, 1)), SIDE, SIDE)
+    return Cameras(NAMES, np.tile(np.eye(4), (n, 1, 1)), np.tile(K, (n, 1, 1)), SIDE, SIDE)
 
 
 def stage(file: str, module: str, video: str, **params: Any) -> Kind:
@@ -137,9 +139,9 @@ def calibrated(file: str) -> Kind:
     return Kind(file, read)
 
 
-def facts(file: str, wanted: Any) -> Kind:
+def facts(file: str, form: str) -> Kind:
     """A .json file between stages."""
-    return Kind(file, lambda root: formats("facts").read_facts(root / file, wanted))
+    return Kind(file, lambda root: formats("facts").read_facts(root / file, getattr(formats("facts"), form)))
 
 
 def read_stamp(root: Path) -> Any:
@@ -202,7 +204,7 @@ KINDS = [
     fit("hmr4d_results.pt"),
     fit("video_results.npz"),
     fit("smpl/000000.json", "smpl"),
-    one("motion.npz", "motions", "read_smpl_motion"),
+    one("motion.npz", "motions.smpl_npz", "read_smpl_motion"),
     Kind("motion.bvh", read_bvh),
     one("failure.npz", "failure", "read_failure"),
     given_cameras("colmap/cameras.bin"),
@@ -233,8 +235,8 @@ KINDS = [
     calibrated("frames/given/points.ply"),
     calibrated("frames/given/sfm.json"),
     one("split.json", "splits", "read_split", NAMES),
-    facts("survey.json", report.SURVEY),
-    facts("metrics.json", report.METRICS),
+    facts("survey.json", "Survey"),
+    facts("metrics.json", "Metrics"),
     Kind("curve.csv", read_curve),
     Kind("store/stamp.json", read_stamp),
     Kind("work/sources.json", read_memories),
@@ -273,7 +275,7 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         root / "points.ply", rng.normal(size=(rows, 3)), rng.integers(0, 255, (rows, 3), np.uint8)
     )
     formats("cameras").write_cameras(root / "cameras.npz", still_cameras())
-    turned = poses.BodyPoses(
+    turned = BodyPoses(
         NAMES, np.zeros(10), rng.normal(size=(n, 3)), rng.normal(size=(n, 69)), np.ones((n, 3)), np.ones(n)
     )
     poses.write_poses(root / "body.npz", turned)
@@ -286,16 +288,16 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         np.zeros((rows, 3)),
         np.zeros((rows, 3, 3)),
     )
-    splats.write_splats(root / "scene.npz", splats.Scene(*look))
+    splats.write_splats(root / "scene.npz", Scene(*look))
     effects = formats("effects")
     effects.write_effects(
         root / "effects.npz",
-        effects.Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, np.zeros((24, 3)), np.zeros((24, 3, 3)), 0.5, -0.3),
+        Effects(np.array([0.6, 0.8, 0.0]), 0.5, 0.03, 1.4, 0.6, np.zeros((24, 3)), np.zeros((24, 3, 3)), 0.5, -0.3),
     )
     weights = np.eye(24)[rng.integers(0, 24, rows)]
     rest = (weights, rng.normal(size=(24, 3)), np.arange(-1, 23), np.zeros(10), np.zeros(69))
-    splats.write_splats(root / "avatar.npz", splats.Avatar(*look, *rest))
-    model = body.BodyModel(
+    splats.write_splats(root / "avatar.npz", Avatar(*look, *rest))
+    model = BodyModel(
         v_template=rng.normal(size=(VERTICES, 3)),
         faces=rng.integers(0, VERTICES, (40, 3)),
         shapedirs=rng.normal(size=(VERTICES, 3, 10)),
@@ -318,8 +320,8 @@ def write_facts(root: Path) -> None:
     (root / "frames").mkdir()
     neuman.run(Job(root / "frames"), neuman.Params(), video=root / "bike")
     (root / "film").mkdir()
-    listing = {"width": SIDE, "height": SIDE, "video": {"frames": len(NAMES)}}
-    listing["frames"] = [{"name": name, "index": i} for i, name in enumerate(NAMES)]
+    listing = {"width": SIDE, "height": SIDE, "video": {"path": "clip.mp4", "frames": len(NAMES)}}
+    listing["frames"] = [{"name": name, "index": i, "time_s": i / FPS} for i, name in enumerate(NAMES)]
     (root / "film" / "frames.json").write_text(json.dumps(listing))
     formats("splits").write_split(
         root / "split.json", "one apart", {name: ("train", i) for i, name in enumerate(NAMES)}
@@ -333,6 +335,7 @@ def write_facts(root: Path) -> None:
         "measures": {"parallax": measure, "points": measure},
         "effects": {"shadow": effect},
         "decisions": {"scene": True},
+        "starts": {"shadow": [0.5]},
     }
     (root / "metrics.json").write_text(json.dumps(metrics))
     (root / "survey.json").write_text(json.dumps(survey, indent=1))
