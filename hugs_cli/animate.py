@@ -93,7 +93,7 @@ def _read(motion: Motion, soles: Soles, parents: np.ndarray) -> tuple[Performanc
     """What the file has SMPL's joints do, its frames a second, and what there is to say about it."""
     from stages.avatar.motion import retarget
     from stages.formats.motions import bvh, bvh_names
-    from stages.formats.motions import smpl as motions
+    from stages.formats.motions.smpl_npz import read_smpl_motion
 
     path = motion.path
     if path.suffix.lower() == ".bvh":
@@ -107,7 +107,7 @@ def _read(motion: Motion, soles: Soles, parents: np.ndarray) -> tuple[Performanc
             raise StageError(f"{path} has bones without length", bvh.HINT, [str(error)]) from error
         notes = [f"{body.used} of {body.used + len(body.unused)} joints used"]
     elif path.suffix.lower() == ".npz":
-        found = motions.read_smpl_motion(path)
+        found = read_smpl_motion(path)
         performance, notes = retarget.from_smpl(found.rotvecs, found.transl, soles.joints), list(found.notes)
     else:
         raise StageError(

@@ -7,10 +7,7 @@ from pathlib import Path
 
 from stages import contract
 from stages.contract import Job, StageError
-from stages.formats.facts import NAME, read_facts
-
-LISTING = {"dataset": {"rule": str}, "frames": [{"name": NAME, "split": str, "moment": int}]}
-"""What is taken from frames.json."""
+from stages.formats.facts import DatasetListing, GivenSfm, read_facts
 
 
 class Params(contract.Params):
@@ -25,20 +22,20 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
 
     from stages.avatar.cameras.lens import NO_SHIFT
     from stages.formats.cameras import read_cameras, write_cameras
-    from stages.formats.datasets.capture import given_by, read_lenses
+    from stages.formats.datasets.capture import GIVEN, given_by, read_lenses
     from stages.formats.datasets.undistorted import opencv_grid, write_undistorted
     from stages.formats.points import read_points
     from stages.formats.splits import write_split
 
-    given = given_by(frames, "cameras.npz")
-    if given is None:
+    given = frames / GIVEN
+    if given_by(frames, "cameras.npz") is None:
         raise StageError("no cameras came with these frames", "take `stages.sfm` for the frames of a video")
-    cameras, listing = read_cameras(given), read_facts(frames / "frames.json", LISTING)
-    rows = {row["name"]: (row["split"], row["moment"]) for row in listing["frames"]}
+    cameras, listing = read_cameras(given / "cameras.npz"), read_facts(frames / "frames.json", DatasetListing)
+    rows = {row.name: (row.split, row.moment) for row in listing.frames}
     if strangers := [name for name in cameras.names if name not in rows]:
         hint = "run the frames stage again: `hugs run FOLDER frames --force`"
         raise StageError(f"{len(strangers)} cameras belong to no frame", hint, [f"the first is {strangers[0]}"])
-    lenses = read_lenses(given_by(frames, "lenses.npz"), len(cameras))
+    lenses = read_lenses(given / "lenses.npz", len(cameras))
     width, height = cameras.width, cameras.height
     grids, shift = {}, 0.0
     keys = [(*K.ravel(), *lens) for K, lens in zip(cameras.Ks, lenses, strict=True)]
@@ -51,21 +48,21 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
     for done in write_undistorted(frames, masks, job.out, list(cameras.names), grid_of.get):
         job.progress(done, len(cameras))
     write_cameras(job.out / "cameras.npz", cameras)
-    shutil.copyfile(given_by(frames, "points.ply"), job.out / "points.ply")
-    write_split(job.out / "split.json", listing["dataset"]["rule"], rows)
+    shutil.copyfile(given / "points.ply", job.out / "points.ply")
+    write_split(job.out / "split.json", listing.dataset.rule, rows)
     points = len(read_points(job.out / "points.ply")[0])
     training = np.array([rows[name][0] == "train" for name in cameras.names])
     moving = np.ptp(cameras.centers[training], axis=0).max() > 0
     facts = {
         "verdict": "moving" if moving else "static camera",
         "registered": len(cameras),
-        "of": len(listing["frames"]),
+        "of": len(listing.frames),
         "dropped": [],
         "focal_px": float(np.median(cameras.Ks[:, 0, 0])),
         "focal_source": "given",
         "distortion": {"model": "OPENCV", "params": lenses[0].tolist(), "max_shift_px": shift},
         "points": points,
-        **read_facts(given_by(frames, "sfm.json"), {}),
+        **read_facts(given / "sfm.json", GivenSfm).model_dump(exclude_unset=True),
     }
     (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
     job.note(f"{len(cameras)} cameras and {points} points as given; the lens moves pixels by up to {shift:.1f} px")

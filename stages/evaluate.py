@@ -59,7 +59,7 @@ def run(
     from stages.estimators.assets import path
     from stages.formats.clip import load_clip
     from stages.formats.effects import read_effects
-    from stages.formats.facts import read_facts
+    from stages.formats.facts import Stamp, Trained, read_facts
     from stages.formats.images import write_image
     from stages.formats.splats import read_avatar, read_scene
 
@@ -68,7 +68,7 @@ def run(
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     effects = read_effects(train / "effects.npz")
     learned = load_learned(read_avatar(train / "avatar.npz"), scene, effects, job.device)
-    facts = read_facts(train / "train.json", {"exposure": {str: [float]}})
+    facts = read_facts(train / "train.json", Trained)
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
     held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(i)]
@@ -78,7 +78,7 @@ def run(
     rows: dict[str, list[dict[str, Any]]] = {protocol: [] for protocol in protocols}
     for done, i in enumerate(held):
         job.progress(done, len(held))
-        shot = Shot(clip, learned, i, facts["exposure"].get(clip.names[i]), job.device)
+        shot = Shot(clip, learned, i, facts.exposure.get(clip.names[i]), job.device)
         for protocol in protocols:
             pose = shot.pose if protocol == "heldout" else fit_pose(shot, params.fit_steps)
             drawn = shot.draw(pose)
@@ -88,11 +88,10 @@ def run(
                 strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
                 write_image(job.out / "heldout" / f"{clip.names[i]}.png", strip)
     upstream = {"frames": frames, "masks": masks, "sfm": sfm, "smpl": smpl, "survey": survey, "train": train}
-    cost = {"seconds": float, "peak_memory_bytes": int}
-    stamps = {name: read_facts(folder / "stamp.json", cost) for name, folder in upstream.items()}
-    seconds = {name: stamp["seconds"] for name, stamp in stamps.items()}
+    stamps = {name: read_facts(folder / "stamp.json", Stamp) for name, folder in upstream.items()}
+    seconds = {name: stamp.seconds for name, stamp in stamps.items()}
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
-    memory = [stamp["peak_memory_bytes"] for stamp in stamps.values()]
+    memory = [stamp.peak_memory_bytes for stamp in stamps.values()]
     memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
     regions = REGIONS + MASKED_REGIONS * params.masked
     metrics = {protocol: _means(found, regions) for protocol, found in rows.items()} | {

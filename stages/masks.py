@@ -8,7 +8,7 @@ from typing import Literal
 
 from stages import contract
 from stages.contract import Job, StageError
-from stages.formats.facts import NAME, read_facts
+from stages.formats.facts import Listing, read_facts
 
 PERSON_SHARE = 5e-4
 """Share of the picture below which a mask shows nobody."""
@@ -18,10 +18,6 @@ PART = 0.2
 """Share of a mask's largest part from which a second one may be somebody else."""
 MANY = 0.2
 """Share of frames from which a finding is a warning."""
-
-FRAME = {"name": NAME, "index": int, "source?": str}
-LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [FRAME]}
-"""What is taken from frames.json."""
 
 
 class Params(contract.Params):
@@ -43,11 +39,11 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     from stages.formats.datasets.capture import given_by
     from stages.formats.images import write_mask
 
-    facts = read_facts(frames / "frames.json", LISTING)
-    names = [frame["name"] for frame in facts["frames"]]
+    listing = read_facts(frames / "frames.json", Listing)
+    names = [frame.name for frame in listing.frames]
     mask_files = mask_files or given_by(frames, "masks")
     if mask_files is not None:
-        details, masks = imported(job, Path(mask_files), facts, params.invert, params.person)
+        details, masks = imported(job, Path(mask_files), listing, params.invert, params.person)
         source = "imported"
     else:
         source, details, masks = "blazepose", {}, segmented(job, params, frames, names)

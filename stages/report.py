@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from stages.formats.clip import Clip
+    from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Stamp, Survey
 
 OVERLAYS = 6
 FILMS = {
@@ -42,18 +43,6 @@ PROTOCOLS = {
 REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
 MASKED = {"masked_full": "person times mask, whole", "masked_crop": "person times mask, its box"}
 
-STAMP = {"seconds": float, "peak_memory_bytes": int, "notes": [str], "warnings": [str]}
-SCORES = {str: {str: (float, None)}}
-METRICS = {"heldout": SCORES, "heldout_fitted?": SCORES, "gaussians": {"human": int, "scene": int}, "protocol": str}
-METRICS |= {"seconds": {"total": float}, "peak_memory_bytes": int}
-MEASURE = {"value": (float, None), "unit": str, "verdict": str}
-EFFECT = MEASURE | {"threshold": float, "confidence": float, "frames": [str], "on": bool}
-SURVEY = {"measures": {str: MEASURE}, "effects": {str: EFFECT}, "decisions": {str: bool}}
-WORTH = {"psnr": (float, None), "psnr_person": (float, None), "seconds": float}
-TRAINED = {"seconds_by_part": {str: float}, "effects": {str: WORTH}}
-RUNGS = {"of?": int, "rungs?": [{"how": str, "models": [{"registered": int}]}], "mapper?": str}
-"""What is taken from stamp.json, metrics.json, survey.json, train.json, and sfm.json (rungs where cameras were mapped)."""
-
 
 class Params(contract.Params):
     pass
@@ -76,23 +65,23 @@ def run(
     """Write report.html, one self-contained page."""
     from stages.formats import page
     from stages.formats.clip import load_clip
-    from stages.formats.facts import read_facts
+    from stages.formats.facts import Listing, Metrics, Sfm, Stamp, Survey, Trained, read_facts
 
     folders = (frames, masks, sfm, smpl, survey, train, export, render, evaluate)
     names = ("frames", "masks", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
-    stamps = {name: read_facts(folder / "stamp.json", STAMP) for name, folder in zip(names, folders, strict=True)}
-    listing = read_facts(frames / "frames.json", {"video": {"path": str}})
-    metrics, found = read_facts(evaluate / "metrics.json", METRICS), read_facts(survey / "survey.json", SURVEY)
-    trained = read_facts(train / "train.json", TRAINED)
+    stamps = {name: read_facts(folder / "stamp.json", Stamp) for name, folder in zip(names, folders, strict=True)}
+    listing = read_facts(frames / "frames.json", Listing)
+    metrics, found = read_facts(evaluate / "metrics.json", Metrics), read_facts(survey / "survey.json", Survey)
+    trained = read_facts(train / "train.json", Trained)
     clip = load_clip(sfm, smpl)
-    name = Path(listing["video"]["path"]).name
-    sizes = metrics["gaussians"]
+    name = Path(listing.video.path).name
+    sizes = metrics.gaussians
     parts = [
         f"<h1>{page.escape(name)}</h1>",
         f'<p class="soft">{len(clip.names)} frames of {clip.width}x{clip.height} px, '
-        f"{sizes['human']:,} Gaussians in the person, {sizes['scene']:,} in the scene</p>",
+        f"{sizes.human:,} Gaussians in the person, {sizes.scene:,} in the scene</p>",
         page.facts(_headline(metrics)),
-        *(page.warning(f"{stage}: {text}") for stage, stamp in stamps.items() for text in stamp["warnings"]),
+        *(page.warning(f"{stage}: {text}") for stage, stamp in stamps.items() for text in stamp.warnings),
         page.section("What was learned", _films(render)),
         page.section(
             "Held-out frames",
@@ -100,11 +89,11 @@ def run(
             note="The clip on the left, ours in the middle, the person alone on the right. Nothing of these frames was "
             "trained on.",
         ),
-        page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics["protocol"]),
-        *_beside_the_paper(listing.get("dataset"), metrics),
+        page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics.protocol),
+        *_beside_the_paper(listing.dataset, metrics),
         page.section("Accuracy over time", _curve(train), page.aside(f"{COSTS}.svg", f"{COSTS}.html"), note=CURVE),
         page.section(
-            "Where the time went", _times(stamps), "<p>Training, step by step:</p>", _parts(trained["seconds_by_part"])
+            "Where the time went", _times(stamps), "<p>Training, step by step:</p>", _parts(trained.seconds_by_part)
         ),
         page.section(
             "The body fit",
@@ -113,25 +102,25 @@ def run(
         ),
         page.section(
             "What this clip called for",
-            _effects(found, trained["effects"]),
+            _effects(found, trained.effects),
             note=CALLED,
         ),
-        page.section("What else was measured", _measures(found) + _rungs(read_facts(sfm / "sfm.json", RUNGS))),
+        page.section("What else was measured", _measures(found) + _rungs(read_facts(sfm / "sfm.json", Sfm))),
         page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
     ]
     (job.out / "report.html").write_text(page.page(f"{name}: hugs", parts), encoding="utf-8")
     job.note(f"report.html, {(job.out / 'report.html').stat().st_size / 2**20:.1f} MiB")
 
 
-def _headline(metrics: dict[str, Any]) -> list[tuple[str, str]]:
-    held, seconds = metrics["heldout"], metrics["seconds"]["total"]
+def _headline(metrics: Metrics) -> list[tuple[str, str]]:
+    held, seconds = metrics.heldout, metrics.seconds.total
     numbers = [
         ("PSNR, whole picture", held["full"]["psnr"], "dB"),
         ("PSNR, box of the person", held["person_crop"]["psnr"], "dB"),
         ("PSNR, person over white", held["person_white"]["psnr"], "dB"),
     ]
     shown = [(name, f"{value:.1f} {unit}") for name, value, unit in numbers if value is not None]
-    memory = metrics["peak_memory_bytes"] / 2**30
+    memory = metrics.peak_memory_bytes / 2**30
     return [*shown, ("from video to avatar", _duration(seconds)), ("peak memory", f"{memory:.1f} GiB")]
 
 
@@ -152,13 +141,13 @@ def _comparisons(evaluate: Path) -> list[tuple[np.ndarray, str]]:
     return [(read_image(path), f"frame {path.stem}") for path in sorted((evaluate / "heldout").glob("*.png"))]
 
 
-def _accuracy(metrics: dict[str, Any]) -> str:
+def _accuracy(metrics: Metrics) -> str:
     from stages.formats import page
 
     rows = []
     for protocol, title in PROTOCOLS.items():
         for region, where in (REGIONS | MASKED).items():
-            values = metrics.get(protocol, {}).get(region, {})
+            values = getattr(metrics, protocol).get(region, {})
             if values.get("psnr") is not None:
                 numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
                 rows.append([title, where, *("too small" if n is None else f"{n:.{d}f}" for n, d in numbers)])
@@ -167,7 +156,7 @@ def _accuracy(metrics: dict[str, Any]) -> str:
     return page.table(["poses", "where", "PSNR dB", "SSIM", "LPIPS"], rows, numeric=(2, 3, 4))
 
 
-def _beside_the_paper(dataset: dict[str, str] | None, metrics: dict[str, Any]) -> list[str]:
+def _beside_the_paper(dataset: Dataset | None, metrics: Metrics) -> list[str]:
     """A section with the HUGS paper's numbers beside ours, for a sequence that it has."""
     from stages.formats import page
     from stages.formats.datasets.published import COMPARED, published
@@ -175,8 +164,8 @@ def _beside_the_paper(dataset: dict[str, str] | None, metrics: dict[str, Any]) -
     if not dataset:
         return []
     rows = []
-    for region, theirs in published(dataset["name"], dataset["sequence"]).items():
-        ours = metrics["heldout"].get(region, {})
+    for region, theirs in published(dataset.name, dataset.sequence).items():
+        ours = metrics.heldout.get(region, {})
         columns = zip(("PSNR dB", "SSIM", "LPIPS"), ("psnr_per_channel", "ssim", "lpips_legacy"), theirs, strict=True)
         for title, name, number in columns:
             if number is not None:
@@ -185,7 +174,7 @@ def _beside_the_paper(dataset: dict[str, str] | None, metrics: dict[str, Any]) -
     if not rows:
         return []
     table = page.table(["where", "measure", "ours", "HUGS, CVPR 2024"], rows, numeric=(2, 3))
-    return [page.section("Beside the paper", table, note=COMPARED[dataset["name"]])]
+    return [page.section("Beside the paper", table, note=COMPARED[dataset.name])]
 
 
 def _curve(train: Path) -> str:
@@ -208,13 +197,13 @@ def _curve(train: Path) -> str:
     return page.chart(lines, "minutes of training", "PSNR dB") or "<p>Too few measurements for a curve.</p>"
 
 
-def _times(stamps: dict[str, dict[str, Any]]) -> str:
+def _times(stamps: dict[str, Stamp]) -> str:
     from stages.formats import page
 
-    spent = {name: stamp["seconds"] for name, stamp in stamps.items()}
+    spent = {name: stamp.seconds for name, stamp in stamps.items()}
     longest = max(spent.values(), default=1.0) or 1.0
     rows = [
-        [name, _duration(s), f"{stamps[name]['peak_memory_bytes'] / 2**20:.0f} MiB", page.bar(s / longest)]
+        [name, _duration(s), f"{stamps[name].peak_memory_bytes / 2**20:.0f} MiB", page.bar(s / longest)]
         for name, s in spent.items()
     ]
     return page.table(["stage", "time", "peak memory", ""], rows, numeric=(1, 2))
@@ -261,43 +250,41 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
     return shots
 
 
-def _effects(found: dict[str, Any], worth: dict[str, dict[str, float | None]]) -> str:
+def _effects(found: Survey, worth: dict[str, Gain]) -> str:
     """A row for each effect of survey.json, those that are modelled first; `worth` is what train.json says of them."""
     from stages.formats import page
 
     rows = []
-    for name, effect in sorted(found["effects"].items(), key=lambda item: not item[1]["on"]):
-        value = "" if effect["value"] is None else f"{effect['value']:.3g} {effect['unit']}"
-        gains = [worth.get(name, {}).get(key) for key in ("psnr", "psnr_person")]
-        gained = " / ".join(f"{gain:+.2f} dB" for gain in gains if gain is not None)
-        seconds = worth.get(name, {}).get("seconds")
+    for name, effect in sorted(found.effects.items(), key=lambda item: not item[1].on):
+        value = "" if effect.value is None else f"{effect.value:.3g} {effect.unit}"
+        gain = worth.get(name)
+        gains = (gain.psnr, gain.psnr_person) if gain else ()
+        gained = " / ".join(f"{db:+.2f} dB" for db in gains if db is not None)
+        seconds = gain.seconds if gain else None
         cost = "" if seconds is None else f"{round(seconds)} s" if seconds > 0 else "not measurable"
-        rows.append([name.replace("_", " "), "on" if effect["on"] else "off", value, f"{effect['threshold']:g}"]
-                    + [effect["verdict"], f"{effect['confidence']:.0%}", gained, cost, ", ".join(effect["frames"])])  # fmt: skip
+        rows.append([name.replace("_", " "), "on" if effect.on else "off", value, f"{effect.threshold:g}"]
+                    + [effect.verdict, f"{effect.confidence:.0%}", gained, cost, ", ".join(effect.frames)])  # fmt: skip
     head = ["effect", "", "measured", "threshold", "verdict", "confidence", "gained, whole / person", "cost"]
     return page.table([*head, "most in frames"], rows, numeric=(3, 5, 6, 7))
 
 
-def _measures(found: dict[str, Any]) -> str:
+def _measures(found: Survey) -> str:
     from stages.formats import page
 
-    rows = [
-        [name.replace("_", " "), f"{_number(m.get('value'))} {m.get('unit') or ''}", str(m.get("verdict", ""))]
-        for name, m in found["measures"].items()
-    ]
-    scene = "modelled" if found["decisions"].get("scene", True) else "left out"
+    rows = [[name.replace("_", " "), f"{_number(m.value)} {m.unit}", m.verdict] for name, m in found.measures.items()]
+    scene = "modelled" if found.decisions.get("scene", True) else "left out"
     return page.table(["measured", "value", "verdict"], rows) + f"<p>The scene is {scene}.</p>"
 
 
-def _rungs(found: dict[str, Any]) -> str:
+def _rungs(found: Sfm) -> str:
     """How the cameras were found, and what was tried before, if they were mapped; `found` is sfm.json."""
     from stages.formats import page
 
     said = []
-    for rung in found.get("rungs", []):
-        best = max((model["registered"] for model in rung["models"]), default=0)
-        said.append(f"{rung['how']} {best} of {found['of']} frames in the largest of {len(rung['models'])} models")
-    taken = f" Taken: {found.get('mapper', 'none of them')}." if len(said) > 1 else ""
+    for rung in found.rungs:
+        best = max((model.registered for model in rung.models), default=0)
+        said.append(f"{rung.how} {best} of {found.of} frames in the largest of {len(rung.models)} models")
+    taken = f" Taken: {found.mapper or 'none of them'}." if len(said) > 1 else ""
     return f"<p>Cameras: {page.escape('; '.join(said))}.{page.escape(taken)}</p>" if said else ""
 
 
@@ -305,5 +292,5 @@ def _number(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _notes(stamps: dict[str, dict[str, Any]]) -> list[list[str]]:
-    return [[stage, note] for stage, stamp in stamps.items() for note in stamp["notes"]]
+def _notes(stamps: dict[str, Stamp]) -> list[list[str]]:
+    return [[stage, note] for stage, stamp in stamps.items() for note in stamp.notes]

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
-from stages.formats.facts import NAME, read_facts
+from stages.formats.facts import Listing, read_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
-
-FRAME = {"name": NAME, "index": int, "source?": str}
-LISTING = {"width": int, "height": int, "video": {"frames": int}, "frames": [FRAME]}
-"""What is taken from frames.json."""
 
 
 class Params(contract.Params):
@@ -81,8 +77,8 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
     from stages.formats.datasets.undistorted import write_undistorted
     from stages.records import Cameras
 
-    listing = read_facts(frames / "frames.json", LISTING)
-    names, size = [frame["name"] for frame in listing["frames"]], (listing["width"], listing["height"])
+    listing = read_facts(frames / "frames.json", Listing)
+    names, size = [frame.name for frame in listing.frames], (listing.width, listing.height)
     check_masks(names, masks, *size)
     with tempfile.TemporaryDirectory(dir=job.out) as scratch:
         if cameras is None:

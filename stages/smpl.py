@@ -11,7 +11,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
-from stages.formats.facts import NAME, read_facts
+from stages.formats.facts import Listing, Sfm, read_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,9 +24,6 @@ FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
 OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's below which it is doubtful
 JOINTS_OFF = 0.05  # of the person's height, from the joints that the tool itself drew
 SEEN_LEAST = 0.1  # share of the frames that must show a person
-
-LISTING = {"frames": [{"name": NAME, "time_s": float, "source?": str}]}
-"""What is taken from frames.json."""
 
 
 class Params(contract.Params):
@@ -57,15 +54,15 @@ def run(
     cameras = read_cameras(sfm / "cameras.npz")
     masks = [read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names]
     points = read_points(sfm / "points.ply")[0].astype(np.float64)
-    moving = read_facts(sfm / "sfm.json", {"verdict": str})["verdict"] == "moving"
-    listing = read_facts(frames / "frames.json", LISTING)
-    taken = {frame["name"]: frame["time_s"] for frame in listing["frames"]}
+    moving = read_facts(sfm / "sfm.json", Sfm).verdict == "moving"
+    listing = read_facts(frames / "frames.json", Listing)
+    taken = {frame.name: frame.time_s for frame in listing.frames}
     times = np.array([taken[name] for name in cameras.names], np.float64)
     smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
-    if "dataset" in listing and body_model is None:
+    if listing.dataset and body_model is None:
         job.warn("the data set's poses and shapes are those of SMPL, the free body is another: give --body-model FILE")
     if smpl_fit is not None:
-        pictures = {frame["name"]: frame["source"] for frame in listing["frames"] if "source" in frame}
+        pictures = {frame.name: frame.source for frame in listing.frames if frame.source}
         sources = tuple(pictures[name] for name in cameras.names if name in pictures)
         poses, facts = imported(job, smpl_fit, model, cameras, times, masks, points, moving, sources)
         verdict = judge(poses, model, cameras, times, masks)
@@ -93,7 +90,7 @@ def imported(
 ) -> tuple[BodyPoses, dict[str, Any]]:
     """Poses read from another program's file; says which of its people was taken, and what else is worth knowing."""
     from stages.estimators.bodyfit.given import import_fit
-    from stages.formats.given_fits.files import read_smpl_fit
+    from stages.formats.given_fits.recognize import read_smpl_fit
 
     fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
     poses, facts = import_fit(fit, model, cameras, times, masks, points, moving, sources)

@@ -12,6 +12,7 @@ from stages.contract import Job
 if TYPE_CHECKING:
     from stages.estimators.detectors.finding import Finding
     from stages.formats.clip import Clip
+    from stages.formats.facts import Sfm
 
 Effect = Literal["auto", "always", "never"]
 
@@ -59,9 +60,9 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     from stages.estimators.detectors.every import DETECTORS
     from stages.estimators.detectors.evidence import Evidence
     from stages.formats.clip import load_clip
-    from stages.formats.facts import read_facts
+    from stages.formats.facts import Sfm, read_facts
 
-    facts = read_facts(sfm / "sfm.json", {"verdict": str, "distortion": {"max_shift_px": float}})
+    facts = read_facts(sfm / "sfm.json", Sfm)
     clip = load_clip(sfm, smpl)
     measures, evidence, findings = camera_measures(facts, clip) | person_measures(clip), Evidence(clip, facts), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
@@ -69,7 +70,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
         findings[name] = detect(evidence)
     job.progress(len(DETECTORS), len(DETECTORS))
     effects = {name: decide(getattr(params, name, "auto"), finding) for name, finding in findings.items()}
-    scene, why = decide_scene(params.scene, facts["verdict"], len(clip.points))
+    scene, why = decide_scene(params.scene, facts.verdict, len(clip.points))
     for text in [f"scene {'on' if scene else 'off'} ({why})", *reasons(effects)]:
         job.note(text)
     for name in ("camera_parallax", "reprojection", "coverage"):
@@ -121,13 +122,13 @@ def said(entry: dict) -> str:
     return "too little to measure" if entry["value"] is None else f"{entry['value']:.3g} {entry['unit']}".strip()
 
 
-def camera_measures(facts: dict, clip: Clip) -> dict[str, dict]:
+def camera_measures(facts: Sfm, clip: Clip) -> dict[str, dict]:
     """Parallax, baseline against depth, reprojection error and points; from sfm.json, in the clip's world."""
     import numpy as np
 
     from stages.avatar.cameras.pinhole import camera_centers, project
 
-    angle, error = facts.get("median_triangulation_deg"), facts.get("reprojection_px")
+    angle, error = facts.median_triangulation_deg, facts.reprojection_px
     ratio = None
     if len(clip.points):
         centers = camera_centers(clip.viewmats)

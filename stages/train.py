@@ -231,9 +231,9 @@ def _timed(
 def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
     from stages.avatar.splats.neighbours import evenly
     from stages.formats.clip import load_clip
-    from stages.formats.facts import read_facts
+    from stages.formats.facts import Survey, read_facts
 
-    facts = read_facts(survey / "survey.json", {"decisions": {str: bool}, "starts": {str: [float]}})
+    facts = read_facts(survey / "survey.json", Survey)
     clip = load_clip(sfm, smpl)
     train = [i for i in range(len(clip.names)) if clip.training[i]]
     train = evenly(train, params.frames_used or len(train))
@@ -243,7 +243,7 @@ def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tup
             facts=[f"{len(clip.names)} frames registered, {int(clip.heldout.sum())} of them held out"],
             hint="give more frames to training in the data set's split",
         )
-    return build(clip, train, params, facts["decisions"], facts["starts"], job), clip
+    return build(clip, train, params, facts.decisions, facts.starts, job), clip
 
 
 def build(
@@ -326,12 +326,12 @@ def replay(path: Path) -> None:
     from stages.training.checkpoint import restore
 
     state, facts = read_failure(path)
-    torch.set_num_threads(facts["threads"])
-    job, params = Job(path.parent, facts["device"], facts["seed"]), Params(**facts["params"])
-    fit, _ = _start(job, params, *(Path(facts[name]) for name in ("sfm", "smpl", "survey")))
+    torch.set_num_threads(facts.threads)
+    job, params = Job(path.parent, facts.device, facts.seed), Params(**facts.params)
+    fit, _ = _start(job, params, *map(Path, (facts.sfm, facts.smpl, facts.survey)))
     restore(fit, torch.load(io.BytesIO(state), map_location=job.device, weights_only=True))
     fit.advance()
-    raise StageError(f"step {facts['step']} went well this time", facts=[f"it had failed with: {facts['error']}"])
+    raise StageError(f"step {facts.step} went well this time", facts=[f"it had failed with: {facts.error}"])
 
 
 def _judged(fit: Fit, frames: list[int]) -> dict[str, Any]:

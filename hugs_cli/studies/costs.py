@@ -9,20 +9,48 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
 
 from hugs_cli.cache.fingerprint import digest
 from hugs_cli.cache.workspace import Stamp, Workspace
 from hugs_cli.pipelines import UsageError
 from hugs_cli.studies.comparison import LAST, METRICS, REGIONS, Scores, cell, measured, over_seeds
 from hugs_cli.words import count, duration, size
-from stages.formats.facts import read_facts
+from stages.contract import StageError
 
 WORTH = 0.1  # dB that a doubling of the time must buy
 METRIC = "psnr"  # by which results are set against each other
 SEED = re.compile(r"\.seed\d+$")
-SCORES = {region: dict.fromkeys(METRICS, (float, None)) for region in REGIONS}
-METRICS_FILE = {"heldout": SCORES, "gaussians": {"human": int, "scene": int}}
+F = TypeVar("F", bound=BaseModel)
+
+
+class Trained(BaseModel):
+    """What is taken from train.json."""
+
+    seconds: FiniteFloat
+
+
+class Evaluated(BaseModel):
+    """What is taken from metrics.json."""
+
+    heldout: dict[str, dict[str, FiniteFloat | None]]
+    gaussians: dict[str, int]
+
+    @model_validator(mode="after")
+    def whole(self) -> Evaluated:
+        """Refuse a file without one of the regions or metrics that are compared."""
+        missing = [
+            f"{region}.{metric}"
+            for region in REGIONS
+            for metric in METRICS
+            if metric not in self.heldout.get(region, {})
+        ]
+        missing += [part for part in ("human", "scene") if part not in self.gaussians]
+        if missing:
+            raise ValueError(f"it has no {missing[0]}")
+        return self
 
 
 @dataclass(frozen=True)
@@ -50,22 +78,31 @@ def run_of(links: Path) -> Run | None:
     train, evaluate = found.get("train"), found.get(LAST)
     if train is None or evaluate is None or evaluate.inputs.get("train") != train.content:
         return None
-    metrics = read_facts(links / LAST / "metrics.json", METRICS_FILE)
+    metrics = read(links / LAST / "metrics.json", Evaluated)
     before = upstream(found, "train")
     seconds = {name: stamp.seconds for name, stamp in before.items()}
-    seconds["train"] = max(train.seconds, read_facts(links / "train" / "train.json", {"seconds": float})["seconds"])
+    seconds["train"] = max(train.seconds, read(links / "train" / "train.json", Trained).seconds)
     where = train.machine
     return Run(
         name=SEED.sub("", links.name),
         seed=train.seed,
         seconds=seconds,
         peak_memory_bytes=max(stamp.peak_memory_bytes for stamp in before.values()),
-        gaussians=metrics["gaussians"],
-        scores=metrics["heldout"],
+        gaussians=metrics.gaussians,
+        scores=metrics.heldout,
         pictures=digest([evaluate.inputs.get(name) for name in ("frames", "masks")]),
         machine=f"{where['host']} ({count(where['processors'], 'processor')}, {where['device']})",
         code=digest(train.code),
     )
+
+
+def read(path: Path, form: type[F]) -> F:
+    """A .json file of that form; StageError where it has another."""
+    try:
+        return form.model_validate_json(path.read_bytes(), strict=True)
+    except (OSError, ValidationError) as error:
+        hint = f"run the stage again: `hugs run VIDEO {path.parent.name} --force`"
+        raise StageError(f"{path} is not as its stage writes it", hint, [str(error)]) from error
 
 
 def stamps(links: Path) -> dict[str, Stamp]:

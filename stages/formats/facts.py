@@ -1,78 +1,31 @@
-"""The .json files between stages: read and checked, so that a stage sees the keys and types that it asks for."""
+"""The .json files that stages leave each other: one form for each file, checked when it is read."""
 
 from __future__ import annotations
 
 import json
-import math
+import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
+from pydantic_core import PydanticCustomError
 
 from stages.contract import StageError
 
 MADE_BY = {"split": "sfm", "metrics": "evaluate"}
 """The stage that writes a file, where the file is not named after it."""
-NAME = "name"
-"""The form of a text that becomes the name of a file."""
-WORDS = {
-    NAME: "a file name",
-    str: "a text",
-    float: "a number",
-    int: "a whole number",
-    bool: "true or false",
-    None: "null",
+WANTED = {
+    "string_type": "a text",
+    "int_type": "a whole number",
+    "greater_than": "a whole number",
+    "less_than": "a whole number",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "named values",
+    "model_type": "named values",
 }
-
-
-def read_facts(path: Path, wanted: Any) -> Any:
-    """What a .json file holds; StageError, naming the place in it, where that is not as `wanted`.
-
-    `wanted` shows the form: `str`, `NAME`, `float` (finite, whole ones too), `int`, `bool` or None; `[form]` for a list of any
-    length; `{"key": form}` for these keys and any others, `"key?"` for one that may be missing; `{str: form}` for any keys;
-    a tuple for any of several forms.
-    """
-    hint = f"run the stage again: `hugs run VIDEO {MADE_BY.get(path.stem, path.stem)} --force`"
-    try:
-        value = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
-        raise StageError(f"cannot read {path}", hint, [str(error)]) from error
-    wrong = mismatch(value, wanted, "")
-    if wrong:
-        raise StageError(f"{path} is not as its stage writes it", hint, [wrong])
-    return value
-
-
-def mismatch(value: Any, wanted: Any, place: str) -> str:
-    """The first place of a JSON value that is not of the form `wanted`, in words, or ''."""
-    if isinstance(wanted, tuple):
-        found = [mismatch(value, form, place) for form in wanted]
-        return found[-1] if all(found) else ""
-    if isinstance(wanted, list):
-        if not isinstance(value, list):
-            return f"{place or 'it'} is {short(value)}, not a list"
-        return next(filter(None, (mismatch(one, wanted[0], f"{place}[{i}]") for i, one in enumerate(value))), "")
-    if isinstance(wanted, dict):
-        if not isinstance(value, dict):
-            return f"{place or 'it'} is {short(value)}, not named values"
-        if str in wanted:
-            forms = dict.fromkeys(value, wanted[str])
-        else:
-            forms = {k.removesuffix("?"): form for k, form in wanted.items() if k[-1] != "?" or k[:-1] in value}
-        missing = [key for key in forms if key not in value]
-        if missing:
-            return f"{place or 'it'} has no {missing[0]}"
-        each = (mismatch(value[key], form, f"{place}.{key}".lstrip(".")) for key, form in forms.items())
-        return next(filter(None, each), "")
-    if wanted is None:
-        fits = value is None
-    elif wanted is NAME:
-        fits = isinstance(value, str) and is_file_name(value)
-    elif wanted is float:
-        fits = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    elif wanted is int:
-        fits = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 63
-    else:
-        fits = isinstance(value, wanted)
-    return "" if fits else f"{place or 'it'} is {short(value)}, not {WORDS[wanted]}"
+"""Pydantic's name of an error -> the kind of value that is wanted there."""
 
 
 def is_file_name(text: str) -> bool:
@@ -80,7 +33,232 @@ def is_file_name(text: str) -> bool:
     return text not in ("", ".", "..") and not set(text) & set("/\\\0")
 
 
-def short(value: Any) -> str:
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MOST:
+        raise PydanticCustomError("wanted", "a number")
+    return value  # a whole number stays one
+
+
+def _file_name(text: str) -> str:
+    if not is_file_name(text):
+        raise PydanticCustomError("wanted", "a file name")
+    return text
+
+
+MOST = sys.float_info.max
+Number = Annotated[float, PlainValidator(_number)]
+"""Finite."""
+Whole = Annotated[int, Field(gt=-(1 << 63), lt=1 << 63)]
+FileName = Annotated[str, AfterValidator(_file_name)]
+Scores = dict[str, dict[str, Number | None]]
+"""Region of the picture -> metric -> value, None where nothing was measured."""
+
+
+class Facts(BaseModel):
+    """The keys of a file that are read; others may be there."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
+
+
+class Stamp(Facts):
+    """stamp.json, beside the files of every stage."""
+
+    seconds: Number
+    peak_memory_bytes: Whole
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+class Video(Facts):
+    path: str
+    frames: Whole
+    """Of the whole video, not only those that were picked."""
+
+
+class Dataset(Facts):
+    name: str
+    sequence: str
+    rule: str
+    """How the pictures were split, in words."""
+
+
+class Frame(Facts):
+    name: FileName
+    index: Whole
+    """The frame's number in the video, from 0."""
+    time_s: Number
+    source: str = ""
+    """The picture's own name without suffix, where a folder of pictures was given."""
+
+
+class Listing(Facts):
+    """frames.json of the stages frames, neuman and zju."""
+
+    width: Whole
+    height: Whole
+    video: Video
+    frames: tuple[Frame, ...]
+    dataset: Dataset | None = None
+
+
+class DatasetFrame(Frame):
+    split: str
+    moment: Whole
+
+
+class DatasetListing(Listing):
+    """frames.json of a data set."""
+
+    dataset: Dataset
+    frames: tuple[DatasetFrame, ...]
+
+
+class GivenSfm(Facts):
+    """given/sfm.json: numbers about cameras that came with a data set."""
+
+    reprojection_px: Number | None = None
+    median_triangulation_deg: Number | None = None
+
+
+class Distortion(Facts):
+    max_shift_px: Number
+
+
+class SparseModel(Facts):
+    registered: Whole
+
+
+class Rung(Facts):
+    how: str
+    models: tuple[SparseModel, ...]
+
+
+class Sfm(GivenSfm):
+    """sfm.json of the stages sfm and calibrated; `rungs`, `of` and `mapper` only where COLMAP mapped."""
+
+    verdict: str
+    distortion: Distortion
+    of: Whole = 0
+    rungs: tuple[Rung, ...] = ()
+    mapper: str = ""
+
+
+class SplitRow(Facts):
+    split: str
+    moment: Whole
+
+
+class SplitFacts(Facts):
+    """split.json."""
+
+    rule: str
+    frames: dict[str, SplitRow]
+
+
+class Measure(Facts):
+    value: Number | None
+    unit: str
+    verdict: str
+
+
+class MeasuredEffect(Measure):
+    threshold: Number
+    confidence: Number
+    frames: tuple[str, ...]
+    on: bool
+
+
+class Survey(Facts):
+    """survey.json."""
+
+    measures: dict[str, Measure]
+    effects: dict[str, MeasuredEffect]
+    decisions: dict[str, bool]
+    starts: dict[str, list[Number]]
+
+
+class Gain(Facts):
+    psnr: Number | None
+    psnr_person: Number | None
+    seconds: Number
+
+
+class Trained(Facts):
+    """train.json."""
+
+    seconds_by_part: dict[str, Number]
+    effects: dict[str, Gain]
+    exposure: dict[str, list[Number]]
+
+
+class Sizes(Facts):
+    human: Whole
+    scene: Whole
+
+
+class Seconds(Facts):
+    total: Number
+
+
+class Metrics(Facts):
+    """metrics.json of the evaluate stage."""
+
+    heldout: Scores
+    heldout_fitted: Scores = {}
+    gaussians: Sizes
+    protocol: str
+    seconds: Seconds
+    peak_memory_bytes: Whole
+
+
+F = TypeVar("F", bound=Facts)
+
+
+def read_facts(path: Path, form: type[F]) -> F:
+    """Read a .json file of that form; StageError where it cannot be read, or with the place that has not the form."""
+    try:
+        return parse(path.read_bytes(), form)
+    except OSError as error:
+        raise StageError(f"cannot read {path}", _again(path), [str(error)]) from error
+    except NotJson as error:
+        raise StageError(f"cannot read {path}", _again(path), [str(error)]) from error
+    except ValueError as error:
+        raise not_as_written(path, str(error)) from error
+
+
+def not_as_written(path: Path, fact: str) -> StageError:
+    """The error of a file that has not the form that its stage gives it; `fact` names the place in it."""
+    return StageError(f"{path} is not as its stage writes it", _again(path), [fact])
+
+
+def _again(path: Path) -> str:
+    return f"run the stage again: `hugs run VIDEO {MADE_BY.get(path.stem, path.stem)} --force`"
+
+
+class NotJson(ValueError):
+    """A text is no JSON."""
+
+
+def parse(text: str | bytes, form: type[F]) -> F:
+    """The facts in a JSON text; NotJson, or ValueError with the first place that has not the form and its value."""
+    try:
+        return form.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    kind, place = first["type"], _place(first["loc"])
+    if kind == "json_invalid":
+        raise NotJson(first["msg"])
+    if kind == "missing":
+        raise ValueError(f"{_place(first['loc'][:-1]) or 'it'} has no {first['loc'][-1]}")
+    raise ValueError(f"{place or 'it'} is {_short(first['input'])}, not {WANTED.get(kind, first['msg'])}")
+
+
+def _place(keys: tuple[int | str, ...]) -> str:
+    """Where a value stands: ("frames", 3, "name") -> frames[3].name."""
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
+
+
+def _short(value: Any) -> str:
     """A value in a few letters."""
     text = json.dumps(value)
     return text if len(text) <= 40 else f"{text[:37]}..."

@@ -10,12 +10,23 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import read_npz, take
-from stages.formats.facts import mismatch
+from stages.formats.facts import Facts, NotJson, Whole, parse
 
 HINT = "give the failure.npz that the train stage wrote when it broke down"
-FACTS = {"error": str, "step": int, "seed": int, "device": str, "threads": int, "params": {}}
-FACTS |= dict.fromkeys(("sfm", "smpl", "survey"), str)
-"""What is taken from the facts."""
+
+
+class Failure(Facts):
+    """The facts of the run that failed; `params` are its settings, `sfm`, `smpl` and `survey` its folders."""
+
+    error: str
+    step: Whole
+    seed: Whole
+    device: str
+    threads: Whole
+    params: dict[str, Any]
+    sfm: str
+    smpl: str
+    survey: str
 
 
 def write_failure(path: Path, state: bytes, facts: dict[str, Any]) -> None:
@@ -23,15 +34,16 @@ def write_failure(path: Path, state: bytes, facts: dict[str, Any]) -> None:
     np.savez(path, state=np.frombuffer(state, np.uint8), facts=json.dumps(facts))
 
 
-def read_failure(path: Path) -> tuple[bytes, dict[str, Any]]:
+def read_failure(path: Path) -> tuple[bytes, Failure]:
     """The state and the facts that `write_failure` wrote; StageError for another kind of file."""
     arrays = read_npz(path, HINT)
     state, facts = (take(arrays, key, path, HINT) for key in ("state", "facts"))
     try:
-        found = json.loads(str(facts))
-    except (ValueError, RecursionError) as error:
+        failure = parse(str(facts), Failure)
+        if state.dtype != np.uint8:
+            raise ValueError(f"state is {state.dtype}, not bytes")
+    except NotJson as error:
         raise StageError(f"facts in {path} are no JSON", HINT, [str(error)]) from error
-    wrong = mismatch(found, FACTS, "") or ("" if state.dtype == np.uint8 else f"state is {state.dtype}, not bytes")
-    if wrong:
-        raise StageError(f"{path} is not what training leaves", HINT, [wrong])
-    return state.tobytes(), found
+    except ValueError as error:
+        raise StageError(f"{path} is not what training leaves", HINT, [str(error)]) from error
+    return state.tobytes(), failure

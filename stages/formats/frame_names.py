@@ -6,9 +6,9 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import PurePath
-from typing import Any
 
 from stages.contract import StageError
+from stages.formats.facts import Listing
 from stages.formats.video import PICTURES
 
 ENDINGS = (*PICTURES, ".npy")
@@ -28,18 +28,18 @@ def number(name: str) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def named(listing: dict[str, Any]) -> bool:
+def named(listing: Listing) -> bool:
     """True if the clip is a folder of pictures, whose frames have names of their own."""
-    return any("source" in frame for frame in listing["frames"])
+    return any(frame.source for frame in listing.frames)
 
 
-def count_from_one(listing: dict[str, Any], stems: Sequence[str]) -> bool:
+def count_from_one(listing: Listing, stems: Sequence[str]) -> bool:
     """True if the stems are surely numbered from 1 to the number of the video's frames: the last is there, 0 is not."""
     numbers = {number(name) for name in stems}
-    return not named(listing) and 0 not in numbers and listing["video"]["frames"] in numbers
+    return not named(listing) and 0 not in numbers and listing.video.frames in numbers
 
 
-def join(listing: dict[str, Any], stems: Sequence[str], first: int, what: str) -> dict[str, int]:
+def join(listing: Listing, stems: Sequence[str], first: int, what: str) -> dict[str, int]:
     """Frame name -> which of `stems` is its: by the same name, else by the frame's number in the video plus `first`.
 
     `listing` is frames.json. Raises StageError where two stems are one name; `what` says what they name.
@@ -53,9 +53,9 @@ def join(listing: dict[str, Any], stems: Sequence[str], first: int, what: str) -
     counts = Counter(numbers)
     unique = {n: i for i, n in enumerate(numbers) if n is not None and counts[n] == 1}
     joined = {}
-    for frame in listing["frames"]:
-        exact = row.get(frame.get("source", frame["name"])) if not first else None
-        found = exact if exact is not None or "source" in frame else unique.get(frame["index"] + first)
+    for frame in listing.frames:
+        exact = row.get(frame.source or frame.name) if not first else None
+        found = exact if exact is not None or frame.source else unique.get(frame.index + first)
         if found is not None:
-            joined[frame["name"]] = found
+            joined[frame.name] = found
     return joined

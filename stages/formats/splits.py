@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.formats.facts import read_facts
+from stages.formats.facts import SplitFacts, not_as_written, read_facts
 from stages.records import Split
 
 EVERY_FIFTH = "Every 5th registered frame is held out."
@@ -26,9 +26,10 @@ def read_split(path: Path, names: tuple[str, ...]) -> Split:
         at = np.arange(len(names))
         heldout = at % HELD_OUT_EVERY == HELD_OUT_FIRST
         return Split(~heldout, heldout, at, EVERY_FIFTH)
-    row = {"split": str, "moment": int}
-    found = read_facts(path, {"rule": str, "frames": dict.fromkeys(names, row)})
-    rows = [found["frames"][name] for name in names]
-    kind = np.array([row["split"] for row in rows], np.str_)
-    moments = np.array([row["moment"] for row in rows], np.int64)
-    return Split(kind == "train", kind == "heldout", moments, found["rule"])
+    found = read_facts(path, SplitFacts)
+    if missing := [name for name in names if name not in found.frames]:
+        raise not_as_written(path, f"frames has no {missing[0]}")
+    rows = [found.frames[name] for name in names]
+    kind = np.array([row.split for row in rows], np.str_)
+    moments = np.array([row.moment for row in rows], np.int64)
+    return Split(kind == "train", kind == "heldout", moments, found.rule)

@@ -29,6 +29,7 @@ from stages.contract import Job
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
 from stages.formats.clip import load_clip
+from stages.formats.facts import Sfm, read_facts
 from stages.synthetic.effects import Effects
 from stages.training.accuracy import judge
 from stages.training.fit import Fit
@@ -98,7 +99,7 @@ def trained(folders: tuple[Path, Path], args: argparse.Namespace, **decisions: b
     clip, job = load_clip(*folders), Job(out=folders[0].parent, seed=args.seed)
     frames, starts = np.flatnonzero(clip.training).tolist(), {}
     if decisions.get("shadow"):
-        evidence = Evidence(clip, json.loads((folders[0] / "sfm.json").read_bytes()))
+        evidence = Evidence(clip, read_facts(folders[0] / "sfm.json", Sfm))
         starts["shadow"] = DETECTORS["shadow"](evidence).start
     fit = train.build(clip, frames, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, starts, job)
     began = time.process_time()

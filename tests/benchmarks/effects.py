@@ -18,6 +18,7 @@ from stages.contract import Job
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
 from stages.formats.clip import load_clip
+from stages.formats.facts import Sfm, read_facts
 from stages.synthetic.effects import Effects
 from tests.made import datasets
 
@@ -65,7 +66,7 @@ def clip(work: Path, seed: int, effect: str | None = None, level: int = 2) -> Pa
 
 def measured(place: Path, effects: list[str]) -> dict[str, dict]:
     """What `survey` writes of these effects for a clip's folder."""
-    facts = json.loads((place / "sfm" / "sfm.json").read_bytes())
+    facts = read_facts(place / "sfm" / "sfm.json", Sfm)
     evidence = Evidence(load_clip(place / "sfm", place / "smpl"), facts)
     return {name: survey.decide("auto", DETECTORS[name](evidence)) for name in effects}
 

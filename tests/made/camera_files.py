@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import project
-from stages.formats.given_cameras.model import PARAMS
+from stages.formats.given_cameras.record import PARAMS
 from stages.records import Cameras
 from tests.made.worlds import align_viewmats
 

@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from stages import report
 from stages.formats import images
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.effects import read_effects, write_effects
-from stages.formats.facts import read_facts
+from stages.formats.facts import Facts, Listing, Metrics, Survey, read_facts
 from stages.formats.failure import read_failure, write_failure
-from stages.formats.given_fits.files import read_smpl_fit
+from stages.formats.given_fits.recognize import read_smpl_fit
 from stages.formats.motions import bvh
 from stages.formats.motions.bvh_names import map_body
-from stages.formats.motions.smpl import read_smpl_motion
+from stages.formats.motions.smpl_npz import read_smpl_motion
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene, write_splats
@@ -82,11 +81,10 @@ def given_cameras(file: str) -> Kind:
     """Cameras of another program, joined to the frames; of a COLMAP model its folder is given."""
 
     def read(root: Path) -> Any:
-        from stages import sfm
         from stages.contract import Job
         from stages.estimators.cameras.given import imported
 
-        path, listing = root / file, read_facts(root / "film" / "frames.json", sfm.LISTING)
+        path, listing = root / file, read_facts(root / "film" / "frames.json", Listing)
         return imported(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
 
     return Kind(file, read)
@@ -149,9 +147,9 @@ def calibrated(file: str) -> Kind:
     return Kind(file, read)
 
 
-def facts(file: str, wanted: Any) -> Kind:
+def facts(file: str, form: type[Facts]) -> Kind:
     """A .json file between stages."""
-    return Kind(file, lambda root: read_facts(root / file, wanted))
+    return Kind(file, lambda root: read_facts(root / file, form))
 
 
 def read_stamp(root: Path) -> Any:
@@ -245,8 +243,8 @@ KINDS = [
     calibrated("frames/given/points.ply"),
     calibrated("frames/given/sfm.json"),
     one("split.json", read_split, NAMES),
-    facts("survey.json", report.SURVEY),
-    facts("metrics.json", report.METRICS),
+    facts("survey.json", Survey),
+    facts("metrics.json", Metrics),
     Kind("curve.csv", read_curve),
     Kind("store/stamp.json", read_stamp),
     Kind("work/sources.json", read_memories),
@@ -326,8 +324,8 @@ def write_facts(root: Path) -> None:
     (root / "frames").mkdir()
     neuman.run(Job(root / "frames"), neuman.Params(), video=root / "bike")
     (root / "film").mkdir()
-    listing = {"width": SIDE, "height": SIDE, "video": {"frames": len(NAMES)}}
-    listing["frames"] = [{"name": name, "index": i} for i, name in enumerate(NAMES)]
+    listing = {"width": SIDE, "height": SIDE, "video": {"path": "clip.mp4", "frames": len(NAMES)}}
+    listing["frames"] = [{"name": name, "index": i, "time_s": i / FPS} for i, name in enumerate(NAMES)]
     (root / "film" / "frames.json").write_text(json.dumps(listing))
     write_split(root / "split.json", "one apart", {name: ("train", i) for i, name in enumerate(NAMES)})
     scores = {"full": {"psnr": 20.5, "ssim": None}}
@@ -339,6 +337,7 @@ def write_facts(root: Path) -> None:
         "measures": {"parallax": measure, "points": measure},
         "effects": {"shadow": effect},
         "decisions": {"scene": True},
+        "starts": {"shadow": [0.5]},
     }
     (root / "metrics.json").write_text(json.dumps(metrics))
     (root / "survey.json").write_text(json.dumps(survey, indent=1))

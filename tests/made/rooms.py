@@ -65,7 +65,7 @@ def write_clip(folder, views: np.ndarray, person: bool = True) -> None:
         write_mask(folder / "masks/masks" / f"{3 * i:06d}.png", mask)
         listing.append({"name": f"{3 * i:06d}", "index": 3 * i, "time_s": i / 10, "sharpness": 1.0})
     facts = {"width": WIDTH, "height": HEIGHT, "frames": listing, "dropped": {}}
-    facts["video"] = {"frames": 3 * len(views)}
+    facts["video"] = {"path": "clip.mp4", "frames": 3 * len(views)}
     (folder / "frames/frames.json").write_text(json.dumps(facts))
 
 

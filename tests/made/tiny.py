@@ -134,12 +134,13 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
         "sky": effect | {"value": None, "frames": [], "on": False},
     }
     facts = {
-        "frames/frames.json": {"video": video},
-        "sfm/sfm.json": {"verdict": "moving"},
+        "frames/frames.json": {"video": video, "width": WIDTH, "height": HEIGHT, "frames": []},
+        "sfm/sfm.json": {"verdict": "moving", "distortion": {"max_shift_px": 0.0}},
         "survey/survey.json": {
             "measures": measures,
             "effects": effects,
             "decisions": {"scene": scene, "exposure": False},
+            "starts": {},
         },
         "train/train.json": {
             "steps": 2,

@@ -32,8 +32,8 @@ def make_frames(tmp_path, indices, sources=None, total=12):
     listed = []
     for k, i in enumerate(indices):
         write_image(out / "images" / f"{i:06d}.png", np.full((*SIZE, 3), 50, np.uint8))
-        listed.append({"name": f"{i:06d}", "index": i, **({"source": sources[k]} if sources else {})})
-    facts = {"video": {"frames": total}, "width": SIZE[1], "height": SIZE[0], "frames": listed}
+        listed.append({"name": f"{i:06d}", "index": i, "time_s": i / 12, **({"source": sources[k]} if sources else {})})
+    facts = {"video": {"path": "clip.mp4", "frames": total}, "width": SIZE[1], "height": SIZE[0], "frames": listed}
     (out / "frames.json").write_text(json.dumps(facts))
     return out
 

@@ -7,6 +7,7 @@ import pytest
 from stages import evaluate, export, render, report
 from stages.contract import Job, StageError
 from stages.estimators import assets
+from stages.formats.facts import Dataset, Metrics
 from tests.made import tiny as tiny_clip
 from tests.made.browser import probe
 
@@ -80,12 +81,12 @@ def test_durations_are_read_easily():
 
 def test_the_papers_numbers_stand_beside_ours_for_its_own_sequences():
     ours = {"psnr": 25.0, "psnr_per_channel": 25.123, "ssim": 0.8412, "lpips": 0.3, "lpips_legacy": None}
-    metrics = {"heldout": {"full": ours, "person_crop": ours}}
-    (section,) = report._beside_the_paper({"name": "neuman", "sequence": "bike"}, metrics)
+    metrics = Metrics.model_construct(heldout={"full": ours, "person_crop": ours})
+    (section,) = report._beside_the_paper(Dataset(name="neuman", sequence="bike", rule=""), metrics)
     assert all(word in section for word in ("25.12", "25.46", "0.841", "19.48", "not measured", "lpips_legacy"))
     (section,) = report._beside_the_paper(
-        {"name": "zju", "sequence": "CoreView_386"}, {"heldout": {"masked_full": ours}}
+        Dataset(name="zju", sequence="CoreView_386", rule=""), Metrics.model_construct(heldout={"masked_full": ours})
     )
     assert "34.11" in section and "25.12" in section and "SSIM" not in section
-    assert report._beside_the_paper({"name": "zju", "sequence": "CoreView_313"}, metrics) == []
+    assert report._beside_the_paper(Dataset(name="zju", sequence="CoreView_313", rule=""), metrics) == []
     assert report._beside_the_paper(None, metrics) == []

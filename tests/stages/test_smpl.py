@@ -32,9 +32,12 @@ def folders(tmp_path_factory):
     frames, sfm = root / "frames", root / "sfm"
     for folder in (frames, sfm / "images", sfm / "masks"):
         folder.mkdir(parents=True)
-    listing = [{"name": n, "time_s": float(t)} for n, t in zip(clip.cameras.names, clip.times, strict=True)]
-    (frames / "frames.json").write_text(json.dumps({"frames": listing}))
-    (sfm / "sfm.json").write_text(json.dumps({"verdict": "moving"}))
+    listing = [
+        {"name": n, "index": int(n), "time_s": float(t)} for n, t in zip(clip.cameras.names, clip.times, strict=True)
+    ]
+    video = {"path": "clip.mp4", "frames": len(listing)}
+    (frames / "frames.json").write_text(json.dumps({"width": 1, "height": 1, "video": video, "frames": listing}))
+    (sfm / "sfm.json").write_text(json.dumps({"verdict": "moving", "distortion": {"max_shift_px": 0.0}}))
     write_cameras(sfm / "cameras.npz", clip.cameras)
     write_points(sfm / "points.ply", clip.points, np.zeros((len(clip.points), 3), np.uint8))
     blank = np.zeros((bodyfit_clips.HEIGHT, bodyfit_clips.WIDTH, 3), np.uint8)

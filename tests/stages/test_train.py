@@ -78,7 +78,9 @@ def inputs(tmp_path):
 
 def decide(survey, **decisions):
     chosen = {"scene": True, "pose_refinement": True, "exposure": False} | decisions
-    (survey / "survey.json").write_text(json.dumps({"measures": {}, "decisions": chosen, "starts": STARTS}))
+    (survey / "survey.json").write_text(
+        json.dumps({"measures": {}, "effects": {}, "decisions": chosen, "starts": STARTS})
+    )
 
 
 def fresh(tmp_path, name: str) -> Job:

@@ -16,7 +16,7 @@ import pycolmap
 
 from stages.avatar.cameras import lens
 from stages.estimators.cameras.motion import Pair
-from stages.formats.given_cameras.model import Lens, widest_angles
+from stages.formats.given_cameras.record import Lens, widest_angles
 
 SEED = 1  # of every random draw in COLMAP
 MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -14,20 +14,21 @@ from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap
 from stages.estimators.cameras.sparse_model import Pinholes
 from stages.formats.datasets.undistorted import Grid
+from stages.formats.facts import Listing
 from stages.formats.frame_names import count_from_one, join, named, number, stem
-from stages.formats.given_cameras.files import read_camera_files
-from stages.formats.given_cameras.model import GivenCameras, Lens, widest_angles
+from stages.formats.given_cameras.recognize import read_camera_files
+from stages.formats.given_cameras.record import GivenCameras, Lens, widest_angles
 from stages.formats.images import same_shape
 
 STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that moves less stands
 
 
-def imported(job: Job, path: Path, listing: dict[str, Any], min_share: float, first: Literal["auto", 0, 1]) -> Pinholes:
+def imported(job: Job, path: Path, listing: Listing, min_share: float, first: Literal["auto", 0, 1]) -> Pinholes:
     """The cameras in `path` of the frames in `listing` (frames.json); StageError where they cannot be the frames' own.
 
     At least `min_share` of the frames need a camera. `first` is the number of the video's first frame in the names.
     """
-    size = width, height = listing["width"], listing["height"]
+    size = width, height = listing.width, listing.height
     given = read_camera_files(path, *size)
     rows = match_frames(given, listing, min_share, first)
     own = given.lenses[0]
@@ -38,10 +39,10 @@ def imported(job: Job, path: Path, listing: dict[str, Any], min_share: float, fi
     order = list(rows.values())
     made = {lens: straighten(lens, *size) for lens in {given.lenses[i] for i in order}}
     Ks, grids, shifts = zip(*(made[given.lenses[i]] for i in order), strict=True)
-    missing, verdict = len(listing["frames"]) - len(order), motion_of(given.viewmats[order])
+    missing, verdict = len(listing.frames) - len(order), motion_of(given.viewmats[order])
     job.note(f"{len(order)} cameras from a {given.source}; their lens moves pixels by up to {max(shifts):.1f} px")
     if missing:
-        job.warn(f"{missing} of {len(listing['frames'])} frames have no camera in {path.name} and are left out")
+        job.warn(f"{missing} of {len(listing.frames)} frames have no camera in {path.name} and are left out")
     if verdict != "moving":
         do = "stand still" if verdict == "static camera" else "only turn"
         job.warn(f"the given cameras {do}: the clip shows no depth, so only the person is modelled")
@@ -59,11 +60,11 @@ def imported(job: Job, path: Path, listing: dict[str, Any], min_share: float, fi
 
 
 def match_frames(
-    given: GivenCameras, listing: dict[str, Any], min_share: float, first: Literal["auto", 0, 1]
+    given: GivenCameras, listing: Listing, min_share: float, first: Literal["auto", 0, 1]
 ) -> dict[str, int]:
     """Frame name -> row of its camera; StageError if too few have one, or numbers could count from 0 or from 1."""
     stems = [stem(file) for file in given.files]
-    names, total = [frame["name"] for frame in listing["frames"]], listing["video"]["frames"]
+    names, total = [frame.name for frame in listing.frames], listing.video.frames
     numbers = {number(name) for name in stems}
     picked = len(names) < total and set(stems) <= set(names)  # the frames of an earlier run
     if first == "auto":

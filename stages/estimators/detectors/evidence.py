@@ -17,6 +17,7 @@ from stages.estimators.detectors.tracks import Tracks, follow
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip
+from stages.formats.facts import Sfm
 
 FRAMES = 30  # enough for a median or a share; detectors that look at pictures take this many
 
@@ -26,12 +27,12 @@ class Evidence:
     """A clip before training, and what `sfm.json` says of it; what several detectors need is worked out once."""
 
     clip: Clip
-    facts: dict
+    facts: Sfm
 
     @property
     def moving(self) -> bool:
         """Whether the cameras stand apart, so that points can be placed."""
-        return self.facts["verdict"] == "moving"
+        return self.facts.verdict == "moving"
 
     @cached_property
     def tracks(self) -> Tracks:

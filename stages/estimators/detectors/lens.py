@@ -18,7 +18,7 @@ UNIT = "px at the corners"
 
 def detect(evidence: Evidence) -> Finding:
     """How far the lens moves a corner: by the cameras' own distortion, or by one that the tracks show beyond it."""
-    removed, left = evidence.facts["distortion"]["max_shift_px"], evidence.leftover
+    removed, left = evidence.facts.distortion.max_shift_px, evidence.leftover
     if left is None and removed <= SHIFT_PX:
         return unknown(UNIT, SHIFT_PX, "too few points could be placed")
     K = evidence.clip.Ks[0]

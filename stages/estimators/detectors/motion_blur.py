@@ -26,7 +26,7 @@ SHARPEST = 0.25  # quantile of the widths: what is soft by itself says nothing
 
 def detect(evidence: Evidence) -> Finding:
     """The length of the blur that 20 % of the frames exceed, from the widths of the background's sharpest edges."""
-    if evidence.facts["verdict"] == "static camera":
+    if evidence.facts.verdict == "static camera":
         return unknown(UNIT, BLUR_PX, "the camera stands still")
     clip, blurs = evidence.clip, np.full(len(evidence.clip.names), np.nan)
     for i in evidence.some:

@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 
 from stages.contract import Job, StageError
+from stages.formats.facts import Listing
 from stages.formats.frame_names import count_from_one, join
-from stages.formats.given_masks.files import ForeignMasks
+from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import Object, labelled, pick, ranked
-from stages.formats.given_masks.sets import MaskSet, read_mask_files
+from stages.formats.given_masks.recognize import read_mask_files
+from stages.formats.given_masks.values import ForeignMasks
 from stages.formats.images import same_shape
 
 
@@ -30,13 +32,13 @@ class Person:
 
 
 def imported(
-    job: Job, path: Path, listing: dict[str, Any], invert: Literal["auto", "always", "never"], person: int | str | None
+    job: Job, path: Path, listing: Listing, invert: Literal["auto", "always", "never"], person: int | str | None
 ) -> tuple[dict[str, Any], Iterator[np.ndarray]]:
     """What was decided, and a mask uint8 [H,W], 255 = person, for each frame in `listing` (frames.json).
 
     Raises StageError where frames have no mask, where the masks are those of another picture, and for an unknown person.
     """
-    total, names = listing["video"]["frames"], [frame["name"] for frame in listing["frames"]]
+    total, names = listing.video.frames, [frame.name for frame in listing.frames]
     given = read_mask_files(path, total)
     joined = joined_to(job, listing, given.names)
     missing = [name for name in names if name not in joined]
@@ -53,20 +55,20 @@ def imported(
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
     unused = (total if given.names is None else len(given.names)) - len(set(rows))
     details = {"folder": path.name, "kind": given.kind, "inverted": inverted, "encodings": encodings, "unused": unused}
-    size = (listing["width"], listing["height"])
+    size = (listing.width, listing.height)
     return details | {"person": chosen.id}, fitted_masks(chosen, list(zip(names, rows, strict=True)), size, inverted)
 
 
-def joined_to(job: Job, listing: dict[str, Any], names: tuple[str, ...] | None) -> dict[str, int]:
+def joined_to(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dict[str, int]:
     """Frame name -> row of its mask: by the same stem, else by the frame's number in the video; by order without names.
 
     Files numbered from 1 to the number of the video's frames, with no 0, are taken as counted from 1, and that is said.
     """
     if names is None:
-        return {frame["name"]: frame["index"] for frame in listing["frames"]}
+        return {frame.name: frame.index for frame in listing.frames}
     first = int(count_from_one(listing, names))
     if first:
-        job.warn(f"given masks are numbered 1 to {listing['video']['frames']}: taken as counted from 1")
+        job.warn(f"given masks are numbered 1 to {listing.video.frames}: taken as counted from 1")
     return join(listing, names, first, "masks")
 
 

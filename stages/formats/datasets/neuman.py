@@ -19,8 +19,8 @@ from stages.formats.arrays import read_npz
 from stages.formats.datasets.capture import Capture, Shot, require
 from stages.formats.frame_names import stem
 from stages.formats.given_cameras.colmap_model import read_colmap
-from stages.formats.given_cameras.model import GivenCameras
-from stages.formats.given_masks.files import mask_files, read_values
+from stages.formats.given_cameras.record import GivenCameras
+from stages.formats.given_masks.values import mask_files, read_values
 from stages.formats.video import pictures
 
 FIT = "4d_humans/smpl_optimized_aligned_scale.npz"

@@ -18,7 +18,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, take
 from stages.formats.datasets.capture import Capture, Shot, require
-from stages.formats.given_masks.files import read_values
+from stages.formats.given_masks.values import read_values
 from stages.formats.images import read_pixels
 from stages.formats.safe_pickle import read_object_npy
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.given_cameras.colmap_text import HINT
-from stages.formats.given_cameras.model import PARAMS, Lens, checked_lens
+from stages.formats.given_cameras.record import PARAMS, Lens, checked_lens
 
 FEATURE_BYTES = 24  # x, y, point id
 

@@ -9,7 +9,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.given_cameras import colmap_binary, colmap_text
 from stages.formats.given_cameras.colmap_text import HINT
-from stages.formats.given_cameras.model import GivenCameras, checked_pose, one_size
+from stages.formats.given_cameras.record import GivenCameras, checked_pose, one_size
 
 FILES = ("cameras", "images", "points3D")
 

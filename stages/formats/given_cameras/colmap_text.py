@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.given_cameras.model import Lens, checked_lens
+from stages.formats.given_cameras.record import Lens, checked_lens
 
 HINT = "a COLMAP model is cameras, images and points3D of one run, all .bin or all .txt"
 

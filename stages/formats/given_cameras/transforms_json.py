@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.given_cameras.model import GivenCameras, Lens, checked_lens, checked_pose, one_size, without_points
+from stages.formats.given_cameras.record import GivenCameras, Lens, checked_lens, checked_pose, one_size, without_points
 
 HINT = "transforms.json needs frames with file_path and transform_matrix [4,4], and fl_x, w, h (or camera_angle_x)"
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,12 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.frame_names import stem
-from stages.formats.given_masks.sets import MaskSet, Values
+from stages.formats.given_masks.mask_set import MaskSet, Values
+from stages.formats.given_masks.track_boxes import BoxTracker, box_of
 
 HINT = "COCO masks need images with id, file_name, height, width, and annotations with image_id and segmentation"
 TRACKS = ("track_id", "instance_id", "object_id", "obj_id")
 LARGEST = 1 << 14  # px a side
-OVERLAP = 0.2
-"""Intersection over union of boxes from which an object without an id is the same as one seen before."""
 
 
 def read_coco(path: Path) -> MaskSet:
@@ -43,14 +43,14 @@ def read_coco(path: Path) -> MaskSet:
         if not isinstance(content, dict) or not isinstance(content.get(key), list) or not content[key]:
             found = ", ".join(list(content)[:12]) if isinstance(content, dict) else f"a {type(content).__name__}"
             raise StageError(f"{path} has no {key}", HINT, [f"it holds {found or 'nothing'}"])
-    images = {}
+    images: dict[int | str, tuple[str, int, int]] = {}
     for i, image in enumerate(content["images"]):
         key, name, *size = (_taken(image, k, f"image {i} of {path}") for k in ("id", "file_name", "height", "width"))
         if not all(isinstance(n, int) and 0 < n <= LARGEST for n in size):
             raise StageError(f"image {i} of {path} has no picture size", HINT, [f"height {size[0]}, width {size[1]}"])
-        images[_identifier(key, f"id of image {i} of {path}")] = (stem(str(name)), *size)
+        images[_identifier(key, f"id of image {i} of {path}")] = (stem(str(name)), size[0], size[1])
     order = sorted(images, key=lambda key: images[key][0])
-    shown = defaultdict(list)
+    shown: dict[int | str, list[tuple[dict, str]]] = defaultdict(list)
     people = _people(content.get("categories") or [])
     for i, one in enumerate(content["annotations"]):
         what = f"annotation {i} of {path}"
@@ -64,14 +64,14 @@ def read_coco(path: Path) -> MaskSet:
         _taken(one, "segmentation", what)
         shown[image].append((one, what))
     every = [one for image in shown.values() for one, _ in image]
-    key = next((key for key in TRACKS if every and all(key in one for one in every)), None)
-    parts: dict[str, dict[int, list]] = defaultdict(lambda: defaultdict(list))
-    if key:
+    track = next((key for key in TRACKS if every and all(key in one for one in every)), None)
+    parts: dict[str, dict[int, list[tuple[Any, str]]]] = defaultdict(lambda: defaultdict(list))
+    if track:
         for row, image in enumerate(order):
             for one, what in shown[image]:
-                parts[str(one[key])][row].append((one["segmentation"], what))
+                parts[str(one[track])][row].append((one["segmentation"], what))
     else:
-        for row, mask_id, part in _followed(order, images, shown):
+        for row, mask_id, part in _track(order, images, shown):
             parts[mask_id][row].append(part)
 
     def read(person: str, i: int) -> Values | None:
@@ -104,34 +104,18 @@ def _people(categories: list[Any]) -> list[Any]:
     return [one.get("id") for one in known if str(one.get("name")).lower() == "person"]
 
 
-def _followed(order: list, images: dict, shown: dict):
-    """(row of the picture, id, part) of each annotation; ids count from 1, a box that overlaps an earlier one keeps its."""
-    last: dict[str, np.ndarray] = {}
+def _track(
+    order: list[int | str],
+    images: dict[int | str, tuple[str, int, int]],
+    shown: dict[int | str, list[tuple[dict, str]]],
+) -> Iterator[tuple[int, str, tuple[Any, str]]]:
+    """(row of the picture, id, part) of each annotation, followed by the boxes."""
+    tracker = BoxTracker()
     for row, image in enumerate(order):
         _, height, width = images[image]
-        boxes = [(box_of(decode(one["segmentation"], height, width, what)), one, what) for one, what in shown[image]]
-        free = dict(last)
-        for box, one, what in sorted(boxes, key=lambda each: -each[0][2:].prod()):
-            best = max(free, key=lambda known: overlap(free[known], box), default="")
-            if not best or overlap(free[best], box) < OVERLAP:
-                best = str(len(last) + 1)
-            free.pop(best, None)
-            last[best] = box
-            yield row, best, (one["segmentation"], what)
-
-
-def box_of(mask: np.ndarray) -> np.ndarray:
-    """x, y, width, height of what is marked in [H,W]; zeros if nothing is."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(rows):
-        return np.zeros(4)
-    return np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1], np.float64)
-
-
-def overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union of two boxes x, y, width, height."""
-    shared = (np.minimum(a[:2] + a[2:], b[:2] + b[2:]) - np.maximum(a[:2], b[:2])).clip(0).prod()
-    return float(shared / max(a[2:].prod() + b[2:].prod() - shared, 1e-9))
+        parts = [(one["segmentation"], what) for one, what in shown[image]]
+        for track, place in tracker.add([box_of(decode(part, height, width, what)) for part, what in parts]):
+            yield row, track, parts[place]
 
 
 def decode(segmentation: Any, height: int, width: int, what: str) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stages.contract import StageError
-from stages.formats.given_masks.files import ForeignMasks
+from stages.formats.given_masks.values import ForeignMasks
 
 TOUCHING = 0.8
 """Share of the pictures with both from which two labels that touch are parts of one person."""

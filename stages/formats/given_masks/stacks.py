@@ -9,8 +9,8 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import BROKEN, read_npz
 from stages.formats.frame_names import stem
-from stages.formats.given_masks.files import checked_values
-from stages.formats.given_masks.sets import MaskSet, Values, in_order
+from stages.formats.given_masks.mask_set import MaskSet, Values, in_order
+from stages.formats.given_masks.values import checked_values
 
 HINT = "a stack is one array [N,H,W], with `names` [N] or as many masks as the video has frames; or an array a frame"
 NAMES = ("names", "frame_names", "file_names", "filenames", "frames", "frame_ids", "frame_idx", "indices")

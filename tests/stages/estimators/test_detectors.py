@@ -15,6 +15,7 @@ from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
 from stages.estimators.detectors.pictures import sample
 from stages.formats.body_model import read_body_model
+from stages.formats.facts import Distortion, Sfm
 from stages.synthetic import clip as synthetic
 from stages.synthetic import person
 from stages.synthetic.effects import Effects
@@ -239,7 +240,7 @@ def filmed():
                 points=np.array(points), body=body, body_model=stage.model,
                 images=lambda i: views.images[i], mask=lambda i: views.masks[i],
             )  # fmt: skip
-            known[key] = Evidence(clip, {"verdict": "moving", "distortion": {"max_shift_px": 0.0}})
+            known[key] = Evidence(clip, Sfm(verdict="moving", distortion=Distortion(max_shift_px=0.0)))
         return known[key]
 
     return film
@@ -271,7 +272,7 @@ def test_arms_3_degrees_off_call_for_refined_poses_and_true_ones_do_not_however_
     turned = body.body_pose.copy()
     turned[:, [3 * 15 + 2, 3 * 16 + 2]] += 0.05
     known = vars(evidence.clip) | {"body": SimpleNamespace(**vars(body) | {"body_pose": turned})}
-    found = pose_refinement.detect(Evidence(SimpleNamespace(**known), {}))
+    found = pose_refinement.detect(Evidence(SimpleNamespace(**known), evidence.facts))
     assert found.called_for and found.value == pytest.approx(0.01, rel=0.5), found
 
 

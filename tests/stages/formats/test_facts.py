@@ -1,4 +1,4 @@
-"""JSON facts between stages: read with all keys, refused at the first place that does not fit."""
+"""JSON facts between stages: read as records, refused at the first place that does not fit."""
 
 import json
 

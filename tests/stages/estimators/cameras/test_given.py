@@ -18,8 +18,9 @@ from stages.estimators.cameras import colmap
 from stages.estimators.cameras import given as camera_import
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
-from stages.formats.given_cameras.files import read_camera_files
-from stages.formats.given_cameras.model import PARAMS, Lens
+from stages.formats.facts import Listing, parse
+from stages.formats.given_cameras.recognize import read_camera_files
+from stages.formats.given_cameras.record import PARAMS, Lens
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points
 from stages.records import Cameras
@@ -70,14 +71,19 @@ def stages(clip, truth, tmp_path_factory):
 def listing(truth: Cameras, **sources: str) -> dict:
     rows = [{"name": name, "index": int(name), "time_s": int(name) / 12} for name in truth.names]
     rows = [{**row, "source": sources[row["name"]]} if sources else row for row in rows]
-    return {"width": truth.width, "height": truth.height, "frames": rows, "video": {"frames": TOTAL}}
+    return {
+        "width": truth.width,
+        "height": truth.height,
+        "frames": rows,
+        "video": {"path": "clip.mp4", "frames": TOTAL},
+    }
 
 
 def read(path: Path, truth: Cameras, **settings):
     """The cameras of a file at the frames, and what was said."""
     said: list[str] = []
     job = Job(path.parent, emit=lambda event: said.append(event.get("text", "")))
-    listed = settings.pop("listing", listing(truth))
+    listed = parse(json.dumps(settings.pop("listing", listing(truth))), Listing)
     found = camera_import.imported(job, path, listed, **{"min_share": 0.5, "first": "auto"} | settings)
     return found, Cameras(tuple(found.names), found.viewmats, found.Ks, truth.width, truth.height), said
 
@@ -151,7 +157,7 @@ def test_cameras_without_points_get_them_by_triangulation(tmp_path, monkeypatch)
     views = walk(8, 1.2)
     write_clip(tmp_path, views)
     names = tuple(f"{3 * i:06d}" for i in range(8))
-    facts = json.loads((tmp_path / "frames/frames.json").read_text()) | {"video": {"frames": 22}}
+    facts = json.loads((tmp_path / "frames/frames.json").read_text()) | {"video": {"path": "clip.mp4", "frames": 22}}
     (tmp_path / "frames/frames.json").write_text(json.dumps(facts))
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     truth = Cameras(names, views, np.tile(K, (8, 1, 1)), WIDTH, HEIGHT)

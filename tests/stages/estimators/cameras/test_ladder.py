@@ -19,6 +19,7 @@ from stages.estimators.cameras.ladder import Matched, Rung, best_rung, climb
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import write_ignored
 from stages.formats.cameras import read_cameras
+from stages.formats.facts import Sfm, parse
 from stages.formats.images import read_image, write_image
 from tests.made import rooms as room
 from tests.made.rooms import run, walk, write_clip
@@ -298,6 +299,7 @@ def test_parts_of_a_turning_clip_that_nothing_joins():
 
 def test_the_report_says_how_the_cameras_were_found():
     rungs = [{"how": "global mapper", "models": []}, {"how": "incremental <1>", "models": [{"registered": 7}] * 2}]
-    text = report._rungs({"of": 9, "rungs": rungs, "mapper": "incremental <1>"})
+    facts = {"verdict": "moving", "distortion": {"max_shift_px": 0.0}, "of": 9}
+    text = report._rungs(parse(json.dumps(facts | {"rungs": rungs, "mapper": "incremental <1>"}), Sfm))
     assert "global mapper 0 of 9 frames in the largest of 0 models" in text and "Taken: incremental &lt;1&gt;" in text
-    assert report._rungs({"verdict": "static camera", "of": 9}) == ""
+    assert report._rungs(parse(json.dumps(facts), Sfm)) == ""

@@ -37,7 +37,7 @@ def truth():
 def frames(tmp_path_factory):
     out = tmp_path_factory.mktemp("frames")
     rows = [{"name": f"{i:06d}", "index": i, "time_s": i / 12} for i in PICKED]
-    facts = {"video": {"frames": TOTAL}, "width": 96, "height": 128, "frames": rows}
+    facts = {"video": {"path": "clip.mp4", "frames": TOTAL}, "width": 96, "height": 128, "frames": rows}
     (out / "frames.json").write_text(json.dumps(facts))
     return out
 

@@ -12,7 +12,7 @@ import torch
 
 from stages.contract import StageError
 from stages.estimators.bodyfit.frames import join_frames
-from stages.formats.given_fits.files import read_smpl_fit
+from stages.formats.given_fits.recognize import read_smpl_fit
 from tests.made import fits
 
 

@@ -13,7 +13,7 @@ from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.given import import_fit
 from stages.estimators.bodyfit.person import choose_person
 from stages.estimators.bodyfit.placing import place_in_world
-from stages.formats.given_fits.files import read_smpl_fit
+from stages.formats.given_fits.recognize import read_smpl_fit
 from stages.formats.given_fits.record import SmplFit
 from stages.records import Cameras
 from tests.made import fits

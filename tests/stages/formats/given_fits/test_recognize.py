@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.estimators.bodyfit import placing as fit_placing
+from stages.estimators.bodyfit import placing
 from stages.estimators.bodyfit.frames import join_frames
 from stages.formats.body_model import read_body_model
-from stages.formats.given_fits import files as smpl_fits
+from stages.formats.given_fits import recognize
 from stages.formats.poses import write_poses
 
 N = 6
@@ -16,7 +16,7 @@ SIZE = (480, 640)
 
 
 def read_smpl_fit(path):
-    return smpl_fits.read_smpl_fit(path, SIZE)
+    return recognize.read_smpl_fit(path, SIZE)
 
 
 def match_frames(fit, names):
@@ -29,7 +29,7 @@ def match_frames(fit, names):
 def place_in_world(fit, viewmats, model, world_from_sfm=None):
     names = fit.names or tuple(str(i) for i in range(len(fit)))
     Ks = np.tile(np.diag([600.0, 600.0, 1.0]), (len(fit), 1, 1))
-    return fit_placing.place_in_world(fit, names, viewmats, Ks, model, world_from_sfm)
+    return placing.place_in_world(fit, names, viewmats, Ks, model, world_from_sfm)
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +226,7 @@ def test_j13_varying_and_extreme_shapes_are_said(tmp_path, arrays):
     betas = np.tile(arrays["betas"], (N, 1))
     betas[:, 0] = np.linspace(5, 8, N)
     fit = read_smpl_fit(save(tmp_path / "a.npz", **arrays | {"betas": betas}))
-    shape, notes = fit_placing.shape_of(fit)
+    shape, notes = placing.shape_of(fit)
     assert len(notes) == 2 and shape[0] == 6.5
 
 

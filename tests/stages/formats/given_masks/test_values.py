@@ -6,7 +6,7 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.frame_names import number, stem
-from stages.formats.given_masks.files import ForeignMasks, mask_files
+from stages.formats.given_masks.values import ForeignMasks, mask_files
 from stages.formats.images import write_image
 
 

@@ -2,13 +2,13 @@
 
 | tool              | what to give                                             | poses of  | read by          |
 |-------------------|----------------------------------------------------------|-----------|------------------|
-| 4D-Humans, PHALP  | results/demo_VIDEO.pkl                                   | everybody | fits_people      |
-| ROMP, simple-romp | video_results.npz, VIDEO_results.npz, a folder of .npz   | everybody | fits_people      |
-| WHAM              | wham_output.pkl                                          | everybody | fits_video       |
-| GVHMR             | hmr4d_results.pt                                         | one       | fits_video       |
-| TRAM              | the folder with camera.npy and hps/                      | everybody | fits_video       |
-| EasyMocap         | the folder of .json                                      | everybody | fits_easymocap   |
-| plain, AMASS, ... | .npz of arrays                                           | one       | fits_npz         |
+| 4D-Humans, PHALP  | results/demo_VIDEO.pkl                                   | everybody | people.py        |
+| ROMP, simple-romp | video_results.npz, VIDEO_results.npz, a folder of .npz   | everybody | people.py        |
+| WHAM              | wham_output.pkl                                          | everybody | video.py         |
+| GVHMR             | hmr4d_results.pt                                         | one       | video.py         |
+| TRAM              | the folder with camera.npy and hps/                      | everybody | video.py         |
+| EasyMocap         | the folder of .json                                      | everybody | easymocap.py     |
+| plain, AMASS, ... | .npz of arrays                                           | one       | npz.py           |
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
-from stages.formats.motions.smpl import read_smpl_motion
+from stages.formats.motions.smpl_npz import read_smpl_motion
 
 N = 5
 RNG = np.random.default_rng(0)

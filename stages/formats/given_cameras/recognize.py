@@ -7,7 +7,7 @@ from pathlib import Path
 from stages.contract import StageError
 from stages.formats.cameras import read_cameras
 from stages.formats.given_cameras.colmap_model import is_model, read_colmap
-from stages.formats.given_cameras.model import GivenCameras, checked_lens, without_points
+from stages.formats.given_cameras.record import GivenCameras, checked_lens, without_points
 from stages.formats.given_cameras.transforms_json import read_transforms
 
 HINT = "`--cameras` takes the folder of a COLMAP model (cameras, images, points3D as .bin or .txt), or transforms.json"

@@ -1,4 +1,4 @@
-"""Masks as another program stored them, whichever it was: names, objects, and how to read each.
+"""Given masks, whichever program stored them: recognizes the layout and returns a MaskSet.
 
 | layout                                                     | joined by                | objects                     |
 |------------------------------------------------------------|--------------------------|-----------------------------|
@@ -14,35 +14,21 @@ By order only where there are exactly as many masks as the video has frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stages.contract import StageError
 from stages.formats.frame_names import ENDINGS, stem
-from stages.formats.given_masks.files import mask_files, read_values
+from stages.formats.given_masks.coco import read_coco
+from stages.formats.given_masks.mask_set import MaskSet, Values, in_order
+from stages.formats.given_masks.stacks import read_stack
+from stages.formats.given_masks.values import mask_files, read_values
 from stages.formats.video import decode, natural, probe
 
-Values = tuple[np.ndarray, str]
 HINT = (
     "`--masks` takes a folder of masks (or of a folder for each object), a .npy or .npz stack, a COCO .json, or a video"
 )
-
-
-@dataclass(frozen=True)
-class MaskSet:
-    """`names` of the masks without endings; None: the i-th belongs to the video's i-th frame.
-
-    `objects` are the ids of what is kept apart, ("",) if nothing is. `read(object, i)` gives the values [H,W] and the
-    name of what holds them, None where that object is not in that mask's frame.
-    """
-
-    kind: str
-    names: tuple[str, ...] | None
-    objects: tuple[str, ...]
-    read: Callable[[str, int], Values | None]
 
 
 def read_mask_files(path: Path, frames: int) -> MaskSet:
@@ -51,12 +37,8 @@ def read_mask_files(path: Path, frames: int) -> MaskSet:
         return folder_of_masks(path)
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
-        from stages.formats.given_masks.stacks import read_stack
-
         return read_stack(path, frames)
     if suffix == ".json":
-        from stages.formats.given_masks.coco import read_coco
-
         return read_coco(path)
     if suffix in ENDINGS:
         raise StageError(f"{path} is one mask", "give the folder that holds one mask per frame", [f"a {suffix} file"])
@@ -87,21 +69,15 @@ def film(path: Path, frames: int) -> MaskSet:
     count = sum(1 for _ in decode(path))
     info = probe(path)
     in_order(count, frames, f"{path} ({info.duration_s:.2f} s at {info.fps:.2f} frames/s)")
-    last: dict[str, object] = {"frames": decode(path), "at": -1, "values": None}
+    frames_left, at, values = decode(path), -1, np.zeros((0, 0), np.uint8)
 
     def read(_: str, i: int) -> Values:
-        if i < last["at"]:
-            last.update(frames=decode(path), at=-1)
-        while last["at"] < i:
-            index, _time, pixels = next(last["frames"])
-            last.update(at=index, values=pixels.max(2))
-        return last["values"], "video"
+        nonlocal frames_left, at, values
+        if i < at:
+            frames_left, at = decode(path), -1
+        while at < i:
+            at, _time, pixels = next(frames_left)
+            values = pixels.max(2)
+        return values, "video"
 
     return MaskSet("video of masks", None, ("",), read)
-
-
-def in_order(count: int, frames: int, what: str) -> None:
-    """StageError unless masks without names are as many as the video's frames."""
-    if count != frames:
-        hint = "masks without names belong to frames by their order: give one for each frame of the video, or name them"
-        raise StageError(f"{what} does not have a mask for each frame", hint, [f"{count} masks, {frames} frames"])

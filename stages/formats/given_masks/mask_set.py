@@ -1,0 +1,34 @@
+"""The record that every reader of given masks returns: names, objects, and how to read each mask."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.contract import StageError
+
+Values = tuple[np.ndarray, str]
+"""A mask's values [H,W] as stored, and the name of the encoding."""
+
+
+@dataclass(frozen=True)
+class MaskSet:
+    """`names` of the masks without endings; None: the i-th belongs to the video's i-th frame.
+
+    `objects` are the ids that the file keeps apart, ("",) if none. `read(object, i)` gives the values of that object in
+    the i-th mask, None where the object is not in that frame.
+    """
+
+    kind: str
+    names: tuple[str, ...] | None
+    objects: tuple[str, ...]
+    read: Callable[[str, int], Values | None]
+
+
+def in_order(count: int, frames: int, what: str) -> None:
+    """StageError unless masks without names are as many as the video's frames."""
+    if count != frames:
+        hint = "masks without names belong to frames by their order: give one for each frame of the video, or name them"
+        raise StageError(f"{what} does not have a mask for each frame", hint, [f"{count} masks, {frames} frames"])
