@@ -12,7 +12,7 @@ import torch
 from stages.avatar.body.smpl import Body
 from stages.avatar.kernels.mesh import NEAR, fill
 from stages.estimators.detectors.bundle import Leftover, leftover
-from stages.estimators.detectors.exposure import gains_of
+from stages.estimators.detectors.light import gains_of
 from stages.estimators.detectors.tracks import Tracks, follow
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
-from stages.estimators.detectors import exposure, motion_blur, pose_refinement, shadow, tracks
+from stages.estimators.detectors import exposure, light, motion_blur, pose_refinement, shadow, tracks
 from stages.estimators.detectors.bundle import leftover
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import Evidence
@@ -35,20 +35,20 @@ def gains(frames: int = 30, drift: float = 0.0, step: float = 0.0, hidden: float
 def test_exposure_gains_survive_hidden_points_and_gaps():
     logs, truth = gains(drift=0.1, step=0.08)
     logs[7] = np.nan
-    found = exposure.robust_gains(logs)
+    found = light.robust_gains(logs)
     seen = np.isfinite(found)
     assert not seen[7] and seen.sum() == 29
     assert np.abs(found[seen] - (truth[seen] - truth[seen].mean())).max() < 0.01
 
 
 def test_steady_exposure_stays_below_the_threshold():
-    found = exposure.robust_gains(gains()[0])
+    found = light.robust_gains(gains()[0])
     assert found.std() < exposure.STD / 3 and np.abs(np.diff(found)).max() < exposure.STEP / 3
 
 
 def test_too_few_points_are_unknown_not_zero():
-    assert np.isnan(exposure.robust_gains(np.full((5, 10), 4.0))).all()
-    assert np.isnan(exposure.robust_gains(np.zeros((5, 0)))).all()
+    assert np.isnan(light.robust_gains(np.full((5, 10), 4.0))).all()
+    assert np.isnan(light.robust_gains(np.zeros((5, 0)))).all()
 
 
 def test_point_colours_leave_out_person_border_and_clipped():
@@ -57,7 +57,7 @@ def test_point_colours_leave_out_person_border_and_clipped():
     mask = np.zeros((20, 30), np.uint8)
     mask[:, :5] = 255
     pixels = np.array([[12.0, 10], [2, 10], [27, 10], [40, 10], [-3, 5], [12, 10]])
-    logs = exposure.point_logs(image, mask, pixels, np.array([1.0, 1, 1, 1, 1, -1]))
+    logs = light.point_logs(image, mask, pixels, np.array([1.0, 1, 1, 1, 1, -1]))
     assert logs[:, 0] == pytest.approx([np.log(100), 0, 0], abs=1e-3) and np.isnan(logs[:, 1:]).all()
 
 
@@ -75,7 +75,7 @@ def test_a_tint_that_drifts_at_one_brightness_is_seen(effects, verdict):
         names=[str(i) for i in range(frames)], points=points, Ks=np.tile(K, (frames, 1, 1)),
         viewmats=np.tile(np.eye(4), (frames, 1, 1)), images=lambda i: pictures[i],
         mask=lambda i: np.zeros((120, 160), np.uint8))  # fmt: skip
-    found = exposure.detect(SimpleNamespace(clip=clip, light=exposure.gains_of(clip)))
+    found = exposure.detect(SimpleNamespace(clip=clip, light=light.gains_of(clip)))
     assert found.verdict == verdict
     if effects:
         assert found.value == pytest.approx(0.1, rel=0.5) and len(found.frames) == 3
