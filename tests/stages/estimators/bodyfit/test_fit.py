@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import Body
+from stages.estimators.bodyfit import fit as fitting
 from stages.estimators.bodyfit.evidence import (
     Evidence,
     gather,
@@ -62,6 +63,25 @@ def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
     assert np.nanmean(verdict.iou) > 0.88
     assert not any(verdict.fast)
     assert (verdict.confidence[[13, 14]] == 0).all() and np.delete(verdict.confidence, [13, 14]).min() > 0.5
+
+
+def test_two_threads_fit_the_same_body_bit_for_bit(monkeypatch):
+    """30 frames are enough for torch to share out the sum of the vertices' gradients among its threads."""
+    for steps in ("FIRST", "OUTLINED", "LAST"):
+        monkeypatch.setattr(fitting, steps, 10)
+    clip = bodyfit_clips.make(MODEL, frames=30)
+    regressor, evidence, _ = evidence_of(clip)
+    masks, threads = clip.masks(), torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        poses = [
+            fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, masks, clip.points).poses for _ in range(2)
+        ]
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
+    for key in ("betas", "global_orient", "body_pose", "transl"):
+        np.testing.assert_array_equal(*(getattr(one, key) for one in poses), err_msg=key)
 
 
 @pytest.mark.slow
