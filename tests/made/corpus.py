@@ -72,10 +72,10 @@ def given_cameras(file: str) -> Kind:
     def read(root: Path) -> Any:
         from stages import sfm
         from stages.contract import Job
-        from stages.estimators.cameras.given import imported
+        from stages.estimators.cameras.given import import_cameras
 
         path, listing = root / file, formats("facts").read_facts(root / "film" / "frames.json", sfm.LISTING)
-        return imported(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
+        return import_cameras(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
 
     return Kind(file, read)
 

@@ -6,25 +6,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 STD, STEP = 0.02, 0.05
 """Of the log gain, of all light or of red or blue beside green: over the clip, and between neighbouring frames."""
 UNIT = "std of the log gain"
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """The standard deviation of the log gain or of a tint; a single jump of more than STEP calls for it too."""
     light = evidence.light.T
     if np.isfinite(light[0]).sum() < 3:
-        return unknown(UNIT, STD, "too few points of the background")
+        return unmeasured(UNIT, STD, "too few points of the background")
     drifts = [_drift(series) for series in light]
     most = int(np.argmax(drifts))
     words = ("changes tint" if most else "drifts", "steady")
-    return above(drifts[most], UNIT, STD, words, strongest(evidence.clip.names, np.abs(light[most])))
+    return compare(drifts[most], UNIT, STD, words, strongest_frames(evidence.clip.names, np.abs(light[most])))
 
 
 def _drift(series: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from stages.avatar.cameras.pinhole import project
-from stages.estimators.detectors.pictures import brightness, softened
+from stages.estimators.detectors.pictures import brightness, soften
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 MIN_SAMPLES = 30  # points that must be seen in a frame before its exposure is believed
 
 
-def gains_of(clip: Clip) -> np.ndarray:
+def frame_gains(clip: Clip) -> np.ndarray:
     """Log gains [F,3] of each frame: of all light, of red and of blue beside green; from SfM points outside the person."""
     logs = np.full((3, len(clip.names), len(clip.points)), np.nan)
     for i in range(len(clip.names) if len(clip.points) else 0):
@@ -34,7 +34,7 @@ def point_logs(image: np.ndarray, mask: np.ndarray, pixels: np.ndarray, z: np.nd
     person = cv2.dilate(mask, np.ones((9, 9), np.uint8)) > 64
     inside = (z > 0) & (pixels >= 0).all(1) & (pixels < [width, height]).all(1)
     x, y = np.where(inside[:, None], pixels, 0).astype(int).T
-    values = np.column_stack([brightness(image)[y, x], softened(image)[y, x]])
+    values = np.column_stack([brightness(image)[y, x], soften(image)[y, x]])
     clear = (values > 20) & (values < 235) & (inside & ~person[y, x])[:, None]
     grey, red, green, blue = np.where(clear, np.log(np.where(clear, values, 1.0)), np.nan).T
     return np.stack([grey, red - green, blue - green])
