@@ -35,7 +35,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     Masks that a data set brought along are taken like given ones, unless others are given.
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
-    from stages.estimators.person.given import imported
+    from stages.estimators.person.given import import_masks
     from stages.formats.datasets.capture import given_by
     from stages.formats.images import write_mask
 
@@ -43,17 +43,17 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     names = [frame.name for frame in listing.frames]
     mask_files = mask_files or given_by(frames, "masks")
     if mask_files is not None:
-        details, masks = imported(job, Path(mask_files), listing, params.invert, params.person)
+        details, masks = import_masks(job, Path(mask_files), listing, params.invert, params.person)
         source = "imported"
     else:
-        source, details, masks = "blazepose", {}, segmented(job, params, frames, names)
+        source, details, masks = "blazepose", {}, segment(job, params, frames, names)
         job.note("outlines by BlazePose, a small network; `--masks DIR` takes better ones")
     (job.out / "masks").mkdir(exist_ok=True)
     found, apart = {}, []
     for i, (name, mask) in enumerate(zip(names, masks, strict=True)):
         write_mask(job.out / "masks" / f"{name}.png", mask)
-        found[name] = {"coverage": round(float((mask > 127).mean()), 5), "touches_border": touched(mask)}
-        apart += [name] if in_parts(mask) else []
+        found[name] = {"coverage": round(float((mask > 127).mean()), 5), "touches_border": cut_sides(mask)}
+        apart += [name] if has_second_part(mask) else []
         job.progress(i + 1, len(names))
     nobody = [name for name, frame in found.items() if frame["coverage"] < PERSON_SHARE]
     report(job, found, nobody)
@@ -66,7 +66,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     (job.out / "masks.json").write_text(json.dumps(summary, indent=1) + "\n")
 
 
-def segmented(job: Job, params: Params, frames: Path, names: list[str]):
+def segment(job: Job, params: Params, frames: Path, names: list[str]):
     """Follow one person through the pictures by BlazePose and yield his outline in each, empty where he is not."""
     import numpy as np
 
@@ -103,7 +103,7 @@ class Pictures:
         return self.read(self.paths[i])
 
 
-def in_parts(mask) -> bool:
+def has_second_part(mask) -> bool:
     """True if the mask has a second part that is large beside its largest."""
     import cv2
     import numpy as np
@@ -113,7 +113,7 @@ def in_parts(mask) -> bool:
     return len(areas) > 1 and bool(areas[-2] > PART * areas[-1])
 
 
-def touched(mask) -> list[str]:
+def cut_sides(mask) -> list[str]:
     """The sides of the picture at which the person is cut off."""
     sides = {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}
     return [side for side, line in sides.items() if (line > 127).mean() > BORDER_SHARE]

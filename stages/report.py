@@ -222,28 +222,16 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
     """The posed body, shaded, over evenly spread frames, its outline against the mask's."""
     import cv2
     import numpy as np
-    import torch
 
-    from stages.avatar.body.smpl import Body
+    from stages.estimators.bodyfit.silhouette import posed_bodies, silhouette
 
-    body = Body(clip.body_model)
     chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)
-    rows = (clip.body.global_orient[chosen], clip.body.body_pose[chosen], clip.body.transl[chosen])
-    with torch.no_grad():
-        parts = [torch.as_tensor(row, dtype=torch.float32) for row in rows]
-        vertices, _ = body(torch.as_tensor(clip.body.betas, dtype=torch.float32), *parts)
     shots = []
-    for i, points in zip(chosen, vertices.numpy().astype(np.float64), strict=True):
-        local = points @ clip.viewmats[i, :3, :3].T + clip.viewmats[i, :3, 3]
+    for i, points in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen), strict=True):
         image = clip.images(i).copy()
-        if (local[:, 2] > 1e-3).all():
-            pixels = local @ clip.Ks[i].T
-            pixels = pixels[:, :2] / pixels[:, 2:] - 0.5
-            covered = np.zeros(image.shape[:2], np.uint8)
-            for corners in np.rint(pixels[clip.body_model.faces] * 8).astype(np.int32):
-                cv2.fillConvexPoly(covered, corners, 255, shift=3)
-            inside = covered > 0
-            image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
+        size = image.shape[:2]
+        inside = silhouette(points, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], size, size)
+        image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
         edges, _ = cv2.findContours((clip.mask(i) > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, edges, -1, (255, 140, 0), max(1, clip.height // 400))
         shots.append((image, f"frame {clip.names[i]}: body blue, mask edge orange"))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from stages.estimators.cameras.ladder import Matched
-    from stages.estimators.cameras.motion import Motion, Pair
+    from stages.estimators.cameras.motion import CameraMotion, Pair
     from stages.estimators.cameras.sparse_model import Pinholes
     from stages.estimators.cameras.verdict import Footage
 
@@ -70,8 +70,8 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
     `cameras` of another program (a COLMAP model, transforms.json) take the place of mapping; where they have no points,
     COLMAP triangulates them. A camera that stood still or only turned is named in sfm.json `verdict` and by a warning.
     """
-    from stages.estimators.cameras.check import compare_colours, triangulate
-    from stages.estimators.cameras.given import imported
+    from stages.estimators.cameras.check import compare_colors, triangulate
+    from stages.estimators.cameras.given import import_cameras
     from stages.estimators.cameras.sparse_model import write_model
     from stages.formats.cameras import write_cameras
     from stages.formats.datasets.undistorted import write_undistorted
@@ -82,14 +82,14 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
     check_masks(names, masks, *size)
     with tempfile.TemporaryDirectory(dir=job.out) as scratch:
         if cameras is None:
-            found = mapped(job, params, names, frames, masks, size, Path(scratch))
+            found = map_cameras(job, params, names, frames, masks, size, Path(scratch))
         else:
-            found = imported(job, Path(cameras), listing, params.min_share, params.cameras_from)
+            found = import_cameras(job, Path(cameras), listing, params.min_share, params.cameras_from)
         for done in write_undistorted(frames, masks, job.out, found.names, found.grids.get):
             job.progress(85 + 14 * done // len(found.names), 100)
         write_cameras(job.out / "cameras.npz", Cameras(tuple(found.names), found.viewmats, found.Ks, *size))
         if found.cloud is not None:
-            compare_colours(job, found)
+            compare_colors(job, found)
         elif cameras is not None and found.verdict == "moving":
             triangulate(job, found, size, params.features, Path(scratch))
     facts = {
@@ -103,7 +103,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
     (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
 
 
-def mapped(
+def map_cameras(
     job: Job, params: Params, names: list[str], frames: Path, masks: Path, size: tuple[int, int], scratch: Path
 ) -> Pinholes:
     """Cameras found by COLMAP, and the pinhole that replaces their lens."""
@@ -194,17 +194,17 @@ def solve(
             motion.verdict, names, fixed_views(len(names)), focal, (width / 2, height / 2), 0.0, facts=facts
         )
     if motion.verdict == "rotation only":
-        return turning(job, footage, motion, pairs, width, height, facts)
+        return solve_turn(job, footage, motion, pairs, width, height, facts)
     job.progress(55, 100)
     fixed_focal = params.focal is not None
     matched = sfm_ladder.Matched(database, images, scratch, len(names), side, need, params.overlap, fixed_focal)
-    return walking(job, matched, footage, motion, pairs, facts) or turning(
+    return solve_walk(job, matched, footage, motion, pairs, facts) or solve_turn(
         job, footage, motion, pairs, width, height, facts
     )
 
 
-def walking(
-    job: Job, matched: Matched, footage: Footage, motion: Motion, pairs: list[Pair], facts: dict
+def solve_walk(
+    job: Job, matched: Matched, footage: Footage, motion: CameraMotion, pairs: list[Pair], facts: dict
 ) -> Solution | None:
     """The cameras of the best model of all rungs; None if there is none to believe and a turn may stand in."""
     from stages.estimators.cameras.ladder import best_rung, climb
@@ -219,7 +219,7 @@ def walking(
         return None
     tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.said(matched) for rung in rungs)]
     facts["mapper"] = rung.how
-    facts["trouble"] = footage.require(job, [model.places(names) for model in rung.models], tried)
+    facts["trouble"] = footage.require(job, [model.placed_frames(names) for model in rung.models], tried)
     best, posed = rung.models[0], rung.models[0].posed
     if doubts := matched.doubts(best):
         job.warn(f"the best model is hard to believe: {', '.join(doubts)}")
@@ -230,8 +230,8 @@ def walking(
     return Solution("moving", kept, viewmats, focal, (cx, cy), k, best.reconstruction, facts)
 
 
-def turning(
-    job: Job, footage: Footage, motion: Motion, pairs: list[Pair], width: int, height: int, facts: dict
+def solve_turn(
+    job: Job, footage: Footage, motion: CameraMotion, pairs: list[Pair], width: int, height: int, facts: dict
 ) -> Solution:
     """The rotations of a camera that only turns, or that does hardly more and cannot be mapped."""
     from stages.estimators.cameras.motion import camera_rotations

@@ -16,7 +16,7 @@ from stages.formats.facts import Listing, Sfm, read_facts
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.estimators.bodyfit.quality import Verdict
+    from stages.estimators.bodyfit.quality import FitQuality
     from stages.records import BodyModel, BodyPoses, Cameras
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
@@ -42,7 +42,7 @@ def run(
     """
     import numpy as np
 
-    from stages.estimators.bodyfit.quality import judge
+    from stages.estimators.bodyfit.quality import measure_quality
     from stages.formats.body_model import read_body_model, write_body_model
     from stages.formats.cameras import read_cameras
     from stages.formats.datasets.capture import given_by
@@ -64,11 +64,11 @@ def run(
     if smpl_fit is not None:
         pictures = {frame.name: frame.source for frame in listing.frames if frame.source}
         sources = tuple(pictures[name] for name in cameras.names if name in pictures)
-        poses, facts = imported(job, smpl_fit, model, cameras, times, masks, points, moving, sources)
-        verdict = judge(poses, model, cameras, times, masks)
+        poses, facts = import_poses(job, smpl_fit, model, cameras, times, masks, points, moving, sources)
+        verdict = measure_quality(poses, model, cameras, times, masks)
     else:
-        poses, facts, evidence, pixels = estimated(job, sfm, model, cameras, times, points, moving, masks)
-        verdict = judge(poses, model, cameras, times, masks, evidence, pixels)
+        poses, facts, evidence, pixels = estimate_poses(job, sfm, model, cameras, times, points, moving, masks)
+        verdict = measure_quality(poses, model, cameras, times, masks, evidence, pixels)
     poses = replace(poses, confidence=verdict.confidence)
     write_poses(job.out / "body.npz", poses)
     write_body_model(job.out / "body_model.npz", model)
@@ -77,7 +77,7 @@ def run(
     (job.out / "smpl.json").write_text(json.dumps(facts, indent=1) + "\n")
 
 
-def imported(
+def import_poses(
     job: Job,
     smpl_fit: Path,
     model: BodyModel,
@@ -112,7 +112,7 @@ def imported(
     return poses, {"source": smpl_fit.name, **facts}
 
 
-def estimated(
+def estimate_poses(
     job: Job,
     sfm: Path,
     model: BodyModel,
@@ -127,16 +127,16 @@ def estimated(
 
     from stages.estimators.bodyfit import evidence as evidences
     from stages.estimators.bodyfit.fit import fit_body
-    from stages.estimators.person.blazepose import BlazePose, masked
+    from stages.estimators.person.blazepose import BlazePose, pick_masked
     from stages.formats.images import read_image
 
     names, regressor = evidences.model_landmarks(model)
     job.progress(0, 100)
     network, images = BlazePose(), [read_image(sfm / "images" / f"{name}.png") for name in cameras.names]
-    tracks = network.track(images, masked(network.sightings(images), masks))
+    tracks = network.track(images, pick_masked(network.sightings(images), masks))
     job.progress(40, 100)
-    evidence, strangers = evidences.without_strangers(evidences.gather(tracks, names), masks)
-    evidence, swapped = evidences.with_sides_voted(evidence)
+    evidence, strangers = evidences.drop_strangers(evidences.gather(tracks, names), masks)
+    evidence, swapped = evidences.vote_sides(evidence)
     count = int(evidence.seen.sum())
     if count < max(2, SEEN_LEAST * len(tracks)):
         raise StageError(
@@ -180,7 +180,7 @@ def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
         job.warn(f"the feet meet the floor at scales that differ by {100 * scale['floor_spread']:.0f} %")
 
 
-def summary(job: Job, params: Params, poses: BodyPoses, model: BodyModel, verdict: Verdict) -> dict[str, Any]:
+def summary(job: Job, params: Params, poses: BodyPoses, model: BodyModel, verdict: FitQuality) -> dict[str, Any]:
     """What smpl.json says about the result, and the notes and warnings a user should see."""
     import numpy as np
 

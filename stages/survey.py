@@ -58,13 +58,13 @@ class Params(contract.Params):
 def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl: Path) -> None:
     """Measure the clip and decide, with reasons, what training models."""
     from stages.estimators.detectors.every import DETECTORS
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
     from stages.formats.clip import load_clip
     from stages.formats.facts import Sfm, read_facts
 
     facts = read_facts(sfm / "sfm.json", Sfm)
     clip = load_clip(sfm, smpl)
-    measures, evidence, findings = camera_measures(facts, clip) | person_measures(clip), Evidence(clip, facts), {}
+    measures, evidence, findings = camera_measures(facts, clip) | person_measures(clip), ClipEvidence(clip, facts), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
         job.progress(done, len(DETECTORS))
         findings[name] = detect(evidence)

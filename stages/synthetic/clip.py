@@ -19,15 +19,15 @@ from stages.avatar.kernels.mesh import cast, fill
 from stages.synthetic import person
 from stages.synthetic.effects import (
     NO_EFFECTS,
+    BodyShadow,
+    ClipEffects,
     Course,
-    Effects,
-    Shadow,
-    bend,
+    camera_points,
+    distort,
     gains,
     margin,
     open_times,
-    read_out,
-    seen_from,
+    readout_times,
     to_linear,
     to_srgb,
 )
@@ -48,7 +48,7 @@ Motion = Literal["moving", "static", "rotating"]
 
 
 @dataclass(frozen=True)
-class Views:
+class TrueViews:
     """V pictures of the person with everything that is true of them.
 
     `images` [V,H,W,3] and `masks` [V,H,W] uint8 (255 = person, soft edges), `depths` [V,H,W] float32 z in metres at
@@ -74,8 +74,8 @@ class Views:
 class SyntheticClip:
     """The clip's `frames`, further views in `novel` poses that no frame shows, the body's `betas` [10], frame rate."""
 
-    frames: Views
-    novel: Views
+    frames: TrueViews
+    novel: TrueViews
     betas: np.ndarray
     fps: float
 
@@ -89,7 +89,7 @@ def make_clip(
     frames: int = 60,
     fps: float = 12.0,
     camera: Motion = "moving",
-    effects: Effects = NO_EFFECTS,
+    effects: ClipEffects = NO_EFFECTS,
     done: Callable[[int, int], None] = lambda done, total: None,
 ) -> SyntheticClip:
     """Make the clip of that seed; the same arguments give the same bytes.
@@ -101,7 +101,7 @@ def make_clip(
     """
     rng, apart = np.random.default_rng(seed), np.random.default_rng([seed, 1])  # effects change nothing else
     room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
-    stage = _Stage(model, room, betas, pinhole(FOCAL * height, width, height), effects)
+    stage = _Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects)
     viewmats = camera_path(frames, fps, camera, rng, effects.antialias)
     orient, pose = person.make_motion(frames, fps, rng)
     novel_orient, novel_pose = person.novel_poses()
@@ -110,7 +110,7 @@ def make_clip(
     passers = make_passers(round(effects.transients), frames, apart)
     gain = gains(effects, frames, apart)
     clip = stage.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain)
-    calm = replace(stage, effects=effects.of_the_scene())
+    calm = replace(stage, effects=effects.scene_only())
     novel = calm.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
     return SyntheticClip(clip, novel, stage.betas, fps)
 
@@ -160,24 +160,24 @@ def _tones(rng: np.random.Generator) -> list[tuple[float, float]]:
 
 
 @dataclass
-class _Stage:
+class _Renderer:
     """Everything that does not change from picture to picture."""
 
     model: Any
     room: Room
     betas: np.ndarray
     K: np.ndarray
-    effects: Effects = NO_EFFECTS
+    effects: ClipEffects = NO_EFFECTS
 
     def __post_init__(self) -> None:
         self.body = Body(self.model, dtype=torch.float64)
         self.faces = np.ascontiguousarray(self.model.faces, dtype=np.int64)
         self.rest = np.asarray(self.model.v_template, np.float64)
-        self.clothes = person.Clothes(self.model)
+        self.clothes = person.Outfit(self.model)
 
     def views(
         self, viewmats, orient, pose, width: int, height: int, done: Callable[[int], None], passers=(), gain=None
-    ) -> Views:
+    ) -> TrueViews:
         """Draw the person in each pose from its camera, with `passers` behind and colours times `gain` [V,3]."""
         transl, vertices, joints = person.pose_body(self.body, self.betas, orient, pose)
         if self.effects.clothing:
@@ -188,21 +188,21 @@ class _Stage:
             done(i + 1)
         images, masks, depths = (np.stack(kind) for kind in zip(*drawn))
         Ks = np.broadcast_to(self.K, (len(viewmats), 3, 3)).copy()
-        return Views(images, masks, depths, viewmats, Ks, orient, pose, transl, joints)
+        return TrueViews(images, masks, depths, viewmats, Ks, orient, pose, transl, joints)
 
     def shoot(self, course: Course, i: int, width: int, height: int, passers, gain):
         """Image uint8 [H,W,3], mask uint8 [H,W] and depth float32 [H,W] of frame `i`, as its camera takes it."""
         fine, size = self.K * np.array([[SUPERSAMPLE], [SUPERSAMPLE], [1]]), (width * SUPERSAMPLE, height * SUPERSAMPLE)
         pad = margin(self.effects, fine, *size)
         moments = [self.draw(course, i + t, fine, *size, pad, passers) for t in open_times(self.effects)]
-        colours, seen = moments[0][0], moments[0][1] * 1.0
+        colors, seen = moments[0][0], moments[0][1] * 1.0
         if len(moments) > 1:
-            colours = to_srgb(np.mean([to_linear(colours) for colours, _ in moments], 0))
+            colors = to_srgb(np.mean([to_linear(colors) for colors, _ in moments], 0))
             seen = np.mean([seen for _, seen in moments], 0)
-        image = bend((colours * gain).clip(0, 1) * 255, self.effects, fine, pad)
-        mask = bend(seen[..., None] * 255.0, self.effects, fine, pad)
+        image = distort((colors * gain).clip(0, 1) * 255, self.effects, fine, pad)
+        mask = distort(seen[..., None] * 255.0, self.effects, fine, pad)
         pad = margin(self.effects, self.K, width, height)
-        depth = bend(self.depth(course, i, width, height, pad)[..., None], self.effects, self.K, pad, order=0)
+        depth = distort(self.depth(course, i, width, height, pad)[..., None], self.effects, self.K, pad, order=0)
         return _shrink(image), _shrink(mask)[..., 0], depth[..., 0].astype(np.float32)
 
     def draw(self, course: Course, t: float, K: np.ndarray, width: int, height: int, pad: int, passers):
@@ -213,7 +213,7 @@ class _Stage:
         for passer in (passer for passer in passers if passer.inside(t)):
             depth, face, weights = self.fill(course, passer.at, passer.faces, t, wide, width, height)
             near = depth < room_depth
-            room[near] = (passer.colours[passer.faces[face[near]]] * weights[near][..., None]).sum(1)
+            room[near] = (passer.colors[passer.faces[face[near]]] * weights[near][..., None]).sum(1)
             room_depth = np.minimum(room_depth, depth)
         depth, face, weights = self.fill(course, course.body, self.faces, t, wide, width, height)
         seen = depth < room_depth
@@ -236,27 +236,27 @@ class _Stage:
 
     def fill(self, course: Course, things, faces: np.ndarray, t: float, K: np.ndarray, width: int, height: int):
         """Depth, face and weights of the mesh `things`(moment) as seen at moment `t`."""
-        return fill(seen_from(course, things, t, self.effects, K, height), faces, K, width, height)
+        return fill(camera_points(course, things, t, self.effects, K, height), faces, K, width, height)
 
     def cast(
         self, course: Course, t: float, K: np.ndarray, width: int, height: int, vertices: np.ndarray | None = None
     ):
         """Colour and depth of the room at moment `t`, with the shadow of `vertices`, without the person."""
         room, effects = self.room, self.effects
-        poses = np.stack([np.linalg.inv(course.viewmat(t + s)) for s in read_out(effects, height)])
-        colours, depth = cast(poses, K, width, height, room.boxes, room.paint, room.tints, room.mips, room.per_metre,
+        poses = np.stack([np.linalg.inv(course.viewmat(t + s)) for s in readout_times(effects, height)])
+        colors, depth = cast(poses, K, width, height, room.boxes, room.paint, room.tints, room.mips, room.per_metre,
                               LIGHT, effects.view_dependence, LAMPS, effects.sky > 0)  # fmt: skip
         if vertices is None or not (effects.sky or effects.shadow):
-            return colours, depth
+            return colors, depth
         rays = _rays(K, width, height) @ poses[:, :3, :3].mT
         if effects.sky:
             far = np.isinf(depth)
-            colours[far] = sky(rays[far])
+            colors[far] = sky(rays[far])
         if effects.shadow:
             hit = np.isfinite(depth)
             points = (poses[:, None, :3, 3] + rays * depth[..., None])[hit]
-            colours[hit] *= Shadow(vertices, self.faces, LIGHT, effects.shadow)(points)[:, None]
-        return colours, depth
+            colors[hit] *= BodyShadow(vertices, self.faces, LIGHT, effects.shadow)(points)[:, None]
+        return colors, depth
 
 
 def _rays(K: np.ndarray, width: int, height: int) -> np.ndarray:

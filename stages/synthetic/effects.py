@@ -25,7 +25,7 @@ SOFT, CONTACT_SOFT, CONTACT_HEIGHT = 0.02, 0.035, 0.12
 
 
 @dataclass(frozen=True)
-class Effects:
+class ClipEffects:
     """How strong each effect is; 0 leaves it out."""
 
     view_dependence: float = 0.0
@@ -51,14 +51,14 @@ class Effects:
     antialias: float = 0.0
     """Ratio of the camera's largest and smallest distance from the person."""
 
-    def of_the_scene(self) -> Effects:
+    def scene_only(self) -> ClipEffects:
         """Without what belongs to one recording: camera, lens, shutter, strangers."""
         return replace(
             self, exposure=0.0, white_balance=0.0, lens=0.0, rolling_shutter=0.0, motion_blur=0.0, transients=0.0
         )
 
 
-NO_EFFECTS = Effects()
+NO_EFFECTS = ClipEffects()
 
 
 class Course:
@@ -88,29 +88,29 @@ class Course:
     def _path(self) -> tuple[CubicSpline, CubicSpline, Rotation]:
         rotations, frames = Rotation.from_matrix(self.viewmats[:, :3, :3]), np.arange(len(self.viewmats))
         middle = rotations[len(frames) // 2]
-        centres = -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
-        return CubicSpline(frames, (rotations * middle.inv()).as_rotvec()), CubicSpline(frames, centres), middle
+        centers = -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
+        return CubicSpline(frames, (rotations * middle.inv()).as_rotvec()), CubicSpline(frames, centers), middle
 
     @cached_property
     def _motion(self) -> CubicSpline:
         return CubicSpline(np.arange(len(self.vertices)), self.vertices)
 
 
-def open_times(effects: Effects) -> np.ndarray:
+def open_times(effects: ClipEffects) -> np.ndarray:
     """Moments at which a shutter is open, in frames around the frame's own time; only that without motion blur."""
     if not effects.motion_blur:
         return np.zeros(1)
     return effects.motion_blur * ((np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5)
 
 
-def read_out(effects: Effects, height: int) -> np.ndarray:
+def readout_times(effects: ClipEffects, height: int) -> np.ndarray:
     """When each row [H] is read, in frames after the middle one; one time for all [1] without a rolling shutter."""
     if not effects.rolling_shutter:
         return np.zeros(1)
     return effects.rolling_shutter * ((np.arange(height) + 0.5) / height - 0.5)
 
 
-def seen_from(course: Course, things, t: float, effects: Effects, K: np.ndarray, height: int) -> np.ndarray:
+def camera_points(course: Course, things, t: float, effects: ClipEffects, K: np.ndarray, height: int) -> np.ndarray:
     """`things`(moment) [V,3] in coordinates of the camera at `t`, each point when the row it falls on is read."""
 
     def at(moment: float) -> np.ndarray:
@@ -129,7 +129,7 @@ def seen_from(course: Course, things, t: float, effects: Effects, K: np.ndarray,
     return points
 
 
-def gains(effects: Effects, frames: int, rng: np.random.Generator) -> np.ndarray:
+def gains(effects: ClipEffects, frames: int, rng: np.random.Generator) -> np.ndarray:
     """Factors [F,3] of the colours of each frame: a drift in two slow waves, mean log gain 0."""
     if not (effects.exposure or effects.white_balance):
         return np.ones((frames, 3))
@@ -137,14 +137,14 @@ def gains(effects: Effects, frames: int, rng: np.random.Generator) -> np.ndarray
     phase = rng.uniform(0, 2 * np.pi, (2, 4))
     waves = np.sin(2 * np.pi * u + phase[0]) + 0.7 * np.sin(5 * np.pi * u + phase[1])
     waves = (waves - waves.mean(0)) / waves.std(0)
-    colour = waves[:, 1:] - waves[:, 1:].mean(1, keepdims=True)
+    color = waves[:, 1:] - waves[:, 1:].mean(1, keepdims=True)
     tint = waves[:, 1:] - waves[:, 1:] @ [[0.299], [0.587], [0.114]]  # of grey, as pictures are made grey
-    return np.exp(effects.exposure * (waves[:, :1] + DRIFT * colour) + effects.white_balance * tint)
+    return np.exp(effects.exposure * (waves[:, :1] + DRIFT * color) + effects.white_balance * tint)
 
 
-def to_linear(colours: np.ndarray) -> np.ndarray:
+def to_linear(colors: np.ndarray) -> np.ndarray:
     """Light 0..1 of sRGB values 0..1 (IEC 61966-2-1)."""
-    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(light: np.ndarray) -> np.ndarray:
@@ -152,7 +152,7 @@ def to_srgb(light: np.ndarray) -> np.ndarray:
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def margin(effects: Effects, K: np.ndarray, width: int, height: int) -> int:
+def margin(effects: ClipEffects, K: np.ndarray, width: int, height: int) -> int:
     """Pixels around the picture that a lens looks at beyond the pinhole's view."""
     if not effects.lens:
         return 0
@@ -160,7 +160,7 @@ def margin(effects: Effects, K: np.ndarray, width: int, height: int) -> int:
     return int(np.ceil(max(-reach.min(), (reach - [width, height]).max(), 0))) + 2
 
 
-def bend(picture: np.ndarray, effects: Effects, K: np.ndarray, pad: int, order: int = 1) -> np.ndarray:
+def distort(picture: np.ndarray, effects: ClipEffects, K: np.ndarray, pad: int, order: int = 1) -> np.ndarray:
     """What the lens makes of a pinhole's `picture` [H+2pad,W+2pad,C]: [H,W,C]; `K` is that without the margin."""
     if not effects.lens:
         return picture
@@ -172,15 +172,15 @@ def bend(picture: np.ndarray, effects: Effects, K: np.ndarray, pad: int, order: 
     return np.stack(channels, -1)
 
 
-class Shadow:
+class BodyShadow:
     """How dark a body with `vertices` [V,3] m and `faces` makes what lies behind it in the light: along `light`, and
     around the feet."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, light: np.ndarray, darkness: float):
         low = vertices[:, 1] < CONTACT_HEIGHT
         self.darkness = darkness
-        self.lit = _Lamp(vertices, faces, light, SOFT)
-        self.touched = _Lamp(vertices, faces[low[faces].all(1)], np.array([0.0, 1.0, 1e-3]), CONTACT_SOFT)
+        self.lit = _ShadowMap(vertices, faces, light, SOFT)
+        self.touched = _ShadowMap(vertices, faces[low[faces].all(1)], np.array([0.0, 1.0, 1e-3]), CONTACT_SOFT)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """The factor [N] of the brightness at `points` [N,3] of the room."""
@@ -188,12 +188,12 @@ class Shadow:
         return (1 - self.darkness * self.lit(points)) * (1 - self.darkness * on_floor * self.touched(points))
 
 
-class _Lamp:
+class _ShadowMap:
     """A shadow map: how much of the light towards a point a body takes, its edge blurred by `soft` m."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, light: np.ndarray, soft: float):
-        centre = np.array([0.0, 0.8, 0.0])
-        self.viewmat = look_at(centre + LAMP_AWAY * light / np.linalg.norm(light), centre, np.array([0.0, 0.0, -1.0]))
+        center = np.array([0.0, 0.8, 0.0])
+        self.viewmat = look_at(center + LAMP_AWAY * light / np.linalg.norm(light), center, np.array([0.0, 0.0, -1.0]))
         focal = MAP_SIDE / MAP_M * LAMP_AWAY
         self.K = np.array([[focal, 0, MAP_SIDE / 2], [0, focal, MAP_SIDE / 2], [0, 0, 1.0]])
         depth, face, _ = fill(self._seen(vertices), faces, self.K, MAP_SIDE, MAP_SIDE)

@@ -13,11 +13,11 @@ WALK = 0.7  # of the clip that a walk takes
 
 @dataclass(frozen=True)
 class Passer:
-    """An upright ellipsoid in stripes that crosses the room: `vertices` [V,3] m around its middle, `colours` [V,3]."""
+    """An upright ellipsoid in stripes that crosses the room: `vertices` [V,3] m around its middle, `colors` [V,3]."""
 
     vertices: np.ndarray
     faces: np.ndarray
-    colours: np.ndarray
+    colors: np.ndarray
     depth: float
     direction: float
     middle: float

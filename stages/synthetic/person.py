@@ -28,7 +28,7 @@ SKIN, LIPS, HAIR, DARK, WHITE = (
 SHOE = (0.75, 0.3, 0.12)
 
 
-class Clothes:
+class Outfit:
     """Colours of the free body's skin, hair and clothes as a function of where a point is in the rest pose (betas 0)."""
 
     def __init__(self, model: Any):
@@ -41,58 +41,58 @@ class Clothes:
         x, y, z = points.T
         at, side = self.at, abs(points[:, 0])
         waist, ankle = at["left_hip"][1] + 0.05, at["left_ankle"][1]
-        colour = self._head(points)
+        color = self._head(points)
         neck = np.minimum(y - at["left_shoulder"][1], 0.08 - side)
         sleeve = at["left_elbow"][0] - 0.04
         shirt = np.minimum.reduce([y - waist, sleeve - side, -neck, at["nose"][1] - 0.08 - y])
-        colour = _over(colour, self._shirt(x, y, z), shirt, 0.006)
-        colour = _over(colour, self._legs(x, y, z), np.minimum(waist - y, 0.4 - side), 0.006)
-        colour = _over(colour, BELT, 0.018 - abs(y - waist), 0.004, where=side < 0.4)
+        color = _paint_over(color, self._shirt(x, y, z), shirt, 0.006)
+        color = _paint_over(color, self._legs(x, y, z), np.minimum(waist - y, 0.4 - side), 0.006)
+        color = _paint_over(color, BELT, 0.018 - abs(y - waist), 0.004, where=side < 0.4)
         watch = 0.014 - abs(x - at["left_wrist"][0] + 0.03)
-        colour = _over(colour, DARK, watch, 0.004)
-        colour = _over(colour, WHITE, np.minimum(ankle + 0.03 - y, 0.4 - side), 0.005)
-        colour = _over(colour, SHOE, np.minimum(ankle - 0.015 - y, 0.4 - side), 0.005)
-        return _over(colour, WHITE, np.minimum(at["left_big_toe"][1] - 0.008 - y, 0.4 - side), 0.005)
+        color = _paint_over(color, DARK, watch, 0.004)
+        color = _paint_over(color, WHITE, np.minimum(ankle + 0.03 - y, 0.4 - side), 0.005)
+        color = _paint_over(color, SHOE, np.minimum(ankle - 0.015 - y, 0.4 - side), 0.005)
+        return _paint_over(color, WHITE, np.minimum(at["left_big_toe"][1] - 0.008 - y, 0.4 - side), 0.005)
 
     def _shirt(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        colour = np.broadcast_to(SHIRT, (len(x), 3)).copy()
+        color = np.broadcast_to(SHIRT, (len(x), 3)).copy()
         for t in (x, y, z):
-            colour = _over(colour, BAND, _wave(t, 0.11) - 0.45, 0.25, strength=0.5)
-            colour = _over(colour, RED, _wave(t + 0.055, 0.11) - 0.9, 0.1, strength=0.6)
+            color = _paint_over(color, BAND, _wave(t, 0.11) - 0.45, 0.25, strength=0.5)
+            color = _paint_over(color, RED, _wave(t + 0.055, 0.11) - 0.9, 0.1, strength=0.6)
         emblem = 0.055 - np.hypot(x, y - 0.27)
-        colour = _over(colour, (0.95, 0.8, 0.2), emblem, 0.005, where=z > 0.03)
+        color = _paint_over(color, (0.95, 0.8, 0.2), emblem, 0.005, where=z > 0.03)
         bars = np.minimum(0.012 - abs(abs(x) - 0.03), 0.08 - abs(y - 0.3))
-        return _over(colour, (0.95, 0.9, 0.8), bars, 0.005, where=z < 0.0)
+        return _paint_over(color, (0.95, 0.9, 0.8), bars, 0.005, where=z < 0.0)
 
     def _legs(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         hip, knee, ankle = (self.at[f"left_{name}"] for name in ("hip", "knee", "ankle"))
         axis = np.stack([np.interp(y, [ankle[1], knee[1], hip[1]], [ankle[k], knee[k], hip[k]]) for k in (0, 2)])
         around = np.arctan2(z - axis[1], abs(x) - axis[0])
-        colour = _over(np.broadcast_to(TROUSERS, (len(x), 3)).copy(), STRIPE, np.sin(8 * around) - 0.3, 0.4)
+        color = _paint_over(np.broadcast_to(TROUSERS, (len(x), 3)).copy(), STRIPE, np.sin(8 * around) - 0.3, 0.4)
         patch = 0.05 - abs(y - knee[1] - 0.03)
-        return _over(colour, (0.55, 0.2, 0.16), patch, 0.006, where=x > 0)
+        return _paint_over(color, (0.55, 0.2, 0.16), patch, 0.006, where=x > 0)
 
     def _head(self, points: np.ndarray) -> np.ndarray:
         x, y, z = points.T
         at, side = self.at, abs(points[:, 0])
         eye, nose = at["left_eye"], at["nose"]
-        colour = np.broadcast_to(SKIN, (len(x), 3)).copy()
+        color = np.broadcast_to(SKIN, (len(x), 3)).copy()
         front = z > eye[2] - 0.035
         blush = 0.02 - np.hypot(side - 0.045, y - nose[1] + 0.005)
-        colour = _over(colour, (0.86, 0.55, 0.47), blush, 0.03, where=front, strength=0.5)
+        color = _paint_over(color, (0.86, 0.55, 0.47), blush, 0.03, where=front, strength=0.5)
         brow = 0.0045 - abs(y - eye[1] - 0.021 + 6 * (side - eye[0]) ** 2)
-        colour = _over(colour, HAIR, np.minimum(brow, 0.018 - abs(side - eye[0])), 0.003, where=front)
+        color = _paint_over(color, HAIR, np.minimum(brow, 0.018 - abs(side - eye[0])), 0.003, where=front)
         white = 1 - np.hypot((side - eye[0]) / 0.0145, (y - eye[1]) / 0.0065)
-        colour = _over(colour, WHITE, white, 0.3, where=front)
+        color = _paint_over(color, WHITE, white, 0.3, where=front)
         iris = np.minimum(0.006 - np.hypot(side - eye[0], y - eye[1]), white * 0.0065)
-        colour = _over(colour, (0.2, 0.14, 0.1), iris, 0.002, where=front)
+        color = _paint_over(color, (0.2, 0.14, 0.1), iris, 0.002, where=front)
         lips = 1 - np.hypot(x / 0.025, (y - nose[1] + 0.037) / 0.0085)
-        colour = _over(colour, LIPS, lips, 0.3, where=front)
+        color = _paint_over(color, LIPS, lips, 0.3, where=front)
         mouth = np.minimum(0.0013 - abs(y - nose[1] + 0.037), 0.022 - side)
-        colour = _over(colour, (0.35, 0.12, 0.12), mouth, 0.002, where=front)
+        color = _paint_over(color, (0.35, 0.12, 0.12), mouth, 0.002, where=front)
         hairline = y - (eye[1] + 0.052 - 0.85 * (eye[2] - z)) - 0.004 * np.sin(x * 300)
         streaks = np.array(HAIR) * (1 + 0.35 * np.sin(140 * x + 60 * z + 8 * np.sin(50 * y)))[:, None]
-        return _over(colour, streaks, np.minimum(hairline, y - nose[1] + 0.05), 0.006)
+        return _paint_over(color, streaks, np.minimum(hairline, y - nose[1] + 0.05), 0.006)
 
 
 def make_motion(frames: int, fps: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -185,7 +185,9 @@ def _wave(t: np.ndarray, period: float) -> np.ndarray:
     return np.sin(2 * np.pi / period * t)
 
 
-def _over(below: np.ndarray, colour, inside: np.ndarray, edge: float, where=True, strength: float = 1.0) -> np.ndarray:
-    """Paint `colour` where `inside` > 0, with an edge of that width, over the colours below."""
+def _paint_over(
+    below: np.ndarray, color, inside: np.ndarray, edge: float, where=True, strength: float = 1.0
+) -> np.ndarray:
+    """Paint `color` where `inside` > 0, with an edge of that width, over the colours below."""
     cover = ((inside / edge + 0.5).clip(0, 1) * where * strength)[:, None]
-    return below * (1 - cover) + np.asarray(colour) * cover
+    return below * (1 - cover) + np.asarray(color) * cover

@@ -47,10 +47,10 @@ class Room:
 def make_room(rng: np.random.Generator) -> Room:
     """A room 6 m by 5.7 m with furniture, y up, a person's place at the origin; colours 0..1."""
     boxes = [[*ROOM[0], *ROOM[1], 1.0, 0.0]]
-    boxes += [[*centre, *half, np.cos(turn), np.sin(turn)] for centre, half, turn, _, _ in FURNITURE]
+    boxes += [[*center, *half, np.cos(turn), np.sin(turn)] for center, half, turn, _, _ in FURNITURE]
     paint = [ROOM[2]] + [(texture,) * 6 for _, _, _, texture, _ in FURNITURE]
     tints = [(1.0, 1.0, 1.0)] + [tint for *_, tint in FURNITURE]
-    walls = [_wall(rng, colour) for colour in ((0.78, 0.74, 0.66), (0.62, 0.72, 0.74), (0.74, 0.66, 0.62))]
+    walls = [_wall(rng, color) for color in ((0.78, 0.74, 0.66), (0.62, 0.72, 0.74), (0.74, 0.66, 0.62))]
     stack = np.stack([_planks(rng), _plain(rng, (0.9, 0.9, 0.88), 0.05), *walls, _wood(rng), _cloth(rng), _rug(rng)])
     mips = [stack.clip(0, 1).astype(np.float32)]
     for _ in range(LEVELS - 1):
@@ -88,24 +88,24 @@ def _noise(
     return noise / noise.std()
 
 
-def _plain(rng: np.random.Generator, colour: tuple[float, float, float], contrast: float) -> np.ndarray:
-    return np.array(colour) * (1 + contrast * _noise(rng)[..., None])
+def _plain(rng: np.random.Generator, color: tuple[float, float, float], contrast: float) -> np.ndarray:
+    return np.array(color) * (1 + contrast * _noise(rng)[..., None])
 
 
-def _wall(rng: np.random.Generator, colour: tuple[float, float, float]) -> np.ndarray:
+def _wall(rng: np.random.Generator, color: tuple[float, float, float]) -> np.ndarray:
     """Painted plaster with pictures on it, each of its own noise in two colours."""
-    wall = _plain(rng, colour, 0.07) + 0.025 * _noise(rng, 0.5, 0.03, 0.2)[..., None]
+    wall = _plain(rng, color, 0.07) + 0.025 * _noise(rng, 0.5, 0.03, 0.2)[..., None]
     pattern = _noise(rng, 1.3, 0.035, 0.5)
     cell = TEXELS // 8
     for x, y in np.ndindex(8, 8):
         half = rng.uniform(0.13, 0.3, 2) * PER_METRE
-        centre = rng.uniform(0.35, 0.65, 2) * cell
+        center = rng.uniform(0.35, 0.65, 2) * cell
         inks = rng.uniform(0.12, 0.95, (3, 3))
         if rng.random() < 0.35:
             continue
         spot = np.s_[y * cell : (y + 1) * cell, x * cell : (x + 1) * cell]
         rows, columns = np.mgrid[:cell, :cell]
-        inside = np.minimum(half[0] - abs(columns - centre[0]), half[1] - abs(rows - centre[1]))
+        inside = np.minimum(half[0] - abs(columns - center[0]), half[1] - abs(rows - center[1]))
         mix = _step(pattern[spot], 0.25)[..., None]
         picture = np.where((inside < 0.04 * PER_METRE)[..., None], inks[2] * 0.6, inks[0] * mix + inks[1] * (1 - mix))
         cover = _step(inside, 1.0)[..., None]

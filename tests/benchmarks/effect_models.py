@@ -27,10 +27,10 @@ from stages import calibrated, masks, neuman, smpl, train
 from stages.avatar.effects.frames import FrameEffects
 from stages.contract import Job
 from stages.estimators.detectors.every import DETECTORS
-from stages.estimators.detectors.evidence import Evidence
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.formats.clip import load_clip
 from stages.formats.facts import Sfm, read_facts
-from stages.synthetic.effects import Effects
+from stages.synthetic.effects import ClipEffects
 from stages.training.accuracy import judge
 from stages.training.fit import Fit
 from stages.training.refine import FrameCorrections
@@ -41,17 +41,17 @@ SIZE = {"frames": 30, "width": 192, "height": 256, "points": 3000}
 PARAMS = {"rounds": 0, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
 ALWAYS = {"pose_refinement": False}  # true poses; what is decided unless an effect says otherwise
 EFFECTS: dict[str, dict[str, Any]] = {
-    "shadow": {"effects": Effects(shadow=0.5)},
-    "motion_blur": {"effects": Effects(motion_blur=0.8)},
-    "rolling_shutter": {"effects": Effects(rolling_shutter=0.8)},
+    "shadow": {"effects": ClipEffects(shadow=0.5)},
+    "motion_blur": {"effects": ClipEffects(motion_blur=0.8)},
+    "rolling_shutter": {"effects": ClipEffects(rolling_shutter=0.8)},
     "camera_refinement": {"camera_noise": 0.004},
     "pose_refinement": {"noise": 0.01},
-    "exposure": {"effects": Effects(exposure=0.08)},
-    "view_dependence": {"effects": Effects(view_dependence=0.5)},
-    "transients": {"effects": Effects(transients=4)},
-    "antialias": {"effects": Effects(antialias=3)},
-    "sky": {"effects": Effects(sky=1)},
-    "clothing": {"effects": Effects(clothing=0.06)},
+    "exposure": {"effects": ClipEffects(exposure=0.08)},
+    "view_dependence": {"effects": ClipEffects(view_dependence=0.5)},
+    "transients": {"effects": ClipEffects(transients=4)},
+    "antialias": {"effects": ClipEffects(antialias=3)},
+    "sky": {"effects": ClipEffects(sky=1)},
+    "clothing": {"effects": ClipEffects(clothing=0.06)},
 }
 """Effect -> what `tests.made.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
 TRULY = ("motion_blur", "camera_refinement", "pose_refinement", "transients")
@@ -99,7 +99,7 @@ def trained(folders: tuple[Path, Path], args: argparse.Namespace, **decisions: b
     clip, job = load_clip(*folders), Job(out=folders[0].parent, seed=args.seed)
     frames, starts = np.flatnonzero(clip.training).tolist(), {}
     if decisions.get("shadow"):
-        evidence = Evidence(clip, read_facts(folders[0] / "sfm.json", Sfm))
+        evidence = ClipEvidence(clip, read_facts(folders[0] / "sfm.json", Sfm))
         starts["shadow"] = DETECTORS["shadow"](evidence).start
     fit = train.build(clip, frames, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, starts, job)
     began = time.process_time()

@@ -16,10 +16,10 @@ from pathlib import Path
 from stages import calibrated, masks, neuman, smpl, survey
 from stages.contract import Job
 from stages.estimators.detectors.every import DETECTORS
-from stages.estimators.detectors.evidence import Evidence
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.formats.clip import load_clip
 from stages.formats.facts import Sfm, read_facts
-from stages.synthetic.effects import Effects
+from stages.synthetic.effects import ClipEffects
 from tests.made import datasets
 
 SIZE = {"frames": 30, "width": 240, "height": 320, "points": 2000}
@@ -52,7 +52,7 @@ def clip(work: Path, seed: int, effect: str | None = None, level: int = 2) -> Pa
     if effect in GIVEN:
         made = datasets.neuman(place, seed=seed, **{GIVEN[effect]: strength}, **SIZE)
     else:
-        made = datasets.neuman(place, seed=seed, effects=Effects(**({effect: strength} if effect else {})), **SIZE)
+        made = datasets.neuman(place, seed=seed, effects=ClipEffects(**({effect: strength} if effect else {})), **SIZE)
     for stage in ("frames", "masks", "sfm", "smpl"):
         (place / stage).mkdir()
     frames, sfm = place / "frames", place / "sfm"
@@ -67,7 +67,7 @@ def clip(work: Path, seed: int, effect: str | None = None, level: int = 2) -> Pa
 def measured(place: Path, effects: list[str]) -> dict[str, dict]:
     """What `survey` writes of these effects for a clip's folder."""
     facts = read_facts(place / "sfm" / "sfm.json", Sfm)
-    evidence = Evidence(load_clip(place / "sfm", place / "smpl"), facts)
+    evidence = ClipEvidence(load_clip(place / "sfm", place / "smpl"), facts)
     return {name: survey.decide("auto", DETECTORS[name](evidence)) for name in effects}
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.evidence import gather, model_landmarks
-from stages.estimators.bodyfit.quality import posed_vertices
+from stages.estimators.bodyfit.silhouette import posed_vertices
 from stages.estimators.bodyfit.solve import sole_vertices
 from stages.estimators.person.blazepose import NAMES, Pose
 from stages.formats.arrays import read_npz

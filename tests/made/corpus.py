@@ -82,10 +82,10 @@ def given_cameras(file: str) -> Kind:
 
     def read(root: Path) -> Any:
         from stages.contract import Job
-        from stages.estimators.cameras.given import imported
+        from stages.estimators.cameras.given import import_cameras
 
         path, listing = root / file, read_facts(root / "film" / "frames.json", Listing)
-        return imported(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
+        return import_cameras(Job(root / "out"), path.parent if path.suffix == ".bin" else path, listing, 0.5, "auto")
 
     return Kind(file, read)
 

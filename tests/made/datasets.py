@@ -19,7 +19,7 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.video import decode, write_video
 from stages.synthetic import clip as synthetic
 from stages.synthetic import person
-from stages.synthetic.effects import NO_EFFECTS, Effects
+from stages.synthetic.effects import NO_EFFECTS, ClipEffects
 from stages.synthetic.files import write_views
 from stages.synthetic.room import make_room
 from tests.made.worlds import align_viewmats
@@ -47,7 +47,7 @@ def neuman(
     points: int = 400,
     noise: float = 0.0,
     camera_noise: float = 0.0,
-    effects: Effects = NO_EFFECTS,
+    effects: ClipEffects = NO_EFFECTS,
     seed: int = 0,
     crf: int | None = None,
 ) -> Made:
@@ -112,7 +112,7 @@ def disturbed(viewmats: np.ndarray, noise: float, distance: float) -> np.ndarray
     return there
 
 
-def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: float, points: int) -> None:
+def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.TrueViews, k: float, points: int) -> None:
     """COLMAP's text files: SIMPLE_RADIAL, or PINHOLE with k = 0; points on the room's surfaces, seen by all cameras."""
     height, width = views.masks.shape[1:]
     K = views.Ks[0]
@@ -138,7 +138,7 @@ def write_sparse(folder: Path, viewmats: np.ndarray, views: synthetic.Views, k: 
     (folder / "points3D.txt").write_text("\n".join(rows) + "\n")
 
 
-def points_of(views: synthetic.Views, count: int) -> list[tuple[int, int, int]]:
+def points_of(views: synthetic.TrueViews, count: int) -> list[tuple[int, int, int]]:
     """(view, x, y) of `count` background pixels, none of them in the sky."""
     rng = np.random.default_rng(1)
     view, row, column = np.nonzero((views.masks == 0) & np.isfinite(views.depths))
@@ -154,7 +154,7 @@ def zju(folder: Path, subject: int = 377, moments: int = 6, cameras: int = 3, si
     model = read_body_model()
     rng = np.random.default_rng(3)
     K = pinhole(0.95 * side, side, side) + np.array([[0, 0, 2.5], [0, 3, -1.5], [0, 0, 0]])
-    stage = synthetic._Stage(model, make_room(rng), rng.uniform(-0.8, 0.8, 10), K)
+    stage = synthetic._Renderer(model, make_room(rng), rng.uniform(-0.8, 0.8, 10), K)
     orient, pose = person.make_motion(moments, 12.0, rng)
     angles = np.linspace(0, 2, cameras)
     eyes = [np.array([2.6 * np.sin(a), 1.3, 2.6 * np.cos(a)]) for a in angles]
@@ -209,7 +209,7 @@ def distorting_grid(K: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     return straight[..., 0], straight[..., 1]
 
 
-def write_params(folder: Path, stage, views: synthetic.Views, moments: int, first: int) -> None:
+def write_params(folder: Path, stage, views: synthetic.TrueViews, moments: int, first: int) -> None:
     """Rh, Th, poses, shapes of each moment: the posed body turned about the origin, found from vertices, not a formula."""
     folder.mkdir()
     still = np.zeros((moments, 3))

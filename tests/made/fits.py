@@ -52,7 +52,7 @@ class Truth:
     """N frames: cameras in SfM units, the body in each camera, in metres; frame i is number `numbers[i]` of the video."""
 
     model: BodyModel
-    views: synthetic.Views
+    views: synthetic.TrueViews
     viewmats: np.ndarray
     betas: np.ndarray
     orient: np.ndarray

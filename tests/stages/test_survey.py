@@ -7,9 +7,9 @@ import pytest
 
 from stages import survey
 from stages.contract import Job
+from stages.estimators.bodyfit.silhouette import exact_silhouette, posed_bodies
 from stages.estimators.detectors.every import DETECTORS
-from stages.estimators.detectors.evidence import outline, posed
-from stages.estimators.detectors.finding import above, unknown
+from stages.estimators.detectors.finding import compare, unmeasured
 
 EFFECTS = {"view_dependence", "exposure", "lens", "rolling_shutter", "motion_blur", "shadow", "clothing"}
 EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias"}
@@ -39,9 +39,9 @@ def test_there_is_one_detector_and_one_setting_for_each_effect():
 
 
 FINDINGS = {
-    "called for": above(0.3, "px", 0.1, ("yes", "no")),
-    "quiet": above(0.05, "px", 0.1, ("yes", "no")),
-    "unknown": unknown("px", 0.1, "too dark"),
+    "called for": compare(0.3, "px", 0.1, ("yes", "no")),
+    "quiet": compare(0.05, "px", 0.1, ("yes", "no")),
+    "unknown": unmeasured("px", 0.1, "too dark"),
 }
 
 
@@ -63,10 +63,10 @@ def test_reasons_name_what_is_on_and_what_could_not_be_measured():
 
 
 def test_confidence_grows_with_the_distance_from_the_threshold():
-    found = [above(value, "px", 1.0, ("yes", "no")).confidence for value in (0.0, 0.5, 0.9, 1.0, 1.1, 2.0, 8.0)]
+    found = [compare(value, "px", 1.0, ("yes", "no")).confidence for value in (0.0, 0.5, 0.9, 1.0, 1.1, 2.0, 8.0)]
     assert found[3] == 0 and found[1] == found[5] == 0.75
     assert found[0] > found[1] > found[2] > 0 < found[4] < found[5] < found[6] <= 1
-    doubtful = above(5.0, "px", 1.0, ("yes", "no"), also=False)
+    doubtful = compare(5.0, "px", 1.0, ("yes", "no"), also=False)
     assert not doubtful.called_for and doubtful.verdict == "no" and doubtful.confidence == 0.5
 
 
@@ -98,7 +98,8 @@ def body_clip(tmp_path):
         write_mask(sfm / "masks" / f"{name}.png", np.zeros((128, 96), np.uint8))
     clip = load_clip(sfm, smpl)
     for i, name in enumerate(names):
-        drawn = outline(clip, i, posed(clip, [i])[0])
+        (body,) = posed_bodies(clip.body_model, clip.body, [i])
+        drawn = exact_silhouette(body, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
         assert 0.05 < drawn.mean() < 0.5
         write_mask(sfm / "masks" / f"{name}.png", drawn.astype(np.uint8) * 255)
     facts = {"verdict": "static camera", "distortion": {"max_shift_px": 0.0}}

@@ -30,7 +30,7 @@ FLAT = 1.3
 
 
 @dataclass(frozen=True)
-class Evidence:
+class LandmarkEvidence:
     """Landmarks of F frames under K model names.
 
     `xy` [F,K,2] px; `weight` [F,K] 0..1, zero where nothing is known; `world` [F,K,3] m about the hips with camera axes
@@ -57,7 +57,7 @@ def model_landmarks(model: BodyModel) -> tuple[tuple[str, ...], np.ndarray]:
     return tuple(names[i] for i in kept) + tuple(hands), np.concatenate(rows)
 
 
-def gather(tracks: Sequence[Pose | None], names: tuple[str, ...]) -> Evidence:
+def gather(tracks: Sequence[Pose | None], names: tuple[str, ...]) -> LandmarkEvidence:
     """BlazePose's answers (None: nobody) under the model's `names`."""
     sources = [[NAMES.index(s) for s in STAND_INS.get(name, (name,))] for name in names]
     count, points = len(tracks), len(names)
@@ -74,7 +74,7 @@ def gather(tracks: Sequence[Pose | None], names: tuple[str, ...]) -> Evidence:
     xy, world = np.where(weight[..., None] > 0, xy, 0.0), np.where(weight[..., None] > 0, world, 0.0)
     seen = np.array([track is not None for track in tracks]) & ((weight > 0.3).sum(1) >= 6)
     weight[~seen] = 0
-    return Evidence(names, xy, weight, world, seen, _heights(xy, weight, seen))
+    return LandmarkEvidence(names, xy, weight, world, seen, _heights(xy, weight, seen))
 
 
 def _heights(xy: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ def _heights(xy: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray
     return np.maximum(np.where(seen, height, middle), 1.0)
 
 
-def without_strangers(evidence: Evidence, masks: list[np.ndarray] | None) -> tuple[Evidence, np.ndarray]:
+def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -> tuple[LandmarkEvidence, np.ndarray]:
     """Forget frames whose landmarks lie on somebody else: away from the neighbours, or off the person's mask.
 
     Returns the evidence and which frames [F] were forgotten.
@@ -121,7 +121,7 @@ def mirrored_columns(names: tuple[str, ...], parts: tuple[str, ...] | None = Non
     return order
 
 
-def with_sides_voted(evidence: Evidence) -> tuple[Evidence, np.ndarray]:
+def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray]:
     """Exchange left and right (all, arms or legs) in the frames where the neighbours say so.
 
     A shortest path over the seen frames: a step costs how far the landmarks move, in picture and space, and each

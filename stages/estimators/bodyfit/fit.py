@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,9 +14,9 @@ from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit import scale as scales
 from stages.estimators.bodyfit import terms
-from stages.estimators.bodyfit.evidence import Evidence
+from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.estimators.bodyfit.solve import Solver, State, World
-from stages.estimators.bodyfit.start import continuous, fill_limbs, fill_poses, place, start_pose
+from stages.estimators.bodyfit.start import fill_limbs, fill_poses, place, start_pose, unwrap_rotations
 from stages.records import BodyModel, BodyPoses, Cameras
 
 FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, then feet and scale as well
@@ -30,10 +31,26 @@ class BodyFit:
     scale: dict[str, Any] = field(default_factory=dict)
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch compute on one thread.
+
+    Frames share vertices, and torch adds their gradients up in whatever order its threads come by: two runs on two threads
+    differed by up to 0.1 rad. On one thread they are bit for bit the same, and no slower: 21 s, on two 22 to 24 s (40 frames).
+    """
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
+
+
+@one_thread()
 def fit_body(
     model: BodyModel,
     regressor: np.ndarray,
-    evidence: Evidence,
+    evidence: LandmarkEvidence,
     cameras: Cameras,
     times: np.ndarray,
     masks: list[np.ndarray] | None = None,
@@ -49,10 +66,10 @@ def fit_body(
     seen = np.flatnonzero(evidence.seen)
     body = Body(model)
     joints = body.rest(torch.zeros(10))[1].numpy().astype(np.float64)
-    solver = _solver(body, model, regressor, evidence, cameras, times, moving, seen)
+    solver = _make_solver(body, model, regressor, evidence, cameras, times, moving, seen)
     root, local = start_pose(solver.evidence, joints)
     local = fill_limbs(rotvec_from_matrix(torch.tensor(local)).numpy(), solver.evidence, times[seen])
-    pose = torch.tensor(continuous(local), dtype=torch.float32)
+    pose = torch.tensor(unwrap_rotations(local), dtype=torch.float32)
     state = State(torch.tensor(root, dtype=torch.float32), torch.zeros(len(seen), 3), pose.flatten(1), torch.zeros(10))
     start, _ = solver.posed(state)
     shift = place(start.numpy().astype(np.float64), solver.evidence.xy, solver.evidence.weight, cameras.Ks[seen])
@@ -73,9 +90,9 @@ def fit_body(
     return BodyFit(_poses(solver, state, cameras, evidence.seen.astype(np.float64)), pixels, found)
 
 
-def _solver(body, model, regressor, evidence, cameras, times, moving, frames, floor=None) -> Solver:
+def _make_solver(body, model, regressor, evidence, cameras, times, moving, frames, floor=None) -> Solver:
     """The solver of some frames. Camera centres are taken about their mean, so that float32 keeps what differs."""
-    part = Evidence(
+    part = LandmarkEvidence(
         evidence.names,
         *(getattr(evidence, key)[frames] for key in ("xy", "weight", "world", "seen", "height")),
     )
@@ -101,14 +118,14 @@ def _find_scale(solver, state, cameras, points, seen, moving):
         up = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
     soles = (soles.double().numpy() @ turn).reshape(len(seen), 2, -1, 3)
     times = solver.world.times.double().numpy()
-    views = scales.Views(cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times)
+    views = scales.TimedCameras(cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times)
     return scales.find_scale(views if moving else None, points, soles, pixels, solver.evidence.height, up)
 
 
 def _all_frames(solver, state, body, model, regressor, evidence, cameras, times, seen, floor):
     """Solver and state of all frames, from those of the seen ones; the others filled in between, in the world."""
     every = np.arange(len(times))
-    whole = _solver(body, model, regressor, evidence, cameras, times, solver.world.moving, every, floor)
+    whole = _make_solver(body, model, regressor, evidence, cameras, times, solver.world.moving, every, floor)
     if len(seen) == len(times):
         return whole, state
     spot = solver.to_world(state, state.place[:, None], state.scale)[:, 0]

@@ -30,7 +30,7 @@ def join_frames(
     a row, or two rows of a fit of one person claim one frame.
     """
     if fit.times is not None:
-        return _at_times(fit, names, times)
+        return _resample(fit, names, times)
     keys, wanted, sure = _keys(fit, names, sources)
     place = {key: i for i, key in enumerate(wanted)}
     pairs = [(place[key], row) for row, key in enumerate(keys) if key is not None and key in place]
@@ -81,7 +81,7 @@ def _check_once(keys: list, path: str) -> None:
         raise StageError(f"two rows of {path} name the same frame", HINT, [f"{', '.join(twice[:5])}"])
 
 
-def _at_times(fit: SmplFit, names: Sequence[str], times: np.ndarray) -> tuple[SmplFit, np.ndarray]:
+def _resample(fit: SmplFit, names: Sequence[str], times: np.ndarray) -> tuple[SmplFit, np.ndarray]:
     """Poses at the frames' times: rotations along the shortest turn, the rest along straight lines."""
     step = float(np.median(np.diff(fit.times))) if len(fit) > 1 else 0.0
     times = np.asarray(times, np.float64)
@@ -108,11 +108,11 @@ def _at_times(fit: SmplFit, names: Sequence[str], times: np.ndarray) -> tuple[Sm
     for key in _ROTATIONS:
         value = getattr(fit, key)
         if value is not None:
-            parts[key] = _between(value[before], value[after], share)
+            parts[key] = _interpolate_rotations(value[before], value[after], share)
     return replace(fit, **parts), frames
 
 
-def _between(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _interpolate_rotations(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Rotation vectors [N,3J] that are `share` [N] of the shortest turn on from `a` to `b`."""
     joints = a.shape[1] // 3
     start, end = (Rotation.from_rotvec(v.reshape(-1, 3)) for v in (a, b))

@@ -13,9 +13,9 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.person import choose_person
-from stages.estimators.bodyfit.placing import place_in_world, shape_of
-from stages.estimators.bodyfit.quality import posed_vertices
-from stages.estimators.bodyfit.scale import Views, find_scale
+from stages.estimators.bodyfit.placing import median_shape, place_in_world
+from stages.estimators.bodyfit.scale import TimedCameras, find_scale
+from stages.estimators.bodyfit.silhouette import posed_vertices
 from stages.estimators.bodyfit.solve import sole_vertices
 from stages.estimators.bodyfit.start import fill_poses
 from stages.formats.given_fits.record import SmplFit
@@ -45,19 +45,19 @@ def import_fit(
     if fit.scale is not None:
         found: dict[str, Any] = {"how": "given by the imported fit"}
     else:
-        views = Views(cameras.viewmats[rows], cameras.Ks[rows], cameras.centers[rows], times[rows])
+        views = TimedCameras(cameras.viewmats[rows], cameras.Ks[rows], cameras.centers[rows], times[rows])
         found = _scale(poses, model, views, points, moving)
         scale = found["initial"]
         moved = poses.transl + (scale - 1) * cameras.centers[rows]
         poses = replace(poses, transl=moved, world_from_sfm=scale)
     found["world_from_sfm"] = poses.world_from_sfm
-    facts = {"scale": found, **person, "notes": [*fit.notes, *shape_of(fit)[1]]}
+    facts = {"scale": found, **person, "notes": [*fit.notes, *median_shape(fit)[1]]}
     if fit.joints2d is not None:
-        facts["tool_joints_off"] = _off_the_tools_joints(fit, poses, cameras, rows, model)
+        facts["tool_joints_off"] = _distance_from_tool_joints(fit, poses, cameras, rows, model)
     return _complete(poses, rows, cameras.names, times), facts
 
 
-def _off_the_tools_joints(
+def _distance_from_tool_joints(
     fit: SmplFit, poses: BodyPoses, cameras: Cameras, rows: np.ndarray, model: BodyModel
 ) -> float | None:
     """Median distance of the placed body's joints from where the tool drew them, as a share of the person's height."""

@@ -12,7 +12,7 @@ from stages.records import BodyModel, BodyPoses
 VARIES, EXTREME = 1e-3, 5.0
 
 
-def shape_of(fit: SmplFit) -> tuple[np.ndarray, tuple[str, ...]]:
+def median_shape(fit: SmplFit) -> tuple[np.ndarray, tuple[str, ...]]:
     """One shape for all rows, their median [10], and what there is to say of it."""
     shape, notes = np.median(fit.betas, 0), ()
     spread = np.ptp(fit.betas, axis=0).max()
@@ -57,7 +57,7 @@ def place_in_world(
             seen, turned = _through(seen, fit.focal, fit.center, Ks)
             orient = turned * orient
         away, orient = back.apply(seen), back * orient
-    shape = shape_of(fit)[0]
+    shape = median_shape(fit)[0]
     own = regressor @ (model.v_template + model.shapedirs @ shape)
     transl = away + world_from_sfm * centers - own
     return BodyPoses(names, shape, orient.as_rotvec(), fit.body_pose, transl, np.ones(len(fit)), float(world_from_sfm))

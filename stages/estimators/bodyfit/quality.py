@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from stages.avatar.body.rotations import angle_between, matrix_from_rotvec
-from stages.avatar.body.smpl import Body
-from stages.avatar.cameras.pinhole import project, rescale_viewmats
-from stages.estimators.bodyfit.evidence import Evidence
+from stages.avatar.cameras.pinhole import rescale_viewmats
+from stages.estimators.bodyfit.evidence import LandmarkEvidence
+from stages.estimators.bodyfit.silhouette import posed_vertices, silhouette
 from stages.records import JOINT_NAMES, BodyModel, BodyPoses, Cameras
 
 SIDE = 480  # px of the longer side at which outlines are compared
@@ -20,7 +20,7 @@ WORST_ERROR, WORST_IOU, BEST_IOU = 0.03, 0.4, 0.75  # share of the height at hal
 
 
 @dataclass(frozen=True)
-class Verdict:
+class FitQuality:
     """Of F frames: `error_px` mean distance of the sure landmarks, `iou` of body and mask (both NaN where unknown),
     `confidence` 0..1, and `fast`: the joint that turns faster than FAST there, or ''."""
 
@@ -30,15 +30,15 @@ class Verdict:
     fast: list[str]
 
 
-def judge(
+def measure_quality(
     poses: BodyPoses,
     model: BodyModel,
     cameras: Cameras,
     times: np.ndarray,
     masks: list[np.ndarray] | None,
-    evidence: Evidence | None = None,
+    evidence: LandmarkEvidence | None = None,
     pixels: np.ndarray | None = None,
-) -> Verdict:
+) -> FitQuality:
     """Compare `poses` (in the cameras' order) with the masks, and `pixels` [F,K,2] with the evidence's landmarks.
 
     A frame the fit had no person for (confidence 0) stays at 0.
@@ -61,17 +61,7 @@ def judge(
     quality = np.where(np.isnan(share), quality, 1 / (1 + (share / WORST_ERROR) ** 2))
     seen_iou = np.clip((iou - WORST_IOU) / (BEST_IOU - WORST_IOU), 0, 1)
     quality = np.where(np.isnan(iou), quality, np.minimum(quality, seen_iou))
-    return Verdict(error, iou, quality * (poses.confidence > 0), fast_joints(poses, times))
-
-
-def posed_vertices(model: BodyModel, poses: BodyPoses):
-    """Vertices [V,3] m in the world of each frame in turn."""
-    body = Body(model)
-    tensor = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
-    betas = tensor(poses.betas)
-    for i in range(len(poses)):
-        part = (tensor(a[i : i + 1]) for a in (poses.global_orient, poses.body_pose, np.zeros((len(poses), 3))))
-        yield body(betas, *part)[0][0].double().numpy() + poses.transl[i]
+    return FitQuality(error, iou, quality * (poses.confidence > 0), fast_joints(poses, times))
 
 
 def outline_iou(vertices: np.ndarray, faces: np.ndarray, viewmat: np.ndarray, K: np.ndarray, mask: np.ndarray) -> float:
@@ -82,27 +72,6 @@ def outline_iou(vertices: np.ndarray, faces: np.ndarray, viewmat: np.ndarray, K:
     drawn = silhouette(vertices, faces, viewmat, K, (rows, columns), small.shape)
     union = (drawn | small).sum()
     return float((drawn & small).sum() / union) if union else float("nan")
-
-
-def silhouette(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    size: tuple[int, int],
-    shape: tuple[int, int],
-) -> np.ndarray:
-    """The body drawn as bool `shape` (rows, columns) for a camera whose picture has `size` (rows, columns)."""
-    pixels, z = project(vertices, viewmat, K)
-    pixels = pixels * np.array([shape[1] / size[1], shape[0] / size[0]])
-    corners = pixels[faces]
-    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    front = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0] < 0
-    shown = front & (z[faces] > 0.05).all(1) & (np.abs(corners) < 4 * max(shape)).all((1, 2))
-    canvas = np.zeros(shape, np.uint8)
-    for triangle in np.rint(corners[shown] * 16 - 8).astype(np.int32):
-        cv2.fillConvexPoly(canvas, triangle, 1, shift=4)
-    return canvas.astype(bool)
 
 
 def fast_joints(poses: BodyPoses, times: np.ndarray) -> list[str]:

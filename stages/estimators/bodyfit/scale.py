@@ -33,7 +33,7 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class Views:
+class TimedCameras:
     """Cameras of F frames: `viewmats` [F,4,4] and `centers` [F,3] in SfM units, `Ks` [F,3,3] px, `times` [F] s."""
 
     viewmats: np.ndarray
@@ -43,7 +43,7 @@ class Views:
 
 
 def find_scale(
-    views: Views | None,
+    views: TimedCameras | None,
     points: np.ndarray | None,
     soles: np.ndarray,
     pixels: np.ndarray,

@@ -13,7 +13,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body, Landmarks, vertex_normals
 from stages.avatar.splats.neighbours import spread_out
 from stages.estimators.bodyfit import terms
-from stages.estimators.bodyfit.evidence import Evidence
+from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.records import JOINT_NAMES
 
 # Standard deviations; lengths in the picture are shares of the person's height there.
@@ -74,7 +74,9 @@ class World:
 class Solver:
     """The costs of a clip's frames, ready to be minimised."""
 
-    def __init__(self, body: Body, regressor: Tensor, faces: Tensor, evidence: Evidence, Ks: np.ndarray, world: World):
+    def __init__(
+        self, body: Body, regressor: Tensor, faces: Tensor, evidence: LandmarkEvidence, Ks: np.ndarray, world: World
+    ):
         self.body, self.evidence, self.world = body, evidence, world
         self.landmarks = Landmarks(body, regressor)
         f32 = torch.float32
@@ -91,7 +93,7 @@ class Solver:
         self.guessed = torch.nn.functional.normalize(guessed[:, self.head] - guessed[:, self.tail], dim=-1)
         self.segment_weight = (self.weight[:, self.head] * self.weight[:, self.tail]).sqrt()
         self.segment_spread = torch.tensor([DIRECTION[names[end].partition("_")[2]] for end in self.head])
-        self.spread = terms.spreads()
+        self.spread = terms.joint_spreads()
         parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]
         self.steady = torch.tensor([ACCELERATION.get(part, ACCELERATION_REST) for part in parts])
         self.dense = spread_out(body.v_template, DENSE)
@@ -150,10 +152,10 @@ class Solver:
     def picture_cost(self, state: State, points: Tensor) -> Tensor:
         """Landmarks and limb directions [F]."""
         off = (self.pixels(points) - self.xy).norm(dim=-1) / (LANDMARK * self.height[:, None])
-        cost = (self.weight * terms.robust(off.square(), 5.0)).sum(1)
+        cost = (self.weight * terms.geman_mcclure(off.square(), 5.0)).sum(1)
         along = torch.nn.functional.normalize(points[:, self.head] - points[:, self.tail], dim=-1)
         turned = (along - self.guessed).square().sum(-1) / self.segment_spread**2
-        return cost + DIRECTION_SHARE * (self.segment_weight * terms.robust(turned, 3.0)).sum(1)
+        return cost + DIRECTION_SHARE * (self.segment_weight * terms.geman_mcclure(turned, 3.0)).sum(1)
 
     def outline_cost(self, state: State, outlines: terms.Outlines) -> Tensor:
         """Contour points off their vertices along the normal, and vertices outside the mask [F]."""
@@ -163,9 +165,9 @@ class Solver:
         count = self.rim.shape[1]
         gap = (pixels[:, :count] - outlines.points) / unit[..., None]
         across = (gap * outlines.normals).sum(-1).square()
-        off = terms.robust(across + 0.1 * gap.square().sum(-1), 4.0)
+        off = terms.geman_mcclure(across + 0.1 * gap.square().sum(-1), 4.0)
         cost = OUTLINE_SHARE * (outlines.weight * off).sum(1) / outlines.weight.sum(1).clamp(min=1)
-        outside = terms.robust((outlines.outside(pixels[:, count:]) / unit).square(), 4.0)
+        outside = terms.geman_mcclure((outlines.outside(pixels[:, count:]) / unit).square(), 4.0)
         return (cost + OUTSIDE_SHARE * outside.mean(1)) * outlines.known
 
     def size(self, betas: Tensor) -> Tensor:
@@ -182,7 +184,7 @@ class Solver:
         place = (joints - joints[:, :1]) @ self.world.turn if scale is None else self.to_world(state, joints, scale)
         jerk = terms.acceleration(place, self.world.times) / (self.steady[:, None] * self.size(state.betas))
         turn = terms.acceleration(state.pose, self.world.times) / TURNING
-        cost = terms.robust(jerk.square().sum(-1), 4.0).sum() + terms.robust(turn.square(), 4.0).sum()
+        cost = terms.geman_mcclure(jerk.square().sum(-1), 4.0).sum() + terms.geman_mcclure(turn.square(), 4.0).sum()
         speed = (state.pose[1:] - state.pose[:-1]) / (self.world.times[1:] - self.world.times[:-1])[:, None]
         return (cost + (speed / TURN_SPEED).square().sum()) / len(joints)
 
@@ -212,11 +214,11 @@ class Solver:
         pair = (stands[1:] * stands[:-1])[..., None]
         size = self.size(state.betas)
         slide = (feet[1:] - feet[:-1]).square().sum(-1) / (STILL * size) ** 2
-        cost = (pair * terms.robust(slide, 4.0)).sum() / feet.shape[2]
+        cost = (pair * terms.geman_mcclure(slide, 4.0)).sum() / feet.shape[2]
         if self.world.normal is not None:
             height = (feet @ self.world.normal + scale * self.world.offset) / (GROUND * size)
-            sunk = terms.robust(torch.relu(-height).square(), 4.0).mean(-1).sum()
-            cost = cost + (stands * terms.robust(height.amin(-1).square(), 4.0)).sum() + sunk
+            sunk = terms.geman_mcclure(torch.relu(-height).square(), 4.0).mean(-1).sum()
+            cost = cost + (stands * terms.geman_mcclure(height.amin(-1).square(), 4.0)).sum() + sunk
         return cost / len(feet)
 
     def minimise(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.estimators.bodyfit.evidence import Evidence
+from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.records import JOINT_NAMES
 
 LIMBS = (
@@ -18,7 +18,7 @@ STRAIGHT = 0.3  # sine of the bend under which a limb's plane is not trusted
 HIDDEN = 0.3  # visibility under which BlazePose guesses: an arm behind the body is put before it
 
 
-def start_pose(evidence: Evidence, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def start_pose(evidence: LandmarkEvidence, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Root rotations [F,3,3] (camera from body) and local joint rotations [F,23,3,3] of each seen frame.
 
     From the directions between the world landmarks and the rest `joints` [24,3]; frames not seen get the identity.
@@ -28,7 +28,7 @@ def start_pose(evidence: Evidence, joints: np.ndarray) -> tuple[np.ndarray, np.n
     rest = {name: joints[i] for i, name in enumerate(JOINT_NAMES)}
     across = unit(unit(at["left_hip"] - at["right_hip"]) + unit(at["left_shoulder"] - at["right_shoulder"]))
     up = unit(at["left_shoulder"] + at["right_shoulder"] - at["left_hip"] - at["right_hip"])
-    root = frames_of(up, across) @ frames_of(np.array([0.0, 1, 0]), np.array([1.0, 0, 0])).T
+    root = rotations_of_axes(up, across) @ rotations_of_axes(np.array([0.0, 1, 0]), np.array([1.0, 0, 0])).T
     local = np.tile(np.eye(3), (count, 23, 1, 1))
     for start, middle, end, axis in LIMBS:
         upper, lower = unit(at[middle] - at[start]), unit(at[end] - at[middle])
@@ -41,7 +41,7 @@ def start_pose(evidence: Evidence, joints: np.ndarray) -> tuple[np.ndarray, np.n
             trusted = trusted * ((bent * plain).sum(-1, keepdims=True) > 0)
         hinge = unit(trusted * unit(bent) + (1 - trusted) * plain)
         hinge = np.where(np.abs((hinge * upper).sum(-1, keepdims=True)) > 0.98, unit(np.cross(upper, up)), hinge)
-        whole = frames_of(upper, hinge) @ frames_of(rest_upper, rest_axis).T
+        whole = rotations_of_axes(upper, hinge) @ rotations_of_axes(rest_upper, rest_axis).T
         local[:, JOINT_NAMES.index(start) - 1] = root.transpose(0, 2, 1) @ whole
         angle = np.arctan2(np.linalg.norm(bent, axis=-1), (upper * lower).sum(-1)) * trusted[:, 0]
         local[:, JOINT_NAMES.index(middle) - 1] = turns(rest_axis, angle)
@@ -49,7 +49,7 @@ def start_pose(evidence: Evidence, joints: np.ndarray) -> tuple[np.ndarray, np.n
     return root, local
 
 
-def fill_limbs(pose: np.ndarray, evidence: Evidence, times: np.ndarray) -> np.ndarray:
+def fill_limbs(pose: np.ndarray, evidence: LandmarkEvidence, times: np.ndarray) -> np.ndarray:
     """Local rotation vectors [F,23,3] in which limbs that hide turn evenly between the frames that show them.
 
     Started from a guess, a hidden arm may stay on the wrong side of the body: no cost there but its jump, which is
@@ -60,7 +60,7 @@ def fill_limbs(pose: np.ndarray, evidence: Evidence, times: np.ndarray) -> np.nd
         shown = np.flatnonzero(evidence.weight[:, [evidence.column(name) for name in limb]].min(1) > HIDDEN)
         turning = [JOINT_NAMES.index(name) - 1 for name in limb[:2]]
         if len(shown):
-            known = continuous(pose[shown][:, turning]).reshape(len(shown), -1)
+            known = unwrap_rotations(pose[shown][:, turning]).reshape(len(shown), -1)
             within = times[shown[0] : shown[-1] + 1]
             columns = [np.interp(within, times[shown], column) for column in known.T]
             filled[shown[0] : shown[-1] + 1, turning] = np.stack(columns, -1).reshape(-1, 2, 3)
@@ -98,13 +98,13 @@ def fill_poses(
 
     Straight lines between neighbours, of rotation vectors that take the short way; held at both ends.
     """
-    turns = continuous(np.concatenate([orient, pose], 1).reshape(len(known), -1, 3)).reshape(len(known), -1)
+    turns = unwrap_rotations(np.concatenate([orient, pose], 1).reshape(len(known), -1, 3)).reshape(len(known), -1)
     columns = [np.interp(times, known, column) for column in np.concatenate([turns, place], 1).T]
     filled = np.stack(columns, -1)
     return filled[:, :3], filled[:, -3:], filled[:, 3:-3]
 
 
-def continuous(rotvecs: np.ndarray) -> np.ndarray:
+def unwrap_rotations(rotvecs: np.ndarray) -> np.ndarray:
     """The same rotations [F,J,3] with each vector taken a whole turn further where that is nearer to the frame before."""
     out = rotvecs.copy()
     for i in range(1, len(out)):
@@ -120,7 +120,7 @@ def unit(v: np.ndarray) -> np.ndarray:
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
 
 
-def frames_of(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def rotations_of_axes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Rotations [...,3,3] whose first column is `first` and whose second is `second` made square to it."""
     second = unit(second - (first * second).sum(-1, keepdims=True) * first)
     return np.stack(np.broadcast_arrays(first, second, np.cross(first, second)), -1)

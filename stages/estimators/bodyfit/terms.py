@@ -36,12 +36,12 @@ CONTOUR_POINTS = 160
 FIELD_SIDE = 256  # px of the longer side of the distance fields
 
 
-def robust(squared: Tensor, reach: float) -> Tensor:
+def geman_mcclure(squared: Tensor, reach: float) -> Tensor:
     """Geman-McClure: like `squared` (in standard deviations) near zero, never above reach**2."""
     return squared / (1 + squared / reach**2)
 
 
-def spreads() -> Tensor:
+def joint_spreads() -> Tensor:
     """SPREAD for the 23 joints [23,3]."""
     rows = [SPREAD.get(name) or SPREAD[name.partition("_")[2]] for name in JOINT_NAMES[1:]]
     return torch.tensor(rows)
@@ -107,7 +107,7 @@ def outlines(masks: list[np.ndarray]) -> Outlines:
         pieces = [p[:, 0].astype(np.float64) for p in pieces if cv2.contourArea(p) > 0.02 * person.sum()]
         if not pieces:
             continue
-        smooth = [_rounded(piece) for piece in pieces]
+        smooth = [_smooth_contour(piece) for piece in pieces]
         line, outward = (np.concatenate(part) for part in zip(*smooth, strict=True))
         pick = np.linspace(0, len(line) - 1, CONTOUR_POINTS).round().astype(int)
         points[i], normals[i] = line[pick] + 0.5, outward[pick]
@@ -118,7 +118,7 @@ def outlines(masks: list[np.ndarray]) -> Outlines:
     return Outlines(*tensors, torch.tensor([columns, rows], dtype=torch.float32), known)
 
 
-def _rounded(piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _smooth_contour(piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A closed contour [N,2] (cv2's order) smoothed over its pixel steps, and its outward unit normals [N,2]."""
     reach = max(1, min(4, len(piece) // 8))
     kernel = np.ones(2 * reach + 1) / (2 * reach + 1)

@@ -14,7 +14,7 @@ from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
 from stages.formats.images import read_image
 
 MATCHES_OFF = 0.01  # of the longer side: verified matches that lie farther from their epipolar lines deny the cameras
-COLOURS_FIT = 0.5  # correlation of the points' colours with the frames' below which cameras are doubted; true ones: 0.9
+COLORS_FIT = 0.5  # correlation of the points' colours with the frames' below which cameras are doubted; true ones: 0.9
 LOOKED_AT = 12  # frames in which the points' colours are compared
 
 
@@ -70,13 +70,13 @@ def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray) -> floa
     return float(np.median(np.concatenate(found))) if found else None
 
 
-def compare_colours(job: Job, found: Pinholes) -> None:
+def compare_colors(job: Job, found: Pinholes) -> None:
     """Say whether the points that came with given cameras have the colours of the frames where they fall."""
-    alike = colour_agreement(job.out / "images", found)
+    alike = color_agreement(job.out / "images", found)
     found.facts["colour_correlation"] = alike
     if alike is None:
         job.warn("the given points have no colours, so the given cameras could not be checked")
-    elif alike < COLOURS_FIT:
+    elif alike < COLORS_FIT:
         job.warn(
             f"the given points have other colours than the frames where they fall (correlation {alike:.2f}, usual is "
             "0.9): the cameras may belong to another clip, or their frame numbers may count from another frame"
@@ -85,7 +85,7 @@ def compare_colours(job: Job, found: Pinholes) -> None:
         job.note(f"{len(found.cloud.ids)} points as given; they have the frames' colours (correlation {alike:.2f})")
 
 
-def colour_agreement(images: Path, found: Pinholes) -> float | None:
+def color_agreement(images: Path, found: Pinholes) -> float | None:
     """Correlation between the brightness of given points and of the pixels they fall on; None if it means nothing.
 
     Each point is looked up where its track says that it was seen, in a few frames of `images`.

@@ -57,7 +57,7 @@ class Model:
         images = (image for image in self.reconstruction.images.values() if image.has_pose)
         return {image.name.removesuffix(".png"): image.cam_from_world().matrix() for image in images}
 
-    def places(self, names: list[str]) -> np.ndarray:
+    def placed_frames(self, names: list[str]) -> np.ndarray:
         """Which of the frames have a pose [C] bool."""
         posed = self.posed
         return np.array([name in posed for name in names])
@@ -199,9 +199,9 @@ def cloud_of(model: pycolmap.Reconstruction, files: list[str]) -> Cloud:
     """The points of a model with tracks as rows of `files`, in the order of their identifiers."""
     row = {name: i for i, name in enumerate(files)}
     rows = {i: row[model.images[i].name] for i in model.reg_image_ids()}
-    centres = np.zeros((len(files), 3))
+    centers = np.zeros((len(files), 3))
     for i, k in rows.items():
-        centres[k] = model.images[i].projection_center()
+        centers[k] = model.images[i].projection_center()
     points = sorted(model.points3D.items())
     xyz = np.array([p.xyz for _, p in points]).reshape(-1, 3)
     tracks = [np.array(sorted({rows[e.image_id] for e in p.track.elements}), dtype=np.int64) for _, p in points]
@@ -211,7 +211,7 @@ def cloud_of(model: pycolmap.Reconstruction, files: list[str]) -> Cloud:
         rgb=np.array([p.color for _, p in points], dtype=np.uint8).reshape(-1, 3),
         errors=np.array([p.error for _, p in points]),
         lengths=np.array([len(track) for track in tracks], dtype=int),
-        angles=widest_angles(xyz, tracks, centres),
+        angles=widest_angles(xyz, tracks, centers),
         tracks=tuple(tracks),
     )
 

@@ -23,7 +23,7 @@ from stages.formats.images import same_shape
 STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that moves less stands
 
 
-def imported(job: Job, path: Path, listing: Listing, min_share: float, first: Literal["auto", 0, 1]) -> Pinholes:
+def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, first: Literal["auto", 0, 1]) -> Pinholes:
     """The cameras in `path` of the frames in `listing` (frames.json); StageError where they cannot be the frames' own.
 
     At least `min_share` of the frames need a camera. `first` is the number of the video's first frame in the names.
@@ -139,7 +139,7 @@ def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, Grid | 
 
 def motion_of(viewmats: np.ndarray) -> Literal["moving", "rotation only", "static camera"]:
     """How the cameras [C,4,4] move."""
-    centres = camera_centers(viewmats)
-    if np.ptp(centres, axis=0).max() > STILL * max(1.0, np.abs(centres).max()):
+    centers = camera_centers(viewmats)
+    if np.ptp(centers, axis=0).max() > STILL * max(1.0, np.abs(centers).max()):
         return "moving"
     return "rotation only" if np.ptp(viewmats[:, :3, :3], axis=0).max() > STILL else "static camera"

@@ -34,7 +34,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Motion:
+class CameraMotion:
     """What the matches say: verdict "moving", "rotation only" or "static camera", and the numbers behind it.
 
     `nearly_turns`: a rotation leaves less than ROTATION_PX or NEARLY times its limit; it may stand in where mapping fails.
@@ -54,7 +54,7 @@ def pair_displacements(pairs: list[Pair]) -> np.ndarray:
     return np.array([np.median(np.linalg.norm(pair.a - pair.b, axis=1)) for pair in pairs])
 
 
-def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None = None) -> Motion:
+def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None = None) -> CameraMotion:
     """Name the camera's motion from `pairs` at growing gaps in time; `known` is the focal length in px, if it is.
 
     Static: at every gap the median match moves less than STATIC_PX of the longer side. Rotation only: one focal
@@ -65,11 +65,11 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
     gaps = np.array([pair.second - pair.first for pair in pairs])
     by_gap = [np.median(moved[gaps == gap]) for gap in np.unique(gaps)]
     if max(by_gap) < STATIC_PX * side:
-        return Motion("static camera", float(max(by_gap)))
+        return CameraMotion("static camera", float(max(by_gap)))
     order = np.argsort(-moved, kind="stable")
     far = [i for i in order if len(pairs[i].a) >= MIN_MATCHES][:MAX_PAIRS]
     if not far:
-        return Motion("moving", float(max(by_gap)))
+        return CameraMotion("moving", float(max(by_gap)))
     focal, k, residuals = fit_rotation_camera([pairs[i] for i in far], width, height, known)
     residual, displacement = float(np.median(residuals)), float(np.median(moved[far]))
     limit = min(ROTATION_PX * side, ROTATION_SHARE * displacement)
@@ -78,7 +78,7 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
     verdict = "rotation only" if believable and residual < limit else "moving"
     inside = known is not None or focal > 1.05 * MIN_FOCAL * side
     nearly = believable and inside and residual < max(NEARLY * limit, ROTATION_PX * side)
-    return Motion(verdict, displacement, residual, limit, focal, k, nearly)
+    return CameraMotion(verdict, displacement, residual, limit, focal, k, nearly)
 
 
 def fit_rotation_camera(

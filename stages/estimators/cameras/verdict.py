@@ -27,7 +27,7 @@ ALONE = "go on with the person alone: `--pipeline human_only --set sfm.camera=fi
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CameraVerdict:
     """Why frames have no pose: `name`, or None where nothing was found out; facts with numbers; what helps."""
 
     name: str | None
@@ -58,7 +58,7 @@ class Footage:
             return None
         files = [f"{name}.png" for name in self.names]
         pairs, features = colmap.read_pairs(self.database, files)
-        verdict = judge(self.names, posed, features, sharpness(self.images, self.ignored, files), pairs)
+        verdict = judge_cameras(self.names, posed, features, sharpness(self.images, self.ignored, files), pairs)
         why = f": {verdict.name}" if verdict.name else ""
         if have >= self.need:
             job.warn(f"SfM placed only {have} of {count} frames{why}; {'; '.join(verdict.facts)}")
@@ -75,9 +75,9 @@ class Footage:
         raise StageError(problem + why, verdict.hint, [*verdict.facts, *found, *tried])
 
 
-def judge(
+def judge_cameras(
     names: list[str], posed: list[np.ndarray], features: np.ndarray, sharpness: np.ndarray, pairs: list[Pair]
-) -> Verdict:
+) -> CameraVerdict:
     """Name what keeps frames from being placed.
 
     `posed` [C] bool says of each model, the best first, which frames it placed; `features` [C] and `sharpness` [C]
@@ -100,21 +100,21 @@ def judge(
     if others and explains(np.any(others, axis=0)):
         facts[:1] = [f"a model of {said(names, model)}" for model in [placed, *others][:SHOWN]]
         facts.append(cut(names, placed, others[0], pairs))
-        return Verdict(
+        return CameraVerdict(
             f"{'two' if len(others) == 1 else 1 + len(others)} separate models",
             facts,
             "the clip jumps or turns too fast at the cut: give one side of it as a clip of its own, or more frames with "
             "`--set frames.count=160`; `--set sfm.min_share=0.3` goes on with the larger side",
         )
     if explains(blurred):
-        return Verdict("too blurred", facts, f"film in more light and turn more slowly; or {ALONE}")
+        return CameraVerdict("too blurred", facts, f"film in more light and turn more slowly; or {ALONE}")
     if explains(few):
-        return Verdict(
+        return CameraVerdict(
             "too little texture",
             facts,
             f"blank walls and floors give nothing to hold on to: film with more things in view around the person; or {ALONE}",
         )
-    return Verdict(
+    return CameraVerdict(
         None,
         facts,
         "the camera may turn too fast for its frames: try `--set frames.count=160` or `--set sfm.overlap=24`; or it "

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stages.avatar.cameras.pinhole import project
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 RATIO = 1.6  # of the largest and smallest scale at which the median point is seen
 LEAST = 5  # frames that must see a point
 UNIT = "times larger at its largest"
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """Largest over smallest scale (focal length over depth) of the median point, and of the person if that is more."""
     clip = evidence.clip
-    things = [clip.points, evidence.posed.mean((0, 1))[None]]
+    things = [clip.points, evidence.bodies.mean((0, 1))[None]]
     ratios, frames = [], []
     for points in things:
         seen = np.full((len(clip.names), len(points)), np.nan)
@@ -35,6 +35,8 @@ def detect(evidence: Evidence) -> Finding:
             sizes = seen / np.nanmedian(seen, 0)
             frames.append([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in sizes])
     if not ratios:
-        return unknown(UNIT, RATIO, "nothing is seen often enough")
+        return unmeasured(UNIT, RATIO, "nothing is seen often enough")
     most = int(np.argmax(ratios))
-    return above(ratios[most], UNIT, RATIO, ("sizes differ", "one size"), strongest(clip.names, np.array(frames[most])))
+    return compare(
+        ratios[most], UNIT, RATIO, ("sizes differ", "one size"), strongest_frames(clip.names, np.array(frames[most]))
+    )

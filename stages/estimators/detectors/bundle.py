@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.estimators.detectors.tracks import Tracks, projections
+from stages.estimators.detectors.tracks import Tracks, project_with_slopes
 
 FEWEST, MOST = 40, 1500  # points that must be placed; that are used, those seen longest
 NOISE_PX = 0.3  # of a followed corner; only weighs the two lines below
@@ -20,7 +20,7 @@ OUTLIER = 4.0  # times the median error
 
 
 @dataclass(frozen=True)
-class Leftover:
+class BundleResiduals:
     """`readout` and its standard deviation in frame intervals, `k` and its own (as in SIMPLE_RADIAL).
 
     `speed_px` [F] is the median motion of the background a frame; `mended_px` [F] how much of each frame's errors goes
@@ -35,7 +35,7 @@ class Leftover:
     mended_px: np.ndarray
 
 
-def leftover(tracks: Tracks, viewmats: np.ndarray, Ks: np.ndarray, height: int) -> Leftover | None:
+def adjust_bundle(tracks: Tracks, viewmats: np.ndarray, Ks: np.ndarray, height: int) -> BundleResiduals | None:
     """Solve for it; None if too few points could be placed."""
     placed = np.isfinite(tracks.points).all(1)
     if placed.sum() < FEWEST:
@@ -45,7 +45,7 @@ def leftover(tracks: Tracks, viewmats: np.ndarray, Ks: np.ndarray, height: int) 
     good = good[np.argsort(-tracks.lengths[good], kind="stable")[:MOST]]
     errors, pixels, points = tracks.errors[:, good], tracks.pixels[:, good], tracks.points[good]
     seen = np.isfinite(errors[..., 0])
-    there, z, by_point = projections(points, viewmats, Ks)
+    there, z, by_point = project_with_slopes(points, viewmats, Ks)
     speed = np.nan_to_num(np.gradient(there, axis=0))  # a point may be behind the next camera
     u = (pixels - Ks[:, None, :2, 2]) / Ks[:, None, [0, 1], [0, 1]]
     columns = [
@@ -67,7 +67,7 @@ def leftover(tracks: Tracks, viewmats: np.ndarray, Ks: np.ndarray, height: int) 
     before = _medians(np.linalg.norm(errors - shared @ found[-2:], axis=-1), seen)
     mended = np.sqrt(np.maximum(before**2 - _medians(off, seen) ** 2, 0))
     stds = np.sqrt(np.diag(covariance)[-2:])
-    return Leftover(readout, stds[0], k, stds[1], _medians(np.linalg.norm(speed, axis=-1), seen), mended)
+    return BundleResiduals(readout, stds[0], k, stds[1], _medians(np.linalg.norm(speed, axis=-1), seen), mended)
 
 
 def _medians(values: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 ERROR_PX = 1.0
 UNIT = "px that other poses would mend"
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """By how much the tracks' errors shrink when each camera may move, in px over the clip."""
-    left = evidence.leftover
+    left = evidence.residuals
     if left is None:
-        return unknown(UNIT, ERROR_PX, "too few points could be placed")
+        return unmeasured(UNIT, ERROR_PX, "too few points could be placed")
     value = np.sqrt(np.median(left.mended_px**2))
-    return above(value, UNIT, ERROR_PX, ("off", "good"), strongest(evidence.clip.names, left.mended_px))
+    return compare(value, UNIT, ERROR_PX, ("off", "good"), strongest_frames(evidence.clip.names, left.mended_px))

@@ -32,12 +32,12 @@ class Finding:
         return known | {"frames": list(self.frames)}
 
 
-def unknown(unit: str, threshold: float, why: str) -> Finding:
+def unmeasured(unit: str, threshold: float, why: str) -> Finding:
     """Nothing could be measured: off, and said so."""
     return Finding(None, unit, threshold, f"unknown: {why}", False, 0.0)
 
 
-def above(value: float, unit: str, threshold: float, words: tuple[str, str], frames=(), also: bool = True) -> Finding:
+def compare(value: float, unit: str, threshold: float, words: tuple[str, str], frames=(), also: bool = True) -> Finding:
     """Called for if `value` > `threshold`, and if what else is asked for holds (`also`); `words` for yes and no."""
     called = bool(value > threshold and also)
     doubt = 0.25 ** abs(np.log2(max(value, 1e-9) / threshold)) if called or value <= threshold else 0.5
@@ -52,7 +52,7 @@ def above(value: float, unit: str, threshold: float, words: tuple[str, str], fra
     )
 
 
-def strongest(names: tuple[str, ...], values: np.ndarray) -> list[str]:
+def strongest_frames(names: tuple[str, ...], values: np.ndarray) -> list[str]:
     """The SHOWN names with the largest `values` [F], NaN left out, in the clip's order."""
     order = [
         i for i in np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")[:SHOWN] if np.isfinite(values[i])

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
-from stages.estimators.detectors.pictures import beside_person, sample
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
+from stages.estimators.detectors.pictures import background_mask, sample
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 BLUR_PX = 0.9  # as measured: about half the length of a box blur, since edges are soft already
 SHARE = 0.2  # of the frames that must be blurred by as much
@@ -24,20 +24,20 @@ ALONG, ACROSS = 0.85, 0.35  # |cosine| of an edge's normal and the motion
 SHARPEST = 0.25  # quantile of the widths: what is soft by itself says nothing
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """The length of the blur that 20 % of the frames exceed, from the widths of the background's sharpest edges."""
     if evidence.facts.verdict == "static camera":
-        return unknown(UNIT, BLUR_PX, "the camera stands still")
+        return unmeasured(UNIT, BLUR_PX, "the camera stands still")
     clip, blurs = evidence.clip, np.full(len(evidence.clip.names), np.nan)
-    for i in evidence.some:
+    for i in evidence.sampled:
         places, flow = motion_at(evidence.tracks.pixels, i)
         if len(places) >= 20:
-            blurs[i] = blur_length(clip.images(i), beside_person(clip.mask(i)), places, flow)
+            blurs[i] = blur_length(clip.images(i), background_mask(clip.mask(i)), places, flow)
     known = blurs[np.isfinite(blurs)]
     if len(known) < 4:
-        return unknown(UNIT, BLUR_PX, "too few edges or followed points")
+        return unmeasured(UNIT, BLUR_PX, "too few edges or followed points")
     value = np.quantile(known, 1 - SHARE)
-    return above(value, UNIT, BLUR_PX, ("blurred", "sharp"), strongest(clip.names, blurs))
+    return compare(value, UNIT, BLUR_PX, ("blurred", "sharp"), strongest_frames(clip.names, blurs))
 
 
 def motion_at(pixels: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,15 +9,15 @@ from scipy.ndimage import map_coordinates
 
 def brightness(image: np.ndarray) -> np.ndarray:
     """Grey values float32 [H,W] 0..255, softened."""
-    return softened(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    return soften(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
-def softened(image: np.ndarray) -> np.ndarray:
+def soften(image: np.ndarray) -> np.ndarray:
     """A picture [H,W,...] in float32, a little blurred, so that a point's place need not be exact."""
     return cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
 
 
-def beside_person(mask: np.ndarray) -> np.ndarray:
+def background_mask(mask: np.ndarray) -> np.ndarray:
     """bool [H,W]: surely not the person."""
     reach = max(5, max(mask.shape) // 60) | 1
     return cv2.dilate(mask, np.ones((reach, reach), np.uint8)) <= 64

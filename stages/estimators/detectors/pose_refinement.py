@@ -7,32 +7,32 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 GAP = 0.001  # true poses: 0.0000; a fit of ours to true masks, 4 cm off along the view: 0.003; clothes: 0.07
 UNIT = "of body and mask more than a pixel apart"
 NEAR = np.ones((3, 3), np.uint8)
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """How much of posed body and mask lies apart from the other, the median over frames.
 
     A fit made from outlines agrees with them and still errs along the view, so little has to be seen: refining is cheap.
     """
     clip, gaps = evidence.clip, np.full(len(evidence.clip.names), np.nan)
-    for i, drawn in zip(evidence.some, evidence.outlines):
+    for i, drawn in zip(evidence.sampled, evidence.outlines):
         mask = clip.mask(i) > 127
         if mask.any() and clip.body.confidence[i] > 0:
-            gaps[i] = apart(drawn, mask)
+            gaps[i] = share_apart(drawn, mask)
     if np.isnan(gaps).all():
-        return unknown(UNIT, GAP, "nobody is seen")
-    return above(np.nanmedian(gaps), UNIT, GAP, ("loose", "good"), strongest(clip.names, gaps))
+        return unmeasured(UNIT, GAP, "nobody is seen")
+    return compare(np.nanmedian(gaps), UNIT, GAP, ("loose", "good"), strongest_frames(clip.names, gaps))
 
 
-def apart(a: np.ndarray, b: np.ndarray) -> float:
+def share_apart(a: np.ndarray, b: np.ndarray) -> float:
     """Share of the union of two boolean masks that is in one and does not touch the other; 0 if both are empty.
 
     An edge is known to a pixel: of small people that alone is 3 % of their area, which is not counted.

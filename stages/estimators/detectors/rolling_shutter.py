@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 SHIFT_PX = 0.5  # of the first and last row against the middle one
 SIGMAS = 3.0
@@ -17,11 +17,13 @@ FAST = 0.8  # quantile of the frames by speed: where the camera moves is where i
 UNIT = "px at the first and last row"
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """How far the first and last rows of the faster frames are moved, from the readout time that fits all tracks best."""
-    left = evidence.leftover
+    left = evidence.residuals
     if left is None:
-        return unknown(UNIT, SHIFT_PX, "too few points could be placed")
+        return unmeasured(UNIT, SHIFT_PX, "too few points could be placed")
     shift = abs(left.readout) / 2 * np.quantile(left.speed_px, FAST)
     sure = abs(left.readout) > SIGMAS * left.readout_std
-    return above(shift, UNIT, SHIFT_PX, ("rolls", "does not show"), strongest(evidence.clip.names, left.speed_px), sure)
+    return compare(
+        shift, UNIT, SHIFT_PX, ("rolls", "does not show"), strongest_frames(evidence.clip.names, left.speed_px), sure
+    )

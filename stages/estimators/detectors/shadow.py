@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 
 from stages.avatar.cameras.pinhole import project
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
-from stages.estimators.detectors.pictures import beside_person, brightness, sample
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
+from stages.estimators.detectors.pictures import background_mask, brightness, sample
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 DARKNESS = 0.08  # share of the light that is taken
 LIKENESS = 0.15  # least correlation of predicted shadow and measured darkness
@@ -25,48 +25,48 @@ EVERY = 2  # vertex of the body: dense enough for the grid
 LARGEST = 1.0  # log brightness: more than this is something else that hides the floor
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """How much light the lamp that explains the floor's changes best loses to the body.
 
     Spots of the floor are compared with themselves in other frames only, so its pattern does not matter. Tried are lamps
     in all directions; the shadow of each is the body laid down on the floor along its light.
     """
     floor = _Floor(evidence)
-    logs = np.stack([floor.logs(evidence, i) for i in evidence.some])
+    logs = np.stack([floor.logs(evidence, i) for i in evidence.sampled])
     spots = np.isfinite(logs).sum(0) >= LEAST
     if spots.sum() < 100:
-        return unknown(UNIT, DARKNESS, "too little of the floor is seen around the person")
+        return unmeasured(UNIT, DARKNESS, "too little of the floor is seen around the person")
     logs = logs[:, spots]
     light = (logs - np.nanmedian(logs, 0)).clip(-LARGEST, LARGEST)
-    bodies = evidence.posed[:, ::EVERY]
+    bodies = evidence.bodies[:, ::EVERY]
 
-    def tried(tilt: float, turn: float):
+    def try_lamp(tilt: float, turn: float):
         shadow = np.stack([floor.shadow(body, tilt, turn)[spots] for body in bodies])
-        return *_explained(light, shadow), (tilt, turn)
+        return *_correlate(light, shadow), (tilt, turn)
 
-    best = min((tried(tilt, turn) for tilt in TILTS for turn in (TURNS if tilt else TURNS[:1])), key=lambda f: f[0])
+    best = min((try_lamp(tilt, turn) for tilt in TILTS for turn in (TURNS if tilt else TURNS[:1])), key=lambda f: f[0])
     for share in (0.5, 0.25):
         tilt, turn = best[-1]
         near = [(tilt + share * a * TILTS[1], turn + share * b * TURNS[1]) for a in (-1, 0, 1) for b in (-1, 0, 1)]
-        best = min([best, *(tried(*lamp) for lamp in near if lamp != best[-1])], key=lambda found: found[0])
+        best = min([best, *(try_lamp(*lamp) for lamp in near if lamp != best[-1])], key=lambda found: found[0])
     likeness, slope, seen, lamp = best
     strength = np.full(len(evidence.clip.names), np.nan)
-    strength[evidence.some] = seen
-    found = above(max(1 - np.exp(slope), 0.0), UNIT, DARKNESS, ("darkens the floor", "none"),
-                  strongest(evidence.clip.names, strength), -likeness > LIKENESS)  # fmt: skip
-    return replace(found, start=(*floor.towards(*lamp).tolist(), found.value))
+    strength[evidence.sampled] = seen
+    found = compare(max(1 - np.exp(slope), 0.0), UNIT, DARKNESS, ("darkens the floor", "none"),
+                  strongest_frames(evidence.clip.names, strength), -likeness > LIKENESS)  # fmt: skip
+    return replace(found, start=(*floor.direction_to(*lamp).tolist(), found.value))
 
 
-def _explained(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.ndarray]:
+def _correlate(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Correlation and slope of `light` [F,P] (NaN: not seen) by `shadow` [F,P] within each spot; darkness of frames [F]."""
     known = np.isfinite(light)
     count = known.sum(0)
 
-    def centred(values: np.ndarray) -> np.ndarray:
+    def center_rows(values: np.ndarray) -> np.ndarray:
         values = np.where(known, values, 0.0)
         return np.where(known, values - values.sum(0) / count, 0.0)
 
-    x, y = centred(shadow.astype(float)), centred(light)
+    x, y = center_rows(shadow.astype(float)), center_rows(light)
     spread = (x**2).sum()
     if spread < 1e-9:
         return 0.0, 0.0, np.zeros(len(light))
@@ -76,8 +76,8 @@ def _explained(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.
 class _Floor:
     """A patch of the floor around the person: spots on a grid, and axes `right`, `ahead`, `up`."""
 
-    def __init__(self, evidence: Evidence):
-        bodies, model = evidence.posed, evidence.clip.body_model
+    def __init__(self, evidence: ClipEvidence):
+        bodies, model = evidence.bodies, evidence.clip.body_model
         joints = np.einsum("jv,fvk->fjk", model.J_regressor, bodies)
         up = (joints[:, 15] - joints[:, 7:9].mean(1)).mean(0)
         self.up = up / np.linalg.norm(up)
@@ -91,19 +91,19 @@ class _Floor:
         a, b = np.meshgrid(at + self.middle[0], at + self.middle[1], indexing="ij")
         self.spots = (a[..., None] * self.right + b[..., None] * self.ahead + self.level * self.up).reshape(-1, 3)
 
-    def logs(self, evidence: Evidence, i: int) -> np.ndarray:
+    def logs(self, evidence: ClipEvidence, i: int) -> np.ndarray:
         """Log brightness of the spots [P] in frame `i`, its gain taken off; NaN where the floor is not seen."""
         clip = evidence.clip
         pixels, z = project(self.spots, clip.viewmats[i], clip.Ks[i])
         inside = (z > 0) & (pixels >= 0).all(1) & (pixels < [clip.width, clip.height]).all(1)
-        grey, free = brightness(clip.images(i)), beside_person(clip.mask(i))
+        grey, free = brightness(clip.images(i)), background_mask(clip.mask(i))
         pixels = np.where(inside[:, None], pixels, 0)
         value = sample(grey, pixels)
         inside &= free[tuple(pixels.astype(int).T[::-1])]
         gain = evidence.gains[i]
         return np.where(inside & (value > 4), np.log(np.maximum(value, 1)), np.nan) - (gain if np.isfinite(gain) else 0)
 
-    def towards(self, tilt: float, turn: float) -> np.ndarray:
+    def direction_to(self, tilt: float, turn: float) -> np.ndarray:
         """The direction [3] to a lamp `tilt` rad from overhead, towards `turn`; of length 1."""
         level = np.cos(turn) * self.right + np.sin(turn) * self.ahead
         return np.cos(tilt) * self.up + np.sin(tilt) * level

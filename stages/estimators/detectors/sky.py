@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from stages.avatar.cameras.pinhole import camera_centers
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.tracks import Tracks
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 SHARE = 0.03
 UNIT = "of the picture"
@@ -21,39 +21,41 @@ EXPECTED = np.radians(2.0)  # the angle at which the median depth must have been
 GRID = 32  # cells along the longer side
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """The share of the picture whose nearest followed point is infinitely far.
 
     A sky without clouds has no points; it counts by the far hills, trees or houses at its lower edge. What is plain but
     near, a white ceiling, does not.
     """
     if not evidence.moving:
-        return unknown(UNIT, SHARE, "the camera does not move")
+        return unmeasured(UNIT, SHARE, "the camera does not move")
     clip, tracks = evidence.clip, evidence.tracks
-    told, far = infinite(tracks, clip.viewmats)
+    told, far = find_infinite(tracks, clip.viewmats)
     if told.sum() < 40:
-        return unknown(UNIT, SHARE, "too few points are seen long enough")
+        return unmeasured(UNIT, SHARE, "too few points are seen long enough")
     cell = max(clip.width, clip.height) / GRID
     x, y = np.meshgrid(np.arange(cell / 2, clip.width, cell), np.arange(cell / 2, clip.height, cell))
     grid, shares = np.stack([x.ravel(), y.ravel()], 1), np.full(len(clip.names), np.nan)
-    for i in evidence.some:
+    for i in evidence.sampled:
         here = tracks.seen[i] & told
         if here.sum() >= 10:
             free = clip.mask(i)[grid[:, 1].astype(int), grid[:, 0].astype(int)] <= 64
             nearest = cKDTree(tracks.pixels[i, here]).query(grid)[1]
             shares[i] = (far[here][nearest] & free).mean()
     if np.isnan(shares).all():
-        return unknown(UNIT, SHARE, "too few points are seen in each frame")
-    return above(np.nanmedian(shares), UNIT, SHARE, ("open to the sky", "closed in"), strongest(clip.names, shares))
+        return unmeasured(UNIT, SHARE, "too few points are seen in each frame")
+    return compare(
+        np.nanmedian(shares), UNIT, SHARE, ("open to the sky", "closed in"), strongest_frames(clip.names, shares)
+    )
 
 
-def infinite(tracks: Tracks, viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def find_infinite(tracks: Tracks, viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """bool [T] of points whose distance can be told, and of those among them that are infinitely far."""
-    centres, order = camera_centers(viewmats), np.arange(len(viewmats))[:, None]
+    centers, order = camera_centers(viewmats), np.arange(len(viewmats))[:, None]
     first = np.where(tracks.seen, order, len(viewmats)).min(0).clip(0, len(viewmats) - 1)
     last = np.where(tracks.seen, order, 0).max(0)
-    baseline = np.linalg.norm(centres[last] - centres[first], axis=1)
-    away = np.linalg.norm(tracks.points - centres[first], axis=1)
+    baseline = np.linalg.norm(centers[last] - centers[first], axis=1)
+    away = np.linalg.norm(tracks.points - centers[first], axis=1)
     usual = np.nanmedian(away[np.isfinite(away)]) if np.isfinite(away).any() else np.nan
     told = baseline / usual > EXPECTED
     behind = ~np.isfinite(away)  # no point before all cameras fits: the rays part

@@ -56,7 +56,7 @@ def follow(clip: Clip) -> Tracks:
     pixels = _follow(clip)
     pixels = pixels[:, np.isfinite(pixels[..., 0]).sum(0) >= LEAST]
     points, angles = place(pixels, clip.viewmats, clip.Ks)
-    return Tracks(pixels, points, pixels - projections(points, clip.viewmats, clip.Ks)[0], angles)
+    return Tracks(pixels, points, pixels - project_with_slopes(points, clip.viewmats, clip.Ks)[0], angles)
 
 
 def _follow(clip: Clip) -> np.ndarray:
@@ -111,16 +111,16 @@ def place(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.
     NaN for points seen fewer than LEAST times or behind a camera.
     """
     seen = np.isfinite(pixels[..., 0])
-    rays, centres = bearings(pixels, viewmats, Ks), camera_centers(viewmats)
+    rays, centers = bearings(pixels, viewmats, Ks), camera_centers(viewmats)
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
     across[~seen] = 0
-    A, b = across.sum(0), np.einsum("ftij,fj->ti", across, centres)
+    A, b = across.sum(0), np.einsum("ftij,fj->ti", across, centers)
     usable = seen.sum(0) >= LEAST
     points = np.full((pixels.shape[1], 3), np.nan)
     ridge = 1e-9 * np.eye(3)
     points[usable] = np.linalg.solve(A[usable] + ridge, b[usable][..., None])[..., 0]
     for _ in range(ROUNDS):
-        there, z, slopes = projections(points, viewmats, Ks)
+        there, z, slopes = project_with_slopes(points, viewmats, Ks)
         errors = np.where(seen[..., None], pixels - there, 0)
         slopes = np.where(seen[..., None, None], slopes, 0)
         usable &= ((z > 0) | ~seen).all(0) & np.isfinite(points).all(1)
@@ -129,7 +129,7 @@ def place(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.
         trace = np.trace(JJ[usable], axis1=1, axis2=2)[:, None, None] * 1e-9 * np.eye(3)
         points[usable] += np.linalg.solve(JJ[usable] + trace, step[usable][..., None])[..., 0]
     points[~usable] = np.nan
-    return points, _widest(rays, seen)
+    return points, _widest_angles(rays, seen)
 
 
 def bearings(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
@@ -139,7 +139,9 @@ def bearings(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> np.nda
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
-def projections(points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def project_with_slopes(
+    points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixels [F,T,2] of `points` [T,3], their depths [F,T], and the pixels' slopes [F,T,2,3] by the points."""
     local = points @ viewmats[:, :3, :3].mT + viewmats[:, None, :3, 3]
     z = local[..., 2]
@@ -152,10 +154,10 @@ def projections(points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tup
     return pixels, z, by_local @ viewmats[:, None, :3, :3]
 
 
-def _widest(rays: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _widest_angles(rays: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """The widest angle [T] in rad between the first, middle and last rays of each point."""
     frames, order = len(rays), np.arange(len(rays))[:, None]
     first, last = np.where(seen, order, frames).min(0), np.where(seen, order, -1).max(0)
-    some = np.arange(rays.shape[1])
-    chord = np.linalg.norm(rays[first % frames, some] - rays[last, some], axis=1)
+    columns = np.arange(rays.shape[1])
+    chord = np.linalg.norm(rays[first % frames, columns] - rays[last, columns], axis=1)
     return 2 * np.arcsin((chord / 2).clip(0, 1))

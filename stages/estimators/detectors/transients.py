@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
-from stages.estimators.detectors.pictures import beside_person
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
+from stages.estimators.detectors.pictures import background_mask
 from stages.estimators.detectors.tracks import SIDE
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 AREA = 0.005  # of the picture
 SHARE = 0.1  # of the frames in which as much must be unexplained
@@ -24,25 +24,27 @@ BLOB = 7  # px: narrower than this are edges that come into view behind others
 GRID = 16  # px between the points at which the motion is interpolated
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """The area that neither neighbour explains once the background's motion is undone, in a tenth of the frames."""
     clip = evidence.clip
     areas = np.full(len(clip.names), np.nan)
-    for i in evidence.some:
+    for i in evidence.sampled:
         if 0 < i < len(clip.names) - 1:
-            areas[i] = unexplained(evidence, i)
+            areas[i] = unexplained_share(evidence, i)
     known = areas[np.isfinite(areas)]
     if len(known) < 4:
-        return unknown(UNIT, AREA, "too few points are followed")
-    return above(np.quantile(known, 1 - SHARE), UNIT, AREA, ("something moves", "still"), strongest(clip.names, areas))
+        return unmeasured(UNIT, AREA, "too few points are followed")
+    return compare(
+        np.quantile(known, 1 - SHARE), UNIT, AREA, ("something moves", "still"), strongest_frames(clip.names, areas)
+    )
 
 
-def unexplained(evidence: Evidence, i: int) -> float:
+def unexplained_share(evidence: ClipEvidence, i: int) -> float:
     """The share of frame `i` that both neighbours lack; NaN where they cannot be brought over it."""
     here, free = _picture(evidence, i)
     lacking = free
     for j in (i - 1, i + 1):
-        moved = _brought_over(evidence, i, j)
+        moved = _warp_neighbour(evidence, i, j)
         if moved is None:
             return np.nan
         other, valid = moved
@@ -55,18 +57,18 @@ def unexplained(evidence: Evidence, i: int) -> float:
     return float(blobs.mean())
 
 
-def _picture(evidence: Evidence, i: int) -> tuple[np.ndarray, np.ndarray]:
+def _picture(evidence: ClipEvidence, i: int) -> tuple[np.ndarray, np.ndarray]:
     """Frame `i` float32 [h,w,3] at no more than SIDE px, its gain taken off, and where it is surely not the person."""
     clip = evidence.clip
     image, gain = clip.images(i), evidence.gains[i]
     shrink = min(1.0, SIDE / max(image.shape))
     size = round(clip.width * shrink), round(clip.height * shrink)
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    free = cv2.resize(beside_person(clip.mask(i)).astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
+    free = cv2.resize(background_mask(clip.mask(i)).astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
     return cv2.GaussianBlur(small, (0, 0), 0.7) * np.exp(-gain if np.isfinite(gain) else 0.0), free
 
 
-def _brought_over(evidence: Evidence, i: int, j: int) -> tuple[np.ndarray, np.ndarray] | None:
+def _warp_neighbour(evidence: ClipEvidence, i: int, j: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Frame `j` where frame `i` has it, by the motion of the tracks between them, and where it is known."""
     pixels, clip = evidence.tracks.pixels, evidence.clip
     both = np.isfinite(pixels[i, :, 0]) & np.isfinite(pixels[j, :, 0])

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.estimators.detectors.finding import Finding, above, strongest, unknown
+from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import brightness, sample
 from stages.estimators.detectors.tracks import bearings
 
 if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import Evidence
+    from stages.estimators.detectors.evidence import ClipEvidence
 
 CHANGE = 6.0  # of 255: standard deviation over views
 LIKENESS = 0.7  # least correlation of brightness and angle
@@ -20,23 +20,23 @@ LEAST, ANGLE = 8, np.radians(3)  # frames and rad over which a point must be see
 UNIT = "of 255, std over views of a tenth of the points"
 
 
-def detect(evidence: Evidence) -> Finding:
+def detect(evidence: ClipEvidence) -> Finding:
     """By how much the brightness of the most changing tenth of the points goes along with the view, gains taken off."""
     if not evidence.moving:
-        return unknown(UNIT, CHANGE, "the camera does not move")
+        return unmeasured(UNIT, CHANGE, "the camera does not move")
     clip, tracks = evidence.clip, evidence.tracks
     used = (tracks.lengths >= LEAST) & (tracks.angles > ANGLE)
     if used.sum() < 50:
-        return unknown(UNIT, CHANGE, "too few points are seen from different sides")
+        return unmeasured(UNIT, CHANGE, "too few points are seen from different sides")
     pixels = tracks.pixels[:, used]
     change = changes(pixels, greys_at(evidence, pixels), clip.viewmats, clip.Ks)
     seen = np.isfinite(pixels[..., 0])
     strong = change >= np.quantile(change, 1 - SHARE)
-    return above(np.quantile(change, 1 - SHARE), UNIT, CHANGE, ("glossy", "dull"),
-                 strongest(clip.names, (seen & strong).sum(1).astype(float)))  # fmt: skip
+    return compare(np.quantile(change, 1 - SHARE), UNIT, CHANGE, ("glossy", "dull"),
+                 strongest_frames(clip.names, (seen & strong).sum(1).astype(float)))  # fmt: skip
 
 
-def greys_at(evidence: Evidence, pixels: np.ndarray) -> np.ndarray:
+def greys_at(evidence: ClipEvidence, pixels: np.ndarray) -> np.ndarray:
     """Brightness [F,T] 0..255 at `pixels` [F,T,2], the gain of each frame taken off; NaN where unseen or clipped."""
     found = np.full(pixels.shape[:2], np.nan)
     for i, places in enumerate(pixels):

@@ -58,7 +58,7 @@ class Roi:
         c, s = np.cos(self.angle) * self.side, np.sin(self.angle) * self.side
         return np.array([[c, -s, self.x - (c - s) / 2], [s, c, self.y - (s + c) / 2]])
 
-    def moved(self, side: float = 1.0, turn: float = 0.0, shift: float = 0.0) -> Roi:
+    def reframe(self, side: float = 1.0, turn: float = 0.0, shift: float = 0.0) -> Roi:
         """A crop of `side` times the size, turned by degrees, moved down the body by `shift` of the old side."""
         reach = shift * self.side
         x, y = self.x - reach * np.sin(self.angle), self.y + reach * np.cos(self.angle)
@@ -69,11 +69,11 @@ class Roi:
         return bool(np.hypot(self.x - other.x, self.y - other.y) <= APART * self.side)
 
     @staticmethod
-    def around(centre: np.ndarray, top: np.ndarray) -> Roi:
+    def around(center: np.ndarray, top: np.ndarray) -> Roi:
         """The crop of a person whose circle has this centre and reaches to `top`, which shall point up."""
-        dx, dy = top - centre
+        dx, dy = top - center
         side = 2 * float(np.hypot(dx, dy)) * ROI_MARGIN
-        return Roi(float(centre[0]), float(centre[1]), side, float(np.arctan2(dx, -dy)))
+        return Roi(float(center[0]), float(center[1]), side, float(np.arctan2(dx, -dy)))
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,9 @@ class BlazePose:
         )
         return pose, mask
 
-    def steady(self, image: np.ndarray, roi: Roi) -> Pose | None:
+    def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
         """The mean of several looks, leaving out what strays (sides swapped, say); None if most see nobody."""
-        poses = [self.look(image, roi.moved(side, turn), mirrored)[0] for side, turn, mirrored in LOOKS]
+        poses = [self.look(image, roi.reframe(side, turn), mirrored)[0] for side, turn, mirrored in LOOKS]
         poses = [pose for pose in poses if pose.presence >= SURE]
         if 2 * len(poses) <= len(LOOKS):
             return None
@@ -239,7 +239,7 @@ class BlazePose:
                 start = last
             if start is not None:
                 first, _ = self.look(image, start)
-                pose = self.steady(image, first.next_roi) if first.presence >= SURE else None
+                pose = self.average_looks(image, first.next_roi) if first.presence >= SURE else None
                 if pose is not None:
                     return pose
         return None
@@ -269,7 +269,7 @@ class BlazePose:
         """
         count = len(images)
         poses: list[Pose | None] = [None] * count
-        start = start or clearest(self.sightings(images))
+        start = start or pick_clearest(self.sightings(images))
         if start is None:
             return poses
         for order in (range(start.frame, count), range(start.frame - 1, -1, -1)):
@@ -291,15 +291,15 @@ def without(image: np.ndarray, people: list[Sighting]) -> np.ndarray:
     return painted
 
 
-def clearest(sightings: list[Sighting]) -> Sighting | None:
+def pick_clearest(sightings: list[Sighting]) -> Sighting | None:
     """The largest person who is surely seen."""
     return max(sightings, key=lambda one: one.score * one.roi.side, default=None)
 
 
-def masked(sightings: list[Sighting], masks: Sequence[np.ndarray]) -> Sighting | None:
+def pick_masked(sightings: list[Sighting], masks: Sequence[np.ndarray]) -> Sighting | None:
     """The same among those whose torso the `masks` (uint8 [H,W], 255 = person) of their frames cover, or of all."""
     covered = [one for one in sightings if torso_share(one.pose, masks[one.frame]) > 0.5]
-    return clearest(covered or sightings)
+    return pick_clearest(covered or sightings)
 
 
 def torso_share(pose: Pose, mask: np.ndarray) -> float:

@@ -22,7 +22,7 @@ from stages.formats.images import same_shape
 
 
 @dataclass(frozen=True)
-class Person:
+class MaskedPerson:
     """The masks of one person: `masks` reads those of `rows`, of label masks only `labels` (None: all)."""
 
     id: str
@@ -31,7 +31,7 @@ class Person:
     labels: frozenset[int] | None = None
 
 
-def imported(
+def import_masks(
     job: Job, path: Path, listing: Listing, invert: Literal["auto", "always", "never"], person: int | str | None
 ) -> tuple[dict[str, Any], Iterator[np.ndarray]]:
     """What was decided, and a mask uint8 [H,W], 255 = person, for each frame in `listing` (frames.json).
@@ -40,7 +40,7 @@ def imported(
     """
     total, names = listing.video.frames, [frame.name for frame in listing.frames]
     given = read_mask_files(path, total)
-    joined = joined_to(job, listing, given.names)
+    joined = join_masks(job, listing, given.names)
     missing = [name for name in names if name not in joined]
     if missing:
         raise StageError(
@@ -49,17 +49,17 @@ def imported(
             [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(list(given.names or ()))}"],
         )
     rows = [joined[name] for name in names]
-    chosen = person_of(job, given, rows, person)
+    chosen = pick_masks(job, given, rows, person)
     inverted = polarity(job, chosen, invert)
     encodings = chosen.masks.encodings()
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
     unused = (total if given.names is None else len(given.names)) - len(set(rows))
     details = {"folder": path.name, "kind": given.kind, "inverted": inverted, "encodings": encodings, "unused": unused}
     size = (listing.width, listing.height)
-    return details | {"person": chosen.id}, fitted_masks(chosen, list(zip(names, rows, strict=True)), size, inverted)
+    return details | {"person": chosen.id}, resize_masks(chosen, list(zip(names, rows, strict=True)), size, inverted)
 
 
-def joined_to(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dict[str, int]:
+def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dict[str, int]:
     """Frame name -> row of its mask: by the same stem, else by the frame's number in the video; by order without names.
 
     Files numbered from 1 to the number of the video's frames, with no 0, are taken as counted from 1, and that is said.
@@ -72,7 +72,7 @@ def joined_to(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dict
     return join(listing, names, first, "masks")
 
 
-def person_of(job: Job, given: MaskSet, rows: list[int], person: int | str | None) -> Person:
+def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | None) -> MaskedPerson:
     """The person's masks; where there are several objects, they are named with numbers, and which is followed."""
     if given.objects == ("",):
         masks = ForeignMasks(rows, partial(given.read, ""))
@@ -82,7 +82,7 @@ def person_of(job: Job, given: MaskSet, rows: list[int], person: int | str | Non
             raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
         chosen = pick(objects, person) if objects else Object("", 0, 0.0)
         say(job, objects, chosen)
-        return Person(chosen.id, masks, frozenset(rows), chosen.labels or None)
+        return MaskedPerson(chosen.id, masks, frozenset(rows), chosen.labels or None)
     people = {one: ForeignMasks(rows, partial(given.read, one)) for one in given.objects}
     objects = []
     for one, masks in people.items():
@@ -93,7 +93,7 @@ def person_of(job: Job, given: MaskSet, rows: list[int], person: int | str | Non
         raise StageError("no object in the given masks is in any frame", "check the masks", [f"{len(people)} objects"])
     chosen = pick(objects, person)
     say(job, objects, chosen)
-    return Person(chosen.id, people[chosen.id], frozenset(people[chosen.id].keys))
+    return MaskedPerson(chosen.id, people[chosen.id], frozenset(people[chosen.id].keys))
 
 
 def say(job: Job, objects: list[Object], chosen: Object) -> None:
@@ -106,7 +106,7 @@ def say(job: Job, objects: list[Object], chosen: Object) -> None:
         job.note(f"labels {', '.join(map(str, sorted(chosen.labels)))} touch nearly always: parts of one person")
 
 
-def polarity(job: Job, person: Person, invert: Literal["auto", "always", "never"]) -> bool:
+def polarity(job: Job, person: MaskedPerson, invert: Literal["auto", "always", "never"]) -> bool:
     """Whether the masks mark the background; said with numbers."""
     areas, borders = [], []
     for i in person.rows:
@@ -122,18 +122,18 @@ def polarity(job: Job, person: Person, invert: Literal["auto", "always", "never"
     return inverted
 
 
-def fitted_masks(
-    person: Person, frames: list[tuple[str, int]], size: tuple[int, int], invert: bool
+def resize_masks(
+    person: MaskedPerson, frames: list[tuple[str, int]], size: tuple[int, int], invert: bool
 ) -> Iterator[np.ndarray]:
     """The mask of each frame (name, row) at the frames' size, empty where the person is not."""
     for name, i in frames:
         if i not in person.rows:
             yield np.zeros(size[::-1], np.uint8)
         else:
-            yield fitted(person.masks.read(i, person.labels), size, name, invert)
+            yield resize_mask(person.masks.read(i, person.labels), size, name, invert)
 
 
-def fitted(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool) -> np.ndarray:
+def resize_mask(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool) -> np.ndarray:
     """A given mask at the frames' size, person white; StageError if its shape is that of another picture."""
     height, width = mask.shape
     if not same_shape((width, height), size):

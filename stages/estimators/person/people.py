@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stages.contract import Job, StageError
-from stages.estimators.person.blazepose import Pose, Sighting, clearest, torso_share
+from stages.estimators.person.blazepose import Pose, Sighting, pick_clearest, torso_share
 
 JUMP = 0.5  # of the crop's side between neighbouring frames: a person does not move that far, the follower changed
 
@@ -19,7 +19,7 @@ class Company:
         count = {one.frame: sum(other.frame == one.frame for other in sightings) for one in sightings}
         fullest = max(count, key=lambda frame: (count[frame], -frame), default=None)
         people = [one for one in sightings if one.frame == fullest]
-        self.start = clearest(sightings) if person is None else chosen(people, person, names)
+        self.start = pick_clearest(sightings) if person is None else chosen(people, person, names)
         if len(people) > 1:
             told = "; ".join(f"{i} {where(one)}" for i, one in enumerate(people, 1))
             frames = sum(n > 1 for n in count.values())

@@ -9,16 +9,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
-from stages.estimators.detectors import exposure, motion_blur, pose_refinement, shadow, tracks
-from stages.estimators.detectors.bundle import leftover
+from stages.estimators.detectors import exposure, light, motion_blur, pose_refinement, shadow, tracks
+from stages.estimators.detectors.bundle import adjust_bundle
 from stages.estimators.detectors.every import DETECTORS
-from stages.estimators.detectors.evidence import Evidence
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.pictures import sample
 from stages.formats.body_model import read_body_model
 from stages.formats.facts import Distortion, Sfm
 from stages.synthetic import clip as synthetic
 from stages.synthetic import person
-from stages.synthetic.effects import Effects
+from stages.synthetic.effects import ClipEffects
 from stages.synthetic.passers import make_passers
 from stages.synthetic.room import make_room
 from tests.made.datasets import points_of
@@ -36,20 +36,20 @@ def gains(frames: int = 30, drift: float = 0.0, step: float = 0.0, hidden: float
 def test_exposure_gains_survive_hidden_points_and_gaps():
     logs, truth = gains(drift=0.1, step=0.08)
     logs[7] = np.nan
-    found = exposure.robust_gains(logs)
+    found = light.robust_gains(logs)
     seen = np.isfinite(found)
     assert not seen[7] and seen.sum() == 29
     assert np.abs(found[seen] - (truth[seen] - truth[seen].mean())).max() < 0.01
 
 
 def test_steady_exposure_stays_below_the_threshold():
-    found = exposure.robust_gains(gains()[0])
+    found = light.robust_gains(gains()[0])
     assert found.std() < exposure.STD / 3 and np.abs(np.diff(found)).max() < exposure.STEP / 3
 
 
 def test_too_few_points_are_unknown_not_zero():
-    assert np.isnan(exposure.robust_gains(np.full((5, 10), 4.0))).all()
-    assert np.isnan(exposure.robust_gains(np.zeros((5, 0)))).all()
+    assert np.isnan(light.robust_gains(np.full((5, 10), 4.0))).all()
+    assert np.isnan(light.robust_gains(np.zeros((5, 0)))).all()
 
 
 def test_point_colours_leave_out_person_border_and_clipped():
@@ -58,25 +58,25 @@ def test_point_colours_leave_out_person_border_and_clipped():
     mask = np.zeros((20, 30), np.uint8)
     mask[:, :5] = 255
     pixels = np.array([[12.0, 10], [2, 10], [27, 10], [40, 10], [-3, 5], [12, 10]])
-    logs = exposure.point_logs(image, mask, pixels, np.array([1.0, 1, 1, 1, 1, -1]))
+    logs = light.point_logs(image, mask, pixels, np.array([1.0, 1, 1, 1, 1, -1]))
     assert logs[:, 0] == pytest.approx([np.log(100), 0, 0], abs=1e-3) and np.isnan(logs[:, 1:]).all()
 
 
 @pytest.mark.parametrize(("effects", "verdict"), [({}, "steady"), ({"white_balance": 0.08}, "changes tint")])
 def test_a_tint_that_drifts_at_one_brightness_is_seen(effects, verdict):
     frames, rng = 12, np.random.default_rng(0)
-    colours = synthetic.gains(Effects(**effects), frames, np.random.default_rng(3))
-    grey = np.log(colours @ [0.299, 0.587, 0.114])
+    colors = synthetic.gains(ClipEffects(**effects), frames, np.random.default_rng(3))
+    grey = np.log(colors @ [0.299, 0.587, 0.114])
     assert np.abs(grey).max() < 0.02, "brightness alone says nothing"
     base = cv2.resize(rng.uniform(60, 150, (12, 16, 3)), (160, 120))
-    pictures = [(base * colour).clip(0, 255).astype(np.uint8) for colour in colours]
+    pictures = [(base * color).clip(0, 255).astype(np.uint8) for color in colors]
     K = pinhole(150.0, 160, 120)
     points = np.stack([*rng.uniform(-0.4, 0.4, (2, 200)), np.full(200, 1.2)], 1)
     clip = SimpleNamespace(
         names=[str(i) for i in range(frames)], points=points, Ks=np.tile(K, (frames, 1, 1)),
         viewmats=np.tile(np.eye(4), (frames, 1, 1)), images=lambda i: pictures[i],
         mask=lambda i: np.zeros((120, 160), np.uint8))  # fmt: skip
-    found = exposure.detect(SimpleNamespace(clip=clip, light=exposure.gains_of(clip)))
+    found = exposure.detect(SimpleNamespace(clip=clip, light=light.frame_gains(clip)))
     assert found.verdict == verdict
     if effects:
         assert found.value == pytest.approx(0.1, rel=0.5) and len(found.frames) == 3
@@ -106,8 +106,8 @@ def told(pixels, viewmats, Ks):
     """What the bundle says of noisy `pixels`."""
     pixels = pixels + np.random.default_rng(1).normal(0, 0.1, pixels.shape)
     points, angles = tracks.place(pixels, viewmats, Ks)
-    there = tracks.projections(points, viewmats, Ks)[0]
-    return leftover(tracks.Tracks(pixels, points, pixels - there, angles), viewmats, Ks, 320)
+    there = tracks.project_with_slopes(points, viewmats, Ks)[0]
+    return adjust_bundle(tracks.Tracks(pixels, points, pixels - there, angles), viewmats, Ks, 320)
 
 
 def test_points_are_placed_where_they_are_and_too_few_views_place_none(seen):
@@ -162,7 +162,7 @@ def test_wrong_cameras_are_found_and_blamed_on_nothing_else(seen):
 def test_too_few_points_are_unknown(seen):
     viewmats, Ks, _, pixels = seen
     assert told(pixels[:, :30], viewmats, Ks) is None
-    evidence = SimpleNamespace(leftover=None, facts={"distortion": {"max_shift_px": 0.0}})
+    evidence = SimpleNamespace(residuals=None, facts={"distortion": {"max_shift_px": 0.0}})
     for name in ("lens", "rolling_shutter", "camera_refinement"):
         found = DETECTORS[name](evidence)
         assert found.value is None and not found.called_for and found.verdict.startswith("unknown")
@@ -174,7 +174,7 @@ def test_a_lens_that_sfm_took_out_is_told_with_its_shift():
     clip = SimpleNamespace(Ks=pinhole(300.0, 240, 320)[None], names=tuple("abcde"))
     points = tracks.Tracks(pixels, np.zeros((2, 3)), np.zeros_like(pixels), np.ones(2))
     facts = {"distortion": {"max_shift_px": 4.7}}
-    found = DETECTORS["lens"](SimpleNamespace(leftover=None, facts=facts, clip=clip, tracks=points))
+    found = DETECTORS["lens"](SimpleNamespace(residuals=None, facts=facts, clip=clip, tracks=points))
     assert found.called_for and found.value == 4.7 and "sfm" in found.verdict
     assert found.frames == ("a", "c", "e"), "with points near the corners, not the one that shows none"
 
@@ -200,9 +200,9 @@ def test_a_shadow_is_told_from_a_pattern_and_from_noise():
     pattern = rng.normal(4, 1, 500)
     light = pattern - 0.5 * shaded + rng.normal(0, 0.05, (20, 500))
     light[rng.random(light.shape) < 0.3] = np.nan
-    likeness, slope, _ = shadow._explained(light, shaded)
+    likeness, slope, _ = shadow._correlate(light, shaded)
     assert slope == pytest.approx(-0.5, abs=0.01) and likeness < -0.9
-    likeness, slope, _ = shadow._explained(light, rng.random((20, 500)) < 0.3)
+    likeness, slope, _ = shadow._correlate(light, rng.random((20, 500)) < 0.3)
     assert abs(slope) < 0.05 and abs(likeness) < 0.1
 
 
@@ -218,7 +218,7 @@ def test_sampling_counts_from_the_first_pixels_centre():
 def filmed():
     """The evidence of a small clip with the effects that are named."""
     rng, (width, height, frames) = np.random.default_rng(21), (150, 200, 14)
-    stage = synthetic._Stage(read_body_model(), make_room(rng), np.zeros(10), pinhole(0.95 * height, width, height))
+    stage = synthetic._Renderer(read_body_model(), make_room(rng), np.zeros(10), pinhole(0.95 * height, width, height))
     viewmats = synthetic.camera_path(2 * frames, 12.0, "moving", rng)[:frames]
     orient, pose = person.make_motion(frames, 7.0, rng)
     known = {}
@@ -226,7 +226,7 @@ def filmed():
     def film(passers=(), **strengths):
         key = (len(passers), *strengths.items())
         if key not in known:
-            drawn = replace(stage, effects=Effects(**strengths))
+            drawn = replace(stage, effects=ClipEffects(**strengths))
             views = drawn.views(viewmats, orient, pose, width, height, lambda n: None, passers)
             points = []
             for i, x, y in points_of(views, 600):
@@ -240,7 +240,7 @@ def filmed():
                 points=np.array(points), body=body, body_model=stage.model,
                 images=lambda i: views.images[i], mask=lambda i: views.masks[i],
             )  # fmt: skip
-            known[key] = Evidence(clip, Sfm(verdict="moving", distortion=Distortion(max_shift_px=0.0)))
+            known[key] = ClipEvidence(clip, Sfm(verdict="moving", distortion=Distortion(max_shift_px=0.0)))
         return known[key]
 
     return film
@@ -272,7 +272,7 @@ def test_arms_3_degrees_off_call_for_refined_poses_and_true_ones_do_not_however_
     turned = body.body_pose.copy()
     turned[:, [3 * 15 + 2, 3 * 16 + 2]] += 0.05
     known = vars(evidence.clip) | {"body": SimpleNamespace(**vars(body) | {"body_pose": turned})}
-    found = pose_refinement.detect(Evidence(SimpleNamespace(**known), evidence.facts))
+    found = pose_refinement.detect(ClipEvidence(SimpleNamespace(**known), evidence.facts))
     assert found.called_for and found.value == pytest.approx(0.01, rel=0.5), found
 
 
@@ -280,8 +280,12 @@ def test_an_edge_known_to_a_pixel_is_no_error_of_a_pose():
     mask = np.zeros((40, 60), bool)
     mask[10:30, 10:50] = True
     grown = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0
-    assert pose_refinement.apart(mask, grown) == pose_refinement.apart(grown, mask) == 0
+    assert pose_refinement.share_apart(mask, grown) == pose_refinement.share_apart(grown, mask) == 0
     grown[10:30, 51:54] = True
-    assert pose_refinement.apart(mask, grown) == pose_refinement.apart(grown, mask) == pytest.approx(60 / grown.sum())
+    assert (
+        pose_refinement.share_apart(mask, grown)
+        == pose_refinement.share_apart(grown, mask)
+        == pytest.approx(60 / grown.sum())
+    )
     nothing = np.zeros_like(mask)
-    assert pose_refinement.apart(nothing, nothing) == 0 and pose_refinement.apart(mask, nothing) == 1
+    assert pose_refinement.share_apart(nothing, nothing) == 0 and pose_refinement.share_apart(mask, nothing) == 1

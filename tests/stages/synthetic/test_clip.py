@@ -69,9 +69,9 @@ def test_depth_and_cameras_carry_the_room_from_one_picture_to_another(clip):
     same = gap < 0.15
     assert same.mean() > 0.75, "the rest is hidden by the person or by furniture"
     assert np.median(gap[same]) < 0.03
-    colours = views.images[a][mask][inside][same].astype(float), views.images[b][rows, columns][same].astype(float)
-    assert np.abs(colours[0] - colours[1]).mean() < 12
-    assert np.corrcoef(colours[0].ravel(), colours[1].ravel())[0, 1] > 0.9
+    colors = views.images[a][mask][inside][same].astype(float), views.images[b][rows, columns][same].astype(float)
+    assert np.abs(colors[0] - colors[1]).mean() < 12
+    assert np.corrcoef(colors[0].ravel(), colors[1].ravel())[0, 1] > 0.9
 
 
 def test_the_person_stands_on_the_floor_and_fills_the_picture_as_in_a_phone_clip(clip):
@@ -95,8 +95,8 @@ def test_the_person_is_seen_from_nearly_all_sides_without_a_jump(long_clip):
 
 def camera_parallax(viewmats):
     """Largest distance in m between two cameras."""
-    centres = camera_centers(viewmats)
-    return np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()
+    centers = camera_centers(viewmats)
+    return np.linalg.norm(centers[:, None] - centers[None], axis=-1).max()
 
 
 def test_novel_poses_are_far_from_every_pose_of_the_clip(long_clip):

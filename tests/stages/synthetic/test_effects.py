@@ -12,7 +12,7 @@ from stages.avatar.cameras.pinhole import camera_centers, pinhole
 from stages.formats.body_model import read_body_model
 from stages.synthetic import clip as synthetic
 from stages.synthetic import person
-from stages.synthetic.effects import Course, Effects, gains, open_times, read_out, to_linear, to_srgb
+from stages.synthetic.effects import ClipEffects, Course, gains, open_times, readout_times, to_linear, to_srgb
 from stages.synthetic.passers import make_passers
 from stages.synthetic.room import make_room
 from tests.made.worlds import unproject
@@ -26,7 +26,7 @@ AS_BEFORE = "c1315ebb4ed884f43a57dd9f56baa6f9d9f7296d6da8dffd6167bfc78ac2bcb6"
 def setting():
     """A stage without effects, and where camera and person go."""
     rng = np.random.default_rng(3)
-    stage = synthetic._Stage(read_body_model(), make_room(rng), np.zeros(10), pinhole(114.0, WIDTH, HEIGHT))
+    stage = synthetic._Renderer(read_body_model(), make_room(rng), np.zeros(10), pinhole(114.0, WIDTH, HEIGHT))
     viewmats = synthetic.camera_path(FRAMES, 5.0, "moving", rng)
     return stage, viewmats, *person.make_motion(FRAMES, 5.0, rng)
 
@@ -40,7 +40,7 @@ def shown(setting):
         key = (len(passers), gain is None, *strengths.items())
         if key not in known:
             stage, *rest = setting
-            stage = replace(stage, effects=Effects(**strengths))
+            stage = replace(stage, effects=ClipEffects(**strengths))
             known[key] = stage.views(*rest, WIDTH, HEIGHT, lambda n: None, passers, gain)
         return known[key]
 
@@ -56,13 +56,13 @@ def test_without_effects_the_bytes_are_those_of_before_there_were_any():
 
 
 def test_what_belongs_to_a_recording_is_left_out_of_novel_views():
-    every = Effects(*[0.1 * (i + 1) for i in range(len(fields(Effects)))])
-    kept = {field.name for field in fields(Effects) if getattr(every.of_the_scene(), field.name)}
+    every = ClipEffects(*[0.1 * (i + 1) for i in range(len(fields(ClipEffects)))])
+    kept = {field.name for field in fields(ClipEffects) if getattr(every.scene_only(), field.name)}
     assert kept == {"view_dependence", "shadow", "clothing", "sky", "antialias"}
 
 
 def test_gains_have_the_spread_that_was_asked_for():
-    found = np.log(gains(Effects(exposure=0.1), 40, np.random.default_rng(0)))
+    found = np.log(gains(ClipEffects(exposure=0.1), 40, np.random.default_rng(0)))
     assert found.mean(1).std() == pytest.approx(0.1, rel=1e-9) and abs(found.mean()) < 1e-12
     assert 0.005 < (found - found.mean(1, keepdims=True)).std() < 0.05, "and a little drift of the colours"
 
@@ -94,11 +94,11 @@ def test_a_lens_moves_every_pixel_as_the_model_says(shown, setting):
 
 def test_a_rolling_shutter_reads_each_row_at_its_own_time(shown, setting):
     stage, viewmats, orient, pose = setting
-    rolled = replace(stage, effects=Effects(rolling_shutter=0.8))
+    rolled = replace(stage, effects=ClipEffects(rolling_shutter=0.8))
     _, vertices, _ = person.pose_body(stage.body, stage.betas, orient, pose)
     course, fine, size = Course(viewmats, vertices), stage.K, (WIDTH, HEIGHT)
     picture, _ = rolled.draw(course, 2, fine, *size, 0, ())
-    times = read_out(rolled.effects, HEIGHT)
+    times = readout_times(rolled.effects, HEIGHT)
     for row in (3, 40, 60, 100):
         then, _ = stage.draw(course, 2 + times[row], fine, *size, 0, ())
         same = np.abs(picture[row] - then[row]).max(-1) < 0.02
@@ -108,7 +108,7 @@ def test_a_rolling_shutter_reads_each_row_at_its_own_time(shown, setting):
 
 
 def test_blur_is_the_mean_of_moments_in_linear_light(shown, setting):
-    effects = Effects(motion_blur=0.9)
+    effects = ClipEffects(motion_blur=0.9)
     times = open_times(effects)
     assert abs(times.mean()) < 1e-12 and np.ptp(times) == pytest.approx(0.8)
     plain, blurred = shown(), shown(motion_blur=0.9)

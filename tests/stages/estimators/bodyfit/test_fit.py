@@ -9,19 +9,21 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import Body
+from stages.estimators.bodyfit import fit as fitting
 from stages.estimators.bodyfit.evidence import (
-    Evidence,
+    LandmarkEvidence,
+    drop_strangers,
     gather,
     mirrored_columns,
     model_landmarks,
-    with_sides_voted,
-    without_strangers,
+    vote_sides,
 )
 from stages.estimators.bodyfit.fit import fit_body
-from stages.estimators.bodyfit.quality import fast_joints, judge, silhouette
+from stages.estimators.bodyfit.quality import fast_joints, measure_quality
 from stages.estimators.bodyfit.scale import Floor, find_floor, floor_scale, still_scale
-from stages.estimators.bodyfit.start import continuous, fill_limbs, fill_poses
-from stages.estimators.bodyfit.terms import acceleration, outlines, pose_prior, robust, spreads
+from stages.estimators.bodyfit.silhouette import silhouette
+from stages.estimators.bodyfit.start import fill_limbs, fill_poses, unwrap_rotations
+from stages.estimators.bodyfit.terms import acceleration, geman_mcclure, joint_spreads, outlines, pose_prior
 from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
@@ -32,8 +34,8 @@ MODEL = read_body_model()
 
 def evidence_of(clip):
     names, regressor = model_landmarks(MODEL)
-    evidence, _ = without_strangers(gather(clip.tracks, names), None)
-    return regressor, *with_sides_voted(evidence)
+    evidence, _ = drop_strangers(gather(clip.tracks, names), None)
+    return regressor, *vote_sides(evidence)
 
 
 def joint_error(clip, poses, moving=True):
@@ -58,10 +60,29 @@ def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
     assert fit.poses.world_from_sfm == pytest.approx(clip.scale, rel=0.03)
     assert np.flatnonzero(fit.poses.confidence == 0).tolist() == [13, 14]
     assert all(np.isfinite(a).all() for a in (fit.poses.transl, fit.poses.body_pose, fit.poses.global_orient))
-    verdict = judge(fit.poses, MODEL, clip.cameras, clip.times, masks, evidence, fit.pixels)
+    verdict = measure_quality(fit.poses, MODEL, clip.cameras, clip.times, masks, evidence, fit.pixels)
     assert np.nanmean(verdict.iou) > 0.88
     assert not any(verdict.fast)
     assert (verdict.confidence[[13, 14]] == 0).all() and np.delete(verdict.confidence, [13, 14]).min() > 0.5
+
+
+def test_two_threads_fit_the_same_body_bit_for_bit(monkeypatch):
+    """30 frames are enough for torch to share out the sum of the vertices' gradients among its threads."""
+    for steps in ("FIRST", "OUTLINED", "LAST"):
+        monkeypatch.setattr(fitting, steps, 10)
+    clip = bodyfit_clips.make(MODEL, frames=30)
+    regressor, evidence, _ = evidence_of(clip)
+    masks, threads = clip.masks(), torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        poses = [
+            fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, masks, clip.points).poses for _ in range(2)
+        ]
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
+    for key in ("betas", "global_orient", "body_pose", "transl"):
+        np.testing.assert_array_equal(*(getattr(one, key) for one in poses), err_msg=key)
 
 
 @pytest.mark.slow
@@ -103,9 +124,9 @@ def test_j08_sides_are_exchanged_where_the_neighbours_say_so():
     evidence = gather(clip.tracks, names)
     legs = mirrored_columns(names, ("knee", "ankle", "heel", "big_toe", "foot"))
     evidence.xy[25], evidence.world[25] = evidence.xy[25, legs], evidence.world[25, legs]
-    voted, swapped = with_sides_voted(evidence)
+    voted, swapped = vote_sides(evidence)
     assert np.flatnonzero(swapped).tolist() == [7, 8, 20, 25]
-    again, changed = with_sides_voted(voted)
+    again, changed = vote_sides(voted)
     assert not changed.any()
     np.testing.assert_array_equal(again.xy, voted.xy)
 
@@ -115,13 +136,13 @@ def test_j06_another_person_is_left_out():
     names, _ = model_landmarks(MODEL)
     evidence = gather(clip.tracks, names)
     evidence.xy[10] += [evidence.height[10], 0]
-    left, stranger = without_strangers(evidence, None)
+    left, stranger = drop_strangers(evidence, None)
     assert np.flatnonzero(stranger).tolist() == [10]
     assert not left.seen[10] and (left.weight[10] == 0).all()
     masks = [np.zeros((864, 480), np.uint8) for _ in range(20)]
     for mask in masks:
         mask[:10, :10] = 255  # the masked person stands elsewhere
-    assert without_strangers(evidence, masks)[1][evidence.seen].all()
+    assert drop_strangers(evidence, masks)[1][evidence.seen].all()
 
 
 def test_j02_j03_j04_the_floor_is_found_beside_a_wall_and_gives_the_scale(held):
@@ -178,7 +199,7 @@ def test_d07_j05_gaps_are_filled_the_short_way_and_ends_held():
     np.testing.assert_allclose(turned[1], [np.pi, 0, 0], atol=1e-9)
     np.testing.assert_allclose(place[:, 0], [0, 1, 2, 2])
     assert pose.shape == (4, 69)
-    assert np.isfinite(continuous(np.zeros((3, 24, 3)))).all()
+    assert np.isfinite(unwrap_rotations(np.zeros((3, 24, 3)))).all()
 
 
 def test_a_hidden_limb_turns_evenly_between_the_frames_that_show_it():
@@ -187,7 +208,7 @@ def test_a_hidden_limb_turns_evenly_between_the_frames_that_show_it():
     weight = np.full((6, len(names)), 0.9)
     weight[[0, 2, 3], names.index("right_wrist")] = 0.05
     weight[:, names.index("left_elbow")] = 0.05
-    evidence = Evidence(
+    evidence = LandmarkEvidence(
         names, np.zeros((6, len(names), 2)), weight, np.zeros((6, len(names), 3)), weight[:, 0] > 0, times
     )
     pose = np.random.default_rng(0).uniform(-1, 1, (6, 23, 3))
@@ -204,7 +225,7 @@ def test_d07_half_turns_of_either_sign_are_one_pose():
     from stages.records import BodyPoses
 
     orient = np.tile([0, 3.14, 0], (4, 1)) * np.array([[1], [-1], [1], [-1]])
-    steps = np.linalg.norm(np.diff(continuous(orient[:, None])[:, 0], axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(unwrap_rotations(orient[:, None])[:, 0], axis=0), axis=1)
     assert steps.max() < 0.0033, "0.003 rad apart, not 6.28"
     poses = BodyPoses(tuple("abcd"), np.zeros(10), orient, np.tile(orient, 23), np.zeros((4, 3)), np.ones(4))
     assert fast_joints(poses, np.arange(4) / 30) == [""] * 4
@@ -215,7 +236,7 @@ def test_knees_and_elbows_bend_one_way():
     pose[0, 3, 0], pose[1, 3, 0] = 1.0, -1.0  # left knee
     pose[2, 17, 1], pose[3, 17, 1] = -1.0, 1.0  # left elbow
     pose.requires_grad_()
-    cost = pose_prior(pose, spreads())
+    cost = pose_prior(pose, joint_spreads())
     assert cost[1] > cost[0] + 100 and cost[3] > cost[2] + 100
     cost.sum().backward()
     assert torch.isfinite(pose.grad).all()
@@ -223,7 +244,7 @@ def test_knees_and_elbows_bend_one_way():
 
 def test_robust_cost_is_bounded_and_smooth_at_zero():
     x = torch.tensor([0.0, 1e-3, 1.0, 1e6], requires_grad=True)
-    cost = robust(x.square(), 3.0)
+    cost = geman_mcclure(x.square(), 3.0)
     assert cost[0] == 0 and cost[-1] <= 9.001
     cost.sum().backward()
     assert torch.isfinite(x.grad).all()

@@ -84,7 +84,7 @@ def read(path: Path, truth: Cameras, **settings):
     said: list[str] = []
     job = Job(path.parent, emit=lambda event: said.append(event.get("text", "")))
     listed = parse(json.dumps(settings.pop("listing", listing(truth))), Listing)
-    found = camera_import.imported(job, path, listed, **{"min_share": 0.5, "first": "auto"} | settings)
+    found = camera_import.import_cameras(job, path, listed, **{"min_share": 0.5, "first": "auto"} | settings)
     return found, Cameras(tuple(found.names), found.viewmats, found.Ks, truth.width, truth.height), said
 
 

@@ -191,18 +191,18 @@ SHARP, RICH = np.full(10, 2.0), np.full(10, 900)
 def test_i06_two_models_are_named_with_the_cut():
     pairs = [matches(i, i + 1, 300) for i in range(9) if i != 5] + [matches(5, 6, 21), matches(4, 6, 16)]
     posed = [chosen(0, 1, 2, 3, 4, 5), chosen(5, 6, 7, 8), chosen(1, 2)]
-    verdict = sfm_verdict.judge(NAMES, posed, RICH, SHARP, pairs)
+    verdict = sfm_verdict.judge_cameras(NAMES, posed, RICH, SHARP, pairs)
     assert verdict.name == "two separate models" and "min_share" in verdict.hint
     assert verdict.facts == [
         "a model of 6 of 10 frames (000000 to 000015)",
         "a model of 3 of 10 frames (000018 to 000024)",
         "cut between 000015 and 000018: 37 matches join the two sides; a pair of frames on one side has 300",
     ]
-    later = sfm_verdict.judge(NAMES, [chosen(5, 6, 7, 8, 9), chosen(0, 1, 2, 3, 4)], RICH, SHARP, pairs)
+    later = sfm_verdict.judge_cameras(NAMES, [chosen(5, 6, 7, 8, 9), chosen(0, 1, 2, 3, 4)], RICH, SHARP, pairs)
     assert later.facts[2].startswith("cut between 000012 and 000015: 316 matches"), "the larger may come later"
-    third = sfm_verdict.judge(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5, 6), chosen(7, 8, 9)], RICH, SHARP, pairs)
+    third = sfm_verdict.judge_cameras(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5, 6), chosen(7, 8, 9)], RICH, SHARP, pairs)
     assert third.name == "3 separate models" and len(third.facts) == 4
-    small = sfm_verdict.judge(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5)], RICH, SHARP, pairs)
+    small = sfm_verdict.judge_cameras(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5)], RICH, SHARP, pairs)
     assert small.name is None, "a second model of a third of the frames that lack a pose explains too little"
 
 
@@ -262,22 +262,24 @@ def test_i08_blurred_frames_are_found_whatever_their_texture(tmp_path):
 
 def test_i08_blur_is_named_where_it_keeps_frames_from_being_placed(tmp_path):
     blurred, few = np.where(chosen(2, 3, 8), 1.1, SHARP), np.where(chosen(2, 3, 4), 20, RICH)
-    verdict = sfm_verdict.judge(NAMES, [~chosen(2, 3, 4)], few, blurred, [])
+    verdict = sfm_verdict.judge_cameras(NAMES, [~chosen(2, 3, 4)], few, blurred, [])
     assert verdict.name == "too blurred" and "light" in verdict.hint
     assert verdict.facts == [
         "longest run: frames 000015 to 000027",
         "fewer than 100 features: 3 of 10 frames (000006 to 000012)",
         "blurred: 3 of 10 frames (000006 to 000009, 000024)",
     ]
-    assert sfm_verdict.judge(NAMES, [~chosen(2, 3, 4)], few, SHARP, []).name == "too little texture"
-    assert sfm_verdict.judge(NAMES, [~chosen(0, 9)], few, blurred, []).name is None, "only of frames without a pose"
+    assert sfm_verdict.judge_cameras(NAMES, [~chosen(2, 3, 4)], few, SHARP, []).name == "too little texture"
+    assert sfm_verdict.judge_cameras(NAMES, [~chosen(0, 9)], few, blurred, []).name is None, (
+        "only of frames without a pose"
+    )
 
 
 def test_frames_missing_without_a_cause_are_told_with_the_longest_run():
     posed = chosen(0, 1, 3, 4, 5)
-    verdict = sfm_verdict.judge(NAMES, [posed], RICH, SHARP, [])
+    verdict = sfm_verdict.judge_cameras(NAMES, [posed], RICH, SHARP, [])
     assert verdict.name is None and verdict.facts == ["longest run: frames 000009 to 000015"]
-    assert sfm_verdict.judge(NAMES, [], RICH, SHARP, []).facts == ["no frame was placed"]
+    assert sfm_verdict.judge_cameras(NAMES, [], RICH, SHARP, []).facts == ["no frame was placed"]
     assert sfm_verdict.said(NAMES, chosen(0, 2, 4, 6, 7)) == ("5 of 10 frames (000000, 000006, 000012 and 1 more)")
 
 

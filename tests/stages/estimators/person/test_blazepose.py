@@ -41,9 +41,9 @@ def test_names_and_anchors():
 def test_a_roi_points_its_up_at_the_given_point():
     for top in ([50, 20], [90, 60], [50, 100], [10, 60], [80, 30]):
         roi = Roi.around(np.array([50.0, 60.0]), np.array(top, float))
-        centre, up = to_picture(np.array([[0.5, 0.5], [0.5, 0.0]]), roi)
+        center, up = to_picture(np.array([[0.5, 0.5], [0.5, 0.0]]), roi)
         direction = np.array(top) - [50, 60]
-        assert np.allclose(centre, [50, 60]) and np.allclose(up - centre, direction * 1.25)
+        assert np.allclose(center, [50, 60]) and np.allclose(up - center, direction * 1.25)
 
 
 def test_a_crop_is_exact_to_a_tenth_of_a_pixel():
@@ -109,7 +109,7 @@ def test_a_look_that_swaps_sides_is_left_out(blazepose, kitchen, monkeypatch):
         return pose, mask
 
     monkeypatch.setattr(BlazePose, "look", swapping)
-    got = blazepose.steady(image, want.roi)
+    got = blazepose.average_looks(image, want.roi)
     assert len(calls) == len(LOOKS) and np.abs(got.xy - want.xy).max() < 4
 
 

@@ -18,7 +18,7 @@ def test_a_crop_is_pasted_where_it_was_cut():
 
 
 def test_moving_along_the_body_follows_its_turn():
-    down = Roi(100, 100, 50, np.pi / 2).moved(0.5, 0, 0.2)  # up points right, so down is left
+    down = Roi(100, 100, 50, np.pi / 2).reframe(0.5, 0, 0.2)  # up points right, so down is left
     assert np.allclose([down.x, down.y, down.side], [90, 100, 25])
 
 

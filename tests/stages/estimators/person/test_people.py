@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stages.contract import Job, StageError
-from stages.estimators.person.blazepose import NAMES, Pose, Roi, Sighting, clearest, masked
+from stages.estimators.person.blazepose import NAMES, Pose, Roi, Sighting, pick_clearest, pick_masked
 from stages.estimators.person.outline import outline
 from stages.estimators.person.people import Company
 from stages.formats.body_model import read_body_model
@@ -78,8 +78,8 @@ def test_an_outline_that_holds_two_and_a_jump_are_said():
 def test_the_masked_person_is_followed():
     masks = [np.zeros((200, 300), np.uint8) for _ in FRAMES]
     masks[2][80:120, 230:270] = 255
-    assert masked(TWO, masks) is TWO[2] and clearest(TWO) is TWO[3]
-    assert masked(TWO, [np.zeros((200, 300), np.uint8)] * 6) is TWO[3], "masks that fit nobody choose nobody"
+    assert pick_masked(TWO, masks) is TWO[2] and pick_clearest(TWO) is TWO[3]
+    assert pick_masked(TWO, [np.zeros((200, 300), np.uint8)] * 6) is TWO[3], "masks that fit nobody choose nobody"
 
 
 @pytest.mark.slow
@@ -104,4 +104,4 @@ def test_two_people_side_by_side_are_found_and_either_is_followed(blazepose):
         found = outline(blazepose, images[0], poses[0].next_roi) > 0.5
         wanted, other = truth[0] if person != 2 else truth[0][::-1]
         assert (found & wanted).sum() / (found | wanted).sum() > 0.75 and not (found & other).any()
-    assert masked(sightings, [two.astype(np.uint8) * 255 for _, two in truth]).pose.next_roi.x > 240
+    assert pick_masked(sightings, [two.astype(np.uint8) * 255 for _, two in truth]).pose.next_roi.x > 240

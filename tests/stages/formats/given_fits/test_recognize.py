@@ -226,7 +226,7 @@ def test_j13_varying_and_extreme_shapes_are_said(tmp_path, arrays):
     betas = np.tile(arrays["betas"], (N, 1))
     betas[:, 0] = np.linspace(5, 8, N)
     fit = read_smpl_fit(save(tmp_path / "a.npz", **arrays | {"betas": betas}))
-    shape, notes = placing.shape_of(fit)
+    shape, notes = placing.median_shape(fit)
     assert len(notes) == 2 and shape[0] == 6.5
 
 

