@@ -17,7 +17,6 @@ from stages.avatar.model.human import Resting
 from stages.avatar.rasterize import Layer, Rendering
 from stages.avatar.splats.compose import compose_layers
 from stages.avatar.splats.gaussians import Splats
-from stages.training.transients import WARM_UP, Transients
 
 
 class FrameEffects(nn.Module):
@@ -25,7 +24,7 @@ class FrameEffects(nn.Module):
 
     `shadow`; `shutter` [1], the share of a moment for which the shutter is open (motion blur); `readout` [1], the share
     in which the picture is read from top to bottom (rolling shutter). Moments are those of the clip's frames. `clothing`
-    moves the person before they are posed; `transients` finds what of a picture is not to be learned.
+    moves the person before they are posed.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -34,7 +33,6 @@ class FrameEffects(nn.Module):
         self.shutter = None if shutter is None else nn.Parameter(torch.tensor([shutter]))
         self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
         self.clothing: Clothing | None = None
-        self.transients: Transients | None = None
 
     @classmethod
     def starting(
@@ -60,16 +58,6 @@ class FrameEffects(nn.Module):
     def dressed(self, person: Resting, body_pose: Tensor) -> Resting:
         """The person at rest, with what their clothes do in the pose [69]."""
         return person if self.clothing is None else self.clothing(person, body_pose)
-
-    def trusted(self, rendered: Tensor, drawn: Rendering | Exposed, image: Tensor, frame: int, done: float) -> Tensor:
-        """`rendered`[H,W,3], the person left out, with what passes by in `image`[H,W,3] taken for right.
-
-        `drawn` has the depth; `done` is the share of the phase's steps.
-        """
-        if self.transients is None or done < WARM_UP:
-            return rendered
-        passing = self.transients(rendered.detach(), drawn.depth.detach(), drawn.alpha.detach(), image, frame)
-        return torch.where(passing[..., None], image, rendered)
 
     def prior(self) -> Tensor | float:
         """What speaks against effects that no picture calls for, to be added to a step's loss."""
