@@ -9,7 +9,7 @@ import torch
 from stages.avatar.effects.shadow import Stance
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import person_crop, scores
-from stages.avatar.rasterize import Layer
+from stages.avatar.rasterize import Camera, Layer
 from stages.training.fit import Fit
 
 
@@ -27,8 +27,8 @@ def judge(fit: Fit, frames: list[int], lpips: Lpips | None = None) -> dict[str, 
         human = fit.posed(resting, orient[i], body_pose[i], transl[i])
         stance = Stance(fit.person.joints, fit.person.parents, orient[i], body_pose[i], transl[i])
         lit, motion = fit.effects.lit(scene, stance), fit.motion(i, resting)
-        size = mask.shape[1], mask.shape[0]
-        drawn = fit.effects.draw(human, lit, motion, viewmats[i], views.Ks[i], *size, [Layer()])[0].image
+        camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
+        drawn = fit.effects.draw(human, lit, motion, camera, [Layer()])[0].image
         drawn, crop = (drawn * gains[i]).clamp(0, 1), person_crop(mask)
         if scene is None:
             image = image * mask[..., None]

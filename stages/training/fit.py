@@ -17,6 +17,7 @@ from stages.avatar.effects.speeds import Motion, Speeds
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 from stages.training import losses
@@ -200,7 +201,7 @@ class Fit:
             return numbers
         motion = self.motion(frame, None if human is None else self.resting())
         lit = self.effects.lit(scene, stance)
-        pictures = self.effects.draw(human, lit, motion, viewmat, K, width, height, list(layers.values()))
+        pictures = self.effects.draw(human, lit, motion, Camera(viewmat, K, width, height), list(layers.values()))
         drawn = dict(zip(layers, pictures))
         self.clock.lap("drawing")
         if scene is not None:

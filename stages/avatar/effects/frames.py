@@ -14,8 +14,8 @@ from stages.avatar.effects.rolling_shutter import rolled
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
 from stages.avatar.effects.speeds import Motion, moved
 from stages.avatar.model.human import Resting
-from stages.avatar.rasterize import Layer, Rendering
-from stages.avatar.splats.compose import compose_layers
+from stages.avatar.rasterize import Camera, Layer, Rendering
+from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.training.transients import WARM_UP, Transients
 
@@ -93,20 +93,17 @@ class FrameEffects(nn.Module):
         human: Splats | None,
         scene: Splats | None,
         motion: Motion | None,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
+        camera: Camera,
         layers: Sequence[Layer],
     ) -> list[Rendering] | list[Exposed]:
-        """As `compose_layers`, over the time that the shutter takes; without a `motion` at one moment."""
+        """As `compose`, over the time that the shutter takes; without a `motion` at one moment."""
 
         def at(time: Tensor) -> list[Rendering]:
-            sets = (None if s is None else self._at(s, own, motion, time, viewmat) for s, own in both)
-            return compose_layers(*sets, viewmat, K, width, height, layers)
+            person, rest = (None if s is None else self._at(s, own, motion, time, camera.viewmat) for s, own in both)
+            return compose(person, rest, camera, layers)
 
         if motion is None or not self.takes_time:
-            return compose_layers(human, scene, viewmat, K, width, height, layers)
+            return compose(human, scene, camera, layers)
         both = ((human, motion.person), (scene, None))
         return exposed(at, self.shutter) if self.blurs else at(motion.field.new_zeros(1))
 
