@@ -171,8 +171,8 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     """The pose after `steps` of Adam on the absolute difference around the person, the best one seen; no Gaussian moves."""
     import torch
 
+    from stages.avatar.drawing.avatar import pose_avatar
     from stages.avatar.measures.metrics import over_white
-    from stages.avatar.model.human import pose_avatar
 
     if shot.box is None:
         return shot.pose

@@ -378,7 +378,7 @@ def _write(fit: Fit, clip: Clip, job: Job, curve: list[dict[str, Any]], effects:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(curve)
-    distrusted = {} if fit.effects.transients is None else fit.effects.transients.found(clip.names)
+    distrusted = {} if fit.transients is None else fit.transients.found(clip.names)
     if distrusted:
         most = max(distrusted, key=distrusted.get)
         job.note(

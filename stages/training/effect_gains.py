@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import torch
 
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.splats.neighbours import evenly
 from stages.training.accuracy import judge
 from stages.training.checkpoint import restore, snapshot
@@ -29,7 +30,7 @@ PARTS = {
     "clothing": "clothing",
     "transients": "transients",
 }
-"""Effect -> where a training has it: the option, or the part of its `FrameEffects`."""
+"""Effect -> where a training has it: the option, or the part of its `FrameEffects`, or its own."""
 ONLY_TAUGHT = ("transients",)  # held-out frames are drawn the same without
 TURNS = 4  # of steps with an effect and without: the fastest of each, which nothing has disturbed, counts
 PAUSES = 4  # of a training, each as long as judging it: what `worth` takes for an effect
@@ -38,20 +39,25 @@ PAUSES = 4  # of a training, each as long as judging it: what `worth` takes for 
 def effects_of(fit: Fit) -> list[str]:
     """The effects that a training has and can be taken out of it; the lens is sfm's, and a sky nothing takes the place of."""
     found = [name for name, option in OPTIONS.items() if getattr(fit.options, option)]
-    found += [name for name, part in PARTS.items() if getattr(fit.effects, part) is not None]
+    found += [name for name, part in PARTS.items() if getattr(_owner(fit, name), part) is not None]
     return found + ["view_dependence"] * (fit.scene is not None and fit.scene.shN.shape[1] > 0)
+
+
+def _owner(fit: Fit, effect: str) -> Fit | FrameEffects:
+    return fit if effect in ONLY_TAUGHT else fit.effects
 
 
 @contextmanager
 def without(fit: Fit, effect: str) -> Iterator[None]:
     """A training as it is, but for one of its `effects_of`; afterwards it has it again."""
     options, effects, scene, speeds = fit.options, fit.effects, fit.scene, fit.speeds
-    part = getattr(effects, PARTS[effect]) if effect in PARTS else None
+    owner = _owner(fit, effect)
+    part = getattr(owner, PARTS[effect]) if effect in PARTS else None
     shN, antialias = (None, False) if scene is None else (scene.shN, scene.antialias)
     if effect in OPTIONS:
         fit.options = options._replace(**{OPTIONS[effect]: False})
     if effect in PARTS:
-        setattr(effects, PARTS[effect], None)
+        setattr(owner, PARTS[effect], None)
         fit.speeds = speeds if effects.takes_time else None
     if effect == "antialias" and scene is not None:
         scene.antialias = False
@@ -62,7 +68,7 @@ def without(fit: Fit, effect: str) -> Iterator[None]:
     finally:
         fit.options, fit.speeds = options, speeds
         if effect in PARTS:
-            setattr(effects, PARTS[effect], part)
+            setattr(owner, PARTS[effect], part)
         if scene is not None:
             scene.shN, scene.antialias = shN, antialias
 

@@ -15,7 +15,8 @@ from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import Motion, Speeds
 from stages.avatar.measures.lpips import Lpips
-from stages.avatar.model.human import Canonical, HumanModel, Resting, bone_transforms, pose, rest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
@@ -31,6 +32,7 @@ from stages.training.layers import layers_of
 from stages.training.optimizers import optimizers
 from stages.training.refine import FrameCorrections
 from stages.training.schedule import HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Phase, phases, rate
+from stages.training.transients import Transients
 from stages.training.views import Person, Views
 
 NEIGHBOURS = 8  # of which a Gaussian of the surface is the middle
@@ -53,6 +55,7 @@ class Fit:
         generator: torch.Generator,
         perceptual: Lpips | None = None,
         effects: FrameEffects | None = None,
+        transients: Transients | None = None,
     ):
         self.full, self.small = views, views.half()
         self.train, self.person, self.human, self.scene = train, person, human, scene
@@ -62,6 +65,7 @@ class Fit:
         self.trained = torch.zeros(len(views.images), dtype=torch.bool)
         self.trained[train] = True
         self.effects = (effects or FrameEffects()).to(views.viewmats)
+        self.transients = transients
         self.speeds = self._speeds() if self.effects.takes_time else None
         self.step, self.frame, self.undrawn = 0, train[0], 0
         self.guard, self.clock = Guard(), Clock()
@@ -86,7 +90,8 @@ class Fit:
 
     def modules(self) -> dict[str, torch.nn.Module]:
         """All that has parameters, by name."""
-        return self._sets() | {"frames": self.frames, "effects": self.effects}
+        found = self._sets() | {"frames": self.frames, "effects": self.effects}
+        return found if self.transients is None else found | {"transients": self.transients}
 
     def _speeds(self) -> Speeds:
         views, count = self.full, len(self.full.images)
@@ -208,7 +213,8 @@ class Fit:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
             if self.options.human_loss or human is None:
                 rendered = losses.outside_person(rendered, image, mask)
-            rendered = self.effects.trusted(rendered, drawn["all"], image, frame, self.done)
+            if self.transients is not None:
+                rendered = self.transients.replace(rendered, drawn["all"], image, frame, self.done)
             joint = losses.photometric(rendered, image)
             loss = loss + joint
             numbers["image"] = joint.item()

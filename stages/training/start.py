@@ -15,7 +15,8 @@ from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import DARKNESS, casters
 from stages.avatar.effects.sky import RADIUS, open_sky, shell
 from stages.avatar.measures.lpips import Lpips
-from stages.avatar.model.human import HumanModel, rest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import rest
 from stages.avatar.model.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
 from stages.avatar.motion.formulas import upright
 from stages.avatar.splats.neighbours import evenly
@@ -77,8 +78,9 @@ class Start:
             refine_camera=on.get("camera_refinement", False),
             early_stop=params.early_stop,
         )
-        effects = self._effects(person, human, scene, views)
-        return Fit(views, self.train, person, human, scene, options, self.generator, perceptual, effects)
+        effects = self._effects(person, human)
+        transients = Transients(views, self.train) if on.get("transients", False) and scene is not None else None
+        return Fit(views, self.train, person, human, scene, options, self.generator, perceptual, effects, transients)
 
     def _cap(self, name: str, begun: HumanModel | SceneModel | None) -> int:
         """Most Gaussians of the person or the scene: what is set, or what it begins with."""
@@ -154,7 +156,7 @@ class Start:
                 scene.surround(self._tensor(far), self._tensor(tints), self._tensor(middle), RADIUS * extent)
         return scene
 
-    def _effects(self, person: Person, human: HumanModel, scene: SceneModel | None, views: Views) -> FrameEffects:
+    def _effects(self, person: Person, human: HumanModel) -> FrameEffects:
         on, orient = self.decisions, self.clip.body.global_orient
         *light, darkness = self.starts.get("shadow", [*upright(orient, orient[0])[:, 1], DARKNESS])
         light = torch.as_tensor(light).to(person.joints)
@@ -165,6 +167,4 @@ class Start:
         if on.get("clothing", False):
             bare = rest(human.untaught(), person.canonical_bones()).means
             effects.clothing = Clothing.start(bare, person.body_pose[self.train])
-        if on.get("transients", False) and scene is not None:
-            effects.transients = Transients(views, self.train)
         return effects

@@ -14,6 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from stages.avatar.effects.motion_blur import Exposed
+from stages.avatar.rasterize import Rendering
 from stages.training.views import Views
 
 WARM_UP = 0.05  # share of a phase's steps that trust every pixel: at first what is drawn says nothing
@@ -61,6 +63,16 @@ class Transients(nn.Module):
         pixels = F.interpolate(bad[None, None].float(), image.shape[:2], mode="bilinear")[0, 0] > EDGE
         self.shares[frame] = pixels.float().mean()
         return pixels
+
+    def replace(self, rendered: Tensor, drawn: Rendering | Exposed, image: Tensor, frame: int, done: float) -> Tensor:
+        """`rendered`[H,W,3], the person left out, with `image`[H,W,3] where something passes by: such pixels teach nothing.
+
+        `drawn` has the depth; `done` is the share of the phase's steps.
+        """
+        if done < WARM_UP:
+            return rendered
+        passing = self(rendered.detach(), drawn.depth.detach(), drawn.alpha.detach(), image, frame)
+        return torch.where(passing[..., None], image, rendered)
 
     def found(self, names: Sequence[str]) -> dict[str, float]:
         """The share of each frame that was last distrusted, by its name, where there was any."""

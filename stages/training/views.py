@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.effects.clothing import Clothing
-from stages.avatar.model.human import Resting, bone_transforms, pose
+from stages.avatar.model.person import Resting, bone_transforms, pose
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import evenly
 

@@ -45,9 +45,6 @@ class Nothing(torch.nn.Module):
     def dark(self, points: Tensor, stance: Any) -> Tensor:
         return torch.zeros_like(points[:, 0])
 
-    def trusted(self, rendered: Tensor, *_: Any) -> Tensor:
-        return rendered
-
     def prior(self) -> float:
         return 0.0
 

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from stages import records
+from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import Motion, Speeds
-from stages.avatar.model.human import Baked, load_avatar, pose_avatar
 from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize import Camera, Layer
 from stages.avatar.splats.gaussians import Splats
@@ -40,10 +41,12 @@ class Learned(NamedTuple):
         return self.effects.lit(scene, Stance(joints, parents, *(torch.as_tensor(part).to(joints) for part in pose)))
 
 
-def load_learned(avatar, scene, effects, device: str = "cpu") -> Learned:
-    """Tensors on `device` from `formats.splats.Avatar` and `Scene` (or None), and `formats.effects.Effects`."""
-    scene = None if scene is None else load_scene(scene, device)
-    return Learned(load_avatar(avatar, device), scene, load_effects(effects).to(device))
+def load_learned(
+    avatar: records.Avatar, scene: records.Scene | None, effects: records.Effects, device: str = "cpu"
+) -> Learned:
+    """Tensors on `device`; `scene` is None where only the person was trained."""
+    drawn = None if scene is None else load_scene(scene, device)
+    return Learned(load_avatar(avatar, device), drawn, load_effects(effects).to(device))
 
 
 def pose_of(clip, i: int) -> Pose:

@@ -8,16 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from stages import records
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.motion_blur import START, Exposed, exposed
 from stages.avatar.effects.rolling_shutter import rolled
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
 from stages.avatar.effects.speeds import Motion, moved
-from stages.avatar.model.human import Resting
+from stages.avatar.model.person import Resting
 from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
-from stages.training.transients import WARM_UP, Transients
 
 
 class FrameEffects(nn.Module):
@@ -25,7 +25,7 @@ class FrameEffects(nn.Module):
 
     `shadow`; `shutter` [1], the share of a moment for which the shutter is open (motion blur); `readout` [1], the share
     in which the picture is read from top to bottom (rolling shutter). Moments are those of the clip's frames. `clothing`
-    moves the person before they are posed; `transients` finds what of a picture is not to be learned.
+    moves the person before they are posed.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -34,7 +34,6 @@ class FrameEffects(nn.Module):
         self.shutter = None if shutter is None else nn.Parameter(torch.tensor([shutter]))
         self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
         self.clothing: Clothing | None = None
-        self.transients: Transients | None = None
 
     @classmethod
     def starting(
@@ -60,16 +59,6 @@ class FrameEffects(nn.Module):
     def dressed(self, person: Resting, body_pose: Tensor) -> Resting:
         """The person at rest, with what their clothes do in the pose [69]."""
         return person if self.clothing is None else self.clothing(person, body_pose)
-
-    def trusted(self, rendered: Tensor, drawn: Rendering | Exposed, image: Tensor, frame: int, done: float) -> Tensor:
-        """`rendered`[H,W,3], the person left out, with what passes by in `image`[H,W,3] taken for right.
-
-        `drawn` has the depth; `done` is the share of the phase's steps.
-        """
-        if self.transients is None or done < WARM_UP:
-            return rendered
-        passing = self.transients(rendered.detach(), drawn.depth.detach(), drawn.alpha.detach(), image, frame)
-        return torch.where(passing[..., None], image, rendered)
 
     def prior(self) -> Tensor | float:
         """What speaks against effects that no picture calls for, to be added to a step's loss."""
@@ -127,11 +116,11 @@ class FrameEffects(nn.Module):
         return found | ({} if self.shadow is None else self.shadow.known())
 
 
-def load_effects(arrays: Any) -> FrameEffects:
-    """The effects of a `formats.effects.Effects`, or of anything with its fields."""
+def load_effects(effects: records.Effects) -> FrameEffects:
+    """The effects that training found; nothing more to learn."""
     shadow = None
-    if arrays.light is not None:
-        numbers = arrays.darkness, arrays.softness, arrays.density, arrays.size
-        body = Casters(torch.as_tensor(arrays.middles), torch.as_tensor(arrays.covariances))
-        shadow = Shadow(torch.as_tensor(arrays.light).float(), body, *numbers)
-    return FrameEffects(shadow, arrays.shutter, arrays.readout).requires_grad_(False)
+    if effects.light is not None:
+        numbers = effects.darkness, effects.softness, effects.density, effects.size
+        body = Casters(torch.as_tensor(effects.middles), torch.as_tensor(effects.covariances))
+        shadow = Shadow(torch.as_tensor(effects.light).float(), body, *numbers)
+    return FrameEffects(shadow, effects.shutter, effects.readout).requires_grad_(False)

@@ -9,7 +9,8 @@ import pytest
 import torch
 import trimesh
 
-from stages.avatar.model.human import HumanModel, bone_transforms, pose, rest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose

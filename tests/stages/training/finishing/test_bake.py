@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import DA_POSE
-from stages.avatar.model.human import Canonical, bone_transforms, pose, rest
+from stages.avatar.model.person import Canonical, bone_transforms, pose, rest
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.neighbours import nearest
