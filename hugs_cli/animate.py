@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from stages.avatar.motion.placing import Placed, Soles
     from stages.avatar.motion.retarget import Performance
+    from stages.avatar.rasterize import Camera
     from stages.formats.clip import Clip
 
 UNSAID_FPS = 30.0  # of a motion file that does not say
@@ -60,11 +61,11 @@ def animate(
     soles = Soles(clip.body_model, clip.body.betas)
     placed = _placed(motion, fps, soles, clip.body_model.parents, say)
     count = len(placed.transl)
-    views, size = _views(clip, cameras, count)
+    views = _views(clip, cameras, count)
     stand, spot = _spot(clip, soles)
     pelvis = soles.joints[0]  # about which global_orient turns
     moves = (placed.global_orient, placed.body_pose, placed.transl + pelvis)
-    pictures = perform(learned, None if only == "human" else learned.scene, moves, stand, spot - pelvis, views, size)
+    pictures = perform(learned, None if only == "human" else learned.scene, moves, stand, spot - pelvis, views)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_video(out, _counted(pictures, count, progress), fps)
     return count
@@ -120,19 +121,20 @@ def _read(motion: Motion, soles: Soles, parents: np.ndarray) -> tuple[Performanc
     return performance, rate, [f"{len(found)} frames, {(len(found) - 1) / rate:.1f} s at {rate:.4g} fps", *notes]
 
 
-def _views(clip: Clip, cameras: Path | None, count: int) -> tuple[list[tuple[np.ndarray, np.ndarray]], tuple[int, int]]:
-    """A view (viewmat [4,4], K [3,3]) for each of `count` pictures, and their width and height."""
+def _views(clip: Clip, cameras: Path | None, count: int) -> list[Camera]:
+    """A camera for each of `count` pictures."""
+    from stages.avatar.rasterize import Camera
     from stages.formats.cameras import read_cameras
 
     if cameras is None:
         middle = len(clip.names) // 2
-        return [(clip.viewmats[middle], clip.Ks[middle])] * count, (clip.width, clip.height)
+        return [Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)] * count
     path = read_cameras(cameras)
     if len(path) not in (1, count):
         facts = [f"{len(path)} cameras in {cameras}", f"{count} pictures of the motion"]
         raise StageError("cameras and motion do not belong together", "give one camera, or one per picture", facts)
-    views = list(zip(path.viewmats, path.Ks, strict=True))
-    return views * count if len(views) == 1 else views, (path.width, path.height)
+    views = [Camera.of(*view, path.width, path.height) for view in zip(path.viewmats, path.Ks, strict=True)]
+    return views * count if len(views) == 1 else views
 
 
 def _spot(clip: Clip, soles: Soles) -> tuple[np.ndarray, np.ndarray]:

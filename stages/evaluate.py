@@ -134,7 +134,7 @@ class Shot:
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
         """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black."""
-        from stages.avatar.rasterize import Layer
+        from stages.avatar.rasterize import Camera, Layer
 
         rows, columns = box
         K = self.K.clone()
@@ -143,7 +143,7 @@ class Shot:
         size = columns.stop - columns.start, rows.stop - rows.start
         ground = self.gain.new_full((3,), float(white))
         (drawn,) = self.learned.effects.draw(
-            human, scene, self.motion, self.viewmat, K, *size, [Layer(background=ground)]
+            human, scene, self.motion, Camera(self.viewmat, K, *size), [Layer(background=ground)]
         )
         bare = (1 - drawn.alpha)[..., None] * ground
         return bare + self.gain * (drawn.image - bare)
@@ -171,8 +171,8 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     """The pose after `steps` of Adam on the absolute difference around the person, the best one seen; no Gaussian moves."""
     import torch
 
+    from stages.avatar.drawing.avatar import pose_avatar
     from stages.avatar.measures.metrics import over_white
-    from stages.avatar.model.human import pose_avatar
 
     if shot.box is None:
         return shot.pose

@@ -87,21 +87,23 @@ def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np
     import numpy as np
 
     from stages.avatar.drawing.draw import draw, motion_at, pose_of, to_uint8
+    from stages.avatar.rasterize import Camera
 
     for i in order:
         pose = pose_of(clip, i) if clip.shows_person(i) else None
         human = None if pose is None else learned.person(pose)
         scene, motion = learned.lit(learned.scene, pose), motion_at(learned, clip, i, human is not None)
-        view = (clip.viewmats[i], clip.Ks[i], (clip.width, clip.height))
-        drawn, _ = draw(human, scene, *view, 0.0 if learned.scene else 1.0, learned.effects, motion)
+        camera = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
+        drawn, _ = draw(human, scene, camera, 0.0 if learned.scene else 1.0, learned.effects, motion)
         yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)
 
 
 def _empty(clip: Clip, learned: Learned) -> Iterator[np.ndarray]:
     from stages.avatar.drawing.draw import draw, to_uint8
+    from stages.avatar.rasterize import Camera
 
     for viewmat, K in zip(clip.viewmats, clip.Ks, strict=True):
-        yield to_uint8(draw(None, learned.scene, viewmat, K, (clip.width, clip.height))[0])
+        yield to_uint8(draw(None, learned.scene, Camera.of(viewmat, K, clip.width, clip.height))[0])
 
 
 def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.ndarray]:
@@ -109,6 +111,7 @@ def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.nda
     import numpy as np
 
     from stages.avatar.drawing.draw import draw, to_uint8
+    from stages.avatar.rasterize import Camera
 
     stand = np.zeros(69)
     stand[list(A_POSE)] = list(A_POSE.values())
@@ -122,7 +125,7 @@ def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.nda
         view = np.eye(4)
         view[:3, :3] = np.diag([1.0, -1, -1]) @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
         view[:3, 3] = [0, 0, away] - view[:3, :3] @ ((low + high) / 2)
-        yield to_uint8(draw(human, None, view, K, (side, side), 1.0)[0])
+        yield to_uint8(draw(human, None, Camera.of(view, K, side, side), 1.0)[0])
 
 
 def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params) -> Iterator[np.ndarray]:
@@ -131,13 +134,14 @@ def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params
 
     from stages.avatar.drawing.draw import perform
     from stages.avatar.motion import formulas as motion
+    from stages.avatar.rasterize import Camera
 
     moves = tuple(t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
     middle = len(clip.names) // 2
     orient, _, transl = poses[clip.names[middle]]
     stand = motion.upright(np.stack([poses[name][0] for name in clip.names]), orient)
-    views = [(clip.viewmats[middle], clip.Ks[middle])] * len(moves[0])
-    yield from perform(learned, learned.scene, moves, stand, transl, views, (clip.width, clip.height))
+    camera = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
+    yield from perform(learned, learned.scene, moves, stand, transl, [camera] * len(moves[0]))
 
 
 def render_views(
@@ -158,6 +162,7 @@ def render_views(
     import numpy as np
 
     from stages.avatar.drawing.draw import draw, to_uint8
+    from stages.avatar.rasterize import Camera
     from stages.formats.cameras import read_cameras
     from stages.formats.images import write_image
     from stages.formats.poses import read_poses
@@ -182,7 +187,7 @@ def render_views(
     for i, name in enumerate(path.names):
         human = learned.person(chosen[i]) if only != "scene" else None
         scene = learned.lit(learned.scene, None if human is None else chosen[i]) if only != "human" else None
-        image, alpha = draw(human, scene, path.viewmats[i], path.Ks[i], (path.width, path.height))
+        image, alpha = draw(human, scene, Camera.of(path.viewmats[i], path.Ks[i], path.width, path.height))
         colour = image / np.maximum(alpha, 1 / 255)[..., None]
         write_image(out / f"{name}.png", to_uint8(np.concatenate([colour, alpha[..., None]], 2)))
     return len(path)

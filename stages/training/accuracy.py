@@ -8,7 +8,7 @@ import torch
 
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import person_crop, scores
-from stages.avatar.rasterize import Layer
+from stages.avatar.rasterize import Camera, Layer
 from stages.training.fit import Fit
 
 
@@ -29,13 +29,13 @@ def heldout_accuracy(fit: Fit, frames: list[int], lpips: Lpips | None = None) ->
             fit.effects.lit(scene, fit.stance(*body)),
             fit.motion(i, resting),
         )
-        size = mask.shape[1], mask.shape[0]
-        drawn = fit.effects.draw(human, lit, motion, viewmats[i], views.Ks[i], *size, [Layer()])[0].image
+        camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
+        drawn = fit.effects.draw(human, lit, motion, camera, [Layer()])[0].image
         drawn, crop = (drawn * gains[i]).clamp(0, 1), person_crop(mask)
         if scene is None:
             image = image * mask[..., None]
         whole, person = scores(drawn, image, lpips), scores(drawn[crop].contiguous(), image[crop].contiguous(), lpips)
         rows.append(whole | {f"{key}_person": value for key, value in person.items()})
     keys = [key + end for key in ("psnr", "ssim", "lpips") for end in ("", "_person")]
-    found = {key: [row[key] for row in rows if row[key] is not None] for key in keys}
+    found = {key: [value for row in rows if (value := row[key]) is not None] for key in keys}
     return {key: fmean(values) if values else None for key, values in found.items()}

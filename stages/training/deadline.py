@@ -128,7 +128,7 @@ def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
     before, half_until = copy.deepcopy(fit.state()), fit.half_until
     fit.half_until = late = min(half_until, LATE)  # a full step is timed even where training has none: films are full
     few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
-    fit.fill_up()
+    fit.densifier.fill_up(fit.adam)
     many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
     fit.load(before)
     fit.half_until, fit.clock.seconds = half_until, {}

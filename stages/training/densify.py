@@ -15,7 +15,7 @@ from stages.avatar.model.human import HumanModel
 from stages.avatar.model.scene import SceneModel
 from stages.training.finishing.bake import far_from_body
 from stages.training.person import PersonLearner
-from stages.training.schedule import HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Progress
+from stages.training.schedule import HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Progress
 from stages.training.settings import Params
 
 GROWN = 2e-4  # mean absolute gradient, in loss per half image side, from which a Gaussian is under-fitted
@@ -128,7 +128,7 @@ def grow_scene(
     for name in scene.ROWS:
         setattr(scene, name, _regrow(optimizer, getattr(scene, name), rows))
     with torch.no_grad():
-        scene.means += moved
+        scene.means.add_(moved)
         scene.log_scales[rows.child] -= math.log(SHRINK)
     growth.start(len(scene), scene.means.device)
     return rows
@@ -159,7 +159,7 @@ def grow_human(
     for name in human.ROWS:
         setattr(human, name, getattr(human, name)[rows.source])
     with torch.no_grad():
-        human.xyz += moved
+        human.xyz.add_(moved)
         human.homes[rows.fresh] = human.xyz[rows.fresh]
         human.log_sizes[rows.child] -= math.log(SHRINK)
         human.logits += thinned
@@ -208,7 +208,7 @@ class Densifier:
     """Adds and removes Gaussians on schedule, up to their caps, and says when the scene has its last ones.
 
     `statistics` are by set, "human" and "scene". `settled` [N], or None until then, are the Gaussians of the scene with
-    their last colours. `rounds` of growth are spread over the schedule, `extent` m is the scene's.
+    their last colours.
     """
 
     def __init__(
@@ -216,12 +216,11 @@ class Densifier:
         person: PersonLearner | None,
         scene: SceneModel | None,
         params: Params,
-        extent: float,
-        rounds: int,
+        options: Options,
         generator: torch.Generator,
     ):
-        self.person, self.scene, self.params, self.generator = person, scene, params, generator
-        self.extent, self.rounds = extent, rounds
+        self.person, self.scene, self.params, self.options = person, scene, params, options
+        self.generator = generator
         self.settled: Tensor | None = None
         self.statistics: dict[str, Growth] = {}
         if person is not None:
@@ -232,7 +231,7 @@ class Densifier:
     def grow(self, progress: Progress, adam: dict[str, Optimizer]) -> None:
         """Densify the sets that are due before the next step."""
         step, done, phase, group = progress.step, progress.done, progress.phase, self.params.views_per_decode
-        every = max(1, round(phase.whole * (SETTLE - SCENE_GROWTH[0]) / self.rounds))
+        every = max(1, round(phase.whole * (SETTLE - SCENE_GROWTH[0]) / self.options.growth_rounds))
         scene_grows = self.scene is not None and phase.scene
         if scene_grows and SCENE_GROWTH[0] <= done <= SCENE_GROWTH[1] and step % every == 0:
             self.grow_scene(adam, GROWN, progress.rounds_left(every))
@@ -245,7 +244,7 @@ class Densifier:
         """Densify the scene where the screen gradient is at least `grad`."""
         if self.scene is None:
             return
-        rules = Rules(grad, 0.01 * self.extent, 0.5 * self.extent, 0.3, 0.005, self.params.scene_cap)
+        rules = Rules(grad, 0.01 * self.options.extent, 0.5 * self.options.extent, 0.3, 0.005, self.params.scene_cap)
         grow_scene(self.scene, adam["scene"], self.statistics["scene"], rules, rounds_left, self.generator)
         self.settled = None
 

@@ -13,8 +13,10 @@ from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import Motion
 from stages.avatar.measures.lpips import Lpips
-from stages.avatar.model.human import HumanModel, Resting, bone_transforms, pose
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import Resting, bone_transforms, pose
 from stages.avatar.model.scene import SceneModel
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.training import losses
 from stages.training.clock import Clock
@@ -67,13 +69,12 @@ class Fit:
         self.order = torch.empty(0, dtype=torch.long)
         self.before: dict[str, Any] | None = None
         self.adam = self._optimizers()
-        growth = (params, options.extent, options.growth_rounds, generator)
-        self.densifier = Densifier(self.learner, scene, *growth)
+        self.densifier = Densifier(self.learner, scene, params, options, generator)
 
     @property
     def human(self) -> HumanModel | None:
         """The model of the person."""
-        return self.learner and self.learner.human
+        return None if self.learner is None else self.learner.human
 
     @property
     def person(self) -> PersonLearner:
@@ -173,7 +174,7 @@ class Fit:
         if not layers:
             return None
         motion, lit = self.motion(frame, resting), self.effects.lit(scene, stance)
-        pictures = self.effects.draw(person, lit, motion, viewmat, K, width, height, list(layers.values()))
+        pictures = self.effects.draw(person, lit, motion, Camera(viewmat, K, width, height), list(layers.values()))
         self.clock.lap("drawing")
         self.undrawn += pictures[0].dropped
         return DrawnFrame(frame, image, mask, gains, person, scene, layers, dict(zip(layers, pictures)))
@@ -188,15 +189,14 @@ class Fit:
             if self.params.human_loss or shot.person is None:
                 rendered = losses.outside_person(rendered, image, mask)
             if self.transients is not None:
-                rendered = self.transients.masked(rendered, drawn["all"], image, shot.frame, self.progress.done)
+                rendered = self.transients.replace(rendered, drawn["all"], image, shot.frame, self.progress.done)
             whole = losses.photometric(rendered, image)
             terms.append(whole)
             numbers["image"] = whole.item()
         if "person" in drawn:
             trust = self.person.body.confidence[shot.frame]  # a doubtful pose teaches little
             only, target = drawn["person"], shot.person_target()
-            background = target[2]
-            bare = (1 - only.alpha)[..., None] * background
+            bare = (1 - only.alpha)[..., None] * target[2]
             rendered = only.image if gains is None else bare + gains * (only.image - bare)
             if self.effects.blurs:
                 rendered = losses.unmixed(rendered, *target)
@@ -204,16 +204,14 @@ class Fit:
             terms.append(trust * apart)
             numbers["person"] = apart.item()
         if "occluders" in drawn:
-            window = shot.layers["occluders"].window
-            assert window is not None
-            left, top, right, bottom = window
-            terms.append(losses.OCCLUDERS * (drawn["occluders"].alpha * mask[top:bottom, left:right]).mean())
+            there = mask[shot.window("occluders")]
+            terms.append(losses.OCCLUDERS * (drawn["occluders"].alpha * there).mean())
         self.clock.lap("losses")
         if "person" in drawn and self.perceptual and self.progress.step % self.params.perceptual_every == 0:
-            window = losses.patch(target[1], losses.PATCH, self.generator)
-            patch = losses.over_background(*target)[window]
+            at = losses.random_patch(target[1], losses.PATCH, self.generator)
+            patch = losses.over_background(*target)[at]
             if min(patch.shape[:2]) >= self.perceptual.smallest:
-                terms.append(trust * losses.PERCEPTUAL * self.perceptual(rendered[window], patch))
+                terms.append(trust * losses.PERCEPTUAL * self.perceptual(rendered[at], patch))
             self.clock.lap("perceptual loss")
         return torch.as_tensor(sum([*terms, self.effects.prior()])), numbers
 
@@ -229,10 +227,8 @@ class Fit:
             self._apply("scene")
             self.scene.keep_movable()
         if shot.person is not None:
-            drawn = shot.drawn["all"]
-            if "person" in shot.drawn:
-                drawn = shot.drawn["person"]
-                height, width = shot.person_target()[1].shape
+            layer = "person" if "person" in shot.drawn else "all"
+            drawn, (height, width) = shot.drawn[layer], shot.mask[shot.window(layer)].shape
             statistics["human"].add(drawn.screen_grad_abs[:rows], drawn.radii[:rows], width, height)
         self._apply("frames")
         self._learn_effects()
@@ -255,20 +251,14 @@ class Fit:
                 self.effects.keep_possible()
             self.adam["effects"].zero_grad(set_to_none=True)
 
-    def fill_up(self) -> None:
-        """Bring every set that may grow to its cap at once, as it would be after densification."""
-        self.densifier.fill_up(self.adam)
-
     def _inpaint(self, scene: SceneModel) -> Tensor:
         """What the person hides or shades of the scene has its last colours; tells which Gaussians [N]."""
-        views = self.full._replace(viewmats=self.cameras())
-        return inpaint_occluded(scene, views, self.train, self._shadow_depth)
 
-    def _shadow_depth(self, frame: int) -> Tensor:
-        """How deep each Gaussian of the scene is in the person's shadow at a frame, see `FrameEffects.dark`."""
-        assert self.scene is not None
-        there = self._drawn_person(frame, self.full.masks[frame] / 255)
-        return self.effects.dark(self.scene.means.detach(), self.stance(*self.body(frame)) if there else None)
+        def shadow_depth(frame: int) -> Tensor:
+            there = self._drawn_person(frame, self.full.masks[frame] / 255)
+            return self.effects.dark(scene.means.detach(), self.stance(*self.body(frame)) if there else None)
+
+        return inpaint_occluded(scene, self.full._replace(viewmats=self.cameras()), self.train, shadow_depth)
 
     # ---- what there is at a frame ----
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stages.avatar.model.human import HumanModel, pose, rest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import pose, rest
 from stages.avatar.splats.neighbours import nearest
 from stages.training.views import NEAR, Person, Views
 

@@ -29,12 +29,16 @@ class DrawnFrame(NamedTuple):
     layers: dict[str, Layer]
     drawn: dict[str, Rendering | Exposed]
 
+    def window(self, name: str) -> tuple[slice, slice]:
+        """Rows and columns of the picture that a layer shows."""
+        window = self.layers[name].window
+        left, top, right, bottom = window or (0, 0, self.mask.shape[1], self.mask.shape[0])
+        return slice(top, bottom), slice(left, right)
+
     def person_target(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Image and mask in the window around the person, and the background[3] over which they were drawn alone."""
-        layer = self.layers["person"]
-        assert layer.window is not None and layer.background is not None
-        left, top, right, bottom = layer.window
-        return self.image[top:bottom, left:right], self.mask[top:bottom, left:right], layer.background
+        """Image, mask and background[3] of the layer of the person alone."""
+        crop, background = self.window("person"), self.layers["person"].background
+        return self.image[crop], self.mask[crop], self.mask.new_zeros(3) if background is None else background
 
 
 @torch.no_grad()

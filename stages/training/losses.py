@@ -87,7 +87,7 @@ def roughness(means: Tensor, near: Tensor, normals: Tensor) -> Tensor:
     return (out / ROUGH).square().mean()
 
 
-def patch(mask: Tensor, size: int, generator: torch.Generator) -> tuple[slice, slice]:
+def random_patch(mask: Tensor, size: int, generator: torch.Generator) -> tuple[slice, slice]:
     """Rows and columns of a window of size x size px around a random person pixel of mask[H,W], inside the picture.
 
     Anywhere when the mask is empty; smaller where the picture is (hard case G08).

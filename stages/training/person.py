@@ -10,7 +10,8 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from stages.avatar.body.skinning import knn_weights
-from stages.avatar.model.human import Canonical, HumanModel, Resting, rest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import Canonical, Resting, rest
 from stages.avatar.splats.neighbours import nearest
 from stages.training import losses
 from stages.training.finishing.bake import as_body_where_unseen

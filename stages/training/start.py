@@ -16,7 +16,8 @@ from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import DARKNESS, casters
 from stages.avatar.effects.sky import RADIUS, open_sky, shell
 from stages.avatar.measures.lpips import Lpips
-from stages.avatar.model.human import HumanModel, rest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import rest
 from stages.avatar.model.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
 from stages.avatar.motion.formulas import upright
 from stages.avatar.splats.neighbours import evenly

@@ -65,8 +65,8 @@ class Transients(nn.Module):
         self.shares[frame] = pixels.float().mean()
         return pixels
 
-    def masked(self, rendered: Tensor, drawn: Rendering | Exposed, image: Tensor, frame: int, done: float) -> Tensor:
-        """`rendered`[H,W,3], the person left out, with what passes by replaced by `image`[H,W,3]: it carries no gradient.
+    def replace(self, rendered: Tensor, drawn: Rendering | Exposed, image: Tensor, frame: int, done: float) -> Tensor:
+        """`rendered`[H,W,3], the person left out, with `image`[H,W,3] where something passes by: such pixels teach nothing.
 
         `drawn` has the depth; `done` is the share of the phase's steps.
         """

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.speeds import Speeds
-from stages.avatar.model.human import Resting, bone_transforms, pose
+from stages.avatar.model.person import Resting, bone_transforms, pose
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import evenly
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from tests.tools.mutants import copy_tree
 
-DRAWING, LANES = (f"stages/avatar/rasterize/{name}.py" for name in ("rendering", "lanes"))
+DRAWING, LANES = "stages/avatar/rasterize/rendering.py", "stages/avatar/kernels/lanes.py"
 EXP2 = "polynomial = (1.32647273e-03, 9.67151299e-03, 5.55073358e-02, 2.40222424e-01, 6.93147004e-01, 1.0)"
 SEXTIC = EXP2.replace(
     EXP2[EXP2.index("(") :],
@@ -68,7 +68,7 @@ CASES = {
 
 def small_errors() -> dict[str, float]:
     """What 600 Gaussians are off the float64 reference without early stop and cut: their picture, and their gradients."""
-    from stages.avatar.rasterize import Layer, cpu, reference
+    from stages.avatar.rasterize import Gaussians, Layer, cpu, reference
     from tests.benchmarks.rasterizer import distance
     from tests.benchmarks.workloads import random_work
 
@@ -77,14 +77,14 @@ def small_errors() -> dict[str, float]:
     def drawn(maker: Any, dtype: Any, layer: Layer) -> tuple[Any, list[Any]]:
         leaves = [part.detach().to(dtype).requires_grad_() for part in work.parts]
         means, quats, scales, opacities, colors = leaves
-        camera = (work.viewmat.to(dtype), work.K.to(dtype), work.width, work.height, (layer,), False, 0.01)
-        image = maker.rasterize(means, maker.gaussian_axes(quats, scales), opacities, colors, *camera)[0].image
+        gaussians = Gaussians(means, maker.gaussian_axes(quats, scales), opacities, colors)
+        image = maker.rasterize(gaussians, work.camera.to(means), (layer,))[0].image
         image.backward(work.v_image.to(dtype))
         return image.detach(), [leaf.grad for leaf in leaves]
 
-    image, slopes = drawn(cpu, work.viewmat.dtype, Layer())
+    image, slopes = drawn(cpu, work.camera.viewmat.dtype, Layer())
     reference.ALPHA_MIN = 1e-12
-    true, true_slopes = drawn(reference, work.viewmat.double().dtype, Layer(stop=0.0))
+    true, true_slopes = drawn(reference, work.camera.viewmat.double().dtype, Layer(stop=0.0))
     worst = max(distance(a.numpy(), b.numpy()) for a, b in zip(slopes, true_slopes, strict=True))
     return {"small": float((image - true).abs().max()), "slopes": worst}
 
@@ -136,11 +136,10 @@ def measured(folder: Path, picture: Path, settings: dict[str, Any], steps: int, 
 
     work = learned_work(folder)
     means, quats, scales, opacities, colors = (part.requires_grad_() for part in work.parts)
-    camera = (work.viewmat, work.K, work.width, work.height)
 
     def draw() -> torch.Tensor:
         axes = rasterize.gaussian_axes(quats, scales)
-        return rasterize.rasterize(means, axes, opacities, colors, *camera)[0].image
+        return rasterize.rasterize(rasterize.Gaussians(means, axes, opacities, colors), work.camera)[0].image
 
     np.save(picture, draw().detach().numpy())
     forward, backward = [], []

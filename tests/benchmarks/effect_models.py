@@ -25,6 +25,7 @@ import torch.nn.functional as F
 
 from stages import calibrated, masks, neuman, smpl, train
 from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.rasterize import Camera
 from stages.contract import Job
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import ClipEvidence
@@ -83,9 +84,10 @@ def inputs(place: Path, **made: Any) -> tuple[Path, Path]:
 class Averaged(FrameEffects):
     """No effects; pictures are drawn TIMES as large and averaged, as a lens does."""
 
-    def draw(self, human, scene, motion, viewmat, K, width, height, layers):
-        K = K * K.new_tensor([TIMES, TIMES, 1.0])[:, None]
-        drawn = super().draw(human, scene, motion, viewmat, K, TIMES * width, TIMES * height, layers)
+    def draw(self, human, scene, motion, camera, layers):
+        K = camera.K * camera.K.new_tensor([TIMES, TIMES, 1.0])[:, None]
+        large = Camera(camera.viewmat, K, TIMES * camera.width, TIMES * camera.height)
+        drawn = super().draw(human, scene, motion, large, layers)
         return [replace(one, image=smaller(one.image)) for one in drawn]
 
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from stages import train
-from stages.avatar.splats.compose import compose_layers
+from stages.avatar.splats.compose import compose
 from stages.contract import Job
 from stages.formats.clip import load_clip
 from stages.training.fit import Fit
@@ -37,16 +37,13 @@ class Nothing(torch.nn.Module):
         return person
 
     def draw(self, human: Any, scene: Any, motion: None, *view: Any) -> list:
-        return compose_layers(human, scene, *view)
+        return compose(human, scene, *view)
 
     def lit(self, scene: Any, stance: Any) -> Any:
         return scene
 
     def dark(self, points: Tensor, stance: Any) -> Tensor:
         return torch.zeros_like(points[:, 0])
-
-    def trusted(self, rendered: Tensor, *_: Any) -> Tensor:
-        return rendered
 
     def prior(self) -> float:
         return 0.0

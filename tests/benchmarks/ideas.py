@@ -25,7 +25,7 @@ import torch
 from stages import train
 from stages.avatar.effects import frames as frames_module
 from stages.avatar.measures.lpips import Lpips
-from stages.avatar.splats.compose import compose_layers
+from stages.avatar.splats.compose import compose
 from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
 from stages.training import densify, losses, optimizers, schedule
@@ -56,9 +56,9 @@ def redrawn(change) -> list:
 
     def draw(human, *rest):
         rows = 0 if human is None else len(human.means)
-        return [Changed(drawing, rows) for drawing in compose_layers(human, *rest)]
+        return [Changed(drawing, rows) for drawing in compose(human, *rest)]
 
-    return put(frames_module, compose_layers=draw)
+    return put(frames_module, compose=draw)
 
 
 def scene_by_others(drawing, rows):

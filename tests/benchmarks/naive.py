@@ -14,7 +14,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from stages.avatar.rasterize import reference
+from stages.avatar.rasterize import Camera, reference
 from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN, BLUR, FRUSTUM_MARGIN, T_STOP
 
 TILE = 16
@@ -26,10 +26,7 @@ class Workload(NamedTuple):
     """Gaussians (means [N,3], quats [N,4], scales [N,3], opacities [N], colors [N,3]), a camera, and dL/d image."""
 
     parts: tuple[Tensor, ...]
-    viewmat: Tensor
-    K: Tensor
-    width: int
-    height: int
+    camera: Camera
     v_image: Tensor
 
 
@@ -47,11 +44,11 @@ class Screen(NamedTuple):
 def covariances(work: Workload) -> tuple[Tensor, Tensor, Tensor]:
     """Depths [N], screen positions [N,2] px and covariances [N,3] (xx, xy, yy, blur included) in float64."""
     means, quats, scales = (part.double() for part in work.parts[:3])
-    view, K = work.viewmat.double(), work.K.double()
+    view, K = work.camera.viewmat.double(), work.camera.K.double()
     local = means @ view[:3, :3].T + view[:3, 3]
     turned = view[:3, :3] @ reference.gaussian_axes(quats, scales)
     z, focal, centre = local[:, 2], K.diagonal()[:2], K[:2, 2]
-    size = torch.tensor([work.width, work.height]).double()
+    size = torch.tensor([work.camera.width, work.camera.height]).double()
     at = local[:, :2] / z[:, None]
     margin = FRUSTUM_MARGIN * size
     towards = at.clamp((-centre - margin) / focal, (size - centre + margin) / focal)
@@ -68,13 +65,13 @@ def project(work: Workload, near: float = 0.01) -> Screen:
     conics = torch.stack([yy, -xy, xx], 1) / (xx * yy - xy * xy)[:, None]
     cut = 2 * (work.parts[3].double() / ALPHA_MIN).log()
     reach = (cut.clamp_min(0)[:, None] * spread[:, [0, 2]]).sqrt()
-    size = torch.tensor([work.width, work.height])
+    size = torch.tensor([work.camera.width, work.camera.height])
     seen = (z > near) & (cut >= 0) & (at + reach > 0).all(1) & (at - reach < size).all(1)
     order = z.float().argsort(stable=True)
     order = order[seen[order]].numpy()
     low, high = ((end / TILE).floor().nan_to_num(0, 0, 0).long() for end in (at - reach, at + reach))
     boxes = torch.cat([low.clamp_min(0), torch.minimum(high, (size - 1) // TILE)], 1).numpy()
-    lists = _tile_lists(order, boxes, -(-work.width // TILE), -(-work.height // TILE))
+    lists = _tile_lists(order, boxes, -(-work.camera.width // TILE), -(-work.camera.height // TILE))
     arrays = (at, conics, work.parts[3], work.parts[4])
     return Screen(*(a.detach().float().contiguous().numpy() for a in arrays), *lists)
 
@@ -173,8 +170,8 @@ class Naive:
     """The naive kernel on one workload."""
 
     def __init__(self, work: Workload, screen: Screen):
-        size, n = (work.height, work.width), len(screen.means2d)
-        self.inputs = (*screen, work.width, work.height)
+        size, n = (work.camera.height, work.camera.width), len(screen.means2d)
+        self.inputs = (*screen, work.camera.width, work.camera.height)
         self.v_image, self.threads = work.v_image.numpy(), torch.get_num_threads()
         self.image = np.empty((*size, 3), np.float32)
         self.finals, self.lasts, self.pairs = (np.empty(size, t) for t in (np.float32, np.int32, np.int32))

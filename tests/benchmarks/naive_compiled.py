@@ -31,7 +31,7 @@ class NaiveCompiled:
         torch._dynamo.reset()
         self.blend = torch.compile(blend, options={"cpp.threads": torch.get_num_threads()})
         self.leaves = [torch.from_numpy(part).clone().requires_grad_() for part in screen[:4]]
-        ys, xs = torch.meshgrid(torch.arange(work.height), torch.arange(work.width), indexing="ij")
+        ys, xs = torch.meshgrid(torch.arange(work.camera.height), torch.arange(work.camera.width), indexing="ij")
         pixels = torch.stack([xs, ys], -1).reshape(-1, 2) + 0.5
         self.more = covariances(work)[0].float().argsort(stable=True), pixels
         self.v_image = work.v_image

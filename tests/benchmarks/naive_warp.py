@@ -108,8 +108,8 @@ class NaiveWarp:
     def __init__(self, work: Workload, screen: Screen):
         types = (wp.vec2, wp.vec3, float, wp.vec3, int, int)
         arrays = [wp.array(a, dtype=t, device="cpu") for a, t in zip(screen, types, strict=True)]
-        self.size = (work.height, work.width)
-        self.inputs = [*arrays, -(-work.width // TILE)]
+        self.size = (work.camera.height, work.camera.width)
+        self.inputs = [*arrays, -(-work.camera.width // TILE)]
         self.image, self.finals, self.lasts = (
             wp.empty(self.size, dtype=t, device="cpu") for t in (wp.vec3, float, int)
         )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.measures.ssim import ssim_reference
-from stages.avatar.rasterize import Layer, cpu, reference
+from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, reference
 from stages.training import losses
 from stages.training.accuracy import judge
 from stages.training.fit import Fit
@@ -39,10 +39,9 @@ def drawn_in(dtype: torch.dtype) -> Callable[..., Any]:
     def cast(value: Any) -> Any:
         return value.to(dtype) if isinstance(value, Tensor) and value.is_floating_point() else value
 
-    def rasterize(*args: Any) -> Any:
-        *parts, layers, antialias, near = map(cast, args)
+    def rasterize(gaussians: Gaussians, camera: Camera, layers: Sequence[Layer], near: float) -> Any:
         layers = [layer._replace(background=cast(layer.background)) for layer in layers]
-        found = reference.rasterize(*parts, layers, antialias, near)
+        found = reference.rasterize(Gaussians(*map(cast, gaussians)), Camera(*map(cast, camera)), layers, near)
         return [replace(d, image=d.image.float(), alpha=d.alpha.float(), depth=d.depth.float()) for d in found]
 
     return rasterize
@@ -69,8 +68,8 @@ def fit_of(clip: Any, steps: int, seed: int) -> Fit:
 def picture(fit: Fit) -> Tensor:
     """The held-out frame as it is drawn now."""
     human, size = fit.posed(fit.baked()[1], *(part[HELD_OUT] for part in fit.bodies())), fit.full.masks.shape[:0:-1]
-    camera = fit.full.viewmats[HELD_OUT], fit.full.Ks[HELD_OUT]
-    return fit.effects.draw(human, fit.scene.splats(), None, *camera, *size, [Layer()])[0].image
+    camera = Camera(fit.full.viewmats[HELD_OUT], fit.full.Ks[HELD_OUT], *size)
+    return fit.effects.draw(human, fit.scene.splats(), None, camera, [Layer()])[0].image
 
 
 def trained(clip: Any, dtype: torch.dtype | None, steps: int, seed: int) -> tuple[Tensor, float, float]:

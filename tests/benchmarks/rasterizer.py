@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from stages.avatar import rasterize as ours
-from stages.avatar.rasterize import reference
+from stages.avatar.rasterize import Gaussians, reference
 from tests.benchmarks.host import all_threads, clock, fma_peak, machine, summary, use_threads
 from tests.benchmarks.naive import Naive, Workload, project
 from tests.benchmarks.naive_compiled import NaiveCompiled
@@ -49,13 +49,13 @@ class Torch:
 
     def __init__(self, work: Workload, draw, axes, dtype: torch.dtype = torch.float32):
         self.leaves = [part.to(dtype, copy=True).requires_grad_() for part in work.parts]
-        self.camera = (work.viewmat.to(dtype), work.K.to(dtype), work.width, work.height)
+        self.camera = work.camera.to(self.leaves[0])
         self.v_image, self.draw, self.axes = work.v_image.to(dtype), draw, axes
 
     def forward(self) -> np.ndarray:
         """The image [H,W,3]."""
         means, quats, scales, opacities, colors = self.leaves
-        (self.drawn,) = self.draw(means, self.axes(quats, scales), opacities, colors, *self.camera)
+        (self.drawn,) = self.draw(Gaussians(means, self.axes(quats, scales), opacities, colors), self.camera)
         return self.drawn.image.detach().numpy()
 
     def backward(self) -> None:
@@ -151,7 +151,7 @@ def line(name: str, row: dict) -> str:
 
 def rates(name: str, work: Workload, one: dict, many: dict, peaks: dict[int, float]) -> str:
     """One workload's throughput: pairs, speed-up by threads, pairs a second and the share of the measured peak."""
-    cells = f"{name:<16}{one['pairs'] / 1e6:>8.2f}{one['pairs'] / (work.width * work.height):>8.1f}"
+    cells = f"{name:<16}{one['pairs'] / 1e6:>8.2f}{one['pairs'] / (work.camera.width * work.camera.height):>8.1f}"
     for way in ("forward", "backward"):
         cells += f"{one['ms']['ours'][way]['median'] / many['ms']['ours'][way]['median']:>10.2f}"
     for row in (many, one):

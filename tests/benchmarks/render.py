@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.avatar.drawing.draw import draw
+from stages.avatar.rasterize import Camera
 from tests.benchmarks.host import all_threads, clock, machine, summary, use_threads
 from tests.benchmarks.workloads import finished
 
@@ -40,7 +41,7 @@ def measure(folder: Path, frames: int, device: str) -> list[dict]:
             def frame(i: int, scene=scene) -> None:
                 pose = poses[clip.names[i]]
                 lit = None if scene is None else learned.lit(scene, pose)
-                draw(learned.person(pose), lit, clip.viewmats[i], Ks[i], SIZE)
+                draw(learned.person(pose), lit, Camera.of(clip.viewmats[i], Ks[i], *SIZE))
 
             frame(0)
             count = len(learned.avatar.resting.means) + (len(scene.means) if scene else 0)

@@ -18,6 +18,7 @@ import torch
 
 from stages import train
 from stages.avatar.measures.metrics import person_crop, scores
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.formats.clip import load_clip
 from stages.training.fit import Fit
@@ -56,7 +57,8 @@ def scene_only(folder: Path) -> dict:
         splats, views, cameras = fit.scene.splats(), both.full, fit.cameras()
         for i in (i for i in range(len(clip.names)) if clip.heldout[i]):
             image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
-            drawn = compose(None, splats, cameras[i], views.Ks[i], *reversed(mask.shape)).image.clamp(0, 1)
+            camera = Camera(cameras[i], views.Ks[i], *reversed(mask.shape))
+            drawn = compose(None, splats, camera)[0].image.clamp(0, 1)
             for name, crop in (("full", ...), ("person_crop", person_crop(mask))):
                 if crop is not None:
                     score = scores(drawn[crop].contiguous(), image[crop].contiguous())

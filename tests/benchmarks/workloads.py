@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stages.avatar.body.rotations import quat_from_matrix
 from stages.avatar.drawing.draw import Learned, Pose, load_learned
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats, spacing
 from stages.formats.clip import Clip, load_clip
 from stages.formats.effects import read_effects
@@ -38,7 +39,7 @@ def random_work(count: int, width: int, height: int, layers: float, needles: boo
     parts = (torch.cat([means, depth[:, None]], 1), torch.randn(count, 4, generator=g), pixels, opacities)
     parts += (torch.rand(count, 3, generator=g),)
     K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    work = Workload(parts, torch.eye(4), K, width, height, torch.rand(height, width, 3, generator=g))
+    work = Workload(parts, Camera(torch.eye(4), K, width, height), torch.rand(height, width, 3, generator=g))
     low, high = 1e-3, 1e2
     for _ in range(20):
         middle = (low * high) ** 0.5
@@ -55,7 +56,7 @@ def _layers(work: Workload) -> float:
     """Mean number of Gaussians at a pixel, those hidden behind others included."""
     xx, xy, yy = covariances(work)[2].unbind(1)
     cut = 2 * (work.parts[3] / FAINTEST).log()
-    return (torch.pi * (xx * yy - xy * xy).sqrt() * cut).sum().item() / (work.width * work.height)
+    return (torch.pi * (xx * yy - xy * xy).sqrt() * cut).sum().item() / (work.camera.width * work.camera.height)
 
 
 def garden_works(path: Path, seed: int = 0) -> dict[str, Workload]:
@@ -71,7 +72,9 @@ def garden_works(path: Path, seed: int = 0) -> dict[str, Workload]:
     opacities = 0.5 + 0.4 * torch.rand(count, generator=g)
     parts = (means, torch.tensor([1.0, 0, 0, 0]).repeat(count, 1), scales, opacities, colors / 255)
     v_image = torch.rand(height, width, 3, generator=g)
-    return {f"garden {i}": Workload(parts, v, K, width, height, v_image) for i, (v, K) in enumerate(zip(views, Ks))}
+    return {
+        f"garden {i}": Workload(parts, Camera(v, K, width, height), v_image) for i, (v, K) in enumerate(zip(views, Ks))
+    }
 
 
 def surveyed(folder: Path) -> tuple[dict[str, bool], dict[str, list[float]]]:
@@ -100,7 +103,7 @@ def learned_work(folder: Path, seed: int = 0) -> Workload:
     sets = [s for s in (learned.person(poses[clip.names[frame]]), learned.scene) if s is not None]
     parts = [torch.cat(part) for part in zip(*(_parts(s, centre) for s in sets), strict=True)]
     v_image = torch.rand(clip.height, clip.width, 3, generator=torch.Generator().manual_seed(seed))
-    return Workload(tuple(parts), viewmat, K, clip.width, clip.height, v_image)
+    return Workload(tuple(parts), Camera(viewmat, K, clip.width, clip.height), v_image)
 
 
 def _parts(splats: Splats, centre: Tensor) -> tuple[Tensor, ...]:

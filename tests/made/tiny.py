@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from stages.avatar.body.smpl import DA_POSE, Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+from stages.avatar.rasterize import Camera
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.images import write_image, write_mask
@@ -116,8 +117,9 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     learned = load_learned(avatar, wall, Effects())
     for i, name in enumerate(NAMES):
         human = learned.person((poses.global_orient[i], poses.body_pose[i], poses.transl[i])) if i != EMPTY else None
-        image, _ = draw(human, learned.scene, viewmats[i], K, (WIDTH, HEIGHT))
-        mask = draw(human, None, viewmats[i], K, (WIDTH, HEIGHT))[1] if human else np.zeros((HEIGHT, WIDTH))
+        camera = Camera.of(viewmats[i], K, WIDTH, HEIGHT)
+        image, _ = draw(human, learned.scene, camera)
+        mask = draw(human, None, camera)[1] if human else np.zeros((HEIGHT, WIDTH))
         write_image(sfm / "images" / f"{name}.png", to_uint8(image))
         write_mask(sfm / "masks" / f"{name}.png", to_uint8(mask))
     write_facts(folders, scene)

@@ -14,9 +14,10 @@ import pytest
 import torch
 
 from stages import evaluate, render, train
+from stages.avatar.drawing.avatar import load_avatar, pose_avatar
 from stages.avatar.drawing.draw import Learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.model.human import Canonical, load_avatar, pose_avatar, rest
+from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize.rendering import T_STOP
 from stages.contract import Job, StageError, Stopped

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
+from stages import records
 from stages.avatar.body.rotations import matrix_from_rotvec
 
 DA_POSE = torch.zeros(69)
@@ -17,10 +16,10 @@ DA_POSE[2], DA_POSE[5] = 1.0, -1.0
 class Body(nn.Module):
     """Vertices and joints of an SMPL-format body from its shape and pose; metres, y up, all buffers, no parameters.
 
-    `model` has the fields of formats.body_model.BodyModel. Joints come from all vertices, whatever `vertices` is kept.
+    Joints come from all vertices, whatever `vertices` is kept.
     """
 
-    def __init__(self, model: Any, dtype: torch.dtype = torch.float32):
+    def __init__(self, model: records.BodyModel, dtype: torch.dtype = torch.float32):
         super().__init__()
         f64 = {
             name: torch.as_tensor(getattr(model, name)).to(torch.float64)

@@ -9,12 +9,13 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from stages import records
+from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import Motion, Speeds
-from stages.avatar.model.human import Baked, load_avatar, pose_avatar
 from stages.avatar.model.scene import load_scene
-from stages.avatar.rasterize import Layer
+from stages.avatar.rasterize import Camera, Layer
 from stages.avatar.splats.gaussians import Splats
 
 Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose [69] in rad, transl [3] in m
@@ -40,10 +41,12 @@ class Learned(NamedTuple):
         return self.effects.lit(scene, Stance(joints, parents, *(torch.as_tensor(part).to(joints) for part in pose)))
 
 
-def load_learned(avatar, scene, effects, device: str = "cpu") -> Learned:
-    """Tensors on `device` from `formats.splats.Avatar` and `Scene` (or None), and `formats.effects.Effects`."""
-    scene = None if scene is None else load_scene(scene, device)
-    return Learned(load_avatar(avatar, device), scene, load_effects(effects).to(device))
+def load_learned(
+    avatar: records.Avatar, scene: records.Scene | None, effects: records.Effects, device: str = "cpu"
+) -> Learned:
+    """Tensors on `device`; `scene` is None where only the person was trained."""
+    drawn = None if scene is None else load_scene(scene, device)
+    return Learned(load_avatar(avatar, device), drawn, load_effects(effects).to(device))
 
 
 def pose_of(clip, i: int) -> Pose:
@@ -63,23 +66,19 @@ def motion_at(learned: Learned, clip, i: int, shows_person: bool) -> Motion | No
 def draw(
     human: Splats | None,
     scene: Splats | None,
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    size: tuple[int, int],
+    camera: Camera,
     background: float = 0.0,
     effects: FrameEffects | None = None,
     motion: Motion | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours [H,W,3] over a grey `background` and coverage [H,W], float32.
 
-    viewmat [4,4] camera_from_world in metres, K [3,3] px, size (width, height) px. Sharp, and all at one moment, unless
-    the shutter of `effects` and a `motion` are given.
+    Sharp, and all at one moment, unless the shutter of `effects` and a `motion` are given.
     """
     like = (human or scene).means
-    view, intrinsics = (torch.as_tensor(m).to(like) for m in (viewmat, K))
     layer = Layer(background=torch.full((3,), background).to(like))
     with torch.no_grad():
-        (drawn,) = (effects or FrameEffects()).draw(human, scene, motion, view, intrinsics, *size, [layer])
+        (drawn,) = (effects or FrameEffects()).draw(human, scene, motion, camera.to(like), [layer])
     return drawn.image.cpu().numpy(), drawn.alpha.cpu().numpy()
 
 
@@ -89,18 +88,17 @@ def perform(
     moves: tuple[np.ndarray, np.ndarray, np.ndarray],
     stand: np.ndarray,
     transl: np.ndarray,
-    views: Iterable[tuple[np.ndarray, np.ndarray]],
-    size: tuple[int, int],
+    cameras: Iterable[Camera],
 ) -> Iterator[np.ndarray]:
     """Pictures of the person going through `moves`: global_orient, body_pose and steps, y up and z ahead.
 
-    `stand` [3,3] takes their frame to the world, where steps [F,3] m are added to `transl` [3]; one view a move.
+    `stand` [3,3] takes their frame to the world, where steps [F,3] m are added to `transl` [3]; one camera a move.
     """
-    for turn, pose, step, view in zip(*moves, views, strict=True):
+    for turn, pose, step, camera in zip(*moves, cameras, strict=True):
         turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
         there = turned, pose, transl + stand @ step
         human = learned.person(there)
-        yield to_uint8(draw(human, learned.lit(scene, there), *view, size, background=0.0 if scene else 1.0)[0])
+        yield to_uint8(draw(human, learned.lit(scene, there), camera, background=0.0 if scene else 1.0)[0])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

@@ -7,15 +7,12 @@ it is skinned. So posing stays linear algebra. SMPL's pose blend shapes (https:/
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor, nn
 
+from stages import records
+from stages.avatar.model.person import Resting
 from stages.avatar.splats.neighbours import spread_out
-
-if TYPE_CHECKING:
-    from stages.avatar.model.human import Resting
 
 NODES = 160  # about 0.1 m apart on a body
 REACH = 0.07  # m: the width of a node's bell
@@ -51,12 +48,10 @@ class Clothing(nn.Module):
         return cls(nodes, mean, axes, features.amin(0), features.amax(0), offsets)
 
     @classmethod
-    def of(cls, arrays) -> Clothing:
-        """From trained arrays (`formats.clothes.Clothes` or anything with its fields), float32; nothing more to learn."""
-        names = ("nodes", "mean", "axes", "low", "high", "offsets")
-        return cls(*(torch.as_tensor(getattr(arrays, name), dtype=torch.float32) for name in names)).requires_grad_(
-            False
-        )
+    def of(cls, clothes: records.Clothes) -> Clothing:
+        """Trained clothes, float32; nothing more to learn."""
+        arrays = (clothes.nodes, clothes.mean, clothes.axes, clothes.low, clothes.high, clothes.offsets)
+        return cls(*(torch.as_tensor(array, dtype=torch.float32) for array in arrays)).requires_grad_(False)
 
     def features(self, body_pose: Tensor) -> Tensor:
         """Features [K] of a pose [69] in rad, within those of the training poses."""

@@ -8,14 +8,15 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from stages import records
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.motion_blur import START, Exposed, exposed
 from stages.avatar.effects.rolling_shutter import rolled
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
 from stages.avatar.effects.speeds import Motion, moved
-from stages.avatar.model.human import Resting
-from stages.avatar.rasterize import Layer, Rendering
-from stages.avatar.splats.compose import compose_layers
+from stages.avatar.model.person import Resting
+from stages.avatar.rasterize import Camera, Layer, Rendering
+from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 
 
@@ -81,20 +82,17 @@ class FrameEffects(nn.Module):
         human: Splats | None,
         scene: Splats | None,
         motion: Motion | None,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
+        camera: Camera,
         layers: Sequence[Layer],
     ) -> list[Rendering] | list[Exposed]:
-        """As `compose_layers`, over the time that the shutter takes; without a `motion` at one moment."""
+        """As `compose`, over the time that the shutter takes; without a `motion` at one moment."""
 
         def at(time: Tensor) -> list[Rendering]:
-            sets = (None if s is None else self._at(s, own, motion, time, viewmat) for s, own in both)
-            return compose_layers(*sets, viewmat, K, width, height, layers)
+            person, rest = (None if s is None else self._at(s, own, motion, time, camera.viewmat) for s, own in both)
+            return compose(person, rest, camera, layers)
 
         if motion is None or not self.takes_time:
-            return compose_layers(human, scene, viewmat, K, width, height, layers)
+            return compose(human, scene, camera, layers)
         both = ((human, motion.person), (scene, None))
         return exposed(at, self.shutter) if self.blurs else at(motion.field.new_zeros(1))
 
@@ -118,11 +116,11 @@ class FrameEffects(nn.Module):
         return found | ({} if self.shadow is None else self.shadow.known())
 
 
-def load_effects(arrays: Any) -> FrameEffects:
-    """The effects of a `formats.effects.Effects`, or of anything with its fields."""
+def load_effects(effects: records.Effects) -> FrameEffects:
+    """The effects that training found; nothing more to learn."""
     shadow = None
-    if arrays.light is not None:
-        numbers = arrays.darkness, arrays.softness, arrays.density, arrays.size
-        body = Casters(torch.as_tensor(arrays.middles), torch.as_tensor(arrays.covariances))
-        shadow = Shadow(torch.as_tensor(arrays.light).float(), body, *numbers)
-    return FrameEffects(shadow, arrays.shutter, arrays.readout).requires_grad_(False)
+    if effects.light is not None:
+        numbers = effects.darkness, effects.softness, effects.density, effects.size
+        body = Casters(torch.as_tensor(effects.middles), torch.as_tensor(effects.covariances))
+        shadow = Shadow(torch.as_tensor(effects.light).float(), body, *numbers)
+    return FrameEffects(shadow, effects.shutter, effects.readout).requires_grad_(False)

@@ -6,10 +6,9 @@ import torch
 from torch import Tensor
 
 from stages.avatar.effects.speeds import moved
-from stages.avatar.rasterize.rendering import FRUSTUM_MARGIN
+from stages.avatar.rasterize.rendering import FRUSTUM_MARGIN, NEAR
 from stages.avatar.splats.gaussians import Splats
 
-NEAREST = 0.01  # m: the rasterizer draws nothing nearer
 RUSH = 0.5  # how far the motion itself may change the time at which a point's row is read
 
 
@@ -33,7 +32,7 @@ def rolled(
     """
     rotation = viewmat[:3, :3]
     local = splats.means @ rotation.T + viewmat[:3, 3]
-    ahead = local[:, 2] > NEAREST
+    ahead = local[:, 2] > NEAR
     z = torch.where(ahead, local[:, 2], 1.0)
     tall = local[:, 1] / z
     row = (K[1, 1] * tall + K[1, 2]) / height  # 0 at the top of the picture, 1 at its bottom

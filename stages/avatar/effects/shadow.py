@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.body.rotations import rotation_z_to
-from stages.avatar.model.human import bone_transforms
+from stages.avatar.model.person import bone_transforms
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import SH_C0
 

@@ -1,20 +1,17 @@
-"""The person: Gaussians in a canonical pose, decoded from a triplane, moved by learned skinning (HUGS section 3)."""
+"""The trainable person: Gaussians in the canonical pose, decoded from a triplane (HUGS, section 3)."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.body.rotations import matrix_from_6d, matrix_from_quat, matrix_from_rotvec, rotation_z_to
-from stages.avatar.body.skinning import skin
-from stages.avatar.body.smpl import edge_lengths, rest_relative_transforms, subdivide, vertex_normals
-from stages.avatar.effects.clothing import Clothing
+from stages.avatar.body.rotations import matrix_from_6d, rotation_z_to
+from stages.avatar.body.smpl import edge_lengths, subdivide, vertex_normals
 from stages.avatar.model.decoders import TEMPERATURE, Decoders, OwnCorrections
+from stages.avatar.model.person import Canonical
 from stages.avatar.model.triplane import Triplane
-from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import bases
 
 MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
@@ -23,100 +20,6 @@ WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that 
 DEFECT = 0.5  # sum of absolute differences; kitchen draft: 2 % go, the specks around him with them, +0.2 dB over white
 OFFSET = 0.05  # metres; a usual thickness of clothes
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
-
-
-class Canonical(NamedTuple):
-    """The person at the da-pose: means[N,3] m, frames[N,3,3], scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
-
-    means: Tensor
-    frames: Tensor
-    scales: Tensor
-    opacities: Tensor
-    sh: Tensor
-    weights: Tensor
-
-
-class Resting(NamedTuple):
-    """The same person in the rest pose of the skeleton, from which every pose starts.
-
-    means[N,3] m, axes[N,3,3] scaled axes as columns, opacities[N], sh[N,K,3], weights[N,J], turns[N,3,3] from the
-    canonical frame, in which colour is stored.
-    """
-
-    means: Tensor
-    axes: Tensor
-    opacities: Tensor
-    sh: Tensor
-    weights: Tensor
-    turns: Tensor
-
-
-def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, body_pose: Tensor) -> Tensor:
-    """Transforms [J,4,4] of each bone from the rest pose to (global_orient[3], body_pose[69]), axis-angle, metres."""
-    rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose]).unflatten(-1, (-1, 3)))
-    return rest_relative_transforms(joints, rotations, parents)
-
-
-def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
-    """Take the person back to the rest pose: the inverse of the blend of `canonical_bones`[J,4,4] (rest to canonical).
-
-    HUGS blends products of bone transforms, which shrinks the hips by 23 % at half weights; with the inverse of the
-    blend the untrained model is exactly SMPL in every pose. The da-pose blends at most +-1 rad about z, so no blend
-    has a determinant under 0.29.
-    """
-    blend = (person.weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
-    turns = _inverse(blend[..., :3])
-    means = (turns @ (person.means - blend[..., 3])[..., None])[..., 0]
-    axes = turns @ (person.frames * person.scales[:, None, :])
-    return Resting(means, axes, person.opacities, person.sh, person.weights, turns)
-
-
-def _inverse(matrices: Tensor) -> Tensor:
-    a, b, c = matrices.unbind(-1)
-    rows = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], -2)
-    return rows / (a * rows[..., 0, :]).sum(-1)[..., None, None]
-
-
-def pose(person: Resting, bones: Tensor, transl: Tensor) -> Splats:
-    """Move the person by `bones`[J,4,4] (rest to posed) and `transl`[3] m into the world; covariances follow.
-
-    The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9).
-    """
-    means, blend = skin(person.means, person.weights, bones)
-    turns = blend @ person.turns if person.sh.shape[1] > 1 else None
-    return Splats(means + transl, blend @ person.axes, person.opacities, person.sh, turns)
-
-
-class Baked(NamedTuple):
-    """A trained person without any network: the Gaussians at rest and the skeleton, and how clothes leave the body."""
-
-    resting: Resting
-    joints: Tensor
-    parents: list[int]
-    antialias: bool = False
-    clothing: Clothing | None = None
-
-
-def load_avatar(arrays, device: str | torch.device = "cpu") -> Baked:
-    """Tensors of an avatar's arrays (`formats.splats.Avatar` or anything with its fields), float32 on `device`."""
-
-    def to(name: str) -> Tensor:
-        return torch.as_tensor(getattr(arrays, name), dtype=torch.float32, device=device)
-
-    sh = torch.cat([to("sh0")[:, None], to("shN")], 1)
-    frames = matrix_from_quat(to("quats"))
-    person = Canonical(to("means"), frames, to("scales"), to("opacities"), sh, to("lbs_weights"))
-    joints, parents = to("joints"), [int(p) for p in arrays.parents]
-    bones = bone_transforms(joints, parents, torch.zeros(3, device=device), to("canonical_pose"))
-    clothing = None if arrays.clothes is None else Clothing.of(arrays.clothes).to(joints)
-    return Baked(rest(person, bones), joints, parents, arrays.antialias, clothing)
-
-
-def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
-    """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
-    bones = bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose)
-    resting = avatar.resting if avatar.clothing is None else avatar.clothing(avatar.resting, body_pose)
-    return pose(resting, bones, transl)._replace(antialias=avatar.antialias)
 
 
 class HumanModel(nn.Module):

@@ -10,6 +10,7 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
+from stages import records
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.splats.gaussians import Splats, spacing
 from stages.avatar.splats.neighbours import nearest
@@ -161,11 +162,11 @@ class SceneModel(nn.Module):
         return Splats(self.means, axes, self.logit_opacities.sigmoid(), sh, antialias=self.antialias)
 
 
-def load_scene(arrays, device: str | torch.device = "cpu") -> Splats:
-    """A trained scene as drawn, from `formats.splats.Scene` or anything with its fields, float32 on `device`."""
+def load_scene(scene: records.Scene, device: str | torch.device = "cpu") -> Splats:
+    """A trained scene as drawn, float32 on `device`."""
     means, quats, scales, opacities, sh0, shN = (
-        torch.as_tensor(getattr(arrays, name), dtype=torch.float32, device=device)
-        for name in ("means", "quats", "scales", "opacities", "sh0", "shN")
+        torch.as_tensor(array, dtype=torch.float32, device=device)
+        for array in (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0, scene.shN)
     )
     sh = torch.cat([sh0[:, None], shN], 1)
-    return Splats(means, gaussian_axes(quats, scales), opacities, sh, antialias=arrays.antialias)
+    return Splats(means, gaussian_axes(quats, scales), opacities, sh, antialias=scene.antialias)

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from stages.avatar.rasterize import cpu, cuda, reference
-from stages.avatar.rasterize.rendering import Layer, Rendering
+from stages.avatar.rasterize.rendering import NEAR, Camera, Gaussians, Layer, Rendering
 
-__all__ = ["Layer", "Rendering", "gaussian_axes", "rasterize"]
+__all__ = ["Camera", "Gaussians", "Layer", "Rendering", "gaussian_axes", "rasterize"]
 
 
 def _fast(like: Tensor) -> bool:
@@ -23,27 +23,15 @@ def gaussian_axes(quats: Tensor, scales: Tensor) -> Tensor:
 
 
 def rasterize(
-    means: Tensor,
-    axes: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    layers: Sequence[Layer] = (Layer(),),
-    antialias: bool = False,
-    near: float = 0.01,
+    gaussians: Gaussians, camera: Camera, layers: Sequence[Layer] = (Layer(),), near: float = NEAR
 ) -> list[Rendering]:
     """Draw N Gaussians, nearest first, once for each layer (3DGS, Kerbl et al. 2023; thresholds of gsplat 1.5).
 
-    means[N,3] m; axes[N,3,3], whose columns are the scaled axes: the covariance is axes axes^T, so a Gaussian moved by
-    any linear blend needs no polar decomposition; opacities[N] in 0..1; colors[N,3]; viewmat[4,4] camera_from_world
-    with OpenCV axes; K[3,3] px, the first pixel centre at (0.5, 0.5). With `antialias` the screen blur is about a pixel
-    wide and lowers opacity as it widens a Gaussian (Yu et al. 2024). Gaussians nearer than `near` m are not drawn. At
-    most LAYERS of them; projection and depth order are theirs together, and gradients add up.
-    Differentiable in means, axes, opacities, colors, viewmat and backgrounds. A row that is not finite is left out and
-    counted. Float32 goes to the fast kernel of its device (Numba on a CPU, gsplat on a GPU), float64 to the reference.
+    Gaussians nearer than `near` m are not drawn. There are at most LAYERS layers: they share projection and depth order,
+    and their gradients add up. Differentiable in means, axes, opacities, colors, viewmat and backgrounds. A row that is
+    not finite is left out and counted. Float32 goes to the fast kernel of its device (Numba on a CPU, gsplat on a GPU),
+    float64 to the reference.
     """
+    means = gaussians.means
     maker = {"cpu": cpu, "cuda": cuda}.get(means.device.type, reference) if means.dtype == torch.float32 else reference
-    return maker.rasterize(means, axes, opacities, colors, viewmat, K, width, height, layers, antialias, near)
+    return maker.rasterize(gaussians, camera, layers, near)

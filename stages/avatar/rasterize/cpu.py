@@ -10,7 +10,7 @@ from torch import Tensor
 
 from stages.avatar.rasterize import blend
 from stages.avatar.rasterize import projection as kernels
-from stages.avatar.rasterize.rendering import LAYERS, Layer, Rendering
+from stages.avatar.rasterize.rendering import LAYERS, NEAR, Camera, Gaussians, Layer, Rendering
 from stages.avatar.rasterize.tiles import tile_lists
 
 CHUNKS = 16  # ranges of rows in passes over Gaussians: fixed, so that results do not depend on the thread count
@@ -28,11 +28,14 @@ def _rows(n: int) -> np.ndarray:
 
 
 class _Rasterize(torch.autograd.Function):
-    """Inputs end in the layers' backgrounds; outputs are image, alpha and depth of each layer in turn."""
+    """Inputs end in the layers' backgrounds; outputs are image, alpha and depth of each layer in turn.
+
+    `viewmat` is that of `camera`, once more for its gradient.
+    """
 
     @staticmethod
-    def forward(ctx, means, axes, opacities, colors, viewmat, K, size, layers, antialias, near, extras, *backgrounds):
-        width, height = size
+    def forward(ctx, means, axes, opacities, colors, viewmat, camera, layers, antialias, near, extras, *backgrounds):
+        _, K, width, height = camera
         arrays = [_array(t) for t in (means, axes, opacities, colors)]
         view, intrinsics = _array(viewmat, np.float64), _array(K, np.float64)
         n, threads = len(means), torch.get_num_threads()
@@ -76,7 +79,7 @@ class _Rasterize(torch.autograd.Function):
                 shapes = ((*alpha.shape, 3), alpha.shape, alpha.shape)
                 arrays = [np.zeros(s, np.float32) if v is None else _array(v) for s, v in zip(shapes, arrived)]
                 blend.draw_backward(*place, finals, stops, *arrays, number, sums)
-                if ctx.needs_input_grad[11 + number]:
+                if ctx.needs_input_grad[10 + number]:
                     light = np.einsum("hw,hwc->c", 1 - alpha, arrays[0], dtype=np.float64)
                     d_background = torch.from_numpy(light.astype(np.float32))
             d_backgrounds.append(d_background)
@@ -86,21 +89,11 @@ class _Rasterize(torch.autograd.Function):
         camera = ctx.needs_input_grad[4]
         d_view = kernels.project_backward(*parts, CHUNKS, radii, sums, camera, (*grads, *screen))
         grads = [torch.from_numpy(g) for g in (*grads, d_view.astype(np.float32))]
-        return (*grads, *[None] * 6, *d_backgrounds)
+        return (*grads, *[None] * 5, *d_backgrounds)
 
 
 def rasterize(
-    means: Tensor,
-    axes: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    layers: Sequence[Layer] = (Layer(),),
-    antialias: bool = False,
-    near: float = 0.01,
+    gaussians: Gaussians, camera: Camera, layers: Sequence[Layer] = (Layer(),), near: float = NEAR
 ) -> list[Rendering]:
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; float32 tensors on the CPU.
 
@@ -110,9 +103,8 @@ def rasterize(
         raise ValueError(f"{len(layers)} layers, a row of gradients has room for {LAYERS}")
     extras: dict = {}
     grounds = [layer.background for layer in layers]
-    pictures = _Rasterize.apply(
-        means, axes, opacities, colors, viewmat, K, (width, height), layers, antialias, near, extras, *grounds
-    )
+    *parts, antialias = gaussians
+    pictures = _Rasterize.apply(*parts, camera.viewmat, camera, layers, antialias, near, extras, *grounds)
     drawn = []
     for number, layer in enumerate(layers):
         radii = extras["radii"] if layer.rows is None else torch.where(layer.rows, extras["radii"], 0)

@@ -7,21 +7,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize.rendering import BLUR, PIXEL, T_STOP, Layer, Rendering
+from stages.avatar.rasterize.rendering import BLUR, NEAR, PIXEL, T_STOP, Camera, Gaussians, Layer, Rendering
 
 
 def rasterize(
-    means: Tensor,
-    axes: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    layers: Sequence[Layer] = (Layer(),),
-    antialias: bool = False,
-    near: float = 0.01,
+    gaussians: Gaussians, camera: Camera, layers: Sequence[Layer] = (Layer(),), near: float = NEAR
 ) -> list[Rendering]:
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; float32 tensors on one GPU.
 
@@ -31,32 +21,21 @@ def rasterize(
     """
     if other := [layer.stop for layer in layers if layer.stop != T_STOP]:
         raise ValueError(f"gsplat ends pixels at {T_STOP:g} of the light, not at {other[0]:g}")
-    grad = torch.zeros(len(means), 2, device=means.device)
-    parts = (means, axes, opacities, colors, viewmat, K)
-    return [_draw(*parts, layer, layer.window or (0, 0, width, height), antialias, near, grad) for layer in layers]
+    grad = torch.zeros(len(gaussians.means), 2, device=gaussians.means.device)
+    return [_draw(gaussians, camera, layer, near, grad) for layer in layers]
 
 
-def _draw(
-    means: Tensor,
-    axes: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    layer: Layer,
-    window: tuple[int, int, int, int],
-    antialias: bool,
-    near: float,
-    grad: Tensor,
-) -> Rendering:
+def _draw(gaussians: Gaussians, camera: Camera, layer: Layer, near: float, grad: Tensor) -> Rendering:
     from gsplat import rasterization
 
-    parts = (means, axes, opacities, colors)
+    *parts, antialias = gaussians
+    means, axes, opacities, colors = parts
+    viewmat, K, width, height = camera
     finite = torch.stack([part.detach().isfinite()[:, None].flatten(1).all(1) for part in parts]).all(0)
     rows = (finite if layer.rows is None else finite & layer.rows).nonzero()[:, 0]
     if len(rows) < len(means):  # one NaN would spread over whole tiles
         means, axes, opacities, colors = (part[rows] for part in parts)
-    left, top, right, bottom = window
+    left, top, right, bottom = layer.window or (0, 0, width, height)
     K = K - torch.tensor([[0, 0, left], [0, 0, top], [0, 0, 0]]).to(K)
     picture, alpha, extras = rasterization(
         means=means,

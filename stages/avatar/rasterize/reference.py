@@ -13,7 +13,10 @@ from stages.avatar.rasterize.rendering import (
     BLUR,
     COMPENSATION_MIN,
     FRUSTUM_MARGIN,
+    NEAR,
     PIXEL,
+    Camera,
+    Gaussians,
     Layer,
     Rendering,
 )
@@ -36,45 +39,23 @@ def gaussian_axes(quats: Tensor, scales: Tensor) -> Tensor:
 
 
 def rasterize(
-    means: Tensor,
-    axes: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    layers: Sequence[Layer] = (Layer(),),
-    antialias: bool = False,
-    near: float = 0.01,
+    gaussians: Gaussians, camera: Camera, layers: Sequence[Layer] = (Layer(),), near: float = NEAR
 ) -> list[Rendering]:
     """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; differentiable in all tensors, also twice."""
+    means = gaussians.means
     grad = torch.zeros(len(means), 2, dtype=means.dtype, device=means.device)
-    parts = (means, axes, opacities, colors, viewmat, K, width, height)
-    return [_draw(*parts, layer, antialias, near, grad) for layer in layers]
+    return [_draw(gaussians, camera, layer, near, grad) for layer in layers]
 
 
-def _draw(
-    means: Tensor,
-    axes: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    layer: Layer,
-    antialias: bool,
-    near: float,
-    grad: Tensor,
-) -> Rendering:
+def _draw(gaussians: Gaussians, camera: Camera, layer: Layer, near: float, grad: Tensor) -> Rendering:
+    means, axes, opacities, colors, antialias = gaussians
+    viewmat, K, width, height = camera
     n = len(means)
-    rows = (means, axes, opacities, colors)
-    finite = torch.stack([part.detach().isfinite()[:, None].flatten(1).all(1) for part in rows]).all(0)
+    finite = torch.stack([part.detach().isfinite()[:, None].flatten(1).all(1) for part in gaussians[:4]]).all(0)
     with torch.no_grad():
         z = means @ viewmat[2, :3] + viewmat[2, 3]
-        rows = finite & (z > near) if layer.rows is None else finite & (z > near) & layer.rows
-        rows = rows.nonzero()[:, 0]
+        kept = finite & (z > near) if layer.rows is None else finite & (z > near) & layer.rows
+        rows = kept.nonzero()[:, 0]
         rows = rows[z[rows].argsort(stable=True)]
     local = means[rows] @ viewmat[:3, :3].T + viewmat[:3, 3]
     means2d, a, b = _project(local, viewmat[:3, :3] @ axes[rows], K, width, height)

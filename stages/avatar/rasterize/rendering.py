@@ -1,10 +1,12 @@
-"""What a rasterizer returns, and the numbers on which all of them agree."""
+"""What a rasterizer takes and returns, and the numbers on which all of them agree."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+import torch
 from torch import Tensor
 
 BLUR = 0.3
@@ -19,12 +21,49 @@ T_STOP = 1e-4
 """A pixel is finished when less light than this would pass; the Gaussian that would end it is not drawn (gsplat)."""
 COMPENSATION_MIN = 0.005
 """Floor of the antialiasing factor sqrt(det0/det), whose slope is infinite at 0 (gsplat)."""
+NEAR = 0.01
+"""m: the rasterizer draws nothing nearer to the camera, unless it is told another distance."""
 FRUSTUM_MARGIN = 0.15
 """Share of the picture's size beyond its border at which the Jacobian's view direction is clamped (hard case A08)."""
 
 
 LAYERS = 3
 """Pictures that one call can draw."""
+
+
+class Gaussians(NamedTuple):
+    """N Gaussians with the colours that one camera sees, in the world, in metres.
+
+    means[N,3]; axes[N,3,3], the scaled axes as columns: the covariance is axes axes^T, so a Gaussian moved by any linear
+    blend needs no polar decomposition; opacities[N] in 0..1; colors[N,3]. With `antialias` the screen blur is about a pixel
+    wide and lowers opacity as it widens a Gaussian (Mip-Splatting, Yu et al. 2024).
+    """
+
+    means: Tensor
+    axes: Tensor
+    opacities: Tensor
+    colors: Tensor
+    antialias: bool = False
+
+
+class Camera(NamedTuple):
+    """A pinhole camera: viewmat[4,4] camera_from_world in metres with OpenCV axes (x right, y down, z forward), K[3,3] px,
+    the centre of the first pixel at (0.5, 0.5), and the size of its picture in px.
+    """
+
+    viewmat: Tensor
+    K: Tensor
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> Camera:
+        """The camera of arrays, in their precision."""
+        return cls(torch.as_tensor(viewmat), torch.as_tensor(K), width, height)
+
+    def to(self, like: Tensor) -> Camera:
+        """The same camera in the precision and on the device of `like`."""
+        return self._replace(viewmat=self.viewmat.to(like), K=self.K.to(like))
 
 
 class Layer(NamedTuple):

@@ -7,26 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize import Layer, Rendering, rasterize
+from stages.avatar.rasterize import Camera, Gaussians, Layer, Rendering, rasterize
 from stages.avatar.splats.gaussians import Splats
-
-
-def compose(
-    human: Splats | None,
-    scene: Splats | None,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    background: Tensor | None = None,
-) -> Rendering:
-    """Draw person and scene together, the person's rows first, sorted by depth as one set.
-
-    viewmat[4,4] camera_from_world in metres, K[3,3] pixels, background[3] (black if None). Colours are evaluated per
-    set, so each has its own spherical-harmonics degree. Raises ValueError when both sets are None.
-    """
-    (drawn,) = compose_layers(human, scene, viewmat, K, width, height, [Layer(background=background)])
-    return drawn
 
 
 def painted(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) -> Tensor:
@@ -38,25 +20,24 @@ def painted(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) -> Tensor
     means, axes, opacities, *_ = splats.detach()
     colors = torch.zeros_like(means).requires_grad_()
     height, width = kinds.shape[:2]
-    (drawn,) = rasterize(means, axes, opacities, colors, viewmat, K, width, height, antialias=splats.antialias)
+    gaussians = Gaussians(means, axes, opacities, colors, splats.antialias)
+    (drawn,) = rasterize(gaussians, Camera(viewmat, K, width, height))
     return torch.autograd.grad((drawn.image * kinds).sum(), colors)[0]
 
 
-def compose_layers(
-    human: Splats | None,
-    scene: Splats | None,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    layers: Sequence[Layer],
+def compose(
+    human: Splats | None, scene: Splats | None, camera: Camera, layers: Sequence[Layer] = (Layer(),)
 ) -> list[Rendering]:
-    """As `compose`, a picture for each layer: all of them share colours, projection, order and `antialias`."""
+    """Draw person and scene together, the person's rows first, sorted by depth as one set: a picture for each layer.
+
+    Colours are evaluated per set, so each has its own spherical-harmonics degree; all layers share colours, projection,
+    order and `antialias`. Raises ValueError when both sets are None.
+    """
     sets = [s for s in (human, scene) if s is not None]
     if not sets:
         raise ValueError("compose needs a person or a scene")
     antialias = any(s.antialias for s in sets)
-    centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    centre = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
     colors = [s.colors(centre) for s in sets]
     if len(sets) == 1:
         (only,) = sets
@@ -66,4 +47,4 @@ def compose_layers(
         axes = torch.cat([s.axes for s in sets])
         opacities = torch.cat([s.opacities for s in sets])
         color = torch.cat(colors)
-    return rasterize(means, axes, opacities, color, viewmat, K, width, height, layers, antialias)
+    return rasterize(Gaussians(means, axes, opacities, color, antialias), camera, layers)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.body.smpl import edge_lengths, vertex_normals
-from stages.avatar.model.human import Canonical, rest
+from stages.avatar.model.person import Canonical, rest
 from stages.avatar.splats.compose import painted
 from stages.avatar.splats.gaussians import finite_rows
 from stages.avatar.splats.neighbours import median_near, nearest, spread_out

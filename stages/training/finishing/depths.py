@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
-from stages.avatar.model.human import Canonical, rest
+from stages.avatar.model.person import Canonical, rest
 from stages.avatar.splats.neighbours import nearest
 from stages.training.views import Person, Views, person_frames
 

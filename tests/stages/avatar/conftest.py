@@ -1,15 +1,14 @@
 """What the tests of the mathematics share."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
+from stages.records import BodyModel
 from tests.made.skeleton import PARENTS
 
 
 def make_small_body(vertices=60, seed=0, posedirs=True):
-    """Fields of formats.body_model.BodyModel, made of noise around a rough stick figure."""
+    """A body model made of noise around a rough stick figure."""
     rng = np.random.default_rng(seed)
     joints = np.zeros((24, 3))
     for joint in range(1, 24):
@@ -19,7 +18,7 @@ def make_small_body(vertices=60, seed=0, posedirs=True):
     weights = rng.random((vertices, 24)) ** 8 + 1e-3
     weights[np.arange(vertices), nearest] += 2
     regressor = rng.random((24, vertices)) ** 6
-    return SimpleNamespace(
+    return BodyModel(
         v_template=joints[nearest] + rng.normal(0, 0.05, (vertices, 3)),
         faces=np.array([rng.choice(vertices, 3, replace=False) for _ in range(2 * vertices)]),
         shapedirs=rng.normal(0, 0.02, (vertices, 3, 10)),

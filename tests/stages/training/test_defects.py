@@ -11,6 +11,7 @@ import torch
 
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.training import fit as fit_module
 from stages.training import losses
@@ -40,7 +41,8 @@ def test_defect_2_the_scene_has_view_dependent_colours_whatever_the_person_has(c
     assert (fit.scene.shN.abs().amax((1, 2)) > 0).float().mean() > 0.9, "and they are learned"
     views, splats = clip[0], fit.scene.splats()
     flat = splats._replace(sh=splats.sh[:, :1])
-    looks = [compose(None, s, views.viewmats[0], views.Ks[0], WIDTH, HEIGHT).image for s in (splats, flat)]
+    camera = Camera(views.viewmats[0], views.Ks[0], WIDTH, HEIGHT)
+    looks = [compose(None, s, camera)[0].image for s in (splats, flat)]
     assert (looks[0] - looks[1]).abs().max() > 1e-3
 
 
@@ -114,7 +116,8 @@ def test_defect_11_the_principal_point_counts(clip):
     _, scene, _ = models()
     K = views.Ks[0].clone()
     K[0, 2], K[1, 2] = K[0, 2] + 5, K[1, 2] - 3
-    there, moved = (compose(None, scene.splats(), views.viewmats[0], k, WIDTH, HEIGHT).image for k in (views.Ks[0], K))
+    cameras = (Camera(views.viewmats[0], k, WIDTH, HEIGHT) for k in (views.Ks[0], K))
+    there, moved = (compose(None, scene.splats(), camera)[0].image for camera in cameras)
     assert there[3:, :-5].std() > 0.05
     assert torch.allclose(moved[:-3, 5:], there[3:, :-5], atol=1e-3)
 

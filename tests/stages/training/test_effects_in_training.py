@@ -6,7 +6,7 @@ from torch.nn.functional import avg_pool2d
 
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.model.human import rest
+from stages.avatar.model.person import rest
 from stages.avatar.model.scene import SceneModel
 from stages.training.checkpoint import restore
 from stages.training.fit import Fit
@@ -34,9 +34,10 @@ def everything(clip, steps: int = 24) -> Fit:
     )
     effects = FrameEffects()
     effects.clothing = Clothing.start(rest(human.untaught(), person.canonical_bones()).means, person.body_pose[TRAIN])
-    effects.transients = Transients(views, TRAIN)
     options = Options(steps, 2, 300, 260, 1.0, exposure=True, growth_rounds=4, antialias=True)
-    return Fit(views, TRAIN, person, human, scene, options, generator, effects=effects)
+    return Fit(
+        views, TRAIN, person, human, scene, options, generator, effects=effects, transients=Transients(views, TRAIN)
+    )
 
 
 def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
@@ -53,8 +54,8 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
 def test_what_is_off_changes_no_bit(clip):
     plain, off, on = fit_of(clip, steps=12), fit_of(clip, steps=12), fit_of(clip, steps=12)
     off.effects = FrameEffects()
-    on.effects.transients = Transients(clip[0], TRAIN)
-    on.effects.transients.cells.fill_(0.3)  # all other frames show grey
+    on.transients = Transients(clip[0], TRAIN)
+    on.transients.cells.fill_(0.3)  # all other frames show grey
     for fit in (plain, off, on):
         run(fit, 12)
     assert same(plain, off)

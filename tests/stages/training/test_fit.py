@@ -9,8 +9,10 @@ import pytest
 import torch
 import trimesh
 
-from stages.avatar.model.human import HumanModel, bone_transforms, pose, rest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.training.checkpoint import restore, snapshot
@@ -65,9 +67,10 @@ def make_clip():
         resting = rest(canonical, bone_transforms(joints, PARENTS, torch.zeros(3), torch.zeros(69)))
         for f in range(FRAMES):
             splats = pose(resting, bone_transforms(joints, PARENTS, still[f], body_pose[f]), still[f])
-            drawn = compose(splats, scene.splats(), viewmats[f], Ks[f], WIDTH, HEIGHT)
+            camera = Camera(viewmats[f], Ks[f], WIDTH, HEIGHT)
+            (drawn,) = compose(splats, scene.splats(), camera)
             images.append((drawn.image.clamp(0, 1) * 255).round().byte())
-            masks.append((compose(splats, None, viewmats[f], Ks[f], WIDTH, HEIGHT).alpha * 255).round().byte())
+            masks.append((compose(splats, None, camera)[0].alpha * 255).round().byte())
     return Views(torch.stack(images), torch.stack(masks), viewmats, Ks), person
 
 
@@ -386,9 +389,9 @@ def test_a_crop_draws_the_same_pixels(clip):
     left, top, right, bottom = person_box(mask, splats.means, views.viewmats[0], views.Ks[0])
     assert (right - left) * (bottom - top) < WIDTH * HEIGHT
     K = views.Ks[0].clone()
-    whole = compose(splats, None, views.viewmats[0], K, WIDTH, HEIGHT).image[top:bottom, left:right]
+    whole = compose(splats, None, Camera(views.viewmats[0], K, WIDTH, HEIGHT))[0].image[top:bottom, left:right]
     K[:2, 2] -= torch.tensor([left, top])
-    part = compose(splats, None, views.viewmats[0], K, right - left, bottom - top).image
+    part = compose(splats, None, Camera(views.viewmats[0], K, right - left, bottom - top))[0].image
     assert torch.allclose(whole, part, atol=1e-5)
 
 

@@ -7,7 +7,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.cameras.pinhole import camera_centers
 from stages.avatar.measures.ssim import ssim, ssim_reference
 from stages.avatar.model.scene import MOVABLE, SceneModel, scene_extent
-from stages.avatar.rasterize import rasterize
+from stages.avatar.rasterize import Camera, Gaussians, rasterize
 from stages.avatar.splats.sh import sh_colors, sh_from_rgb
 from stages.training import losses
 from stages.training.densify import Growth, Rules, grow_scene
@@ -41,7 +41,7 @@ def trained_scene(gauge: float, shift: float = 0.0):
         splats = scene.splats()
         colors = splats.colors(camera_centers(viewmat))
         target = torch.rand(HEIGHT, WIDTH, 3, generator=g)
-        (drawn,) = rasterize(*splats[:3], colors, viewmat, K, WIDTH, HEIGHT, near=0.01 * gauge)
+        (drawn,) = rasterize(Gaussians(*splats[:3], colors), Camera(viewmat, K, WIDTH, HEIGHT), near=0.01 * gauge)
         losses.photometric(drawn.image, target).backward()
         growth.add(drawn.screen_grad_abs, drawn.radii, WIDTH, HEIGHT)
         pictures.append(drawn.image.detach())

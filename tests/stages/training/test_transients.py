@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.rasterize import Rendering
 from stages.training.transients import WARM_UP, Transients
 from stages.training.views import Views
@@ -90,15 +89,13 @@ def test_people_in_other_frames_do_not_vote(clip):
 
 def test_distrusted_pixels_have_no_gradient_and_the_others_all_of_it(clip):
     views, walls, images = clip
-    effects = FrameEffects()
+    transients = Transients(views, list(range(FRAMES)))
     drawn = Rendering(walls[PASSED], ALPHA, DEPTH, *[torch.zeros(0)] * 4, 0)
     picture = (walls[PASSED] + 0.01).requires_grad_()
     args = drawn, images[PASSED], PASSED
-    assert effects.trusted(picture, *args, 0.9) is picture, "off"
-    effects.transients = Transients(views, list(range(FRAMES)))
-    assert effects.trusted(picture, *args, 0.5 * WARM_UP) is picture, "too early"
-    (effects.trusted(picture, *args, 0.9) - images[PASSED]).square().sum().backward()
-    bad = effects.transients(picture.detach(), DEPTH, ALPHA, images[PASSED], PASSED)
+    assert transients.replace(picture, *args, 0.5 * WARM_UP) is picture, "too early"
+    (transients.replace(picture, *args, 0.9) - images[PASSED]).square().sum().backward()
+    bad = transients(picture.detach(), DEPTH, ALPHA, images[PASSED], PASSED)
     assert (picture.grad[bad] == 0).all() and bad[BALL].all()
     slope = 2 * (picture.detach() - images[PASSED])
     torch.testing.assert_close(picture.grad[~bad], slope[~bad], rtol=0, atol=0)

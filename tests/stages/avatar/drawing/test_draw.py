@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from stages.avatar.drawing.draw import draw, to_uint8
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import sh_from_rgb
 
-SIZE = (40, 30)
-K = np.array([[50.0, 0, 20], [0, 50, 15], [0, 0, 1]])
+CAMERA = Camera.of(np.eye(4), np.array([[50.0, 0, 20], [0, 50, 15], [0, 0, 1]]), 40, 30)
 
 
 def spot(place, rgb, size=0.1):
@@ -19,7 +19,7 @@ def spot(place, rgb, size=0.1):
 
 def test_the_background_shows_where_nothing_covers_it():
     for background in (0.0, 1.0):
-        image, alpha = draw(spot([0.0, 0, 2], [0.8, 0.2, 0.1]), None, np.eye(4), K, SIZE, background)
+        image, alpha = draw(spot([0.0, 0, 2], [0.8, 0.2, 0.1]), None, CAMERA, background)
         assert image.shape == (30, 40, 3) and alpha.shape == (30, 40) and image.dtype == np.float32
         assert alpha[15, 20] > 0.9 and alpha[0, 0] == 0
         assert (image[0, 0] == background).all()
@@ -30,9 +30,9 @@ def test_the_background_shows_where_nothing_covers_it():
 def test_person_and_scene_hide_each_other_by_depth():
     near, far = spot([0.0, 0, 2], [1.0, 0, 0]), spot([0.0, 0, 3], [0.0, 0, 1.0], 0.3)
     for human, scene in ((near, far), (far, near)):
-        image, _ = draw(human, scene, np.eye(4), K, SIZE)
+        image, _ = draw(human, scene, CAMERA)
         assert image[15, 20, 0] > 0.9 and image[15, 20, 2] < 0.1, "the nearer one wins, whichever set it is of"
-    alone, _ = draw(None, far, np.eye(4), K, SIZE)
+    alone, _ = draw(None, far, CAMERA)
     assert alone[15, 20, 2] > 0.9
 
 

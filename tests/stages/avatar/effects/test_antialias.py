@@ -6,14 +6,14 @@ import torch
 
 from stages.avatar.drawing.draw import load_learned
 from stages.avatar.model.scene import SceneModel
-from stages.avatar.rasterize import rasterize
+from stages.avatar.rasterize import Camera, Gaussians, rasterize
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Avatar, Effects, Scene
 
 SIDE = 32
-VIEW, K = torch.eye(4), torch.tensor([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]])
+CAMERA = Camera(torch.eye(4), torch.tensor([[30.0, 0, SIDE / 2], [0, 30, SIDE / 2], [0, 0, 1]]), SIDE, SIDE)
 
 
 def dots(seed: int, antialias: bool) -> Splats:
@@ -25,13 +25,13 @@ def dots(seed: int, antialias: bool) -> Splats:
 
 
 def drawn(*sets: Splats | None) -> torch.Tensor:
-    return compose(*sets, VIEW, K, SIDE, SIDE).image
+    return compose(*sets, CAMERA)[0].image
 
 
 def test_gaussians_are_drawn_as_they_were_learned():
     for antialias in (False, True):
         splats = dots(0, antialias)
-        (direct,) = rasterize(*splats[:3], splats.colors(torch.zeros(3)), VIEW, K, SIDE, SIDE, antialias=antialias)
+        (direct,) = rasterize(Gaussians(*splats[:3], splats.colors(torch.zeros(3)), antialias), CAMERA)
         assert torch.equal(drawn(None, splats), direct.image) and torch.equal(drawn(splats, None), direct.image)
     plain, fine = drawn(None, dots(0, False)), drawn(None, dots(0, True))
     assert plain.sum() > 2 * fine.sum() > 0, "a dot of a tenth of a pixel is no dot of a pixel"
@@ -53,7 +53,7 @@ def test_the_sum_of_a_dot_is_what_it_covers_however_far_away():
         for x in torch.arange(0, 0.1, 0.02):  # a pixel is 0.1 m there
             for y in torch.arange(0, 0.1, 0.02):
                 moved = dot._replace(means=torch.tensor([[x, y, 3.0]]), antialias=True)
-                covered.append(compose(None, moved, VIEW, K, SIDE, SIDE).alpha.sum().item())
+                covered.append(compose(None, moved, CAMERA)[0].alpha.sum().item())
         area = 0.5 * 2 * np.pi * (30 * size / 3) ** 2
         assert np.mean(covered) == pytest.approx(area, rel=0.05), "the rest is under 1/255"
         assert np.abs(np.array(covered) / area - 1).max() < swing
@@ -93,7 +93,7 @@ def test_training_gradients_are_finite_where_a_dot_has_no_size():
     scene = SceneModel(torch.tensor([[0.0, 0, 3], [0.1, 0, 3]]), torch.rand(2, 3), 0, 1.0, antialias=True)
     with torch.no_grad():
         scene.log_scales[0] = -30.0  # 1e-13 m
-    image = compose(None, scene.splats(), VIEW, K, SIDE, SIDE).image
+    image = compose(None, scene.splats(), CAMERA)[0].image
     assert scene.splats().antialias and scene.splats().detach().antialias
     image.sum().backward()
     assert all(p.grad is None or p.grad.isfinite().all() for p in scene.parameters())

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stages.avatar.effects.clothing import FEATURES, Clothing
-from stages.avatar.model.human import Resting
+from stages.avatar.model.person import Resting
 from stages.contract import StageError
 from stages.formats.clothes import clothes_of
 from stages.records import Clothes

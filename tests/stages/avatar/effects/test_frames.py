@@ -12,8 +12,8 @@ from stages.avatar.effects.camera_refinement import corrected
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Shadow, Stance, casters
 from stages.avatar.effects.speeds import Speeds
-from stages.avatar.rasterize import Layer
-from stages.avatar.splats.compose import compose_layers
+from stages.avatar.rasterize import Camera, Layer
+from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.body_model import read_body_model
 from stages.records import Effects
@@ -51,10 +51,10 @@ def test_off_is_bit_identical_and_draws_through_nothing(clip, monkeypatch):
     run(on, 6)
     assert not torch.equal(on.scene.sh0, off.scene.sh0)
     seen = []
-    monkeypatch.setattr("stages.avatar.effects.frames.compose_layers", lambda *a: seen.append(a) or compose_layers(*a))
+    monkeypatch.setattr("stages.avatar.effects.frames.compose", lambda *a: seen.append(a) or compose(*a))
     stance = Stance(off.person.joints, off.person.parents, *off.body(0))
-    scene, view = off.scene.splats(), (off.full.viewmats[0], off.full.Ks[0], WIDTH, HEIGHT)
-    FrameEffects().draw(None, scene, None, *view, [Layer()])
+    scene, camera = off.scene.splats(), Camera(off.full.viewmats[0], off.full.Ks[0], WIDTH, HEIGHT)
+    FrameEffects().draw(None, scene, None, camera, [Layer()])
     assert len(seen) == 1 and seen[0][1] is scene and FrameEffects().lit(scene, stance) is scene
 
 
@@ -84,8 +84,8 @@ def test_what_is_known_is_drawn_the_same_when_it_is_read(clip):
     with torch.no_grad():
         for effects in (fit.effects, read, FrameEffects()):
             lit = effects.lit(scene, stance)
-            view = (fit.full.viewmats[1], fit.full.Ks[1], WIDTH, HEIGHT)
-            pictures.append(effects.draw(human, lit, fit.motion(1, resting), *view, [Layer()])[0].image)
+            camera = Camera(fit.full.viewmats[1], fit.full.Ks[1], WIDTH, HEIGHT)
+            pictures.append(effects.draw(human, lit, fit.motion(1, resting), camera, [Layer()])[0].image)
     torch.testing.assert_close(pictures[0], pictures[1], atol=1e-5, rtol=0)
     assert (pictures[0] - pictures[2]).abs().max() > 0.01
     assert load_effects(Effects()).known() == {}
@@ -112,7 +112,8 @@ def moving_wall(readout: float, shutter: float, count: int = 6) -> tuple[FrameEf
     Ks = torch.tensor([[50.0, 0, WIDTH / 2], [0, 50, HEIGHT / 2], [0, 0, 1]]).expand(count, 3, 3)
     speeds = Speeds(viewmats, Ks, HEIGHT, np.arange(count), np.ones(count, bool))
     truth = FrameEffects(shutter=shutter or None, readout=readout or None)
-    views = [(speeds.at(i, None), torch.tensor(viewmats[i]).float(), Ks[i], WIDTH, HEIGHT) for i in range(count)]
+    cameras = [Camera(torch.tensor(viewmats[i]).float(), Ks[i], WIDTH, HEIGHT) for i in range(count)]
+    views = [(speeds.at(i, None), cameras[i]) for i in range(count)]
     with torch.no_grad():
         return truth, [(view, truth.draw(None, scene, *view, [Layer()])[0].image) for view in views], scene
 
@@ -187,15 +188,15 @@ def test_a_person_who_performs_takes_the_shadow_along(held):
     poses, views = tiny.make_poses(), tiny.make_viewmats()
     moves = (poses.global_orient[:2] * 0, poses.body_pose[:2], np.stack([0 * to, to]))
     stand, size = np.diag([1.0, -1, -1]), (tiny.WIDTH, tiny.HEIGHT)
-    view = (views[3], pinhole(tiny.FOCAL, *size))
-    shown = [perform(one, one.scene, moves, stand, poses.transl[3], [view] * 2, size) for one in (plain, lit)]
+    camera = Camera.of(views[3], pinhole(tiny.FOCAL, *size), *size)
+    shown = [perform(one, one.scene, moves, stand, poses.transl[3], [camera] * 2) for one in (plain, lit)]
     lost = [a.astype(float) - b for a, b in zip(*shown)]
     middles = []
     for i, dark in enumerate(lost):
         human = plain.person(
             (Rotation.from_matrix(stand).as_rotvec(), moves[1][i], poses.transl[3] + stand @ moves[2][i])
         )
-        covered = draw(human, None, *view, size)[1]
+        covered = draw(human, None, camera)[1]
         assert dark.min() >= -1 and dark.max() > 20 and dark[covered > 0.99].max() <= 1
         middles.append((dark.sum((0, 2)) * np.arange(tiny.WIDTH)).sum() / dark.sum())
     assert 5 < middles[1] - middles[0] < 17  # of 100 px * 0.5 m / 4.5 m = 11

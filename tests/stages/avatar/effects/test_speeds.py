@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from stages.avatar.effects.motion_blur import MOMENTS, exposed, from_linear, to_linear
 from stages.avatar.effects.rolling_shutter import rolled
 from stages.avatar.effects.speeds import Speeds, around, drift, moved
-from stages.avatar.rasterize import Layer, rasterize
+from stages.avatar.rasterize import Camera, Gaussians, rasterize
 from stages.avatar.splats.gaussians import Splats
 
 TWIST = np.zeros((4, 4))
@@ -133,7 +133,7 @@ def draw(splats: Splats, view: np.ndarray, bend=lambda s, t: s):
     def at(time: torch.Tensor):
         s = bend(splats, time)
         colors = (s.sh[:, 0] * 0.3 + 0.5).clamp(0, 1)
-        return rasterize(s.means, s.axes, s.opacities, colors, torch.tensor(view), K, *SIZE, [Layer()])
+        return rasterize(Gaussians(s.means, s.axes, s.opacities, colors), Camera(torch.tensor(view), K, *SIZE))
 
     return at
 

@@ -8,7 +8,8 @@ import trimesh
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.model import decoders
-from stages.avatar.model.human import SCALE_RANGE, HumanModel, bone_transforms, pose, rest
+from stages.avatar.model.human import SCALE_RANGE, HumanModel
+from stages.avatar.model.person import bone_transforms, pose, rest
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stages.avatar.model.scene import MOVABLE, START_OPACITY, SceneModel
-from stages.avatar.rasterize import Layer, cpu, gaussian_axes, reference
+from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, gaussian_axes, reference
 from stages.avatar.rasterize.rendering import ALPHA_MAX, BLUR
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
@@ -199,7 +199,7 @@ def test_b14_every_number_is_written(monkeypatch):
     def everything():
         leaves = [p.clone().requires_grad_() for p in (*parts, view)]
         axes = cpu.gaussian_axes(*leaves[1:3])
-        drawn = cpu.rasterize(leaves[0], axes, *leaves[3:], K, 45, 70, layers)
+        drawn = cpu.rasterize(Gaussians(leaves[0], axes, *leaves[3:5]), Camera(leaves[5], K, 45, 70), layers)
         sum(d.image.sum() + d.alpha.sum() + d.depth.sum() for d in drawn).backward()
         return [t for d in drawn for t in (d.image, d.alpha, d.depth, d.screen_grad, d.screen_grad_abs)] + [
             leaf.grad for leaf in leaves
@@ -224,12 +224,13 @@ def test_b17_two_sets_are_sorted_as_one(held):
     two = show(cpu, [torch.cat(p) for p in zip(scene, human)], view, K, 61, 45)
     held(largest(one.image, two.image), 1e-6)
     sets = [Splats(p[0], gaussian_axes(*p[1:3]), p[3], p[4][:, None]) for p in (human, scene)]
-    joint, front, back = (compose(a, b, view, K, 61, 45) for a, b in (sets, (sets[0], None), (None, sets[1])))
+    seen = Camera(view, K, 61, 45)
+    joint, front, back = (compose(*pair, seen)[0] for pair in (sets, (sets[0], None), (None, sets[1])))
     pasted = front.image + (1 - front.alpha)[..., None] * back.image
     assert largest(joint.image, pasted) > 0.05, "interleaved in depth, not one before the other"
     nobody = Splats(*(t[:0] for t in sets[0][:4]))
     for pair in ((sets[0], nobody), (nobody, sets[0])):
-        assert torch.equal(compose(*pair, view, K, 61, 45).image, front.image)
+        assert torch.equal(compose(*pair, seen)[0].image, front.image)
 
 
 def test_c01_gradients_at_points_that_are_chosen(held):

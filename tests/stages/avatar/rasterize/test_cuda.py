@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import torch
 
-from stages.avatar.rasterize import Layer, cuda, reference
+from stages.avatar.rasterize import Camera, Gaussians, Layer, cuda, reference
 from tests.stages.avatar.rasterize.test_rasterize import NAMES, apart, camera, draw, gaussians
 
 READY = torch.cuda.is_available() and importlib.util.find_spec("gsplat") is not None
@@ -17,11 +17,11 @@ BOUNDS = {"mixed": 2e-5, "needles": 1e-4, "huge": 1e-4, "tiny": 1e-4, "deep": 2e
 BOUNDS |= {"tied": 2e-5, "beside": 1e-4, "kilometres": 2e-5}
 
 
-def on_gpu(*args):
+def on_gpu(gaussians, camera, layers):
     """`cuda.rasterize` of tensors on the CPU, with the answer back on the CPU."""
-    *parts, layers, antialias, near = (a.cuda() if isinstance(a, torch.Tensor) else a for a in args)
+    gaussians = Gaussians(*(part.cuda() for part in gaussians[:4]), gaussians.antialias)
     layers = [layer._replace(background=layer.background.cuda()) for layer in layers]
-    drawn = cuda.rasterize(*parts, layers, antialias, near)
+    drawn = cuda.rasterize(gaussians, camera.to(gaussians.means), layers)
     return [replace(d, image=d.image.cpu(), alpha=d.alpha.cpu(), depth=d.depth.cpu()) for d in drawn]
 
 
@@ -60,19 +60,11 @@ def stand_in(monkeypatch):
         assert covars.shape == (n, 3, 3) and opacities.shape == (n,) and colors.shape == (n, 3)
         assert viewmats.shape == (1, 4, 4) and Ks.shape == (1, 3, 3) and options["backgrounds"].shape == (1, 3)
         values, vectors = torch.linalg.eigh(covars)
-        (drawn,) = reference.rasterize(
-            means,
-            vectors * values.clamp_min(0).sqrt()[:, None],
-            opacities,
-            colors,
-            viewmats[0],
-            Ks[0],
-            width,
-            height,
-            [Layer(background=options["backgrounds"][0])],
-            options["rasterize_mode"] == "antialiased",
-            options["near_plane"],
-        )
+        axes = vectors * values.clamp_min(0).sqrt()[:, None]
+        gaussians = Gaussians(means, axes, opacities, colors, options["rasterize_mode"] == "antialiased")
+        layer = Layer(background=options["backgrounds"][0])
+        view = Camera(viewmats[0], Ks[0], width, height)
+        (drawn,) = reference.rasterize(gaussians, view, [layer], options["near_plane"])
         local = means @ viewmats[0, :3, :3].T + viewmats[0, :3, 3]
         at = (local[:, :2] / local[:, 2:])[None] + 0.0
         at.absgrad = torch.full((1, n, 2), 3.0)
@@ -110,6 +102,6 @@ def test_rows_that_are_not_finite_never_reach_gsplat(stand_in):
     holed = draw(reference, (parts[0], *parts[1:3], opacities, parts[4]), view, K)[0]
     axes = reference.gaussian_axes(*parts[1:3])
     ground = Layer(background=torch.tensor([0.2, 0.5, 0.7]))
-    (got,) = cuda.rasterize(means, axes, *parts[3:], view, K, 61, 45, [ground])
+    (got,) = cuda.rasterize(Gaussians(means, axes, *parts[3:]), Camera(view, K, 61, 45), [ground])
     assert stand_in["count"] == 39 and got.dropped == 1 and len(got.radii) == 40 and got.radii[row] == 0
     assert torch.allclose(got.image, holed.image, atol=1e-4) and not torch.allclose(got.image, good.image, atol=1e-4)

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from stages.avatar.kernels import cache
-from stages.avatar.rasterize import cpu, gaussian_axes, rasterize
+from stages.avatar.rasterize import Camera, Gaussians, cpu, gaussian_axes, rasterize
 from tests.stages.avatar.rasterize.test_projection import PICTURE, cast
 from tests.stages.avatar.rasterize.test_rasterize import apart, camera, draw, gaussians
 
@@ -38,9 +38,10 @@ def test_the_number_of_threads_changes_no_pixel():
 def test_the_front_door_sends_each_dtype_to_its_maker():
     parts = gaussians(50)
     view, K = camera()
-    (fast,) = rasterize(parts[0], gaussian_axes(*parts[1:3]), *parts[3:], view, K, 61, 45)
-    slow = cast(parts)
-    (true,) = rasterize(slow[0], gaussian_axes(*slow[1:3]), *slow[3:], view.double(), K.double(), 61, 45)
+    fast, true = (
+        rasterize(Gaussians(p[0], gaussian_axes(*p[1:3]), *p[3:]), Camera(view, K, 61, 45).to(p[0]))[0]
+        for p in (parts, cast(parts))
+    )
     assert (fast.image.dtype, true.image.dtype) == (torch.float32, torch.float64)
     assert (fast.image - true.image).abs().max() < 1 / 255
     assert apart(fast.means2d, true.means2d) < 1e-6

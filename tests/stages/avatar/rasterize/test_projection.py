@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.rasterize import cpu, gaussian_axes, reference
+from stages.avatar.rasterize import Camera, Gaussians, cpu, gaussian_axes, reference
 from stages.avatar.rasterize import projection as kernels
 from stages.avatar.rasterize.rendering import ALPHA_MIN, BLUR, COMPENSATION_MIN, FRUSTUM_MARGIN
 from tests.stages.avatar.rasterize.test_rasterize import NAMES, apart, camera, draw, gaussians
@@ -26,11 +26,12 @@ def ball(n=1, z=3.0, sigma=0.2, opacity=0.5):
     return [torch.tensor([0.0, 0, z]).repeat(n, 1), quats, torch.full((n, 3), sigma), torch.full((n,), opacity), colors]
 
 
-def show(maker, parts, view, K, width, height, **options):
+def show(maker, parts, view, K, width, height, antialias=False, **options):
     """The picture of `parts` (means, quats, scales, opacities, colors) over black, without gradients."""
     means, quats, scales, opacities, colors = parts
     axes = maker.gaussian_axes(quats, scales)
-    (drawn,) = maker.rasterize(means, axes, opacities, colors, view.to(means), K.to(means), width, height, **options)
+    gaussians = Gaussians(means, axes, opacities, colors, antialias)
+    (drawn,) = maker.rasterize(gaussians, Camera(view, K, width, height).to(means), **options)
     return drawn
 
 
@@ -465,7 +466,7 @@ def test_a24_e11_e12_e13_any_linear_blend_is_drawn_as_its_covariance(blend, make
     grads = []
     for m, d in ((maker, dtype), (reference, torch.float64)):
         leaves = [t.to(d).requires_grad_() for t in (mean, axes, torch.tensor([0.75]))]
-        (drawn,) = m.rasterize(*leaves, torch.ones(1, 3).to(d), STRAIGHT.to(d), K.to(d), 61, 45)
+        (drawn,) = m.rasterize(Gaussians(*leaves, torch.ones(1, 3).to(d)), Camera(STRAIGHT.to(d), K.to(d), 61, 45))
         grads.append(torch.autograd.grad((drawn.alpha * truth.to(d)).sum(), leaves))
         assert drawn.alpha.max() <= 0.75 and (drawn.alpha > 0.3).any()
         same = (drawn.alpha > 0) == (truth > 0)

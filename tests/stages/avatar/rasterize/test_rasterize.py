@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from stages.avatar.rasterize import Layer, cpu, cuda, reference
+from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, cuda, reference
 
 WIDTH, HEIGHT = 61, 45
 BACKGROUND = torch.tensor([0.2, 0.5, 0.7])
@@ -55,19 +55,8 @@ def draw(maker, parts, view, K, width=WIDTH, height=HEIGHT, dtype=torch.float32,
     leaves = [p.detach().to(dtype).requires_grad_() for p in (*parts, view, background)]
     means, quats, scales, opacities, colors, view, background = leaves
     axes = maker.gaussian_axes(quats, scales)
-    (drawn,) = maker.rasterize(
-        means,
-        axes,
-        opacities,
-        colors,
-        view,
-        K.to(dtype),
-        width,
-        height,
-        [Layer(background=background)],
-        options.get("antialias", False),
-        0.01,
-    )
+    gaussians = Gaussians(means, axes, opacities, colors, options.get("antialias", False))
+    (drawn,) = maker.rasterize(gaussians, Camera(view, K.to(dtype), width, height), [Layer(background=background)])
     g = torch.Generator().manual_seed(5)
     weights = [torch.rand(t.shape, generator=g).to(dtype) for t in (drawn.image, drawn.alpha, drawn.depth)]
     loss = sum((w * t).sum() for w, t in zip(weights, (drawn.image, drawn.alpha, 0.1 * drawn.depth)))
@@ -123,7 +112,8 @@ def draw_layers(maker, layers, dtype):
     leaves = [p.to(dtype).requires_grad_() for p in (*parts, view)]
     axes = maker.gaussian_axes(*leaves[1:3])
     layers = [y._replace(background=None if y.background is None else y.background.to(dtype)) for y in layers]
-    drawn = maker.rasterize(leaves[0], axes, *leaves[3:], K.to(dtype), WIDTH, HEIGHT, layers)
+    camera_of_leaves = Camera(leaves[5], K.to(dtype), WIDTH, HEIGHT)
+    drawn = maker.rasterize(Gaussians(leaves[0], axes, *leaves[3:5]), camera_of_leaves, layers)
     loss = 0
     for number, d in enumerate(drawn):
         g = torch.Generator().manual_seed(number)
@@ -163,7 +153,7 @@ def test_a_layer_ends_its_pixels_where_it_says():
     for name, a, b in zip(NAMES, fast_grads, true_grads):
         assert apart(a, b) < 5e-6, f"{name} off by {apart(a, b):.1e}"
     with pytest.raises(ValueError, match="not at"):
-        cuda.rasterize(*(None,) * 8, layers)
+        cuda.rasterize(None, None, layers)
 
 
 def test_more_layers_than_a_row_of_gradients_holds_are_refused():

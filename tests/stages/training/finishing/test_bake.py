@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import DA_POSE
-from stages.avatar.model.human import Canonical, bone_transforms, pose, rest
+from stages.avatar.model.person import Canonical, bone_transforms, pose, rest
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import bake
@@ -31,7 +32,7 @@ def drawn(person: Canonical, where: Person, frame: int, body_pose=DA_POSE):
     resting = rest(person, where.canonical_bones())
     splats = pose(resting, bone_transforms(where.joints, where.parents, STILL, body_pose), STILL)
     cameras = views(torch.zeros(len(EYES), SIZE, SIZE))
-    return compose(splats, None, cameras.viewmats[frame], cameras.Ks[frame], SIZE, SIZE)
+    return compose(splats, None, Camera(cameras.viewmats[frame], cameras.Ks[frame], SIZE, SIZE))[0]
 
 
 def views(masks) -> Views:
@@ -125,7 +126,8 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
     pale = sheer._replace(sh=torch.where(far[:, None, None], 2.0, person.sh))
     cameras = views(silhouettes(person, where))
     splats = where.posed(rest(pale, where.canonical_bones()), 0)
-    through = compose(splats, None, cameras.viewmats[0], cameras.Ks[0], SIZE, SIZE).image - drawn(sheer, where, 0).image
+    camera = Camera(cameras.viewmats[0], cameras.Ks[0], SIZE, SIZE)
+    through = compose(splats, None, camera)[0].image - drawn(sheer, where, 0).image
     assert far.sum() > 300 and through.amax() > 0.1, "the back does shine through"
     out, _ = bake.lean(pale, where, cameras, [0])
     assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from stages.avatar.model.human import Canonical
+from stages.avatar.model.person import Canonical
 from stages.training.finishing import depths
 from stages.training.views import Views
 from tests.made.standing import around, stand

@@ -1,0 +1,75 @@
+"""The person as Gaussians: in the canonical pose, in the rest pose of their skeleton, and posed in the world."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from stages.avatar.body.rotations import matrix_from_rotvec
+from stages.avatar.body.skinning import skin
+from stages.avatar.body.smpl import rest_relative_transforms
+from stages.avatar.splats.gaussians import Splats
+
+
+class Canonical(NamedTuple):
+    """The person at the da-pose: means[N,3] m, frames[N,3,3], scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
+
+    means: Tensor
+    frames: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+    weights: Tensor
+
+
+class Resting(NamedTuple):
+    """The same person in the rest pose of the skeleton, from which every pose starts.
+
+    means[N,3] m, axes[N,3,3] scaled axes as columns, opacities[N], sh[N,K,3], weights[N,J], turns[N,3,3] from the
+    canonical frame, in which colour is stored.
+    """
+
+    means: Tensor
+    axes: Tensor
+    opacities: Tensor
+    sh: Tensor
+    weights: Tensor
+    turns: Tensor
+
+
+def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, body_pose: Tensor) -> Tensor:
+    """Transforms [J,4,4] of each bone from the rest pose to (global_orient[3], body_pose[69]), axis-angle, metres."""
+    rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose]).unflatten(-1, (-1, 3)))
+    return rest_relative_transforms(joints, rotations, parents)
+
+
+def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
+    """Take the person back to the rest pose: the inverse of the blend of `canonical_bones`[J,4,4] (rest to canonical).
+
+    HUGS blends products of bone transforms, which shrinks the hips by 23 % at half weights; with the inverse of the
+    blend the untrained model is exactly SMPL in every pose. The da-pose blends at most +-1 rad about z, so no blend
+    has a determinant under 0.29.
+    """
+    blend = (person.weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
+    turns = _inverse(blend[..., :3])
+    means = (turns @ (person.means - blend[..., 3])[..., None])[..., 0]
+    axes = turns @ (person.frames * person.scales[:, None, :])
+    return Resting(means, axes, person.opacities, person.sh, person.weights, turns)
+
+
+def _inverse(matrices: Tensor) -> Tensor:
+    a, b, c = matrices.unbind(-1)
+    rows = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], -2)
+    return rows / (a * rows[..., 0, :]).sum(-1)[..., None, None]
+
+
+def pose(person: Resting, bones: Tensor, transl: Tensor) -> Splats:
+    """Move the person by `bones`[J,4,4] (rest to posed) and `transl`[3] m into the world; covariances follow.
+
+    The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9).
+    """
+    means, blend = skin(person.means, person.weights, bones)
+    turns = blend @ person.turns if person.sh.shape[1] > 1 else None
+    return Splats(means + transl, blend @ person.axes, person.opacities, person.sh, turns)
