@@ -253,12 +253,12 @@ class Fit:
 
     def _inpaint(self, scene: SceneModel) -> Tensor:
         """What the person hides or shades of the scene has its last colours; tells which Gaussians [N]."""
+        views, points = self.full._replace(viewmats=self.cameras()), scene.means.detach()
+        return inpaint_occluded(scene, views, self.train, lambda frame: self._shadow_depth(frame, points))
 
-        def shadow_depth(frame: int) -> Tensor:
-            there = self._drawn_person(frame, self.full.masks[frame] / 255)
-            return self.effects.dark(scene.means.detach(), self.stance(*self.body(frame)) if there else None)
-
-        return inpaint_occluded(scene, self.full._replace(viewmats=self.cameras()), self.train, shadow_depth)
+    def _shadow_depth(self, frame: int, points: Tensor) -> Tensor:
+        there = self._drawn_person(frame, self.full.masks[frame] / 255)
+        return self.effects.dark(points, self.stance(*self.body(frame)) if there else None)
 
     # ---- what there is at a frame ----
 

@@ -100,30 +100,29 @@ def decode_error(human: Any) -> float:
 
 def trained(folder: Path, settings: dict[str, Any], steps: int, seed: int) -> dict[str, Any]:
     """Held-out accuracy after a short training, and the median time of a step at full resolution, ms."""
-    from types import SimpleNamespace
-
     from stages import train
     from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import fetch
     from stages.formats.clip import load_clip
-    from stages.training.accuracy import judge
-    from stages.training.schedule import HALF_UNTIL
+    from stages.training.accuracy import heldout_accuracy
+    from stages.training.start import Task, build
     from tests.benchmarks.host import clock, summary
     from tests.benchmarks.workloads import surveyed
 
     clip = load_clip(folder / "sfm", folder / "smpl")
     decisions, starts = surveyed(folder)
     heldout = [i for i in np.flatnonzero(clip.heldout).tolist() if (clip.mask(i) > 127).any()]
-    job = SimpleNamespace(seed=seed, device="cpu", note=lambda text: None)
     params = train.Params(steps=steps, **settings)
-    fit = train.build(clip, np.flatnonzero(clip.training).tolist(), params, decisions, starts, job)
+    fit = build(Task(clip, params, decisions, starts, seed), lambda text: None)
     times = []
-    while fit.step < steps:
-        late = fit.done >= HALF_UNTIL
+    while fit.progress.step < steps:
+        late = fit.progress.done >= fit.half_until
         took = clock(fit.advance)
         times += [took] if late else []
     with np.load(fetch("lpips_alex.npz")) as weights:
-        return {"step": summary(times), "decode": decode_error(fit.human)} | judge(fit, heldout, Lpips(weights))
+        return {"step": summary(times), "decode": decode_error(fit.human)} | heldout_accuracy(
+            fit, heldout, Lpips(weights)
+        )
 
 
 def measured(folder: Path, picture: Path, settings: dict[str, Any], steps: int, seed: int) -> dict[str, Any]:

@@ -32,9 +32,10 @@ from stages.estimators.detectors.evidence import ClipEvidence
 from stages.formats.clip import load_clip
 from stages.formats.facts import Sfm, read_facts
 from stages.synthetic.effects import ClipEffects
-from stages.training.accuracy import judge
+from stages.training.accuracy import heldout_accuracy
 from stages.training.fit import Fit
 from stages.training.refine import FrameCorrections
+from stages.training.start import Task, build
 from stages.training.views import Views
 from tests.made import datasets
 
@@ -98,14 +99,15 @@ def smaller(image: torch.Tensor) -> torch.Tensor:
 
 def trained(folders: tuple[Path, Path], args: argparse.Namespace, **decisions: bool) -> tuple[Fit, float]:
     """The training of a clip, and the seconds of processor that it took."""
-    clip, job = load_clip(*folders), Job(out=folders[0].parent, seed=args.seed)
-    frames, starts = np.flatnonzero(clip.training).tolist(), {}
+    clip = load_clip(*folders)
+    starts: dict[str, list[float]] = {}
     if decisions.get("shadow"):
         evidence = ClipEvidence(clip, read_facts(folders[0] / "sfm.json", Sfm))
         starts["shadow"] = DETECTORS["shadow"](evidence).start
-    fit = train.build(clip, frames, train.Params(steps=args.steps, **PARAMS), ALWAYS | decisions, starts, job)
+    params = train.Params(steps=args.steps, **PARAMS)
+    fit = build(Task(clip, params, ALWAYS | decisions, starts, args.seed), lambda text: None)
     began = time.process_time()
-    while fit.step < args.steps:
+    while fit.progress.step < args.steps:
         fit.advance()
     return fit, time.process_time() - began
 
@@ -121,8 +123,8 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
         viewmats = torch.as_tensor(still.viewmats).float()
         fit.full, fit.frames = Views(images, masks, viewmats, *fit.full[3:]), FrameCorrections(len(images))
         poses = {name: torch.as_tensor(getattr(still.body, name)).float() for name in POSE}
-        fit.person, fit.effects, fit.speeds = fit.person._replace(**poses), FrameEffects(), None
-    return judge(fit, others(folders)) | {"cpu_seconds": seconds, "found": found}
+        fit.person.body, fit.effects, fit.speeds = fit.person.body._replace(**poses), FrameEffects(), None
+    return heldout_accuracy(fit, others(folders)) | {"cpu_seconds": seconds, "found": found}
 
 
 def rate_afar(folders: tuple[Path, Path], args: argparse.Namespace, effect: str) -> dict[str, dict[str, Any]]:
@@ -132,10 +134,10 @@ def rate_afar(folders: tuple[Path, Path], args: argparse.Namespace, effect: str)
         fit, seconds = trained(folders, args, **{effect: on})
         for _ in range(TIMES.bit_length() - 1):
             fit.full = fit.full.half()
-        rows[arm] = judge(fit, others(folders)) | {"cpu_seconds": seconds, "found": {}}
+        rows[arm] = heldout_accuracy(fit, others(folders)) | {"cpu_seconds": seconds, "found": {}}
         if not on:
             fit.effects = Averaged()
-            rows["without"] = judge(fit, others(folders)) | {"cpu_seconds": seconds}
+            rows["without"] = heldout_accuracy(fit, others(folders)) | {"cpu_seconds": seconds}
     return rows
 
 

@@ -20,9 +20,9 @@ from torch import Tensor
 
 from stages import train
 from stages.avatar.splats.compose import compose
-from stages.contract import Job
 from stages.formats.clip import load_clip
 from stages.training.fit import Fit
+from stages.training.start import Task, build
 from tests.benchmarks.effect_models import ALWAYS, PARAMS, inputs
 
 PARTS = 10
@@ -58,9 +58,8 @@ def bare(fit: Fit) -> Fit:
 def pair(work: Path, steps: int) -> tuple[Fit, Fit]:
     """Two trainings of one clip from one seed: as it is with all effects off, and bare."""
     place = work / "plain_seed0"
-    clip, job = load_clip(*inputs(place)), Job(out=place)
-    trained, params = np.flatnonzero(clip.training).tolist(), train.Params(steps=steps, **PARAMS)
-    off, without = (train.build(clip, trained, params, ALWAYS, {}, job) for _ in range(2))
+    task = Task(load_clip(*inputs(place)), train.Params(steps=steps, **PARAMS), ALWAYS)
+    off, without = (build(task, print) for _ in range(2))
     return off, bare(without)
 
 

@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -30,7 +29,8 @@ from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
 from stages.training import densify, losses, optimizers, schedule
 from stages.training import fit as fit_module
-from stages.training.accuracy import judge
+from stages.training.accuracy import heldout_accuracy
+from stages.training.start import Task, build
 from tests.benchmarks import mcmc
 from tests.benchmarks.workloads import surveyed
 
@@ -88,7 +88,7 @@ def of_one_metre(frames, human, scene, extent, effects=None):
 
 
 UNSETTLED = put(schedule, SETTLE=0.9999, LAST_OTHERS=1.0) + put(
-    fit_module,
+    densify,
     SETTLE=0.9999,
     SCENE_GROWTH=(schedule.SCENE_GROWTH[0], 1.0),
     HUMAN_GROWTH=(schedule.HUMAN_GROWTH[0], 1.0),
@@ -116,7 +116,7 @@ WITHOUT = {
         patches=put(densify, thinner=lambda opacities, rows: torch.zeros_like(opacities[rows.source]))
     ),
     "colours seen around, behind the person": Idea(
-        patches=put(fit_module, fill_behind=lambda scene, *_: torch.zeros(len(scene), dtype=torch.bool))
+        patches=put(fit_module, inpaint_occluded=lambda scene, *_: torch.zeros(len(scene), dtype=torch.bool))
     ),
     "points where SfM saw nothing": Idea(settings={"scene_fill": 0}),
     "refined places (D3)": Idea(patches=put(optimizers, LR_FRAMES=schedule.LR_FRAMES | {"place": 0.0})),
@@ -125,10 +125,10 @@ WITHOUT = {
     "absolute gradients": Idea(patches=redrawn(lambda d, rows: d.screen_grad)),
     "person pixels kept from the scene": Idea(patches=put(losses, outside_person=lambda image, target, mask: image)),
     "a seam around the person": Idea(patches=put(losses, **PLAIN)),
-    "the veil": Idea(patches=put(losses, VEIL=0.0)),
+    "scene before the person kept away": Idea(patches=put(losses, OCCLUDERS=0.0)),
     "alpha from masks": Idea(patches=put(losses, ALPHA=0.0)),
     "own corrections beside the triplane's": Idea(patches=put(optimizers, LR_OWN=dict.fromkeys(schedule.LR_OWN, 0.0))),
-    "shy corrections": Idea(patches=put(losses, SHY=0.0)),
+    "shy corrections": Idea(patches=put(losses, REGULAR=0.0)),
     "a smooth surface": Idea(patches=put(losses, SMOOTH=0.0)),
     "a prior on skinning weights": Idea(patches=put(losses, LBS=0.0)),
     "faint and small Gaussians of the scene": Idea(patches=put(losses, FRUGAL=0.0)),
@@ -138,7 +138,7 @@ WITHOUT = {
     "but with refined cameras": Idea(decisions={"camera_refinement": True}),
     "but antialiased": Idea(decisions={"antialias": True}),
     "but the scene by MCMC": Idea(
-        patches=put(fit_module, grow_scene=mcmc.relocate) + put(fit_module.Fit, _apply=mcmc.walking)
+        patches=put(densify, grow_scene=mcmc.relocate) + put(fit_module.Fit, _apply=mcmc.walking)
     ),
 }
 
@@ -147,25 +147,26 @@ def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[di
     """Train each variant with each seed, and rate it."""
     clip = load_clip(folder / "sfm", folder / "smpl")
     decisions, starts = surveyed(folder)
-    chosen = np.flatnonzero(clip.training).tolist()
     heldout = [i for i in np.flatnonzero(clip.heldout).tolist() if (clip.mask(i) > 127).any()]
     with np.load(fetch("lpips_alex.npz")) as weights:
         lpips = Lpips(weights)
     for name in names:
         idea = WITHOUT[name]
         for seed in range(seeds):
-            job = SimpleNamespace(seed=seed, device="cpu", note=lambda text: None)
             with ExitStack() as stack:
                 for patch in idea.patches:
                     stack.enter_context(patch)
-                fit = train.build(
-                    clip, chosen, train.Params(steps=steps, **idea.settings), decisions | idea.decisions, starts, job
-                )
+                params = train.Params(steps=steps, **idea.settings)
+                fit = build(Task(clip, params, decisions | idea.decisions, starts, seed), lambda text: None)
                 began = time.perf_counter()
-                while fit.step < steps:
+                while fit.progress.step < steps:
                     fit.advance()
                 seconds = time.perf_counter() - began
-            yield {"without": name, "seed": seed, "seconds": seconds} | fit.sizes() | judge(fit, heldout, lpips)
+            yield (
+                {"without": name, "seed": seed, "seconds": seconds}
+                | fit.sizes()
+                | heldout_accuracy(fit, heldout, lpips)
+            )
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.precision [--steps 60] [--seeds 3]
 
-The clip is that of tests/stages/training/test_fit.py (48x40 px, up to 560 Gaussians), small enough for the references in
+The clip is that of tests/made/training.py (48x40 px, up to 560 Gaussians), small enough for the references in
 float64: `stages/avatar/rasterize/reference.py` and `ssim_reference`. Each row is a mean over seeds; "off" is how far the
 held-out picture of a row lies from that of the last one before anything was learned, "dB" its accuracy in the end.
 """
@@ -23,11 +23,10 @@ from torch import Tensor
 from stages.avatar.measures.ssim import ssim_reference
 from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, reference
 from stages.training import losses
-from stages.training.accuracy import judge
+from stages.training.accuracy import heldout_accuracy
 from stages.training.fit import Fit
-from stages.training.schedule import Options
 from tests.benchmarks.host import clock
-from tests.stages.training.test_fit import make_clip, models
+from tests.made.training import make_clip, models, settings
 
 TRAINED, HELD_OUT = [0, 1, 3, 4, 5], 2
 WAYS = {"kernels, float32": None, "torch, float32": torch.float32, "torch, float64": torch.float64}
@@ -61,13 +60,16 @@ def way(dtype: torch.dtype | None) -> Iterator[None]:
 def fit_of(clip: Any, steps: int, seed: int) -> Fit:
     """A training of the small clip that begins as `seed` says."""
     human, wall, generator = models(seed)
-    return Fit(clip[0], TRAINED, clip[1], human, wall, Options(steps, 2, 300, 260, 1.0, growth_rounds=4), generator)
+    return Fit(clip[0], TRAINED, clip[1], human, wall, *settings(steps), generator)
 
 
 @torch.no_grad()
 def picture(fit: Fit) -> Tensor:
     """The held-out frame as it is drawn now."""
-    human, size = fit.posed(fit.baked()[1], *(part[HELD_OUT] for part in fit.bodies())), fit.full.masks.shape[:0:-1]
+    human, size = (
+        fit.posed(fit.person.baked()[1], *(part[HELD_OUT] for part in fit.bodies())),
+        fit.full.masks.shape[:0:-1],
+    )
     camera = Camera(fit.full.viewmats[HELD_OUT], fit.full.Ks[HELD_OUT], *size)
     return fit.effects.draw(human, fit.scene.splats(), None, camera, [Layer()])[0].image
 
@@ -78,10 +80,10 @@ def trained(clip: Any, dtype: torch.dtype | None, steps: int, seed: int) -> tupl
         fit, times = fit_of(clip, steps, seed), []
         first = picture(fit)
         for _ in range(steps):
-            full = fit.done >= fit.options.half_until
+            full = fit.progress.done >= fit.half_until
             took = clock(fit.advance)
             times += [took] if full else []
-        return first, statistics.median(times), judge(fit, [HELD_OUT])["psnr"]
+        return first, statistics.median(times), heldout_accuracy(fit, [HELD_OUT])["psnr"]
 
 
 def main() -> None:

@@ -22,16 +22,8 @@ from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.formats.clip import load_clip
 from stages.training.fit import Fit
+from stages.training.start import Task, build
 from tests.benchmarks.workloads import surveyed
-
-
-class Job:
-    """What `train.build` asks of a job."""
-
-    seed, device = 0, "cpu"
-
-    def note(self, text: str) -> None:
-        print(f"  {text}")
 
 
 def scene_only(folder: Path) -> dict:
@@ -40,17 +32,17 @@ def scene_only(folder: Path) -> dict:
     joint = json.loads((folder / "evaluate" / "metrics.json").read_text())
     known = json.loads((folder / "train" / "train.json").read_text())
     decisions, starts = surveyed(folder)
-    chosen = [i for i in range(len(clip.names)) if clip.training[i]]
     params = train.Params(steps=known["steps"])
-    both = train.build(clip, chosen, params, decisions | {"scene": True}, starts, Job())
-    options = both.options._replace(scene_cap=sum(known["gaussians"].values()), exposure=False)
+    both = build(Task(clip, params, decisions | {"scene": True}, starts), print)
+    params = both.params.model_copy(update={"scene_cap": sum(known["gaussians"].values())})
+    options = both.options._replace(exposure=False)
     everything = both.full._replace(masks=torch.zeros_like(both.full.masks))
-    fit = Fit(everything, chosen, None, None, both.scene, options, torch.Generator().manual_seed(Job.seed))
+    fit = Fit(everything, both.train, None, None, both.scene, params, options, torch.Generator().manual_seed(0))
     began = time.perf_counter()
-    while fit.step < options.steps:
+    while fit.progress.step < params.steps:
         fit.advance()
-        if fit.step % 500 == 0:
-            print(f"  step {fit.step} of {options.steps}, {len(fit.scene):,} Gaussians", flush=True)
+        if fit.progress.step % 500 == 0:
+            print(f"  step {fit.progress.step} of {params.steps}, {len(fit.scene):,} Gaussians", flush=True)
     seconds = time.perf_counter() - began
     sums = {"full": {"psnr": [], "ssim": []}, "person_crop": {"psnr": [], "ssim": []}}
     with torch.no_grad():
@@ -66,7 +58,7 @@ def scene_only(folder: Path) -> dict:
                         values.append(score[key])
     rated = {name: {key: sum(v) / len(v) for key, v in part.items()} for name, part in sums.items()}
     return {
-        "steps": options.steps,
+        "steps": params.steps,
         "joint": {name: {key: joint["heldout"][name][key] for key in rated[name]} for name in rated},
         "joint_gaussians": known["gaussians"],
         "scene_only": rated,

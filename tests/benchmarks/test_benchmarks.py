@@ -18,7 +18,7 @@ from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
-from tests.stages.training.test_fit import fit_of, make_clip, run
+from tests.made.training import fit_of, make_clip, run
 
 clip = pytest.fixture(scope="module")(make_clip)
 
@@ -101,7 +101,7 @@ def test_a_training_without_the_hooks_of_effects_has_none_of_them_and_learns_the
     off, bare = fit_of(clip, steps=8, exposure=False), effects_off.bare(fit_of(clip, steps=8, exposure=False))
     assert not isinstance(bare.effects, type(off.effects)) and off.effects.shadow is None
     seconds = effects_off.measure(off, bare, 8)
-    assert seconds.shape == (8, 2) and (seconds > 0).all() and off.step == bare.step == 8
+    assert seconds.shape == (8, 2) and (seconds > 0).all() and off.progress.step == bare.progress.step == 8
     assert effects_off.alike(off, bare)
     with torch.no_grad():
         bare.scene.sh0[0, 0] += 1e-6

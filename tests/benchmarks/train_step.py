@@ -36,10 +36,9 @@ from stages.avatar.splats.gaussians import Splats
 from stages.formats.clip import load_clip
 from stages.formats.splats import read_scene
 from stages.records import Scene
-from stages.training import fit, layers, losses
-from stages.training.schedule import HALF_UNTIL
+from stages.training import densify, fit, layers, losses, person
+from stages.training.start import Task, build
 from tests.benchmarks.host import machine, summary
-from tests.benchmarks.scene_only import Job
 from tests.benchmarks.workloads import surveyed
 
 SIZES = ((1, 50_000), (1, 60_000), (1, 200_000), (2, 50_000), (2, 200_000))  # subdivisions of the body, scene Gaussians
@@ -48,8 +47,8 @@ SIZES = ((1, 50_000), (1, 60_000), (1, 200_000), (2, 50_000), (2, 200_000))  # s
 def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
     """Name, owner and attribute of what is timed; only what Python calls, as kernels call kernels directly."""
     return (
-        ("decode", fit.Fit, "_decode"),
-        ("decode, backward", fit.Fit, "_learn_human"),
+        ("decode", person.PersonLearner, "_decode"),
+        ("decode, backward", person.PersonLearner, "learn"),
         ("pose (LBS)", fit.Fit, "posed"),
         ("scene activations", SceneModel, "splats"),
         ("SH colours", Splats, "colors"),
@@ -67,14 +66,14 @@ def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
         ("other losses", losses, "person_only"),
         ("other losses", losses, "outside_person"),
         ("other losses", losses, "skinning"),
-        ("veil", layers, "veil"),
+        ("occluders", layers, "foreground_occluders"),
         ("effects", FrameEffects, "lit"),
         ("effects", FrameEffects, "dressed"),
         ("backward, other", torch.Tensor, "backward"),
-        ("growth statistics", fit.Growth, "add"),
+        ("growth statistics", densify.Growth, "add"),
         ("optimiser, scene and frames", fit.Fit, "_apply"),
         ("optimiser, person", joint.adam["human"], "step"),
-        ("nearest body vertices", fit.Fit, "_reference"),
+        ("nearest body vertices", person.PersonLearner, "_reference"),
         ("rest", fit.Fit, "advance"),
     )
 
@@ -141,21 +140,21 @@ def prepared(folder: Path, rounds: int, count: int) -> fit.Fit:
     """The joint model of one size, at the first step of full resolution."""
     clip = load_clip(folder / "sfm", folder / "smpl")
     decisions, starts = surveyed(folder)
-    chosen = [i for i in range(len(clip.names)) if clip.training[i]]
-    fresh = train.build(clip, chosen, train.Params(rounds=rounds), decisions | {"scene": True}, starts, Job())
-    scene = resized(read_scene(folder / "train" / "scene.npz"), count, np.random.default_rng(Job.seed))
-    parts = (fresh.full, chosen, fresh.person, fresh.human, model(scene, fresh.options.extent))
-    joint = fit.Fit(*parts, fresh.options, torch.Generator().manual_seed(Job.seed), effects=fresh.effects)
-    every = joint.options.views_per_decode
-    joint.step = math.ceil(HALF_UNTIL * joint.options.steps / every) * every
-    joint._grow = lambda: None
+    fresh = build(Task(clip, train.Params(rounds=rounds), decisions | {"scene": True}, starts), print)
+    scene = resized(read_scene(folder / "train" / "scene.npz"), count, np.random.default_rng(0))
+    parts = (fresh.full, fresh.train, fresh.person.body, fresh.human, model(scene, fresh.options.extent))
+    generator = torch.Generator().manual_seed(0)
+    joint = fit.Fit(*parts, fresh.params, fresh.options, generator, effects=fresh.effects)
+    every = joint.params.views_per_decode
+    joint.progress.step = math.ceil(joint.half_until * joint.params.steps / every) * every
+    joint.densifier.grow = lambda *_: None
     return joint
 
 
 def measure(folder: Path, rounds: int, count: int, repeats: int) -> dict:
     """Milliseconds of a step, in all and by part, over at least `repeats` steps after those of one decode."""
     joint = prepared(folder, rounds, count)
-    every = joint.options.views_per_decode
+    every = joint.params.views_per_decode
     for _ in range(every):
         joint.advance()
     watch, parts, totals = Stopwatch(), timed_parts(joint), []

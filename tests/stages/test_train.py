@@ -31,10 +31,14 @@ from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
 from stages.records import BodyPoses, Cameras
 from stages.training import losses
+from stages.training.checkpoint import Checkpoint
 from stages.training.deadline import Pace
 from stages.training.finishing.bake import floating
-from stages.training.finishing.depths import evened
+from stages.training.finishing.depths import snap_to_surface
 from stages.training.fit import Fit
+from stages.training.results import effect_facts
+from stages.training.run import SAVED, Training, begin, finish, learn
+from stages.training.start import build
 
 FRAMES, WIDTH, HEIGHT = 8, 48, 40
 STARTS = {"shadow": [0.6, 0.0, -0.8, 0.3]}
@@ -96,14 +100,20 @@ def stopping(tmp_path, name: str, after: int) -> Job:
     return job
 
 
+def trained(inputs, params=PARAMS, job=None) -> Training:
+    """A training of those folders that has taken all its steps."""
+    task = train._task(job or Job(inputs["sfm"]), params, **inputs)
+    training = begin(task, job or Job(inputs["sfm"]), None, 0.0)
+    learn(training, job or Job(inputs["sfm"]))
+    return training
+
+
 def contents(folder) -> dict:
     return {p.name: dict(np.load(p)) for p in folder.glob("*.npz")}
 
 
-def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch, held):
-    kept = []
-    monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
-    job = fresh(tmp_path, "out")
+def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, held):
+    job, fit = fresh(tmp_path, "out"), trained(inputs).fit
     train.run(job, PARAMS, **inputs)
     assert sorted(p.name for p in job.out.iterdir()) == [
         "avatar.npz",
@@ -112,19 +122,18 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
         "scene.npz",
         "train.json",
     ]
-    (fit,) = kept
     clip = load_clip(inputs["sfm"], inputs["smpl"], train=job.out)
     body = [
         torch.tensor(getattr(clip.body, k)[3], dtype=torch.float32) for k in ("global_orient", "body_pose", "transl")
     ]
     baked = pose_avatar(load_avatar(read_avatar(job.out / "avatar.npz")), *body)
     with torch.no_grad():
-        canonical, _ = fit.baked()
-        stay = ~floating(canonical, fit.person)
+        canonical, _ = fit.person.baked()
+        stay = ~floating(canonical, fit.person.body)
         poses = dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True))
-        seen = fit.person._replace(**poses), fit.full._replace(viewmats=fit.cameras()), fit.train
-        even, moved = evened(Canonical(*(part[stay] for part in canonical)), *seen)
-        network = fit.posed(rest(even, fit.canonical_bones), *body)
+        seen = fit.person.body._replace(**poses), fit.full._replace(viewmats=fit.cameras()), fit.train
+        even, moved = snap_to_surface(Canonical(*(part[stay] for part in canonical)), *seen)
+        network = fit.posed(rest(even, fit.person.canonical_bones), *body)
     facts, n = json.loads((job.out / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
     assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["evened"] == moved < 0.2 * n
@@ -132,8 +141,8 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
     held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)
     held((baked.means[:n] - network.means).abs().max(), 1e-5)
     assert torch.allclose(baked.opacities[:n], network.opacities)
-    scene, trained = load_scene(read_scene(job.out / "scene.npz")), fit.scene.splats()
-    assert torch.allclose(scene.axes, trained.axes, atol=1e-6) and torch.equal(scene.means, trained.means)
+    scene, learned = load_scene(read_scene(job.out / "scene.npz")), fit.scene.splats()
+    assert torch.allclose(scene.axes, learned.axes, atol=1e-6) and torch.equal(scene.means, learned.means)
     rows = list(csv.DictReader((job.out / "curve.csv").open()))
     assert [int(r["step"]) for r in rows] == [4, 8] and float(rows[1]["psnr"]) > 0
     assert 0 < float(rows[0]["seconds"]) < float(rows[1]["seconds"])
@@ -209,18 +218,17 @@ def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_pat
 
 
 def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_again(tmp_path, inputs, monkeypatch):
-    real = train.build
-
-    def faint(*args):
-        fit = real(*args)
+    def faint(task, note, real=build):
+        fit = real(task, note)
         fit.scene.logit_opacities.data.fill_(-20)
         return fit
 
-    monkeypatch.setattr(train, "build", faint)
+    monkeypatch.setattr("stages.training.run.build", faint)
+    monkeypatch.setattr("stages.training.start.build", faint)
     job = fresh(tmp_path, "job")
     with pytest.raises(StageError, match="training broke down") as error:
         train.run(job, PARAMS, **inputs)
-    monkeypatch.setattr(train, "build", real)
+    monkeypatch.undo()
     facts = error.value.facts
     assert "step 1, frame 00000" in facts[0] and "Gaussians would be pruned" in facts[0]
     assert str(job.out / "failure.npz") in facts[2] and not list(job.out.glob("avatar*"))
@@ -250,21 +258,16 @@ def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_befor
         train.replay(tmp_path / "other.npz")
 
 
-def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted(tmp_path, inputs, monkeypatch):
-    sizes = {}
-
-    def spoil(fit, *args, write=train._write):
-        sizes.update(fit.sizes())
-        fit.scene.means.data[1, 2] = torch.nan
-        fit.scene.quats.data[2] = 0
-        fit.human.log_sizes[4] = 200  # the exponential overflows
-        write(fit, *args)
-
-    monkeypatch.setattr(train, "_write", spoil)
+def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted(tmp_path, inputs):
     said: list[str] = []
     job = fresh(tmp_path, "out")
     job.emit = lambda event: said.append(event.get("text", ""))
-    train.run(job, PARAMS, **inputs)
+    training = trained(inputs)
+    fit, sizes = training.fit, training.fit.sizes()
+    fit.scene.means.data[1, 2] = torch.nan
+    fit.scene.quats.data[2] = 0
+    fit.human.log_sizes[4] = 200  # the exponential overflows
+    train.write(job.out, finish(training, job))
     assert "3 Gaussians left out of the result because they are not finite" in said
     scene, avatar = read_scene(job.out / "scene.npz"), read_avatar(job.out / "avatar.npz")
     facts = json.loads((job.out / "train.json").read_text())
@@ -329,22 +332,20 @@ def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
 DRAWN = ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
 
 
-def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, monkeypatch, held):
-    kept = []
-    monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
+def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, held):
     decide(inputs["survey"], **dict.fromkeys(DRAWN, True))
-    job = fresh(tmp_path, "out")
-    train.run(job, PARAMS, **inputs)
+    job, training = fresh(tmp_path, "out"), trained(inputs)
+    train.write(job.out, finish(training, job))
     told = json.loads((job.out / "train.json").read_text())["effects"]
     assert told.keys() >= {*DRAWN} and all(effect["psnr"] is not None for effect in told.values())
     effects = read_effects(job.out / "effects.npz")
-    said = {name: np.asarray(value) for name, value in kept[0].effects.known().items()}
+    said = {name: np.asarray(value) for name, value in training.fit.effects.known().items()}
     assert effects.known().keys() == said.keys() == {*SHADOW, "shutter", "readout"}
     held(max(np.abs(value - said[name]).max() for name, value in effects.known().items()), 1e-6)
     *lamp, darkness = STARTS["shadow"]
     assert said["light"] @ lamp > 0.97 and abs(said["darkness"] - darkness) < 0.1, "eight steps from what survey saw"
     clip, given = (load_clip(inputs["sfm"], inputs["smpl"], folder) for folder in (job.out, None))
-    held(np.abs(clip.viewmats - kept[0].cameras().numpy()).max(), 1e-6)
+    held(np.abs(clip.viewmats - training.fit.cameras().numpy()).max(), 1e-6)
     moved = np.abs(clip.viewmats - given.viewmats)[clip.training].max((1, 2))
     assert (moved > 1e-5).all() and moved.max() < 0.05
     learned, _ = render.read_trained(job.out, "cpu")
@@ -390,16 +391,14 @@ def test_importing_the_stage_loads_nothing_heavy():
 ABLATIONS = {"lbs_learning": False, "human_densify": False, "human_loss": False, "triplane": False, "joint": False}
 
 
-def test_every_ablation_reaches_what_is_trained(tmp_path, inputs, monkeypatch):
-    kept = []
-    monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
-    train.run(fresh(tmp_path, "full"), PARAMS, **inputs)
-    train.run(fresh(tmp_path, "without"), PARAMS.model_copy(update=ABLATIONS), **inputs)
-    for fit, there in zip(kept, (True, False), strict=True):
-        options = fit.options
-        assert (options.human_densify, options.human_loss, options.joint) == (there, there, there)
-        assert (fit.human.triplane is not None) is there and fit.canonical.weights.requires_grad is there
-    assert (tmp_path / "without" / "avatar.npz").exists() and (tmp_path / "without" / "scene.npz").exists()
+def test_every_ablation_reaches_what_is_trained(inputs):
+    for there, params in ((True, PARAMS), (False, PARAMS.model_copy(update=ABLATIONS))):
+        training = trained(inputs, params)
+        fit, known = training.fit, training.fit.params
+        assert (known.human_densify, known.human_loss, known.joint) == (there, there, there)
+        assert (fit.human.triplane is not None) is there and fit.person.canonical.weights.requires_grad is there
+    result = finish(training, Job(inputs["sfm"]))
+    assert len(result.avatar) > 0 and len(result.scene) > 0
 
 
 @pytest.mark.parametrize("setting", ["human_loss", "joint"])
@@ -412,7 +411,7 @@ def test_a_person_that_needs_a_scene_to_learn_says_so(tmp_path, inputs, setting)
 class Refuses:
     """A fit of another shape than the checkpoint's."""
 
-    def modules(self):
+    def load(self, state):
         raise RuntimeError("size mismatch for means: [5, 3] and [4, 3]\nmore")
 
 
@@ -424,8 +423,7 @@ class Touches:
         return os.system, (f"touch {self.sign}",)
 
 
-def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(train, "_start", lambda *args: (Refuses(), None))
+def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path):
     path, sign = tmp_path / "checkpoint.pt", tmp_path / "ran"
     torch.save({"fit": {}, "threads": 1, "curve": [], "seconds": 0.0, "parts": {}, "sizes": {}, "deadline": None}, path)
     whole = path.read_bytes()
@@ -434,7 +432,8 @@ def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path
                        (path.read_bytes(), "checkpoint.pt: "), (pickle.dumps(Touches(sign)), "checkpoint.pt: ")):  # fmt: skip
         path.write_bytes(data)
         with pytest.raises(StageError, match="checkpoint of the stopped training cannot be used") as error:
-            train._begun(Job(tmp_path), train.Params(), (tmp_path, tmp_path, tmp_path), None)
+            checkpoint = Checkpoint(path)
+            checkpoint.resume(Refuses(), checkpoint.load(SAVED)["fit"])
         assert said in error.value.facts[0] and "--force" in error.value.hint and not sign.exists()
 
 
@@ -482,7 +481,7 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     monkeypatch.setattr("stages.training.deadline.rehearse", lambda fit, timings: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
     monkeypatch.setattr("stages.training.deadline.PAUSE", 0.0)
     monkeypatch.setattr("stages.training.effect_gains._seconds", lambda fit: 1.0)
-    monkeypatch.setattr(train, "FEWEST", 10)
+    monkeypatch.setattr("stages.training.budget.FEWEST", 10)
     advance = Fit.advance
     monkeypatch.setattr(Fit, "advance", lambda fit: (now.__setitem__(0, now[0] + 1), advance(fit))[1])
     params = PARAMS.model_copy(update={"seconds": 20.0, "reserve": 5.0, "human_cap": 30_000})
@@ -507,7 +506,7 @@ def test_an_effect_that_the_clock_does_not_see_is_not_said_to_save_time(tmp_path
         "shadow": {"psnr": 2.6, "psnr_person": 0.5, "share": -0.046},
         "exposure": {"psnr": 1.0, "psnr_person": 1.0, "share": 0.1},
     }
-    told = train._told(found, 100.0, Job(tmp_path, emit=lambda event: said.append(event["text"])))
+    told = effect_facts(found, 100.0, Job(tmp_path, emit=lambda event: said.append(event["text"])))
     assert [effect["seconds"] for effect in told.values()] == [-4.6, 10.0], "as measured"
     assert said[0] == "shadow: +2.6 / +0.5 dB on held-out frames, no measurable time of training"
     assert said[1] == "exposure: +1.0 / +1.0 dB on held-out frames, 10 s of training"
@@ -517,7 +516,7 @@ def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path,
     def breaks(fit, frames):
         raise FloatingPointError("too many bad steps")
 
-    monkeypatch.setattr("stages.training.effect_gains.worth", breaks)
+    monkeypatch.setattr("stages.training.run.effect_gains", breaks)
     said = []
     job = fresh(tmp_path, "out")
     job.emit = lambda event: said.append(event.get("text", ""))
@@ -545,25 +544,18 @@ def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
 
 
 @pytest.mark.parametrize(("steps", "group"), [(1, 2), (3, 5)])
-def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(tmp_path, inputs, monkeypatch, steps, group):
-    taught = []
-    monkeypatch.setattr(train, "_write", lambda fit, *a: taught.append(fit.taught.sum().item()))
-    params = PARAMS.model_copy(update={"steps": steps, "views_per_decode": group})
-    train.run(fresh(tmp_path, "out"), params, **inputs)
-    assert taught[0] > 0
+def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, steps, group):
+    fit = trained(inputs, PARAMS.model_copy(update={"steps": steps, "views_per_decode": group})).fit
+    assert fit.person.color_grad_sum.sum() > 0
 
 
-def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs, monkeypatch):
+def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs):
     job, said = fresh(tmp_path, "out"), []
     job.emit = lambda event: said.append(event.get("text", ""))
-
-    def loud(fit, *args, write=train._write):
-        fit.guard.clipped, fit.behind = 3, torch.arange(len(fit.scene)) < 5
-        write(fit, *args)
-
-    monkeypatch.setattr(train, "_write", loud)
-    train.run(job, PARAMS.model_copy(update={"human_cap": 100, "scene_cap": 10}), **inputs)
-    facts = json.loads((job.out / "train.json").read_text())
+    training = trained(inputs, PARAMS.model_copy(update={"human_cap": 100, "scene_cap": 10}), job)
+    fit = training.fit
+    fit.guard.clipped, fit.densifier.settled = 3, torch.arange(len(fit.scene)) < 5
+    facts = finish(training, job).facts
     assert facts["unseen"] > 0 and facts["leant"] > 0 and facts["clipped"] == 3 and facts["behind"] == 5
     assert facts["sizes"]["human_cap"] == 6890 and facts["sizes"]["scene_cap"] > 10
     for part in (

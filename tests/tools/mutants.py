@@ -208,9 +208,9 @@ MUTANTS = (
     ),
     Mutant(
         "14-14 H11 a checkpoint without the order of frames",
-        "stages/training/checkpoint.py",
-        '"order": fit.order.clone(),',
-        '"order": fit.order[:0],',
+        "stages/training/fit.py",
+        '"order": self.order.clone(),',
+        '"order": self.order[:0],',
         "tests/stages/training/test_fit.py::resumed_equals_uninterrupted_bit_for_bit",
     ),
     Mutant(

@@ -1,16 +1,13 @@
-"""Each switch of the paper's ablations does what it says, on the tiny clip of test_fit.py."""
-
-import io
+"""Each switch of the paper's ablations does what it says, on a tiny clip."""
 
 import numpy as np
 import pytest
 import torch
 
 from stages.training import losses
-from stages.training.checkpoint import restore, snapshot
 from stages.training.fit import Fit
-from stages.training.schedule import Options, phases
-from tests.stages.training.test_fit import ellipsoid, make_clip, models, run
+from stages.training.schedule import phases
+from tests.made.training import TRAIN, ellipsoid, make_clip, models, run, settings, states, stored
 
 clip = pytest.fixture(scope="module")(make_clip)
 
@@ -18,12 +15,7 @@ clip = pytest.fixture(scope="module")(make_clip)
 def fit_of(clip, steps: int = 40, sh_degree: int = 0, lbs_learning: bool = True, triplane: bool = True, **more) -> Fit:
     views, person = clip
     human, wall, generator = models(sh_degree=sh_degree, lbs_learning=lbs_learning, triplane=triplane)
-    options = Options(steps, 2, 300, 260, 1.0, exposure=True, growth_rounds=4)._replace(**more)
-    return Fit(views, [0, 1, 3, 4, 5], person, human, wall, options, generator)
-
-
-def states(fit: Fit) -> dict[str, torch.Tensor]:
-    return {f"{n}.{k}": v.clone() for n, m in fit.modules().items() for k, v in m.state_dict().items()}
+    return Fit(views, TRAIN, person, human, wall, *settings(steps, exposure=True, **more), generator)
 
 
 @pytest.mark.parametrize("triplane", [True, False])
@@ -36,7 +28,7 @@ def test_without_lbs_learning_each_gaussian_keeps_the_weights_it_began_with(clip
         run(fit, 20)
         assert fit.guard.left_out == 0 and not torch.equal(fit.human()[0].means, before), "the rest learns"
     assert torch.equal(kept.human()[0].weights, began) and not torch.equal(learned.human()[0].weights, began)
-    assert len(kept.reference) == 0, "nothing looks for neighbours that teach nothing"
+    assert len(kept.person.reference) == 0, "nothing looks for neighbours that teach nothing"
     named = [name for name, _ in kept.human.named_parameters()]
     assert named and not [name for name in named if "deformation" in name or "skin" in name]
 
@@ -55,7 +47,9 @@ def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch
     assert all(set(n) == {"image"} for n in numbers)
     image = [n["image"] for n in numbers]
     assert np.mean(image[-10:]) < 0.8 * np.mean(image[:10])
-    assert fit.taught.max() > 0 and len(fit.human) > len(ellipsoid()[0]), "its screen gradients are counted"
+    assert fit.person.color_grad_sum.max() > 0 and len(fit.human) > len(ellipsoid()[0]), (
+        "its screen gradients are counted"
+    )
 
 
 def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
@@ -87,7 +81,7 @@ def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
 def test_a_person_who_grows_stays_as_opaque(clip):
     fit = fit_of(clip, 80)
     before = fit.human()[0].opacities
-    fit._grow_human(0.0, 1)
+    fit.densifier.grow_person(fit.adam, 0.0, 1)
     after = fit.human()[0].opacities
     assert len(after) > len(before)
     light = [(1 - opacities).log().sum().item() for opacities in (before, after)]
@@ -111,11 +105,8 @@ def test_resumed_equals_uninterrupted_bit_for_bit(clip, case):
     straight, first = fit_of(clip, **case), fit_of(clip, **case)
     run(straight, 40)
     run(first, 30)  # behind growth of the scene and of the person, in the second phase where there are two
-    file = io.BytesIO()
-    torch.save(snapshot(first), file)
-    file.seek(0)
     second = fit_of(clip, **case)
-    restore(second, torch.load(file, weights_only=True))
+    second.load(stored(first))
     assert len(second.scene) > 150
     run(second, 40)
     for key, value in states(straight).items():
@@ -134,7 +125,7 @@ def test_scene_first_then_the_person_before_a_scene_that_no_gradient_reaches(cli
     for parameter in fit.scene.parameters():
         parameter.register_hook(lambda grad: seen.append(grad))
     numbers = [fit.advance() for _ in range(20)]
-    assert any("person" in n for n in numbers) and fit.step == fit.options.steps
+    assert any("person" in n for n in numbers) and fit.progress.step == fit.params.steps
     assert not seen and all(torch.equal(v, states(fit)[k]) for k, v in scene.items())
     assert len(fit.human) > 162 and not torch.equal(person["human.triplane.table"], fit.human.triplane.table)
 

@@ -2,11 +2,14 @@
 
 import pytest
 
-from stages.training.deadline import Deadline, Pace, rehearse, short_of
-from stages.training.schedule import HALF_UNTIL, SETTLE
-from tests.stages.training.test_fit import fit_of, make_clip, run, same
+from stages.training.calibration import short_of
+from stages.training.deadline import Deadline, Pace, rehearse
+from stages.training.schedule import SETTLE
+from stages.training.settings import Params
+from tests.made.training import fit_of, make_clip, run, same
 
 clip = pytest.fixture(scope="module")(make_clip)
+HALF_UNTIL = Params().half_until
 PACE = Pace(half=(0.1, 0.2), full=(0.3, 0.6), half_until=HALF_UNTIL)
 
 
@@ -46,7 +49,7 @@ def test_what_was_slow_is_believed_to_stay_slow():
 def test_a_rehearsal_leaves_no_trace(clip):
     fit, other = fit_of(clip), fit_of(clip)
     pace = rehearse(fit)
-    assert same(fit, other) and fit.total == other.total
+    assert same(fit, other) and fit.progress.total == other.progress.total
     run(fit, 12), run(other, 12)
     assert same(fit, other)
     assert all(seconds > 0 for seconds in (*pace.half, *pace.full))
@@ -60,36 +63,37 @@ def test_what_is_timed_is_whole_groups_of_steps_and_a_full_step_even_where_train
 ):
     fit, seen = fit_of(clip), []
     advance = fit.advance
-    fit.options = fit.options._replace(half_until=1.0, views_per_decode=group, perceptual_every=lpips)
-    monkeypatch.setattr(fit, "advance", lambda: (seen.append(fit.done < fit.options.half_until), advance())[1])
+    fit.params = fit.params.model_copy(update={"views_per_decode": group, "perceptual_every": lpips})
+    fit.half_until = 1.0
+    monkeypatch.setattr(fit, "advance", lambda: (seen.append(fit.progress.done < fit.half_until), advance())[1])
     rehearse(fit, 1)
     steps = 2 + timed  # two to warm up
     assert seen == 2 * (steps * [True] + steps * [False]), "small and large, at two sizes"
-    assert fit.options.half_until == 1.0
+    assert fit.half_until == 1.0
 
 
 def test_filled_up_sets_are_at_their_caps(clip):
     fit = fit_of(clip)
     run(fit, 4)
-    fit.fill_up()
-    assert fit.sizes() == {"human": fit.options.human_cap, "scene": fit.options.scene_cap}
+    fit.densifier.fill_up(fit.adam)
+    assert fit.sizes() == {"human": 300, "scene": 260}
     run(fit, 6)
-    fit.options = fit.options._replace(scene_cap=20 * fit.options.scene_cap)
-    fit.fill_up()
-    assert fit.sizes()["scene"] == fit.options.scene_cap, "more than four doublings away"
+    fit.densifier.params = fit.params.model_copy(update={"scene_cap": 20 * 260})
+    fit.densifier.fill_up(fit.adam)
+    assert fit.sizes()["scene"] == 20 * 260, "more than four doublings away"
 
 
 def test_a_run_with_other_steps_goes_through_the_whole_schedule(clip):
     fit = fit_of(clip, steps=40)
     run(fit, 10)
-    assert fit.done == 0.25
-    fit.retime(60)
-    assert fit.done == 0.25 and fit.total == 70
+    assert fit.progress.done == 0.25
+    fit.progress.retime(60)
+    assert fit.progress.done == 0.25 and fit.progress.total == 70
     seen = []
-    while fit.step < fit.total:
-        seen.append(fit.done)
+    while fit.progress.step < fit.progress.total:
+        seen.append(fit.progress.done)
         fit.advance()
-    assert seen == sorted(seen) and seen[-1] == pytest.approx(0.25 + 0.75 * 59 / 60) and fit.done == 1.0
+    assert seen == sorted(seen) and seen[-1] == pytest.approx(0.25 + 0.75 * 59 / 60) and fit.progress.done == 1.0
     assert len(fit.scene) > 150 and len(fit.human) > 162
 
 
@@ -103,26 +107,26 @@ def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, mon
     half = tuple(disturbed * seconds for seconds in PACE.half)
     monkeypatch.setattr("stages.training.deadline.rehearse", lambda fit, timings: Pace(half, PACE.full, HALF_UNTIL))
     deadline = Deadline(seconds=300.0, reserve=10, began=0.0, pauses=12)
-    fit.retime(deadline.start(fit))
-    planned, pauses = fit.total, 0
-    monkeypatch.setattr(fit, "advance", lambda: setattr(fit, "step", fit.step + 1))
-    while fit.step < fit.total:
-        clock.now += PACE._at(fit.done) * (1 if fit.done < 0.25 else slower)
+    fit.progress.retime(deadline.start(fit))
+    planned, pauses = fit.progress.total, 0
+    monkeypatch.setattr(fit, "advance", lambda: setattr(fit.progress, "step", fit.progress.step + 1))
+    while fit.progress.step < fit.progress.total:
+        clock.now += PACE._at(fit.progress.done) * (1 if fit.progress.done < 0.25 else slower)
         fit.advance()
-        if fit.step == fit.total or fit.share * 12 >= pauses + 1:
+        if fit.progress.step == fit.progress.total or fit.progress.share * 12 >= pauses + 1:
             pauses += 1
             clock.now += pause
-            deadline.judged(pause)
-        if fit.step < fit.total:
+            deadline.add_pause(pause)
+        if fit.progress.step < fit.progress.total:
             deadline.mark(fit)
     left_over = 10 * 0.6 * slower
     assert pauses == 12 and abs(clock.now + left_over - 300) < 0.02 * 300
     if disturbed != 1:
         return
     if slower != 1:
-        assert (fit.total > 1.2 * planned) if slower < 1 else (fit.total < 0.7 * planned)
+        assert (fit.progress.total > 1.2 * planned) if slower < 1 else (fit.progress.total < 0.7 * planned)
     elif not pause:  # it was reckoned with 3.6 s of pause a mark
-        assert planned < fit.total < 1.25 * planned
+        assert planned < fit.progress.total < 1.25 * planned
 
 
 def test_a_deadline_goes_on_where_it_was_stopped(clip, monkeypatch):

@@ -13,13 +13,10 @@ from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
-from stages.training import fit as fit_module
-from stages.training import losses
-from stages.training.checkpoint import restore, snapshot
+from stages.training import densify, losses
 from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
 from tests.made.lpips_weights import small_weights
-from tests.stages.training.test_ablations import states
-from tests.stages.training.test_fit import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run
+from tests.made.training import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, states
 
 clip = pytest.fixture(scope="module")(make_clip)
 
@@ -29,8 +26,10 @@ def test_defect_1_each_set_is_densified_by_its_own_gradients(clip):
     with torch.no_grad():
         fit.scene.means[:, 2] -= 100  # behind every camera: no gradient reaches it
     run(fit, 2)
-    assert (fit.growth["scene"].count == 0).all() and (fit.growth["scene"].grad == 0).all()
-    assert (fit.growth["human"].count > 0).float().mean() > 0.9, "the person is drawn, and its rows come first"
+    assert (fit.densifier.statistics["scene"].count == 0).all() and (fit.densifier.statistics["scene"].grad == 0).all()
+    assert (fit.densifier.statistics["human"].count > 0).float().mean() > 0.9, (
+        "the person is drawn, and its rows come first"
+    )
 
 
 def test_defect_2_the_scene_has_view_dependent_colours_whatever_the_person_has(clip):
@@ -61,14 +60,14 @@ def test_defect_3_the_place_of_the_person_is_refined(clip):
 def test_defect_4_a_checkpoint_holds_every_state_that_training_has(clip):
     fit = fit_of(clip)
     run(fit, 20)
-    state = snapshot(fit)
+    state = fit.state()
     assert set(state["adam"]) == {"human", "scene", "frames"} == set(state["models"]) - {"effects"}
     assert {"pose.weight", "place.weight", "gain.weight"} <= set(state["models"]["frames"])
     for name, optimizer in state["adam"].items():
         assert all({"step", "exp_avg", "exp_avg_sq"} <= set(moments) for moments in optimizer["state"].values()), name
-    assert state["numbers"][0] == 20 and {"generator", "order", "growth"} <= set(state)
+    assert state["progress"]["step"] == 20 and {"generator", "order", "densifier"} <= set(state)
     again = fit_of(clip)
-    restore(again, state)
+    again.load(state)
     assert all(torch.equal(value, states(again)[key]) for key, value in states(fit).items())
 
 
@@ -126,7 +125,7 @@ def test_defect_11_the_principal_point_counts(clip):
 def test_defect_12_a_patch_is_cut_wherever_the_person_is(where):
     mask = torch.zeros(50, 300)
     mask[{"nowhere": [], "everywhere": slice(None), "corner": slice(-3, None), "one pixel": [49]}[where], -1] = 1
-    rows, columns = losses.patch(mask, losses.PATCH, torch.Generator().manual_seed(0))
+    rows, columns = losses.random_patch(mask, losses.PATCH, torch.Generator().manual_seed(0))
     assert mask[rows, columns].shape == (50, losses.PATCH)
 
 
@@ -140,8 +139,8 @@ def test_defect_13_lpips_takes_the_range_it_was_made_for_and_the_other_by_name()
 def test_defect_14_training_settles(clip, monkeypatch):
     grown = []
     for name in ("grow_human", "grow_scene"):
-        real = getattr(fit_module, name)
-        monkeypatch.setattr(fit_module, name, lambda *a, real=real: (grown.append(fit.done), real(*a))[1])
+        real = getattr(densify, name)
+        monkeypatch.setattr(densify, name, lambda *a, real=real: (grown.append(fit.progress.done), real(*a))[1])
     fit = fit_of(clip, steps=80)
     run(fit, 80)
     assert grown and max(grown) <= SETTLE < 0.8

@@ -6,11 +6,12 @@ import torch
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import casters
 from stages.estimators.detectors.every import DETECTORS
-from stages.training.accuracy import judge
-from stages.training.effect_gains import ONLY_TAUGHT, OPTIONS, PARTS, effects_of, without, worth
+from stages.training.accuracy import heldout_accuracy
+from stages.training.effect_gains import ONLY_TAUGHT, OPTIONS, PARTS, effect_gains, effects_of, without
 from stages.training.optimizers import optimizers
+from stages.training.views import frame_speeds
+from tests.made.training import fit_of, make_clip, run, same
 from tests.stages.training.test_effects_in_training import everything
-from tests.stages.training.test_fit import fit_of, make_clip, run, same
 
 clip = pytest.fixture(scope="module")(make_clip)
 HELD_OUT = [2]
@@ -20,13 +21,15 @@ def changing(clip):
     """A training in which all that frames can do is on, and learned to something that shows."""
     fit = everything(clip, 24)
     run(fit, 24)
-    body = casters(fit.person.vertices, fit.person.weights).moved(torch.linalg.inv(fit.canonical_bones))
+    body = casters(fit.person.body.vertices, fit.person.body.weights).moved(
+        torch.linalg.inv(fit.person.canonical_bones)
+    )
     effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)
     effects.clothing = fit.effects.clothing
-    fit.effects, fit.speeds = effects, fit._speeds()
+    fit.effects, fit.speeds = effects, frame_speeds(fit.full, fit.person.body)
     fit.options = fit.options._replace(refine_camera=True)
     fit.adam = optimizers(fit.frames, fit.human, fit.scene, 1.0, effects)
-    fit.behind = torch.zeros(len(fit.scene.means), dtype=torch.bool)
+    fit.densifier.settled = torch.zeros(len(fit.scene.means), dtype=torch.bool)
     with torch.no_grad():
         fit.effects.readout.fill_(0.8), fit.effects.clothing.offsets.fill_(0.01)
         fit.scene.shN.fill_(0.05), fit.frames.gain.weight[1].fill_(0.3), fit.frames.place.weight.fill_(0.02)
@@ -47,11 +50,11 @@ def test_it_leaves_no_trace(clip):
     fit, other = everything(clip), everything(clip)
     run(fit, 9), run(other, 9)
     spent = dict(fit.clock.seconds)
-    found = worth(fit, HELD_OUT)
+    found = effect_gains(fit, HELD_OUT)
     assert list(found) == effects_of(fit)
     assert set(found) == {"pose_refinement", "exposure", "antialias", "clothing", "transients", "view_dependence"}
-    assert same(fit, other) and fit.total == other.total and fit.clock.seconds == spent
-    assert fit.behind is None or torch.equal(fit.behind, other.behind)
+    assert same(fit, other) and fit.progress.total == other.progress.total and fit.clock.seconds == spent
+    assert fit.densifier.settled is None or torch.equal(fit.densifier.settled, other.densifier.settled)
     run(fit, 24), run(other, 24)
     assert same(fit, other)
 
@@ -59,10 +62,10 @@ def test_it_leaves_no_trace(clip):
 @pytest.mark.parametrize("effect", [*OPTIONS, *PARTS, "view_dependence"])
 def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
     fit = changing(clip)
-    whole, kept = judge(fit, HELD_OUT), everything_of(fit)
+    whole, kept = heldout_accuracy(fit, HELD_OUT), everything_of(fit)
     with without(fit, effect):
         assert effect not in effects_of(fit) and len(effects_of(fit)) == len(OPTIONS) + len(PARTS)
-        drawn = judge(fit, HELD_OUT)
+        drawn = heldout_accuracy(fit, HELD_OUT)
         fit.advance()
     assert all(a is b for a, b in zip(kept, everything_of(fit), strict=True))
     assert (drawn["psnr"] == whole["psnr"]) == (effect in ONLY_TAUGHT), "else this test says nothing"
@@ -72,11 +75,11 @@ def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
     """A made-up clock: three pictures take three times as long as one."""
     fit = changing(clip)
     monkeypatch.setattr("stages.training.effect_gains._seconds", lambda fit: 3.0 if fit.effects.blurs else 1.0)
-    whole = judge(fit, HELD_OUT)
-    found = worth(fit, HELD_OUT)
+    whole = heldout_accuracy(fit, HELD_OUT)
+    found = effect_gains(fit, HELD_OUT)
     for effect in ("shadow", "clothing", "exposure"):
         with without(fit, effect):
-            assert found[effect]["psnr_person"] == whole["psnr_person"] - judge(fit, HELD_OUT)["psnr_person"]
+            assert found[effect]["psnr_person"] == whole["psnr_person"] - heldout_accuracy(fit, HELD_OUT)["psnr_person"]
     assert found["transients"]["psnr"] is None
     shares = {name: effect["share"] for name, effect in found.items()}
     assert shares.pop("motion_blur") == pytest.approx(2 / 3) and set(shares.values()) == {0.0}
@@ -85,13 +88,13 @@ def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
 def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
     fit = fit_of(clip, scene=False, refine_pose=False, exposure=False)
     monkeypatch.setattr(fit, "advance", lambda: pytest.fail("a step was taken"))
-    assert effects_of(fit) == [] and worth(fit, HELD_OUT) == {}
+    assert effects_of(fit) == [] and effect_gains(fit, HELD_OUT) == {}
 
 
 def test_without_held_out_frames_there_is_only_a_cost(clip):
     fit = everything(clip, 6)
     run(fit, 6)
-    found = worth(fit, [])
+    found = effect_gains(fit, [])
     assert all(effect["psnr"] is None and effect["share"] < 1 for effect in found.values())
 
 
@@ -106,5 +109,5 @@ def test_a_step_that_fails_while_it_is_timed_leaves_no_trace(clip, monkeypatch):
 
     monkeypatch.setattr(fit, "advance", breaks)
     with pytest.raises(FloatingPointError):
-        worth(fit, HELD_OUT)
-    assert same(fit, other) and fit.total == other.total
+        effect_gains(fit, HELD_OUT)
+    assert same(fit, other) and fit.progress.total == other.progress.total

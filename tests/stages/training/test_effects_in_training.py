@@ -8,14 +8,11 @@ from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import rest
 from stages.avatar.model.scene import SceneModel
-from stages.training.checkpoint import restore
 from stages.training.fit import Fit
-from stages.training.schedule import Options
 from stages.training.transients import Transients
-from tests.stages.training.test_fit import fit_of, make_clip, models, run, same, stored
+from tests.made.training import TRAIN, fit_of, make_clip, models, run, same, settings, stored
 
 clip = pytest.fixture(scope="module")(make_clip)
-TRAIN = [0, 1, 3, 4, 5]
 
 
 def everything(clip, steps: int = 24) -> Fit:
@@ -34,9 +31,9 @@ def everything(clip, steps: int = 24) -> Fit:
     )
     effects = FrameEffects()
     effects.clothing = Clothing.start(rest(human.untaught(), person.canonical_bones()).means, person.body_pose[TRAIN])
-    options = Options(steps, 2, 300, 260, 1.0, exposure=True, growth_rounds=4, antialias=True)
+    how = settings(steps, exposure=True, antialias=True)
     return Fit(
-        views, TRAIN, person, human, scene, options, generator, effects=effects, transients=Transients(views, TRAIN)
+        views, TRAIN, person, human, scene, *how, generator, effects=effects, transients=Transients(views, TRAIN)
     )
 
 
@@ -45,7 +42,7 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
     run(straight, 24)
     run(first, 11)
     assert first.effects.clothing.offsets.abs().max() > 0, "clothes are learned"
-    restore(second, stored(first))
+    second.load(stored(first))
     run(second, 24)
     assert same(straight, second) and straight.guard.left_out == 0
     assert (straight.scene.means.norm(dim=1) > 200).sum() >= 3, "the sky stays where it is"
@@ -65,7 +62,7 @@ def test_what_is_off_changes_no_bit(clip):
 def test_clothes_move_the_person_that_is_drawn_and_judged(clip):
     fit = everything(clip)
     body = [part[1] for part in clip[1][:3]]
-    resting = fit.resting()
+    resting = fit.person.resting()
     before = fit.posed(resting, *body).means
     with torch.no_grad():
         fit.effects.clothing.offsets[..., 0] = 0.02

@@ -1,91 +1,23 @@
 """The training loop: it learns, resumes bit for bit, and survives bad rows, gradients and frames."""
 
-import io
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 import torch
-import trimesh
 
-from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import bone_transforms, pose, rest
-from stages.avatar.model.scene import SceneModel
+from stages.avatar.model.person import pose, rest
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
-from stages.training.checkpoint import restore, snapshot
 from stages.training.fit import Fit
-from stages.training.layers import veil
+from stages.training.layers import foreground_occluders
 from stages.training.refine import spread
-from stages.training.schedule import Options
-from stages.training.views import Person, Views, person_box
-
-WIDTH, HEIGHT, FRAMES = 48, 40, 6
-PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
-
-
-def ellipsoid():
-    mesh = trimesh.creation.icosphere(2, 0.4)
-    vertices = torch.tensor(mesh.vertices * [0.6, 1.6, 0.5], dtype=torch.float32)
-    weights = torch.zeros(len(vertices), 24)
-    weights[:, 3] = torch.sigmoid(vertices[:, 1] / 0.05)
-    weights[:, 0] = 1 - weights[:, 3]
-    return vertices, torch.tensor(np.array(mesh.faces)).long(), weights
-
-
-def models(seed: int = 1, **more):
-    generator = torch.Generator().manual_seed(seed)
-    sizes = {"rounds": 0, "channels": 8, "resolution": 24, "sh_degree": 0} | more
-    human = HumanModel(*ellipsoid(), **sizes, generator=generator)
-    wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
-    return human, SceneModel(wall, torch.full((150, 3), 0.5), 1, 1.0), generator
-
-
-def make_clip():
-    """A bending, striped ellipsoid before a speckled wall, and its true poses."""
-    vertices, _, weights = ellipsoid()
-    viewmats = torch.eye(4).repeat(FRAMES, 1, 1)
-    viewmats[:, 2, 3] = 3
-    viewmats[:, 0, 3] = torch.linspace(-0.4, 0.4, FRAMES)
-    Ks = torch.tensor([[50.0, 0, WIDTH / 2], [0, 50, HEIGHT / 2], [0, 0, 1]]).repeat(FRAMES, 1, 1)
-    body_pose = torch.zeros(FRAMES, 69)
-    body_pose[:, 8] = torch.linspace(-0.5, 0.5, FRAMES)
-    still, joints = torch.zeros(FRAMES, 3), torch.zeros(24, 3)
-    confidence = torch.ones(FRAMES)
-    person = Person(
-        still, body_pose, still, confidence, joints, PARENTS, torch.zeros(69), vertices, weights, ellipsoid()[1]
-    )
-    human, scene, generator = models(0)
-    scene.sh0.data = torch.randn(scene.sh0.shape, generator=generator)
-    scene.logit_opacities.data[:] = 3
-    scene.log_scales.data += 1
-    images, masks = [], []
-    with torch.no_grad():
-        canonical = human()[0]._replace(sh=torch.sin(8 * vertices)[:, None] * 1.5)
-        resting = rest(canonical, bone_transforms(joints, PARENTS, torch.zeros(3), torch.zeros(69)))
-        for f in range(FRAMES):
-            splats = pose(resting, bone_transforms(joints, PARENTS, still[f], body_pose[f]), still[f])
-            camera = Camera(viewmats[f], Ks[f], WIDTH, HEIGHT)
-            (drawn,) = compose(splats, scene.splats(), camera)
-            images.append((drawn.image.clamp(0, 1) * 255).round().byte())
-            masks.append((compose(splats, None, camera)[0].alpha * 255).round().byte())
-    return Views(torch.stack(images), torch.stack(masks), viewmats, Ks), person
-
+from stages.training.views import Views, person_box
+from tests.made.training import FRAMES, HEIGHT, WIDTH, fit_of, make_clip, models, run, same, settings, stored
 
 clip = pytest.fixture(scope="module")(make_clip)
-
-
-def fit_of(clip, steps: int = 40, scene: bool = True, **more) -> Fit:
-    views, person = clip
-    human, wall, generator = models()
-    options = Options(steps, 2, 300, 260, 1.0, exposure=True, growth_rounds=4)._replace(**more)
-    return Fit(views, [0, 1, 3, 4, 5], person, human, wall if scene else None, options, generator)
-
-
-def run(fit: Fit, until: int) -> list[float]:
-    return [sum(fit.advance().values()) for _ in range(until - fit.step)]
 
 
 def test_it_learns_and_both_sets_grow_to_their_caps(clip):
@@ -96,32 +28,13 @@ def test_it_learns_and_both_sets_grow_to_their_caps(clip):
     assert len(fit.human) > 162 and len(fit.scene) > 150 and fit.guard.left_out == 0
 
 
-def stored(fit: Fit) -> dict:
-    """The state of a training, as it comes back from a file."""
-    file = io.BytesIO()
-    torch.save(snapshot(fit), file)
-    file.seek(0)
-    return torch.load(file, weights_only=True)
-
-
-def same(one: Fit, other: Fit) -> bool:
-    """Whether two trainings are in the same state to the last bit, moments and random numbers included."""
-
-    def flat(tree) -> list:
-        branches = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, (list, tuple)) else [tree]
-        return [tree] if branches == [tree] else [leaf for branch in branches for leaf in flat(branch)]
-
-    pairs = zip(flat(snapshot(one)), flat(snapshot(other)), strict=True)
-    return all(torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b for a, b in pairs)
-
-
 @pytest.mark.parametrize("broken_at", [14, 17])
 def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip, broken_at):
     straight, first, second = fit_of(clip), fit_of(clip), fit_of(clip)
     run(straight, 40)
     run(first, broken_at)
-    assert (first.leaves is None) == (broken_at % 2 == 0), "17: between two decodes, with gradients waiting"
-    restore(second, stored(first))
+    assert (first.person.leaves is None) == (broken_at % 2 == 0), "17: between two decodes, with gradients waiting"
+    second.load(stored(first))
     assert len(second.scene) > 150, "a densification must lie before the break"
     size = len(second.human)
     run(second, 40)
@@ -142,24 +55,24 @@ def test_what_no_frame_shows_is_kept_as_it_began(clip):
     fit = fit_of(clip, steps=80)
     run(fit, 10)
     hidden = torch.arange(len(fit.human)) < 5
-    fit.taught[hidden] = 0  # as if behind all others
-    kept, decoded, began = fit.baked()[0], fit.human()[0], fit.human.untaught()
-    assert (fit.taught[~hidden] > 0).float().mean() > 0.5, "most are seen"
+    fit.person.color_grad_sum[hidden] = 0  # as if behind all others
+    kept, decoded, began = fit.person.baked()[0], fit.human()[0], fit.human.untaught()
+    assert (fit.person.color_grad_sum[~hidden] > 0).float().mean() > 0.5, "most are seen"
     for part, b in zip(kept, began, strict=True):
         assert torch.equal(part[hidden], b[hidden])
-    seen = fit.taught > 0.1 * fit.taught.mean()
+    seen = fit.person.color_grad_sum > 0.1 * fit.person.color_grad_sum.mean()
     assert torch.equal(kept.means[seen], decoded.means[seen])
     assert not torch.equal(decoded.means[hidden], began.means[hidden])
     run(fit, 80)
-    assert len(fit.taught) == len(fit.human) == len(fit.human.homes) > 162, "rows follow growth"
+    assert len(fit.person.color_grad_sum) == len(fit.human) == len(fit.human.homes) > 162, "rows follow growth"
     assert (fit.human.homes - fit.human.xyz).norm(dim=1).max() < 0.1
 
 
 def test_h13_a_checkpoint_of_another_model_is_refused(clip):
-    state = snapshot(fit_of(clip))
+    state = fit_of(clip).state()
     state["models"]["human"]["triplane.table"] = torch.zeros(3, 3)
     with pytest.raises(RuntimeError, match=r"triplane\.table"):
-        restore(fit_of(clip), state)
+        fit_of(clip).load(state)
 
 
 @pytest.mark.parametrize(
@@ -189,8 +102,8 @@ def test_a_doubtful_pose_teaches_as_little_as_it_is_trusted(clip):
     sure, doubtful = fit_of(clip), fit_of((views, person._replace(confidence=torch.full((FRAMES,), 0.25))))
     for fit in (sure, doubtful):
         run(fit, 1)
-    assert sure.leaves.sh.grad.abs().max() > 0
-    torch.testing.assert_close(doubtful.leaves.sh.grad, 0.25 * sure.leaves.sh.grad)
+    assert sure.person.leaves.sh.grad.abs().max() > 0
+    torch.testing.assert_close(doubtful.person.leaves.sh.grad, 0.25 * sure.person.leaves.sh.grad)
     assert torch.equal(sure.scene.sh0, doubtful.scene.sh0), "the scene learns as ever"
 
 
@@ -225,7 +138,9 @@ def test_c09_h01_h02_a_bad_row_of_the_person_never_reaches_the_networks(clip, by
     for f, row in ((fit, {"means": by}), (silent, dict.fromkeys(("means", "axes", "opacities", "sh", "weights"), 0.0))):
         run(f, 6)
         for name, factor in row.items():
-            getattr(f.resting(), name).register_hook(lambda g, by=factor: torch.cat([g[:40], g[40:41] * by, g[41:]]))
+            getattr(f.person.resting(), name).register_hook(
+                lambda g, by=factor: torch.cat([g[:40], g[40:41] * by, g[41:]])
+            )
         run(f, 8)
     assert fit.guard.left_out == 1 and silent.guard.left_out == 0
     for name, value in fit.human.state_dict().items():
@@ -247,9 +162,14 @@ def test_h01_h02_a_bad_gradient_of_a_frame_does_not_stay_with_it(clip, by, begun
 
 def test_h01_a_colour_gradient_that_is_not_finite_teaches_nothing(clip):
     fit = fit_of(clip)
-    fit.resting().sh.register_hook(lambda g: g.index_fill(0, torch.tensor([7]), float("nan")))
+    fit.person.resting().sh.register_hook(lambda g: g.index_fill(0, torch.tensor([7]), float("nan")))
     run(fit, 2)
-    assert fit.guard.left_out == 1 and fit.taught.isfinite().all() and fit.taught[7] == 0 and fit.taught.max() > 0
+    assert (
+        fit.guard.left_out == 1
+        and fit.person.color_grad_sum.isfinite().all()
+        and fit.person.color_grad_sum[7] == 0
+        and fit.person.color_grad_sum.max() > 0
+    )
 
 
 def test_a23_h01_a_gaussian_that_is_not_finite_is_not_drawn_and_counted(clip):
@@ -259,7 +179,7 @@ def test_a23_h01_a_gaussian_that_is_not_finite_is_not_drawn_and_counted(clip):
     with torch.no_grad():
         fit.scene.means[7] = torch.nan
     run(fit, 4)
-    assert fit.undrawn == 2 and snapshot(fit)["numbers"] == [4, 2]
+    assert fit.undrawn == 2 and fit.state()["progress"]["step"] == 4
 
 
 @pytest.mark.parametrize("what", ["loss", "scene", "person"])
@@ -273,18 +193,18 @@ def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(cl
         elif what == "scene":
             f.scene.sh0.register_hook(lambda g: torch.full_like(g, torch.nan))
         else:
-            leaves = f.resting
-            f.resting = lambda: (r := leaves(), r.sh.register_hook(lambda g: torch.full_like(g, torch.nan)))[0]
+            leaves = f.person.resting
+            f.person.resting = lambda: (r := leaves(), r.sh.register_hook(lambda g: torch.full_like(g, torch.nan)))[0]
 
     spoil(fit)
     with pytest.raises(FloatingPointError, match=f"20 bad steps in a row for the {what}") as error:
         run(fit, 100)
     if what != "loss":
         assert f"the first in {what}.sh" in str(error.value) and "row 0" in str(error.value)
-    failed_at = fit.before["numbers"][0]
+    failed_at = fit.before["progress"]["step"]
     assert 22 <= failed_at <= 43 and fit.guard.left_out >= 20
     again = fit_of(clip, steps=400)
-    restore(again, fit.before)
+    again.load(fit.before)
     if what != "loss":
         spoil(again)
     with pytest.raises(FloatingPointError) as repeated:
@@ -329,7 +249,7 @@ def test_h19_one_frame_trains(clip):
         **{n: getattr(person, n)[:1] for n in ("global_orient", "body_pose", "transl", "confidence")}
     )
     human, wall, generator = models()
-    fit = Fit(one, [0], alone, human, wall, Options(60, 2, 300, 260, 1.0), generator)
+    fit = Fit(one, [0], alone, human, wall, *settings(60, growth_rounds=20), generator)
     numbers = run(fit, 60)
     assert fit.guard.left_out == 0 and np.mean(numbers[-10:]) < 0.95 * np.mean(numbers[25:35]), "at one resolution"
     assert fit.bodies()[0].shape == (1, 3) and fit.gains().tolist() == [[1, 1, 1]]
@@ -357,7 +277,7 @@ def test_a_clip_of_1300_frames_is_halved_frame_by_frame_and_trains(clip, held):
         **{n: getattr(person, n)[of] for n in ("global_orient", "body_pose", "transl", "confidence")}
     )
     human, wall, generator = models()
-    fit = Fit(long, list(range(many)), moved, human, wall, Options(6, 2, 300, 260, 1.0), generator)
+    fit = Fit(long, list(range(many)), moved, human, wall, *settings(6, growth_rounds=20), generator)
     run(fit, 6)
     assert fit.guard.left_out == 0 and fit.bodies()[0].shape == (many, 3) and fit.bodies()[0].isfinite().all()
 
@@ -415,15 +335,15 @@ def test_the_exposure_of_a_frame_is_met_by_its_gain_in_a_few_looks(clip):
     assert gains[[0, 1, 4, 5]].min() / gains[[0, 1, 4, 5]].max() > 0.94
 
 
-def test_veil_is_what_stands_before_the_person_as_far_as_each_pixel_shows_them():
+def test_occluders_are_what_stands_before_the_person_as_far_as_each_pixel_shows_them():
     depths = torch.tensor([1.0, 2.7, 2.9, 6.0, 1.9, 2.5, 2.9])
     at = torch.tensor([0, 0, 0, 0, 0.8, -0.4, 0.8])  # as x / z: before the body, the hand's height, then beside both
     means = torch.stack([at * depths, 0 * depths, depths], 1)
     scene = Splats(means, torch.eye(3).repeat(7, 1, 1), depths, depths[:, None])
     body = torch.tensor([[0, 0, 2.8], [0, 0, 3.0], [0, 0, 3.2], [0.8 * 2.4, 0, 2.4]])
     view = torch.eye(4), torch.tensor([[20.0, 0, 24], [0, 20, 20], [0, 0, 1]]), WIDTH, HEIGHT
-    kept = scene.opacities[veil(scene, body, *view)]
+    kept = scene.opacities[foreground_occluders(scene, body, *view)]
     assert kept.tolist() == pytest.approx([1.0, 2.7, 1.9]), (
         "2.9 is under the body's skin, or behind the hand; 2.5 beside"
     )
-    assert not veil(scene, body + torch.tensor([0, 0, -5.0]), *view).any()
+    assert not foreground_occluders(scene, body + torch.tensor([0, 0, -5.0]), *view).any()

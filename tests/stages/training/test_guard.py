@@ -165,14 +165,14 @@ def test_h01_many_bad_steps_in_a_row_stop_and_name_the_first_row_and_few_do_not(
 def test_h01_a_good_step_in_between_forgives():
     guard = Guard()
     for step in range(3 * BAD_STEPS):
-        guard.judge("loss", step % BAD_STEPS != 0, "nan")
+        guard.count("loss", step % BAD_STEPS != 0, "nan")
     assert not guard.alarmed or guard.streaks["loss"] == BAD_STEPS - 1
 
 
 def test_h11_a_guard_goes_on_where_it_was():
     guard, again = Guard(), Guard()
     guard.contain("scene", gradients(0))
-    guard.judge("loss", True, "nan")
+    guard.count("loss", True, "nan")
     guard.clipped = 3
     again.load(guard.state())
     assert again.state() == guard.state() and again.streaks == {"scene": 0, "loss": 1}

@@ -135,7 +135,7 @@ def test_g08_a_patch_is_always_a_window_of_the_picture(shape, where):
         mask[:] = 1
     generator = torch.Generator().manual_seed(0)
     for _ in range(10):
-        window = losses.patch(mask, 128, generator)
+        window = losses.random_patch(mask, 128, generator)
         assert mask[window].shape == tuple(min(128, n) for n in shape)
         assert where != "corner" or mask[window].sum() == 1
 

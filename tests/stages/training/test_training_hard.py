@@ -13,7 +13,7 @@ from stages.training import losses
 from stages.training.densify import Growth, Rules, grow_scene
 from stages.training.optimizers import optimizers
 from stages.training.refine import FrameCorrections
-from tests.stages.training.test_fit import fit_of, make_clip, run
+from tests.made.training import fit_of, make_clip, run
 
 clip = pytest.fixture(scope="module")(make_clip)
 WIDTH, HEIGHT = 64, 48
@@ -86,7 +86,7 @@ def test_c09_a_bad_row_does_not_reach_shared_weights(clip, part):
     bad, clean = fit_of(clip), fit_of(clip)
     for fit, value, names in ((bad, float("nan"), [part]), (clean, 0.0, bad.resting()._fields)):
         for name in names:
-            leaf = getattr(fit.resting(), name)
+            leaf = getattr(fit.person.resting(), name)
             if leaf.requires_grad:
                 leaf.register_hook(lambda g, value=value: g.index_fill(0, torch.tensor([7]), value))
         run(fit, 2)

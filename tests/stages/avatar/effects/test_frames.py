@@ -17,13 +17,11 @@ from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.body_model import read_body_model
 from stages.records import Effects
-from stages.training.accuracy import judge
-from stages.training.checkpoint import restore
+from stages.training.accuracy import heldout_accuracy
 from stages.training.fit import Fit
 from stages.training.refine import FrameCorrections, agreement
-from stages.training.schedule import Options
 from tests.made import tiny
-from tests.stages.training.test_fit import HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, same, stored
+from tests.made.training import HEIGHT, TRAIN, WIDTH, ellipsoid, fit_of, make_clip, models, run, same, settings, stored
 
 UP = torch.tensor([0.0, -0.6, -0.8])  # the wall is behind the person, and takes the shadow
 BODY = casters(*[ellipsoid()[i] for i in (0, 2)])
@@ -33,8 +31,7 @@ clip = pytest.fixture(scope="module")(make_clip)
 def fit_with(clip, effects: FrameEffects, steps: int = 40, **more) -> Fit:
     views, person = clip
     human, wall, generator = models()
-    options = Options(steps, 2, 300, 260, 1.0, growth_rounds=4)._replace(**more)
-    return Fit(views, [0, 1, 3, 4, 5], person, human, wall, options, generator, effects=effects)
+    return Fit(views, TRAIN, person, human, wall, *settings(steps, **more), generator, effects=effects)
 
 
 def everything() -> FrameEffects:
@@ -52,7 +49,7 @@ def test_off_is_bit_identical_and_draws_through_nothing(clip, monkeypatch):
     assert not torch.equal(on.scene.sh0, off.scene.sh0)
     seen = []
     monkeypatch.setattr("stages.avatar.effects.frames.compose", lambda *a: seen.append(a) or compose(*a))
-    stance = Stance(off.person.joints, off.person.parents, *off.body(0))
+    stance = Stance(off.person.body.joints, off.person.body.parents, *off.body(0))
     scene, camera = off.scene.splats(), Camera(off.full.viewmats[0], off.full.Ks[0], WIDTH, HEIGHT)
     FrameEffects().draw(None, scene, None, camera, [Layer()])
     assert len(seen) == 1 and seen[0][1] is scene and FrameEffects().lit(scene, stance) is scene
@@ -62,7 +59,7 @@ def test_a_training_with_all_effects_goes_on_from_a_checkpoint_to_the_bit(clip):
     whole, first = (fit_with(clip, everything(), refine_camera=True) for _ in range(2))
     run(whole, 12), run(first, 7)
     second = fit_with(clip, everything(), refine_camera=True)
-    restore(second, stored(first))
+    second.load(stored(first))
     run(second, 12)
     assert same(whole, second) and whole.guard.left_out == 0
     start = everything().state_dict()
@@ -70,7 +67,7 @@ def test_a_training_with_all_effects_goes_on_from_a_checkpoint_to_the_bit(clip):
         assert value.isfinite().all() and (
             name in ("shadow.frame", "shadow.middles", "shadow.covariances") or not torch.equal(value, start[name])
         ), name
-    assert set(judge(whole, [2])) == set(judge(fit_of(clip), [2]))
+    assert set(heldout_accuracy(whole, [2])) == set(heldout_accuracy(fit_of(clip), [2]))
 
 
 def test_what_is_known_is_drawn_the_same_when_it_is_read(clip):
@@ -78,8 +75,11 @@ def test_what_is_known_is_drawn_the_same_when_it_is_read(clip):
     run(fit, 6)
     read = load_effects(Effects(**fit.effects.known()))
     assert not any(p.requires_grad for p in read.parameters())
-    scene, resting = fit.scene.splats(), fit.resting()
-    human, stance = fit.posed(resting, *fit.body(1)), Stance(fit.person.joints, fit.person.parents, *fit.body(1))
+    scene, resting = fit.scene.splats(), fit.person.resting()
+    human, stance = (
+        fit.posed(resting, *fit.body(1)),
+        Stance(fit.person.body.joints, fit.person.body.parents, *fit.body(1)),
+    )
     pictures = []
     with torch.no_grad():
         for effects in (fit.effects, read, FrameEffects()):

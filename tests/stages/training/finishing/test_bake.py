@@ -9,7 +9,7 @@ from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import bake
-from stages.training.views import Person, Views, asked
+from stages.training.views import Person, Views, person_frames
 from tests.made.standing import around, stand
 
 SIZE, STILL = 192, torch.zeros(3)
@@ -50,7 +50,7 @@ def torn(standing):
     hole = (person.means[:, 0].abs() > 0.02) & (person.means[:, 0].abs() < 0.11)
     hole &= where.weights[:, [3, 6, 9]].sum(1) > 0.5
     left = Canonical(*(part[~hole] for part in person))
-    kept = bake.lined(left, where, views(silhouettes(person, where)), [0, 1, 2])
+    kept = bake.add_lining(left, where, views(silhouettes(person, where)), [0, 1, 2])
     return left, kept, hole
 
 
@@ -80,7 +80,7 @@ def test_the_lining_never_shows_beside_the_masks(standing, torn):
     out = masks < 0.05
     assert (silhouettes(kept, where)[out] - silhouettes(left, where)[out]).max() < 0.02
     armless = Canonical(*(part[person.means[:, 0] < 0.3] for part in person))
-    kept = bake.lined(armless, where, views(silhouettes(armless, where)), [0, 1, 2])
+    kept = bake.add_lining(armless, where, views(silhouettes(armless, where)), [0, 1, 2])
     inner = kept.means[len(armless.means) :]
     assert len(inner) > 3000 and inner[:, 0].min() < -0.5 and inner[:, 0].max() < 0.4, "an arm that is not there"
 
@@ -97,25 +97,25 @@ def test_the_lining_stays_inside_thin_parts(standing):
 def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
     person, where = standing
     empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    assert len(bake.lined(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
+    assert len(bake.add_lining(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
 
 
 def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
     person, where = standing
     cameras = views(silhouettes(person, where))
-    painted, pixels = bake._painted(person, where, cameras, [0, 1, 2])
+    painted, pixels = bake._count_pixels(person, where, cameras, [0, 1, 2])
     assert (painted >= 0).all() and painted[:, :2].sum().item() > 0.9 * pixels
     flank = painted[:, 0] < 0.3 * painted[:, 1]
     front = (painted[:, 0] > bake.SURE * painted[:, 0].mean()) & (painted[:, 0] > 20 * painted[:, 1])
     assert flank.sum() > 300 and front.sum() > 300
     speckled = person._replace(sh=torch.where(flank[:, None, None], 2.0, person.sh))
     off = lambda p: (p.sh - person.sh).abs().amax((1, 2))  # noqa: E731
-    out, leant = bake.lean(speckled, where, cameras, [0, 1, 2])
+    out, leant = bake.recolor(speckled, where, cameras, [0, 1, 2])
     assert flank.sum() / 2 < leant < len(person.means)
     assert off(out)[flank].mean() < 0.3 * off(speckled)[flank].mean() and off(out)[front].max() < 0.1
     assert all(a is b for name, a, b in zip(person._fields, out, speckled, strict=True) if name != "sh")
     empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    assert bake.lean(speckled, where, empty, [0, 1, 2])[0] is speckled, "nobody is sure of anything"
+    assert bake.recolor(speckled, where, empty, [0, 1, 2])[0] is speckled, "nobody is sure of anything"
 
 
 def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing):
@@ -129,7 +129,7 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
     camera = Camera(cameras.viewmats[0], cameras.Ks[0], SIZE, SIZE)
     through = compose(splats, None, camera)[0].image - drawn(sheer, where, 0).image
     assert far.sum() > 300 and through.amax() > 0.1, "the back does shine through"
-    out, _ = bake.lean(pale, where, cameras, [0])
+    out, _ = bake.recolor(pale, where, cameras, [0])
     assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()
 
 
@@ -138,12 +138,12 @@ def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(s
     person, where = standing
     cameras = views(silhouettes(person, where))
     back = (person.frames[:, 2, 2] < -0.8) & (where.weights[:, [3, 6, 9]].sum(1) > 0.5)
-    inside, edge, _ = bake._painted(person, where, cameras, [0])[0].unbind(1)
+    inside, edge, _ = bake._count_pixels(person, where, cameras, [0])[0].unbind(1)
     front = ((inside > bake.SURE * inside.mean()) & (inside > 2 * edge)).nonzero()[:, 0]
     asked = nearest(person.means[front], person.means[back], bake.NEIGHBOURS)[1].flatten()
     collar = front[asked.bincount().argsort(descending=True)[:40]]  # nearest to most of the back
     pale = person._replace(sh=person.sh.index_fill(0, collar, 2.0))
-    striped = lambda: (bake.lean(pale, where, cameras, [0])[0].sh - person.sh)[back].abs().amax((1, 2)) > 0.5  # noqa: E731
+    striped = lambda: (bake.recolor(pale, where, cameras, [0])[0].sh - person.sh)[back].abs().amax((1, 2)) > 0.5  # noqa: E731
     assert not striped().any()
     monkeypatch.setattr(bake, "FAR", torch.inf)
     assert striped().sum() > 10, "the test can fail"
@@ -157,8 +157,8 @@ def test_frames_are_asked_among_those_that_show_the_person(standing):
     look = Views(
         masks[..., None].expand(-1, -1, -1, 3), masks, torch.eye(4).expand(200, 4, 4), torch.eye(3).expand(200, 3, 3)
     )
-    assert asked(where, look, list(range(200))) == [37, 90], "few of many"
-    assert asked(where, look, [0, 1]) == []
+    assert person_frames(where, look, list(range(200))) == [37, 90], "few of many"
+    assert person_frames(where, look, [0, 1]) == []
 
 
 def test_a_person_is_judged_as_it_is_drawn(standing):

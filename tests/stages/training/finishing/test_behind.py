@@ -1,14 +1,17 @@
 """What the person always hides of a scene takes the colours around, and training leaves it alone."""
 
+import pytest
 import torch
 
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.sh import sh_from_rgb
-from stages.training.finishing.behind import fill_behind
+from stages.training.finishing.behind import inpaint_occluded
 from stages.training.fit import Fit
 from stages.training.schedule import SETTLE
 from stages.training.views import Views
-from tests.stages.training.test_fit import clip, fit_of  # noqa: F401
+from tests.made.training import fit_of, make_clip
+
+clip = pytest.fixture(scope="module")(make_clip)
 
 SIZE, FOCAL = 64, 80.0
 
@@ -37,7 +40,7 @@ def test_what_is_always_hidden_takes_the_colours_around():
     with torch.no_grad():
         scene.sh0[middle] = sh_from_rgb(torch.tensor([[1.0, 0.0, 1.0]]))
     before = scene.sh0.detach().clone()
-    hidden = fill_behind(scene, views, [0, 1, 2], lit(scene))
+    hidden = inpaint_occluded(scene, views, [0, 1, 2], lit(scene))
     assert hidden[middle].all() and hidden.sum() < 3 * middle.sum()
     torch.testing.assert_close(scene.sh0[middle], torch.zeros_like(scene.sh0[middle]), atol=1e-6, rtol=0)
     assert torch.equal(scene.sh0[~hidden], before[~hidden])
@@ -47,7 +50,7 @@ def test_without_anybody_or_anything_around_colours_stay():
     scene, views = wall()
     before = scene.sh0.detach().clone()
     for masks in (torch.zeros_like(views.masks), torch.full_like(views.masks, 255)):
-        assert not fill_behind(scene, views._replace(masks=masks), [0, 1, 2], lit(scene)).any()
+        assert not inpaint_occluded(scene, views._replace(masks=masks), [0, 1, 2], lit(scene)).any()
     assert torch.equal(scene.sh0, before)
 
 
@@ -59,36 +62,40 @@ def test_what_is_always_in_the_shadow_takes_the_colours_of_what_is_lit():
     with torch.no_grad():
         scene.sh0[corner], scene.sh0[edge] = 3.0, 1.0
     before = scene.sh0.detach().clone()
-    hidden = fill_behind(scene, views, [0, 1, 2], lambda frame: corner.float() + 0.5 * edge)
+    hidden = inpaint_occluded(scene, views, [0, 1, 2], lambda frame: corner.float() + 0.5 * edge)
     seen = (scene.means[:, :2].abs() < 1.5).all(1)
     assert torch.equal(hidden[seen], corner[seen]), "half a shadow is no reason"
     torch.testing.assert_close(scene.sh0[hidden], torch.zeros_like(scene.sh0[hidden]), atol=1e-6, rtol=0)
     assert torch.equal(scene.sh0[~hidden], before[~hidden])
     once = [1.0, 0.0, 0.0]
-    assert not fill_behind(scene, views, [0, 1, 2], lambda frame: once[frame] * corner).any(), "lit in other frames"
+    assert not inpaint_occluded(scene, views, [0, 1, 2], lambda frame: once[frame] * corner).any(), (
+        "lit in other frames"
+    )
 
 
-def test_nobody_who_is_not_drawn_casts_a_shadow(clip, monkeypatch):  # noqa: F811
+def test_nobody_who_is_not_drawn_casts_a_shadow(clip, monkeypatch):
     fit, stances = fit_of(clip, steps=20), []
     monkeypatch.setattr(fit.effects, "dark", lambda points, stance: stances.append(stance))
-    fit._dark(0)
+    fit._shadow_depth(0, fit.scene.means)
     fit.full.masks[0] = 0
-    fit._dark(0)
+    fit._shadow_depth(0, fit.scene.means)
     assert stances[0] is not None and stances[1] is None
 
 
-def test_a_colour_that_was_filled_in_is_not_learned_any_more(clip):  # noqa: F811
+def test_a_colour_that_was_filled_in_is_not_learned_any_more(clip):
     fit: Fit = fit_of(clip, steps=20)
-    while fit.done <= SETTLE:
-        assert fit.behind is None
+    while fit.progress.done <= SETTLE:
+        assert fit.densifier.settled is None
         fit.advance()
     fit.advance()
-    assert fit.behind is not None
-    fit.behind = torch.arange(len(fit.scene)) % 2 == 0
+    assert fit.densifier.settled is not None
+    fit.densifier.settled = torch.arange(len(fit.scene)) % 2 == 0
     state = fit.adam["scene"].state[fit.scene.sh0]
-    state["exp_avg"][fit.behind] = 0
+    state["exp_avg"][fit.densifier.settled] = 0
     before = fit.scene.sh0.detach().clone(), fit.scene.means.detach().clone()
     fit.advance()
-    assert torch.equal(fit.scene.sh0[fit.behind], before[0][fit.behind])
-    assert not torch.equal(fit.scene.sh0[~fit.behind], before[0][~fit.behind])
-    assert not torch.equal(fit.scene.means[fit.behind], before[1][fit.behind]), "it still gives way"
+    assert torch.equal(fit.scene.sh0[fit.densifier.settled], before[0][fit.densifier.settled])
+    assert not torch.equal(fit.scene.sh0[~fit.densifier.settled], before[0][~fit.densifier.settled])
+    assert not torch.equal(fit.scene.means[fit.densifier.settled], before[1][fit.densifier.settled]), (
+        "it still gives way"
+    )

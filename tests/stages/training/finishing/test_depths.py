@@ -36,7 +36,7 @@ def views() -> Views:
 @pytest.mark.parametrize("frames", [[0], [0, 2]])
 def test_what_stands_out_where_all_look_from_one_side_goes_back_along_the_sight(pushed, frames):
     person, where, off, chosen, sights = pushed
-    even, moved = depths.evened(off, where, views(), frames)
+    even, moved = depths.snap_to_surface(off, where, views(), frames)
     left = (even.means - person.means)[chosen].norm(dim=1)
     assert left.quantile(0.9) < 0.5 * OUT and left.median() < 2 * depths.OUT
     assert 0.9 * len(chosen) <= moved <= len(chosen)
@@ -48,7 +48,7 @@ def test_what_stands_out_where_all_look_from_one_side_goes_back_along_the_sight(
 
 def test_what_is_seen_from_two_sides_stays(pushed):
     _, where, off, chosen, _ = pushed
-    even, moved = depths.evened(off, where, views(), [0, 1])
+    even, moved = depths.snap_to_surface(off, where, views(), [0, 1])
     assert torch.equal(even.means[chosen], off.means[chosen]) and moved < 0.01 * len(off.means)
 
 
@@ -57,20 +57,20 @@ def test_what_is_seen_edge_on_stays(pushed):
     flank = ((person.frames[:, 2, 2].abs() < 0.3) & (where.weights[:, [0, 1, 2, 3]].sum(1) > 0.9)).nonzero()[::20, 0]
     means = person.means.clone()
     means[flank] += OUT * person.frames[flank][..., 2]
-    even, _ = depths.evened(person._replace(means=means), where, views(), [0])
+    even, _ = depths.snap_to_surface(person._replace(means=means), where, views(), [0])
     assert torch.equal(even.means[flank], means[flank])
 
 
 def test_where_nobody_looks_nothing_moves(pushed):
     _, where, off, *_ = pushed
     for cameras, frames in ((views(), []), (views()._replace(masks=torch.zeros(3, SIZE, SIZE)), [0, 1, 2])):
-        even, moved = depths.evened(off, where, cameras, frames)
+        even, moved = depths.snap_to_surface(off, where, cameras, frames)
         assert moved == 0 and torch.equal(even.means, off.means)
 
 
 def test_an_even_person_stays_even_when_evened_again(pushed):
     _, where, off, *_ = pushed
-    once, _ = depths.evened(off, where, views(), [0])
-    again, _ = depths.evened(once, where, views(), [0])
+    once, _ = depths.snap_to_surface(off, where, views(), [0])
+    again, _ = depths.snap_to_surface(once, where, views(), [0])
     assert (once.means - off.means).norm(dim=1).max() > 0.7 * OUT
     assert (again.means - once.means).norm(dim=1).max() < 0.1 * OUT
