@@ -33,6 +33,7 @@ def test_help_and_the_list_of_stages_load_nothing_heavy(tmp_path):
     assert not modules_after(tmp_path, "run", "--help") & HEAVY
 
 
+@pytest.mark.slow
 def test_a_run_with_nothing_to_do_is_quick_and_loads_nothing_heavy(flow):
     flow.hugs()
     args = ["run", "clip.mp4", "--pipelines-file", "pipelines.yaml"]
@@ -71,6 +72,7 @@ def test_missing_video_and_unknown_option(flow):
     assert "--wrok" in flow.hugs("--wrok", "x", code=2)[1]
 
 
+@pytest.mark.slow
 def test_two_clips_of_one_name_do_not_mix(flow):
     flow.hugs()
     (flow.folder / "b").mkdir()
