@@ -93,7 +93,7 @@ def test_ctrl_c_while_the_command_is_loaded_is_no_error(tmp_path, module):
         (tmp_path / "typer.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
         code += f"sys.path.insert(0, {str(tmp_path)!r})\n"
     else:
-        code += "from hugs_cli import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        code += "from hugs_cli.cache import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
     done = subprocess.run([sys.executable, "-c", code + "main()"], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (130, "stopped; finished stages are kept\n")
 
