@@ -33,6 +33,7 @@ def test_help_and_the_list_of_stages_load_nothing_heavy(tmp_path):
     assert not modules_after(tmp_path, "run", "--help") & HEAVY
 
 
+@pytest.mark.slow
 def test_a_run_with_nothing_to_do_is_quick_and_loads_nothing_heavy(flow):
     flow.hugs()
     args = ["run", "clip.mp4", "--pipelines-file", "pipelines.yaml"]
@@ -71,6 +72,7 @@ def test_missing_video_and_unknown_option(flow):
     assert "--wrok" in flow.hugs("--wrok", "x", code=2)[1]
 
 
+@pytest.mark.slow
 def test_two_clips_of_one_name_do_not_mix(flow):
     flow.hugs()
     (flow.folder / "b").mkdir()
@@ -91,7 +93,7 @@ def test_ctrl_c_while_the_command_is_loaded_is_no_error(tmp_path, module):
         (tmp_path / "typer.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
         code += f"sys.path.insert(0, {str(tmp_path)!r})\n"
     else:
-        code += "from hugs_cli import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        code += "from hugs_cli.cache import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
     done = subprocess.run([sys.executable, "-c", code + "main()"], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (130, "stopped; finished stages are kept\n")
 

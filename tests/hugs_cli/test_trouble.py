@@ -27,6 +27,7 @@ def kept(flow) -> dict[str, str]:
     return {name: stamp.content for name, stamp in stamps.items()}
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_a_stage_and_keeps_what_is_finished(flow):
     flow.edit("two", "from flow import helper", FULL + "from flow import helper")
     _, err = flow.hugs(code=1)
@@ -39,6 +40,7 @@ def test_a_full_disk_stops_a_stage_and_keeps_what_is_finished(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_the_run_itself_and_the_result_stands(flow):
     (flow.work / "clip").mkdir(parents=True)
     (flow.work / "clip" / "runs.jsonl").symlink_to("/dev/full")
@@ -101,6 +103,7 @@ def test_a_store_that_may_only_be_read(flow):
     assert "error: cannot read or write" in err and "Traceback" not in err and kept(flow)
 
 
+@pytest.mark.slow
 def test_a_video_that_vanishes_while_it_is_read(flow):
     run = flow.start("--set", "one.delay=2")
     flow.wait_for(lambda: list(flow.store.glob("one-*.part/step0")))
@@ -112,6 +115,7 @@ def test_a_video_that_vanishes_while_it_is_read(flow):
     assert flow.ran()["one"] == ["first run", "last run was cut short"]
 
 
+@pytest.mark.slow
 def test_a_video_that_changes_while_it_is_read_makes_no_result(flow):
     run = flow.start("--set", "one.delay=2")
     flow.wait_for(lambda: list(flow.store.glob("one-*.part/step0")))
@@ -131,6 +135,7 @@ def test_a_link_to_nothing_in_a_folder_of_pictures(flow):
     assert "error: clip.mp4/a.png is gone or cannot be read" in err and "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_clock_that_goes_back_changes_nothing(flow):
     flow.hugs()
     before, ahead = kept(flow), time.time() + 4e8
@@ -167,6 +172,7 @@ def test_stages_with_names_that_lead_elsewhere_are_refused(flow, name):
     assert {path for path in set(flow.folder.rglob("*")) - before if "__pycache__" not in str(path)} == set()
 
 
+@pytest.mark.slow
 def test_a_broken_memory_of_earlier_runs_costs_time_only(flow):
     flow.hugs()
     (flow.work / "clip" / "sources.json").write_text("[1")
@@ -174,6 +180,7 @@ def test_a_broken_memory_of_earlier_runs_costs_time_only(flow):
     assert flow.ran() == {}
 
 
+@pytest.mark.slow
 def test_all_names_are_those_of_the_pipeline(flow):
     flow.hugs()
     assert sorted(name.rpartition("-")[0] for name in kept(flow)) == sorted(ALL)

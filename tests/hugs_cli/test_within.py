@@ -74,6 +74,7 @@ def test_what_is_no_time_is_refused(text):
         within.seconds_of(text)
 
 
+@pytest.mark.slow
 def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
     out, err = run(clip, "--within", "60s", "--json")
     result = json.loads(out)
@@ -87,6 +88,7 @@ def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
     assert "promised 1m 00s, took" in err and "are left for training" in err
 
 
+@pytest.mark.slow
 def test_a_second_run_trains_no_more_unless_forced(clip):
     run(clip, "--within", "60s")
     before = told(clip)
@@ -97,6 +99,7 @@ def test_a_second_run_trains_no_more_unless_forced(clip):
     assert {row["state"] for row in json.loads(out)["stages"]} == {"done"} and "are left for training" in err
 
 
+@pytest.mark.slow
 def test_results_of_the_pipeline_itself_are_left_alone(clip):
     run(clip)
     mine = (clip.work / "clip" / "tiny" / "train" / "out.json").read_text()
@@ -105,6 +108,7 @@ def test_results_of_the_pipeline_itself_are_left_alone(clip):
     assert json.loads(mine)["seconds"] == 0
 
 
+@pytest.mark.slow
 def test_a_training_cut_short_goes_on_with_what_it_was_given(clip):
     (clip.folder / "stop").write_text("")
     run(clip, "--within", "60s", code=1)
@@ -114,6 +118,7 @@ def test_a_training_cut_short_goes_on_with_what_it_was_given(clip):
     assert told(clip) == given["train"] | {"size": 1} and "goes on with the training" in err
 
 
+@pytest.mark.slow
 def test_changed_settings_are_timed_anew(clip):
     run(clip, "--within", "60s")
     _, err = run(clip, "--within", "60s", "--set", "train.size=2")
@@ -127,6 +132,7 @@ def test_a_run_that_does_not_train_is_refused(clip):
     assert "--within is for runs that train" in err
 
 
+@pytest.mark.slow
 def test_its_results_have_a_name_for_other_commands(clip):
     run(clip, "--within", "60s")
     states = json.loads(clip.hugs("--pipeline", "tiny.60s", "--json", command="status")[0])
@@ -135,6 +141,7 @@ def test_its_results_have_a_name_for_other_commands(clip):
     assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
 
 
+@pytest.mark.slow
 def test_a_variant_within_a_time_has_a_name_too(clip):
     clip.edit("train", "    size: int = 1", "    size: int = 1\n    lbs_learning: bool = True")
     clip.hugs("--pipeline", "tiny.no_lbs", "--within", "60s")
@@ -150,6 +157,7 @@ def test_a_training_in_two_parts_is_refused_before_anything_runs(clip):
     assert "--within is for trainings of person and scene together" in err and "leave out train.joint" in err
 
 
+@pytest.mark.slow
 def test_where_time_is_short_measuring_takes_less_of_it(clip):
     clip.edit("train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12")
     clip.write("evaluate", AFTER.replace("from stages.contract import Params", FIT_STEPS))

@@ -60,6 +60,7 @@ def test_the_browser_shows_everything_and_complains_of_nothing(page, tmp_path, w
     assert not found["wide"], f"the page is wider than {width} px"
 
 
+@pytest.mark.slow
 def test_a_person_without_a_scene(tiny_human, tmp_path):
     (tmp_path / "made").mkdir()
     page = make(tiny_human, tmp_path / "made")

@@ -100,6 +100,7 @@ def contents(folder) -> dict:
     return {p.name: dict(np.load(p)) for p in folder.glob("*.npz")}
 
 
+@pytest.mark.slow
 def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypatch, held):
     kept = []
     monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
@@ -145,6 +146,7 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, monkeypat
     ]
 
 
+@pytest.mark.slow
 def test_held_out_pictures_and_masks_change_nothing(tmp_path, inputs):
     first, second = fresh(tmp_path, "first"), fresh(tmp_path, "second")
     train.run(first, PARAMS, **inputs)
@@ -183,6 +185,7 @@ train.run(Job(out=root / "job"), PARAMS, **{name: root / name for name in ("sfm"
 """
 
 
+@pytest.mark.slow
 def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_path, inputs):
     straight, job = fresh(tmp_path, "straight"), fresh(tmp_path, "job")
     train.run(straight, PARAMS, **inputs)
@@ -232,6 +235,7 @@ def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_aga
     assert (told["step"], told["seed"], told["threads"]) == (1, 0, torch.get_num_threads())
 
 
+@pytest.mark.slow
 def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_before(tmp_path, inputs, monkeypatch):
     params, job = PARAMS.model_copy(update={"steps": 40}), fresh(tmp_path, "job")
     real = losses.photometric
@@ -250,6 +254,7 @@ def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_befor
         train.replay(tmp_path / "other.npz")
 
 
+@pytest.mark.slow
 def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted(tmp_path, inputs, monkeypatch):
     sizes = {}
 
@@ -272,6 +277,7 @@ def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted
     assert len(avatar) == sizes["human"] - 1 - facts["strays"] + facts["lining"]
 
 
+@pytest.mark.slow
 def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
     xyz, rgb = read_points(inputs["sfm"] / "points.ply")
     eye = np.array([[1.0, 0, -3], [0.0, 0.001, -3]])  # where cameras stand
@@ -283,6 +289,7 @@ def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
     assert "1 points left out that lie on a camera" in said
 
 
+@pytest.mark.slow
 def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkeypatch):
     job = stopping(tmp_path, "job", after=4)
     with pytest.raises(Stopped):
@@ -302,6 +309,7 @@ def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkey
     assert (job.out / "checkpoint.pt").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_fewer_frames_are_spread_evenly(tmp_path, inputs):
     job, params = fresh(tmp_path, "out"), PARAMS.model_copy(update={"steps": 2, "frames_used": 3})
     train.run(job, params, **inputs)
@@ -309,6 +317,7 @@ def test_fewer_frames_are_spread_evenly(tmp_path, inputs):
     assert facts["train_frames"] == ["000000", "000003", "000005"], "of 0, 1, 3, 4, 5, 6"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "halves"), [(0.0, 0), (0.5, 4)])
 def test_the_first_steps_look_at_half_the_size(tmp_path, inputs, monkeypatch, share, halves):
     seen, real = [], Fit._learn
@@ -319,6 +328,7 @@ def test_the_first_steps_look_at_half_the_size(tmp_path, inputs, monkeypatch, sh
     assert seen[:8] == [HEIGHT // 2] * halves + [HEIGHT] * (8 - halves)
 
 
+@pytest.mark.slow
 def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
     decide(inputs["survey"], scene=False)
     job = fresh(tmp_path, "out")
@@ -329,6 +339,7 @@ def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
 DRAWN = ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
 
 
+@pytest.mark.slow
 def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, monkeypatch, held):
     kept = []
     monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
@@ -361,6 +372,7 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     assert not (off.out / "effects.npz").exists() and not (off.out / "cameras.npz").exists()
 
 
+@pytest.mark.slow
 def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs):
     job = fresh(tmp_path, "out")
     train.run(job, PARAMS, **inputs)
@@ -390,6 +402,7 @@ def test_importing_the_stage_loads_nothing_heavy():
 ABLATIONS = {"lbs_learning": False, "human_densify": False, "human_loss": False, "triplane": False, "joint": False}
 
 
+@pytest.mark.slow
 def test_every_ablation_reaches_what_is_trained(tmp_path, inputs, monkeypatch):
     kept = []
     monkeypatch.setattr(train, "_write", lambda fit, *a, write=train._write: (kept.append(fit), write(fit, *a)))
@@ -441,6 +454,7 @@ def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path
 LEARNED = ("view_dependence", "sky", "transients", "antialias", "clothing")
 
 
+@pytest.mark.slow
 def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_path, inputs):
     plain, off, on = (fresh(tmp_path, name) for name in ("plain", "off", "on"))
     train.run(plain, PARAMS, **inputs)
@@ -464,6 +478,7 @@ def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_pa
     assert still.means.isfinite().all()
 
 
+@pytest.mark.slow
 def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
     decide(inputs["survey"], **dict.fromkeys((*DRAWN, *LEARNED), True))
     job = fresh(tmp_path, "out")
@@ -475,6 +490,7 @@ def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
     assert np.abs(film[:, WIDTH:] - (drawn.numpy() * 255).round()).max() <= 1
 
 
+@pytest.mark.slow
 def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):
     """A made-up clock: a step takes a second, whatever this machine is doing."""
     now = [0.0]
@@ -513,6 +529,7 @@ def test_an_effect_that_the_clock_does_not_see_is_not_said_to_save_time(tmp_path
     assert said[1] == "exposure: +1.0 / +1.0 dB on held-out frames, 10 s of training"
 
 
+@pytest.mark.slow
 def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path, inputs, monkeypatch):
     def breaks(fit, frames):
         raise FloatingPointError("too many bad steps")
@@ -544,6 +561,7 @@ def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
         train.run(fresh(tmp_path, "out"), PARAMS, **inputs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("steps", "group"), [(1, 2), (3, 5)])
 def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(tmp_path, inputs, monkeypatch, steps, group):
     taught = []
@@ -553,6 +571,7 @@ def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(tmp_path
     assert taught[0] > 0
 
 
+@pytest.mark.slow
 def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs, monkeypatch):
     job, said = fresh(tmp_path, "out"), []
     job.emit = lambda event: said.append(event.get("text", ""))
@@ -577,6 +596,7 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
         assert any(part in text for text in said), part
 
 
+@pytest.mark.slow
 def test_a_training_that_breaks_down_while_it_is_timed_says_so(tmp_path, inputs, monkeypatch):
     def broken(fit, timings):
         raise FloatingPointError("20 bad steps in a row")

@@ -27,6 +27,7 @@ def alive(pid: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 def test_first_run_makes_all_and_the_second_nothing(flow):
     out, err = flow.hugs()
     assert out == "work/clip/default/four\n"
@@ -37,6 +38,7 @@ def test_first_run_makes_all_and_the_second_nothing(flow):
     assert [line.split()[:3] for line in err.splitlines()[1:]] == [[name, "cached", "saved"] for name in ALL]
 
 
+@pytest.mark.slow
 def test_run_of_one_stage_runs_what_it_needs_and_no_more(flow):
     assert list(flow.ran("two")) == ["one", "two"]
     assert list(flow.ran("two", "three")) == ["three"]
@@ -44,6 +46,7 @@ def test_run_of_one_stage_runs_what_it_needs_and_no_more(flow):
     assert out == "work/clip/default/two\n"
 
 
+@pytest.mark.slow
 def test_comments_and_docstrings_make_nothing_stale(flow):
     flow.hugs()
     flow.edit("helper", "# with a comment", "# with another comment, and a line\n")
@@ -53,6 +56,7 @@ def test_comments_and_docstrings_make_nothing_stale(flow):
     assert flow.ran() == {}
 
 
+@pytest.mark.slow
 def test_edited_helper_reruns_all_that_import_it_and_same_bytes_stop_the_wave(flow):
     flow.hugs()
     flow.edit("helper", "count = len(", "count = 0 + len(")
@@ -66,6 +70,7 @@ def test_edited_helper_reruns_all_that_import_it_and_same_bytes_stop_the_wave(fl
     assert ran["four"] == ["inputs.three changed", "inputs.two changed"]
 
 
+@pytest.mark.slow
 def test_a_changed_input_tells_what_its_stage_decides_otherwise(flow):
     note = '; (job.out / \'one.json\').write_text(\'{"decisions": {"shadow": true, "sky": false}}\')'
     flow.edit("one", "[video])", "[video])" + note)
@@ -77,6 +82,7 @@ def test_a_changed_input_tells_what_its_stage_decides_otherwise(flow):
     assert flow.ran("two")["two"] == ["inputs.one changed (shadow on -> off)"]
 
 
+@pytest.mark.slow
 def test_edited_code_and_settings_are_named_together(flow):
     flow.hugs()
     flow.edit("two", "helper.work(", "helper.x = 1; helper.work(")
@@ -84,6 +90,7 @@ def test_edited_code_and_settings_are_named_together(flow):
     assert ran == {"two": ["params.word: a -> b", "code flow.two edited"], "four": ["inputs.two changed"]}
 
 
+@pytest.mark.slow
 def test_settings_that_only_change_speed_make_nothing_stale(flow):
     flow.hugs()
     assert flow.ran("--set", "four.delay=0.1") == {}
@@ -92,6 +99,7 @@ def test_settings_that_only_change_speed_make_nothing_stale(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_h20_edited_video_and_masks(flow):
     flow.hugs()
     flow.video.write_text("other pixels")
@@ -109,6 +117,7 @@ def test_h20_edited_video_and_masks(flow):
     assert flow.ran("--masks", "masks.txt") == {}  # touched, not changed
 
 
+@pytest.mark.slow
 def test_seed_is_in_the_key_and_force_is_not(flow):
     flow.hugs()
     assert flow.ran("one", "--seed", "1") == {"one": ["seed: 0 -> 1"]}
@@ -118,6 +127,7 @@ def test_seed_is_in_the_key_and_force_is_not(flow):
     assert not list(flow.store.glob("*.old"))
 
 
+@pytest.mark.slow
 def test_pipelines_share_results(flow):
     flow.hugs()
     assert flow.ran("--pipeline", "other") == {"four": ["first run"]}
@@ -125,6 +135,7 @@ def test_pipelines_share_results(flow):
     assert (flow.work / "clip/other/one").resolve() == (flow.work / "clip/default/one").resolve()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ALL)
 def test_killed_inside_each_stage_and_run_again(flow, stage):
     slow = f"{stage}.delay=30"
@@ -147,6 +158,7 @@ def test_killed_inside_each_stage_and_run_again(flow, stage):
     assert not list(flow.store.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_what_a_stage_says_twice_is_kept_once(flow):
     flow.edit(
         "helper", "# with a comment", "[say(text) for say in (job.note, job.warn) for text in ('again', 'again')]"
@@ -167,6 +179,7 @@ def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
     assert [(line["stage"], line["result"]) for line in lines] == [("one", "done"), ("two", "killed")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "stage"), [(signal.SIGTERM, "two"), (signal.SIGINT, "three")])
 def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, stage):
     run = flow.start("--set", f"{stage}.delay=30")
@@ -181,6 +194,7 @@ def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, s
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
     first = flow.start("--set", "two.delay=1.5")
     flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
@@ -193,6 +207,7 @@ def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
     assert [line["stage"] for line in lines] == ALL
 
 
+@pytest.mark.slow
 def test_damaged_results_are_made_again(flow):
     flow.hugs()
     folder = (flow.work / "clip/default/two").resolve()
@@ -208,6 +223,7 @@ def test_damaged_results_are_made_again(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_half_written_part_is_emptied_unless_the_stage_resumes(flow):
     flow.hugs()
     for stage in ("two", "three"):
@@ -221,6 +237,7 @@ def test_half_written_part_is_emptied_unless_the_stage_resumes(flow):
     assert (flow.work / "clip/default/three/rubbish").exists()
 
 
+@pytest.mark.slow
 def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
     flow.edit("two", "from flow import helper", "from stages.contract import StageError\n    raise StageError("
               "'only 41 of 300 frames placed', 'try `--set two.word=b`', ['median 38 matches'])")  # fmt: skip
@@ -235,6 +252,7 @@ def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
     assert (flow.work / "clip/default/one").is_dir()
 
 
+@pytest.mark.slow
 def test_a_stage_that_writes_nothing_or_dies_early_is_an_error(flow):
     flow.edit("two", "helper.work(", "return (")
     _, err = flow.hugs(code=1)
@@ -247,6 +265,7 @@ def test_a_stage_that_writes_nothing_or_dies_early_is_an_error(flow):
     assert "error: stage two was killed by SIGABRT" in err
 
 
+@pytest.mark.slow
 def test_a_worker_that_a_stage_leaves_behind_does_not_hold_the_run(flow):
     line = "import os, time\n    if os.fork() == 0:\n        time.sleep(60)\n        os._exit(0)\n    "
     flow.edit("four", "from flow import helper", line + "from flow import helper")
@@ -254,6 +273,7 @@ def test_a_worker_that_a_stage_leaves_behind_does_not_hold_the_run(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_status_why_and_dry_run_say_what_would_run(flow):
     out, _ = flow.hugs(command="status")
     assert [line.split()[:2] for line in out.splitlines()] == [[name, "missing"] for name in ALL]
@@ -274,6 +294,7 @@ def test_status_why_and_dry_run_say_what_would_run(flow):
     assert [(row["stage"], row["state"]) for row in rows] == list(states.items())
 
 
+@pytest.mark.slow
 def test_accept_takes_code_changes_and_nothing_else(flow):
     flow.hugs()
     flow.hugs("--pipeline", "other")
@@ -290,6 +311,7 @@ def test_accept_takes_code_changes_and_nothing_else(flow):
     assert stamp["accepted"][0]["changes"] == ["code flow.helper edited"]
 
 
+@pytest.mark.slow
 def test_gc_removes_what_nothing_links_to(flow):
     flow.hugs()
     flow.hugs("--set", "four.word=b")

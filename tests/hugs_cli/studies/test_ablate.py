@@ -25,6 +25,7 @@ def test_a_dry_run_lists_every_training_and_runs_none(clip):
     assert len(json.loads(ablate_(clip, "--dry-run", "--json")[0])) == 18
 
 
+@pytest.mark.slow
 def test_parts_can_be_chosen_or_none_for_the_spread_of_seeds_alone(clip):
     out, _ = ablate_(clip, "--dry-run", "--seeds", "1", "--part", "no_lbs", "--part", "no_joint")
     assert [row.split()[0] for row in out.splitlines()[1:]] == ["tiny", "tiny.no_lbs", "tiny.no_joint"]
@@ -36,6 +37,7 @@ def test_parts_can_be_chosen_or_none_for_the_spread_of_seeds_alone(clip):
     assert "no part 'no_lbz'" in ablate_(clip, "--part", "no_lbz", code=2)[1]
 
 
+@pytest.mark.slow
 def test_all_share_what_lies_before_training_and_are_cached(clip):
     clip.hugs("--pipeline", "tiny")
     out, err = ablate_(clip, "--seeds", "2")
@@ -48,6 +50,7 @@ def test_all_share_what_lies_before_training_and_are_cached(clip):
     assert clip.hugs(command="gc")[0] == "0 B freed\n"
 
 
+@pytest.mark.slow
 def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(clip):
     out, _ = ablate_(clip, "--part", "none", "--seeds", "2")
     assert "paper" not in out, "not its clip"
@@ -68,6 +71,7 @@ def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(clip):
     assert block[7].split() == ["tiny", "-", "-", "-"], "the person's box was not measured"
 
 
+@pytest.mark.slow
 def test_a_variant_is_the_pipeline_with_one_setting_and_has_a_status(clip):
     ablate_(clip, "--seeds", "1")
     for part, setting in ABLATIONS.items():
@@ -78,6 +82,7 @@ def test_a_variant_is_the_pipeline_with_one_setting_and_has_a_status(clip):
     assert json.loads(clip.text("train", "tiny.no_joint")) == [0, ["joint"]]
 
 
+@pytest.mark.slow
 def test_the_table_has_mean_spread_and_difference(clip):
     out, _ = ablate_(clip, "--seed", "4", "--set", "one.word=b")
     lines = [line.split() for line in out.splitlines()]
@@ -92,6 +97,7 @@ def test_the_table_has_mean_spread_and_difference(clip):
     assert got == {"mean": 30.0, "spread": 1.0, "difference": -5.0, "values": [29.0, 30.0, 31.0]}
 
 
+@pytest.mark.slow
 def test_without_a_scene_the_person_over_white_is_compared(clip):
     out, err = ablate_(clip, "--seeds", "1", "--set", "evaluate.scene=false")
     for part in ablate.NEEDS_SCENE:

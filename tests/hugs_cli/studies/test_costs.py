@@ -104,6 +104,7 @@ def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
     assert logged == [] and not seen["wide"]
 
 
+@pytest.mark.slow
 def test_fewer_than_two_pipelines_are_nothing_to_compare(clip):
     _, err = clip.hugs("--axis", "sh", command="costs", code=2)
     assert err == "error: only a sweep has axes\n\nhint: add `--sweep`\n"
@@ -117,6 +118,7 @@ def test_fewer_than_two_pipelines_are_nothing_to_compare(clip):
     assert "finished: quick" in err and "not finished, or trained again since it was measured: tiny" in err
 
 
+@pytest.mark.slow
 def test_pipelines_that_were_run_are_compared_drawn_and_told_as_json(clip):
     clip.hugs("--pipeline", "tiny")
     clip.hugs("--pipeline", "quick")

@@ -32,6 +32,7 @@ def test_a_dry_run_lists_every_case_and_runs_none(clip):
     assert [row.split()[2] for row in rows] == ["0", "1", *"0" * 8, *"1" * 8]
 
 
+@pytest.mark.slow
 def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     out, err = sweep_(clip, "--axis", "sh", "--seeds", "2", "--plot")
     drawn = (clip.work / "clip" / "sweep-tiny.svg").read_text()
@@ -51,6 +52,7 @@ def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     assert "8 trainings: 6 cached, 2 to do" in err and again.partition("note")[0] == out.partition("note")[0]
 
 
+@pytest.mark.slow
 def test_a_budget_is_spent_in_order_on_what_fits_and_the_next_one_goes_on(clip):
     _, err = sweep_(clip, "--seeds", "1", "--budget", "0", code=2)
     assert "error: nothing of this sweep has been run" in err and not list(clip.store.glob("*"))
@@ -82,6 +84,7 @@ def test_a_line_goes_through_the_levels_of_an_axis_in_their_order_whatever_the_c
     assert [dot.x for dot in line.dots] == [2.7, 3.0, 2.5] and middle.name == "tiny" and middle.dots[0].spread == 0.1
 
 
+@pytest.mark.slow
 def test_what_survey_finds_that_a_clip_does_not_call_for_is_not_varied(clip):
     clip.write("survey", "'''Looks for gloss.'''\nfrom stages.contract import Params\n" + SURVEY)
     clip.write("train", TRAIN.replace("*, one", "*, one, survey"))

@@ -246,12 +246,14 @@ def filmed():
     return film
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DETECTORS)
 def test_a_clip_without_effects_calls_for_none(filmed, name):
     found = DETECTORS[name](filmed())
     assert not found.called_for and found.value is not None, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "strength"),
     [("shadow", 0.6), ("sky", 1.0), ("clothing", 0.1), ("view_dependence", 0.4), ("transients", 0)],

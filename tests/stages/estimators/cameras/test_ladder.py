@@ -122,6 +122,7 @@ def close(tmp_path_factory):
     return extracted(tmp_path_factory.mktemp("close"), walk(4, 0.4, 2.0))
 
 
+@pytest.mark.slow
 def test_colmap_maps_with_a_small_first_angle_what_it_cannot_by_itself(close, monkeypatch):
     for how in list(sfm_ladder.RUNGS):
         if how.startswith("global"):
@@ -146,6 +147,7 @@ def test_more_pairs_are_matched_and_i17_the_same_clip_gives_the_same_model(close
     assert made[0] == made[1] and made[0][0][0]["registered"] == 4
 
 
+@pytest.mark.slow
 def test_i01_a_camera_that_does_little_more_than_turn_goes_on_turning_where_nothing_can_be_mapped(
     monkeypatch, tmp_path
 ):
@@ -228,6 +230,7 @@ def test_i06_two_rooms_in_one_clip_go_on_with_the_larger_or_fail(monkeypatch, tm
     assert any(fact.startswith("global mapper: 4 of 7 frames in") for fact in error.value.facts)
 
 
+@pytest.mark.slow
 def test_i07_a_frame_without_a_pose_is_dropped_by_name(monkeypatch, tmp_path):
     monkeypatch.setattr(sfm_ladder, "RUNGS", {"global mapper": sfm_ladder.by_global})
     views = walk(6, 1.2)
