@@ -9,7 +9,7 @@ from typing import Any
 
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import Ran
-from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace, read_json, write_json
 from hugs_cli.console import Console
 from hugs_cli.pipelines import Stage, UsageError
@@ -44,9 +44,9 @@ def seconds_of(text: str) -> int:
 
 @dataclass(frozen=True)
 class Promise:
-    """A run within a time: `judge` has results of its own beside the pipeline's, named `default.10m`."""
+    """A run within a time: `session` has results of its own beside the pipeline's, named `default.10m`."""
 
-    judge: Judge
+    session: Session
     wanted: list[str]
     seconds: int
 
@@ -57,9 +57,9 @@ class Promise:
         that its training had left; that of finished training is not looked at again.
         """
         began = time.monotonic()
-        before = [name for name in self.judge.pipeline.upstream(["train"]) if name != "train"]
-        made = engine.run(self.judge, before, forced & set(before), device, console)
-        place = self.judge.workspace.links / CHOSEN
+        before = [name for name in self.session.pipeline.upstream(["train"]) if name != "train"]
+        made = engine.run(self.session, before, forced & set(before), device, console)
+        place = self.session.workspace.links / CHOSEN
         chosen = read_json(place)
         if "train" in forced or not self._begun(chosen):
             left = self.seconds - (time.monotonic() - began) - START * (len(self.wanted) - len(before))
@@ -72,7 +72,7 @@ class Promise:
                 )
         else:
             console.say("goes on with the training that was begun for this time")
-        ran = engine.run(timed(self.judge, chosen), self.wanted, forced - set(before), device, Quiet())
+        ran = engine.run(timed(self.session, chosen), self.wanted, forced - set(before), device, Quiet())
         ran = [*made, *(one for one in ran if one.stage not in before)]
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
@@ -83,20 +83,20 @@ class Promise:
         """Whether training with the settings chosen before is finished, or was cut short."""
         if not whole(chosen):
             return False
-        judge = timed(self.judge, chosen)
-        verdict = judge.all(judge.pipeline.upstream(["train"]))["train"]
+        session = timed(self.session, chosen)
+        verdict = session.verdicts(session.pipeline.upstream(["train"]))["train"]
         return verdict.fresh or (
-            verdict.recipe is not None and judge.workspace.part("train", verdict.recipe.key).is_dir()
+            verdict.recipe is not None and session.workspace.part("train", verdict.recipe.key).is_dir()
         )
 
     def _chosen(self, left: float) -> dict[str, dict[str, Any]]:
         """The settings of stages for a run with so many seconds left."""
-        stages, chosen = self.judge.pipeline.stages, {"train": {}}
+        stages, chosen = self.session.pipeline.stages, {"train": {}}
         if left < SHORT:
             for name in [name for name in SHORTER if name in stages]:
                 own, limits = stages[name].params.model_dump(), SHORTER[name]
                 chosen[name] = {setting: min(own[setting], most) for setting, most in limits.items() if setting in own}
-        short = timed(self.judge, chosen).pipeline.stages
+        short = timed(self.session, chosen).pipeline.stages
         chosen["train"] |= {"seconds": round(max(left, 1.0), 1), "reserve": round(self._reserve(short), 1)}
         return chosen
 
@@ -116,34 +116,34 @@ class Promise:
         from stages.formats.cameras import read_cameras
         from stages.formats.splits import read_split
 
-        sfm = self.judge.workspace.links / "sfm"
+        sfm = self.session.workspace.links / "sfm"
         names = read_cameras(sfm / "cameras.npz").names
         return len(names), int(read_split(sfm / "split.json", names).heldout.sum())
 
 
-def promise(judge: Judge, stages: list[str] | None, text: str) -> Promise:
+def promise(session: Session, stages: list[str] | None, text: str) -> Promise:
     """The promise to bring `stages` (all if None) of a pipeline up to date within a time, as in '10m'."""
     seconds = seconds_of(text)
-    wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
-    if "train" not in wanted or "seconds" not in type(judge.pipeline.stages["train"].params).model_fields:
+    wanted = session.pipeline.upstream(stages or session.pipeline.stages)
+    if "train" not in wanted or "seconds" not in type(session.pipeline.stages["train"].params).model_fields:
         raise UsageError("--within is for runs that train", "leave it out, or name train or a stage after it")
-    if not getattr(judge.pipeline.stages["train"].params, "joint", True):
+    if not getattr(session.pipeline.stages["train"].params, "joint", True):
         raise UsageError("--within is for trainings of person and scene together", "leave out train.joint, or --within")
-    return Promise(named(judge, text.strip()), wanted, seconds)
+    return Promise(named(session, text.strip()), wanted, seconds)
 
 
-def named(judge: Judge, text: str) -> Judge:
-    """The judge of a pipeline's results within a time."""
-    name = f"{judge.pipeline.name}.{text}"
-    place = Workspace(judge.sources["video"], judge.workspace.work, name)
-    return replace(judge, workspace=place, pipeline=replace(judge.pipeline, name=name))
+def named(session: Session, text: str) -> Session:
+    """The session of a pipeline's results within a time."""
+    name = f"{session.pipeline.name}.{text}"
+    place = Workspace(session.video, session.workspace.work, name)
+    return replace(session, workspace=place, pipeline=replace(session.pipeline, name=name))
 
 
-def timed(judge: Judge, chosen: dict[str, dict[str, Any]]) -> Judge:
-    """The judge with the settings that were chosen, by stage."""
-    own = judge.pipeline.stages
+def timed(session: Session, chosen: dict[str, dict[str, Any]]) -> Session:
+    """The session with the settings that were chosen, by stage."""
+    own = session.pipeline.stages
     given = {n: replace(own[n], params=own[n].params.model_copy(update=s)) for n, s in chosen.items() if n in own}
-    return replace(judge, pipeline=replace(judge.pipeline, stages={**own, **given}))
+    return replace(session, pipeline=replace(session.pipeline, stages={**own, **given}))
 
 
 def whole(chosen: dict[str, Any]) -> bool:
@@ -156,16 +156,16 @@ def whole(chosen: dict[str, Any]) -> bool:
     )
 
 
-def remembered(judge: Judge, text: str) -> Judge:
-    """The judge of `--pipeline default.10m`: what `--within 10m` was given; UsageError if there was no such run."""
-    judge = named(judge, text)
-    chosen = read_json(judge.workspace.links / CHOSEN)
+def remembered(session: Session, text: str) -> Session:
+    """The session of `--pipeline default.10m`: what `--within 10m` was given; UsageError if there was no such run."""
+    session = named(session, text)
+    chosen = read_json(session.workspace.links / CHOSEN)
     if not whole(chosen):
-        base = judge.pipeline.name.rpartition(".")[0]
+        base = session.pipeline.name.rpartition(".")[0]
         raise UsageError(
             f"no run of pipeline {base} within {text}", f"`hugs run VIDEO --pipeline {base} --within {text}`"
         )
-    return timed(judge, chosen)
+    return timed(session, chosen)
 
 
 def is_time(text: str) -> bool:

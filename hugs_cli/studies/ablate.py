@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import Any
 
 from hugs_cli.cache import engine
-from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
 from hugs_cli.pipelines import unknown
@@ -21,7 +21,7 @@ from stages.formats.datasets.published import published
 NEEDS_SCENE = ("no_human_loss", "no_joint")
 
 
-def cases(judge: Judge, parts: Sequence[str], seeds: int) -> list[Case]:
+def cases(session: Session, parts: Sequence[str], seeds: int) -> list[Case]:
     """Every training of a comparison, seed by seed, the full method first; of all `parts`, or of these.
 
     UsageError for a part that is not known; "none" is no part.
@@ -29,12 +29,12 @@ def cases(judge: Judge, parts: Sequence[str], seeds: int) -> list[Case]:
     for part in parts:
         if part not in (*ABLATIONS, "none"):
             raise unknown("part", part, [*ABLATIONS, "none"], "hugs ablate --part")
-    return comparison.cases(judge, ("", *(part for part in ABLATIONS if not parts or part in parts)), seeds)
+    return comparison.cases(session, ("", *(part for part in ABLATIONS if not parts or part in parts)), seeds)
 
 
 def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:
     """Each case, the state of its training (fresh, missing, stale, waits), and the stamp of a fresh one."""
-    verdicts = [case.judge.all(case.stages)["train"] for case in cases]
+    verdicts = [case.session.verdicts(case.stages)["train"] for case in cases]
     return [(case, verdict.state, verdict.stamp) for case, verdict in zip(cases, verdicts, strict=True)]
 
 
@@ -52,13 +52,13 @@ def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
     found: dict[str, list[Scores]] = {}
     for i, case in enumerate(cases):
         if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:
-            console.say(f"{case.judge.pipeline.name} is left out: it needs a scene, and this clip has none")
+            console.say(f"{case.session.pipeline.name} is left out: it needs a scene, and this clip has none")
             continue
-        console.say(f"{case.judge.pipeline.name}  seed {case.seed}   {i + 1} of {len(cases)}")
-        ran = engine.run(case.judge, case.stages, frozenset(), device, Quiet() if i else console)
+        console.say(f"{case.session.pipeline.name}  seed {case.seed}   {i + 1} of {len(cases)}")
+        ran = engine.run(case.session, case.stages, frozenset(), device, Quiet() if i else console)
         found.setdefault(case.variant, []).append(heldout(ran[-1].folder))
-    name, seeds = cases[0].judge.pipeline.name, sorted({case.seed for case in cases})
-    paper = beside_the_paper(cases[0].judge.workspace.links / "frames", name, found)
+    name, seeds = cases[0].session.pipeline.name, sorted({case.seed for case in cases})
+    paper = beside_the_paper(cases[0].session.workspace.links / "frames", name, found)
     return {"pipeline": name, "seeds": seeds, "heldout": compared(name, found), "paper": paper}
 
 

@@ -10,7 +10,7 @@ from statistics import fmean, stdev
 from typing import Any
 
 from hugs_cli import pipelines
-from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, Workspace
 from hugs_cli.console import Console
 from hugs_cli.pipelines import UsageError
@@ -32,32 +32,32 @@ class Case:
 
     variant: str
     seed: int
-    judge: Judge
+    session: Session
 
     @property
     def stages(self) -> list[str]:
         """What must be fresh, in running order."""
-        return self.judge.pipeline.upstream([LAST])
+        return self.session.pipeline.upstream([LAST])
 
 
-def cases(judge: Judge, variants: Sequence[str], seeds: int) -> list[Case]:
+def cases(session: Session, variants: Sequence[str], seeds: int) -> list[Case]:
     """A case for each variant and seed, seed by seed; UsageError for a pipeline that is a variant already.
 
     The first seed's results stand under the pipeline's own names (`default`, `default.no_lbs`), those of another seed
     under `default.seed1`, `default.no_lbs.seed1`.
     """
-    if "." in judge.pipeline.name:
-        whole = judge.pipeline.name.partition(".")[0]
-        raise UsageError(f"{judge.pipeline.name} is a variant already", f"compare with `--pipeline {whole}`")
-    judge.pipeline.upstream(["train", LAST])  # refuses a pipeline without them
+    if "." in session.pipeline.name:
+        whole = session.pipeline.name.partition(".")[0]
+        raise UsageError(f"{session.pipeline.name} is a variant already", f"compare with `--pipeline {whole}`")
+    session.pipeline.upstream(["train", LAST])  # refuses a pipeline without them
     found = []
-    for seed in range(judge.seed, judge.seed + seeds):
+    for seed in range(session.seed, session.seed + seeds):
         for name in variants:
-            pipeline = pipelines.variant(judge.pipeline, name) if name else judge.pipeline
-            links = pipeline.name if seed == judge.seed else f"{pipeline.name}.seed{seed}"
-            place = Workspace(judge.sources["video"], judge.workspace.work, links)
+            pipeline = pipelines.variant(session.pipeline, name) if name else session.pipeline
+            links = pipeline.name if seed == session.seed else f"{pipeline.name}.seed{seed}"
+            place = Workspace(session.video, session.workspace.work, links)
             own = dict.fromkeys(SEEDED, seed)
-            found.append(Case(name, seed, replace(judge, workspace=place, pipeline=pipeline, seeds=own)))
+            found.append(Case(name, seed, replace(session, workspace=place, pipeline=pipeline, seeds=own)))
     return found
 
 

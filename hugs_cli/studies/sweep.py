@@ -15,7 +15,7 @@ from typing import Any
 
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import Ran, StageFailed
-from hugs_cli.cache.freshness import Judge, Verdict
+from hugs_cli.cache.freshness import Session, Verdict
 from hugs_cli.cache.workspace import decisions
 from hugs_cli.console import Console
 from hugs_cli.pipelines import UsageError, unknown
@@ -70,7 +70,7 @@ class Forecast:
         return {name: known[name] * (level.times if level and level.stage == name else 1.0) for name in open_}
 
 
-def sweep(judge: Judge, axes: Sequence[str], seeds: int) -> Sweep:
+def sweep(session: Session, axes: Sequence[str], seeds: int) -> Sweep:
     """All cases: the pipeline with every seed (the noise), then each level of each axis, seed by seed.
 
     UsageError for an axis that is not known, and where there is nothing to vary.
@@ -80,27 +80,27 @@ def sweep(judge: Judge, axes: Sequence[str], seeds: int) -> Sweep:
             raise unknown("axis", axis, AXES, "hugs costs --axis")
     levels, left_out = {}, []
     for name in axes or AXES:
-        axis, stage = AXES[name], judge.pipeline.stages.get(AXES[name].stage)
+        axis, stage = AXES[name], session.pipeline.stages.get(AXES[name].stage)
         if stage is None or not set(axis.settings) <= set(type(stage.params).model_fields):
-            left_out.append(f"{judge.pipeline.name} has no setting for {name}")
+            left_out.append(f"{session.pipeline.name} has no setting for {name}")
             continue
         own = tuple(getattr(stage.params, setting) for setting in axis.settings)
         levels |= {level_name(name, level): Level(name, axis.stage, times) for level, times in axis.of(own).items()}
-    found = comparison.cases(judge, ("", *levels), seeds) if levels else []
+    found = comparison.cases(session, ("", *levels), seeds) if levels else []
     called = called_for(Sweep(levels, sorted(found, key=lambda case: case.variant != ""), left_out))
     if not called.levels:
         hint = "`hugs stages` shows the settings of a pipeline"
-        raise UsageError(f"pipeline {judge.pipeline.name} has none of the settings to vary", hint, called.left_out)
+        raise UsageError(f"pipeline {session.pipeline.name} has none of the settings to vary", hint, called.left_out)
     return called
 
 
 def called_for(sweep: Sweep) -> Sweep:
     """A sweep without the axes that change nothing: survey has found that the clip does not call for what they are about."""
     about = {level.axis: AXES[level.axis].effect for level in sweep.levels.values() if AXES[level.axis].effect}
-    if not about or "survey" not in sweep.cases[0].judge.pipeline.stages:
+    if not about or "survey" not in sweep.cases[0].session.pipeline.stages:
         return sweep
-    judge = sweep.cases[0].judge
-    verdict = judge.all(judge.pipeline.upstream(["survey"]))["survey"]
+    session = sweep.cases[0].session
+    verdict = session.verdicts(session.pipeline.upstream(["survey"]))["survey"]
     found = decisions(verdict.folder, "survey") if verdict.fresh else {}
     idle = {axis: effect for axis, effect in about.items() if found.get(effect) is False}
     levels = {name: level for name, level in sweep.levels.items() if level.axis not in idle}
@@ -113,7 +113,7 @@ def called_for(sweep: Sweep) -> Sweep:
 
 def guessed(sweep: Sweep) -> float:
     """Seconds of all cases, nothing of which is known but settings: about what they take on 2 cores."""
-    stages = sweep.cases[0].judge.pipeline.stages
+    stages = sweep.cases[0].session.pipeline.stages
     taken = stages["frames"].params.model_dump() if "frames" in stages else {}
     frames, steps = taken.get("count", FRAMES), getattr(stages["train"].params, "steps", 0)
     seconds = BEFORE * frames
@@ -129,7 +129,7 @@ def plan(sweep: Sweep, budget: float) -> list[tuple[Case, str, float | None]]:
 
     States: cached, now, later (when another `budget`, in seconds, is given).
     """
-    forecast, verdicts = Forecast(sweep.levels), [case.judge.all(case.stages) for case in sweep.cases]
+    forecast, verdicts = Forecast(sweep.levels), [case.session.verdicts(case.stages) for case in sweep.cases]
     for case, found in zip(sweep.cases, verdicts, strict=True):
         if all(verdict.fresh for verdict in found.values()):
             forecast.learn(case, found.values())
@@ -165,7 +165,7 @@ def listed(planned: list[tuple[Case, str, float | None]]) -> list[str]:
     """The plan as lines, a case each."""
     about = ["" if not need else f"about {duration(need)}" for _, _, need in planned]
     return [
-        f"  {case.judge.pipeline.name:<28}seed {case.seed:<4}{state:<8}{said}".rstrip()
+        f"  {case.session.pipeline.name:<28}seed {case.seed:<4}{state:<8}{said}".rstrip()
         for (case, state, _), said in zip(planned, about, strict=True)
     ]
 
@@ -179,19 +179,19 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
     for i, case in enumerate(sweep.cases):
         if case not in sweep.cases:
             continue
-        known = forecast.of(case, case.judge.all(case.stages))
+        known = forecast.of(case, case.session.verdicts(case.stages))
         left = max(0.0, budget - (time.monotonic() - began))
         fits = left > 0 if known is None else sum(known.values()) <= left
         if not fits:
             continue
-        console.say(f"{case.judge.pipeline.name}  seed {case.seed}   {i + 1} of {len(sweep.cases)}")
+        console.say(f"{case.session.pipeline.name}  seed {case.seed}   {i + 1} of {len(sweep.cases)}")
         try:
-            ran = engine.run(case.judge, case.stages, frozenset(), device, Quiet() if i else console)
+            ran = engine.run(case.session, case.stages, frozenset(), device, Quiet() if i else console)
         except StageFailed as error:
             if not case.variant or error.traceback:
                 raise
             console.error(error)
-            failed[case.judge.workspace.links.name] = error.problem
+            failed[case.session.workspace.links.name] = error.problem
             continue
         done.append(case)
         forecast.learn(case, ran)
@@ -210,8 +210,8 @@ def result(sweep: Sweep, done: Sequence[Case], failed: dict[str, str]) -> dict[s
     in order), and in its scores the `difference` to the pipeline's and the `noise`: the standard deviation over its own
     seeds, or else over the pipeline's.
     """
-    found = costs.compared([costs.run_of(case.judge.workspace.links) for case in done])
-    name = sweep.cases[0].judge.pipeline.name
+    found = costs.compared([costs.run_of(case.session.workspace.links) for case in done])
+    name = sweep.cases[0].session.pipeline.name
     order = {f"{name}.{variant}" if variant else name: variant for variant in ("", *sweep.levels)}
     found["rows"].sort(key=lambda row: list(order).index(row["pipeline"]))
     base = found["rows"][0]
