@@ -117,11 +117,21 @@ def go(
         console.result(words.relative(path))
         return
     rows = [
-        {"stage": one.stage, "state": one.state, "reasons": list(map(str, one.reasons)), "folder": str(one.folder)}
-        | shown(one.stamp)
+        {
+            "stage": one.stage,
+            "state": one.state,
+            "reasons": list(map(str, one.reasons)),
+            "folder": str(one.folder),
+            **shown(one.stamp),
+        }
         for one in ran
     ]
-    result = {"clip": video.name, "pipeline": session.pipeline.name, "result": str(path), "stages": rows}
+    result: dict[str, Any] = {
+        "clip": video.name,
+        "pipeline": session.pipeline.name,
+        "result": str(path),
+        "stages": rows,
+    }
     result |= {"within": kept} if kept else {}
     console.result(json.dumps(result, indent=1))
 

@@ -107,7 +107,7 @@ class Stopped(Exception):
 
 
 Cost = Callable[[Any, Mapping[str, Path]], float]
-Published = Callable[[str, str], Mapping[str, Sequence[float]]]
+Published = Callable[[str, str], Mapping[str, Sequence[float | None]]]
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def cost(params: Params, folders: Mapping[str, Path]) -> float:
     return heldout * (SCORE * (1 + bool(params.fit_steps)) + POSE_STEP * params.fit_steps)
 
 
-def published(dataset: str, sequence: str) -> Mapping[str, tuple[float, float, float]]:
+def published(dataset: str, sequence: str) -> Mapping[str, tuple[float | None, ...]]:
     """See `contract.StageModule`."""
     from stages.formats.datasets import published
 
@@ -88,7 +88,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     facts = read_facts(train / "train.json", Trained)
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
-    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(i)]
+    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(int(i))]
     shown = set(held[:: max(1, len(held) // SHOWN)][:SHOWN])
     (job.out / "heldout").mkdir()
     protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
@@ -108,7 +108,8 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
     regions = REGIONS + MASKED_REGIONS * params.masked
-    metrics = {protocol: _means(found, regions) for protocol, found in rows.items()} | {
+    means = {protocol: _means(found, regions) for protocol, found in rows.items()}
+    metrics = means | {
         "frames": len(held),
         "gaussians": {"human": len(learned.avatar.resting.means), "scene": len(scene) if scene else 0},
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
@@ -120,7 +121,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         "per_frame": rows,
     }
     (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False))
-    job.note(_sentence(metrics["heldout"]))
+    job.note(_sentence(means["heldout"]))
     if not held:
         job.warn(f"nothing could be measured: no held-out frame to compare in {len(clip.names)} registered frames")
 
@@ -190,9 +191,10 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
 
     if shot.box is None:
         return shot.pose
-    box = tuple(
-        slice(max(0, side.start - MARGIN), min(limit, side.stop + MARGIN))
-        for side, limit in zip(shot.box, shot.mask.shape, strict=True)
+    (rows, columns), (height, width) = shot.box, shot.mask.shape
+    box = (
+        slice(max(0, rows.start - MARGIN), min(height, rows.stop + MARGIN)),
+        slice(max(0, columns.start - MARGIN), min(width, columns.stop + MARGIN)),
     )
     like = shot.learned.avatar.joints
     orient, body, transl = (torch.as_tensor(p).to(like).requires_grad_() for p in shot.pose)
@@ -207,7 +209,8 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
         human = pose_avatar(shot.learned.avatar, orient, body, transl)
         loss = (shot.render(human, shot.scene, box, white=alone) - truth).abs().mean()
         if loss.item() < least:
-            best, least = tuple(p.detach().cpu().numpy().copy() for p in (orient, body, transl)), loss.item()
+            now = [p.detach().cpu().numpy().copy() for p in (orient, body, transl)]
+            best, least = (now[0], now[1], now[2]), loss.item()
         loss.backward()
         optimiser.step()
         falling.step()

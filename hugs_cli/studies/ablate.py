@@ -1,9 +1,8 @@
-"""The paper's ablations on one clip: a pipeline and its variants, over seeds, and the table of what each part is worth."""
+"""The paper's ablations on one clip: trains a pipeline and its variants over seeds, and tabulates the value of each part."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from statistics import fmean
 from typing import Any
 
@@ -13,10 +12,10 @@ from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
 from hugs_cli.pipelines import unknown
 from hugs_cli.studies import comparison
-from hugs_cli.studies.comparison import METRICS, PAPERS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
+from hugs_cli.studies.comparison import LAST, METRICS, PAPERS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
 from hugs_cli.studies.variants import ABLATIONS
 from hugs_cli.words import count, duration
-from stages.formats.datasets.published import published
+from stages.contract import load_stage
 
 NEEDS_SCENE = ("no_human_loss", "no_joint")
 
@@ -39,7 +38,7 @@ def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:
 
 
 def announced(plan: list[tuple[Case, str, Stamp | None]]) -> str:
-    """How much there is to do: '18 trainings: 6 cached, 12 to do, about 2h 10m'."""
+    """One line: '18 trainings: 6 cached, 12 to do, about 2h 10m'."""
     cached = [stamp.seconds for _, _, stamp in plan if stamp]
     left = len(plan) - len(cached)
     about = f", about {duration(left * fmean(cached))}" if cached and left else ""
@@ -58,15 +57,16 @@ def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
         ran = engine.run(case.session, case.stages, frozenset(), device, Quiet() if i else console)
         found.setdefault(case.variant, []).append(heldout(ran[-1].folder))
     name, seeds = cases[0].session.pipeline.name, sorted({case.seed for case in cases})
-    paper = beside_the_paper(cases[0].session.workspace.links / "frames", name, found)
+    paper = beside_the_paper(cases[0].session, name, found)
     return {"pipeline": name, "seeds": seeds, "heldout": compared(name, found), "paper": paper}
 
 
-def beside_the_paper(frames: Path, name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
+def beside_the_paper(session: Session, name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
     """Region -> "HUGS, CVPR 2024" and each variant -> `over_seeds` of each of PAPERS; empty for a clip that it does not have."""
-    dataset = read_json(frames / "frames.json").get("dataset")
+    dataset = read_json(session.workspace.links / "frames" / "frames.json").get("dataset")
+    published = load_stage(session.pipeline.stages[LAST].module).published
     table: dict[str, Any] = {}
-    for region, theirs in (published(dataset["name"], dataset["sequence"]) if dataset else {}).items():
+    for region, theirs in (published(dataset["name"], dataset["sequence"]) if dataset and published else {}).items():
         rows = table[region] = {
             f"{name}.{part}" if part else name: {
                 m: over_seeds(one.get(region, {}).get(m) for one in seeds) for m in PAPERS

@@ -1,4 +1,4 @@
-"""Trainings of one clip that are set beside each other: what `hugs ablate` and `hugs costs` have in common."""
+"""Comparing trainings of one clip: the common part of `hugs ablate` and `hugs costs`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hugs_cli.console import Console
 from hugs_cli.pipelines import UsageError
 
 LAST = "evaluate"
-SEEDED = ("train", LAST)  # every seed shares what lies before
+SEEDED = ("train", LAST)  # all seeds share the stages before
 REGIONS = {"full": "whole picture", "person_crop": "person", "person_white": "person over white"}
 METRICS = {"psnr": 2, "ssim": 4, "lpips": 4}  # with the decimals that are shown
 PAPERS = {"psnr_per_channel": 2, "ssim": 4, "lpips_legacy": 4}
@@ -36,7 +36,7 @@ class Case:
 
     @property
     def stages(self) -> list[str]:
-        """What must be fresh, in running order."""
+        """The stages that must be fresh, in running order."""
         return self.session.pipeline.upstream([LAST])
 
 
@@ -62,10 +62,10 @@ def cases(session: Session, variants: Sequence[str], seeds: int) -> list[Case]:
 
 
 class Quiet(Console):
-    """Says nothing of stages that are fresh: after the first case they are the same ones."""
+    """Prints no rows of cached stages: they are the same in every case."""
 
     def cached(self, stage: str, stamp: Stamp) -> None:
-        """Not worth a row."""
+        """Print nothing."""
 
 
 def heldout(folder: Path) -> Scores:
@@ -77,8 +77,9 @@ def over_seeds(values: Iterable[float | None]) -> dict[str, Any]:
     """The `values` of all seeds, their `mean` and `spread` (standard deviation); None where a seed has no value, or
     there is one seed."""
     values = list(values)
-    mean = None if None in values else fmean(values)
-    spread = stdev(values) if mean is not None and len(values) > 1 else None
+    known = [value for value in values if value is not None]
+    mean = fmean(known) if len(known) == len(values) else None
+    spread = stdev(known) if mean is not None and len(known) > 1 else None
     return {"mean": mean, "spread": spread, "values": values}
 
 
