@@ -76,7 +76,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.estimators.assets import path
     from stages.formats.clip import load_clip
     from stages.formats.effects import read_effects
-    from stages.formats.facts import Stamp, Trained, read_facts
+    from stages.formats.facts import Trained, read_facts
     from stages.formats.images import write_image
     from stages.formats.splats import read_avatar, read_scene
 
