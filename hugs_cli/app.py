@@ -254,7 +254,7 @@ def accept(
     console = Console()
     for name, (verdict, taken) in engine.accept(session, stages or list(session.pipeline.stages), console).items():
         if taken and verdict.last and verdict.recipe:
-            changed = ", ".join(map(str, verdict.reasons))
+            changed = reasons_text(verdict.reasons)
             console.result(f"{name} accepted: {verdict.last.key[:8]} is now {verdict.recipe.key[:8]}; {changed}")
         elif verdict.fresh:
             console.result(f"{name} is fresh: nothing to accept")
