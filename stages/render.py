@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -29,6 +29,21 @@ class Params(contract.Params):
     """The motion that is not in the clip."""
     motion_seconds: float = Field(4.0, gt=0)
     """Length of that motion."""
+
+
+SHORTER = {"turntable_frames": 36, "motion_seconds": 2.0}
+PICTURE = 0.3
+"""Training steps of full size that it takes to draw one picture of a film.
+The kitchen clip, a short training, 2 cores, November 2026."""
+
+
+def cost(params: Params, folders: Mapping[str, Path]) -> float:
+    """See `contract.StageModule`."""
+    from stages.formats.clip import load_clip
+
+    clip = load_clip(folders["sfm"], folders["smpl"])
+    heldout, frames = int(clip.heldout.sum()), len(clip.names)
+    return PICTURE * (params.turntable_frames + params.motion_seconds * params.fps + heldout + frames)
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None:

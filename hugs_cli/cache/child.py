@@ -21,7 +21,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stages.contract import StageError
 
 LIBRARIES = {
     "torch": "torch",
@@ -42,7 +45,6 @@ GONE = (errno.ENOENT, errno.EIO, errno.ESTALE, errno.ENOTDIR, errno.EISDIR)
 PROGRESS_EVERY = 0.1  # s between progress events of one stage
 TORCH_MEMORY = ("OutOfMemoryError", "can't allocate memory")  # how torch says it, on a GPU and without
 TICK = 0.25  # s between looks at the clock
-MAXRSS = 1 if sys.platform == "darwin" else 1024  # bytes in one unit of ru_maxrss
 
 
 def prepare() -> None:
@@ -85,10 +87,12 @@ class Outcome:
 
 
 def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str, Any]], None]) -> Outcome:
-    """Run one job (module, params, inputs, out, device, seed) to its end; `heard` gets each event and {} each tick.
+    """Run one job (see `engine.make`) to its end; `heard` gets each event and {} each tick.
 
     SIGINT and SIGTERM are passed on once as a request to stop; the second time the process is killed.
     """
+    from stages.contract import MAXRSS
+
     started = time.monotonic()
     read, write = os.pipe()
     with open(log, "ab") as output:
@@ -109,6 +113,7 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     outcome = Outcome("killed")
+    assert process.stdin
     try:
         job = {**job, "events": write, "path": sys.path}
         process.stdin.write(json.dumps(job).encode() + b"\n")
@@ -160,7 +165,6 @@ def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> 
 def main() -> int:
     """The stage's process."""
     import faulthandler
-    import importlib
     import threading
 
     job = json.loads(read_line(0))
@@ -170,7 +174,7 @@ def main() -> int:
     prepare()
     watch = threading.Thread(target=end_with_parent, daemon=True)
     watch.start()
-    from stages.contract import Job, StageError, Stopped
+    from stages.contract import Job, StageError, StageRecord, Stopped, load_stage
 
     pipe = os.fdopen(job["events"], "w", encoding="utf-8", buffering=1)
     last = 0.0
@@ -183,15 +187,16 @@ def main() -> int:
             last = time.monotonic()
         pipe.write(json.dumps(event, default=float) + "\n")
 
-    stage_job = Job(Path(job["out"]), job["device"], job["seed"], emit)
+    upstream = {name: StageRecord(**record) for name, record in job["upstream"].items()}
+    stage_job = Job(Path(job["out"]), job["device"], job["seed"], emit, upstream)
     if job["resumes"]:
         stage_job.listen_for_stop()
     else:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        module = importlib.import_module(job["module"])
+        module = load_stage(job["module"])
         inputs = {name: Path(path) if path else None for name, path in job["inputs"].items()}
-        module.run(stage_job, module.Params(**job["params"]), **inputs)
+        module.run(stage_job, module.params(**job["params"]), **inputs)
         emit({"event": "done", "versions": versions(), "peak_memory_bytes": peak_memory(), **gpu_memory()})
         return 0
     except Stopped:
@@ -204,7 +209,7 @@ def main() -> int:
     return 1
 
 
-def file_trouble(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> Exception | None:
+def file_trouble(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> StageError | None:
     """The StageError for a disk that is full, or a file that is gone or forbidden; None where a bug is likelier.
 
     A file that is merely not there is a bug of a stage, unless it belongs to its inputs: these it has seen before.
@@ -276,8 +281,11 @@ def versions(only: Callable[[str], object] = sys.modules.get) -> dict[str, str]:
 
 
 def peak_memory() -> int:
-    """Most bytes of memory that this process, or one of its own, held at once."""
-    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) * MAXRSS
+    """The most memory that this process, or one of its own, held at once, in bytes."""
+    from stages import contract
+
+    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * contract.MAXRSS
+    return max(contract.peak_memory(), children)
 
 
 def gpu_memory() -> dict[str, int]:

@@ -67,9 +67,6 @@ class Accepted(TypedDict):
     changes: list[str]
 
 
-form_of = cache(TypeAdapter)
-
-
 @dataclass(frozen=True)
 class Stamp:
     """What a finished result was made of and how; written last, so a folder with a stamp is whole."""
@@ -98,7 +95,7 @@ class Stamp:
     def read(cls, folder: Path) -> Stamp | None:
         """The stamp of a folder, or None where there is no whole one."""
         try:
-            return form_of(cls).validate_json((folder / STAMP).read_bytes(), strict=True)
+            return stamp_form().validate_json((folder / STAMP).read_bytes(), strict=True)
         except (OSError, ValueError):
             return None
 
@@ -118,6 +115,12 @@ class Stamp:
             if stat.st_size != facts["size"] or (touched and fingerprint.file_digest(folder / name) != facts["sha256"]):
                 return f"{name} is not what was written"
         return ""
+
+
+@cache
+def stamp_form() -> TypeAdapter[Stamp]:
+    """The check of a stamp's JSON; built once, since that takes time."""
+    return TypeAdapter(Stamp)
 
 
 class Workspace:
@@ -248,16 +251,16 @@ def clip_name(video: Path) -> str:
     return name
 
 
-def seal(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
+def seal(folder: Path) -> tuple[str, dict[str, FileFacts]]:
     """Bring a finished result's files to the disk; returns the digest of all and the facts of each."""
-    files = {}
+    files: dict[str, FileFacts] = {}
     for name, path in fingerprint.files_under(folder).items():
         if name in OURS:
             continue
         sync(path)
         stat = path.stat()
-        facts = {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns, "sha256": fingerprint.file_digest(path)}
-        files[name] = facts
+        sha256 = fingerprint.file_digest(path)
+        files[name] = {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns, "sha256": sha256}
     return fingerprint.digest({name: facts["sha256"] for name, facts in files.items()}), files
 
 

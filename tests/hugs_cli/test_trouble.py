@@ -53,15 +53,15 @@ def test_a_full_disk_stops_the_run_itself_and_the_result_stands(flow):
 
 def test_a_result_made_on_a_disk_that_is_full_now_is_not_believed(importable, monkeypatch):
     """Libraries in C cut files short there and report success."""
-    from hugs_cli.options import judge_of
+    from hugs_cli.options import open_session
 
     monkeypatch.chdir(importable.folder)
-    judge = judge_of(Path("clip.mp4"), pipelines_file=Path("pipelines.yaml"))
-    stage = judge.pipeline.stages["two"]
+    session = open_session(Path("clip.mp4"), pipelines_file=Path("pipelines.yaml"))
+    stage = session.pipeline.stages["two"]
     recipe = Recipe("two", 0, {}, {}, {"one": "its content"})
-    assert engine.doubtful(judge, stage, recipe, importable.folder) is None
+    assert engine.doubtful(session, stage, recipe, importable.folder) is None
     monkeypatch.setattr(engine, "FULL_DISK", 1 << 62)
-    assert "the disk is full at" in engine.doubtful(judge, stage, recipe, importable.folder)["problem"]
+    assert "the disk is full at" in engine.doubtful(session, stage, recipe, importable.folder)["problem"]
 
 
 def test_a_full_disk_behind_the_error_of_a_library_is_found():

@@ -8,6 +8,7 @@ import pytest
 
 from hugs_cli import within
 from hugs_cli.pipelines import UsageError
+from hugs_cli.studies.calibration import STAGE_START
 
 TRAIN = """
 '''Writes what it was told; fails while there is a file `stop` beside the video.'''
@@ -21,6 +22,9 @@ class Params(Base):
     seconds: float = 0
     reserve: float = 0
     size: int = 1
+
+def cost(params, folders):
+    return 30 + 10 * len(folders)
 
 def run(job, params, *, one):
     '''Write one file.'''
@@ -40,6 +44,11 @@ FIT_STEPS = """from stages.contract import Params as Base
 
 class Params(Base):
     fit_steps: int = 30
+
+SHORTER = {"fit_steps": 0}
+
+def cost(params, folders):
+    return 2 * params.fit_steps
 """
 
 
@@ -81,10 +90,10 @@ def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
     assert result["pipeline"] == "tiny.60s" and [row["state"] for row in result["stages"]] == ["done", "done", "done"]
     kept, given = result["within"], told(clip)
     assert kept["promised"] == 60 and 0 < kept["took"] < 30
-    least = 60 - kept["took"] - 2 * within.START
-    assert least <= given["seconds"] < 60 - 2 * within.START
+    least = 60 - kept["took"] - 2 * STAGE_START
+    assert least <= given["seconds"] < 60 - 2 * STAGE_START
     assert kept["settings"] == {"train": {name: given[name] for name in ("seconds", "reserve")}}
-    assert given["reserve"] == within.FINISH and given["size"] == 1
+    assert given["reserve"] == 40 and given["size"] == 1
     assert "promised 1m 00s, took" in err and "are left for training" in err
 
 
@@ -94,7 +103,7 @@ def test_a_second_run_trains_no_more_unless_forced(clip):
     before = told(clip)
     out, err = run(clip, "--within", "60s", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(clip) == before
-    assert "goes on with the training that was begun" in err
+    assert "continuing the training that was begun" in err
     out, err = run(clip, "--within", "60s", "--force", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"done"} and "are left for training" in err
 
@@ -115,7 +124,7 @@ def test_a_training_cut_short_goes_on_with_what_it_was_given(clip):
     given = json.loads((clip.work / "clip" / "tiny.60s" / within.CHOSEN).read_text())
     (clip.folder / "stop").unlink()
     _, err = run(clip, "--within", "60s")
-    assert told(clip) == given["train"] | {"size": 1} and "goes on with the training" in err
+    assert told(clip) == given["train"] | {"size": 1} and "continuing the training" in err
 
 
 @pytest.mark.slow
@@ -159,13 +168,16 @@ def test_a_training_in_two_parts_is_refused_before_anything_runs(clip):
 
 @pytest.mark.slow
 def test_where_time_is_short_measuring_takes_less_of_it(clip):
-    clip.edit("train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12")
+    clip.edit(
+        "train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12\nSHORTER = {'curve_points': 4}"
+    )
     clip.write("evaluate", AFTER.replace("from stages.contract import Params", FIT_STEPS))
     file = clip.folder / "pipelines.yaml"
     file.write_text(f"{file.read_text()}    evaluate: {{needs: [train], module: flow.evaluate}}\n")
     (clip.folder / "stop").write_text("")  # before anything asks for the clip's frames
     for time, points in (("60s", 4), ("20m", 12)):
-        run(clip, "train", "--within", time, code=1)
+        run(clip, "--within", time, code=1)
         chosen = json.loads((clip.work / "clip" / f"tiny.{time}" / within.CHOSEN).read_text())
         assert chosen["train"].get("curve_points", 12) == points
+        assert chosen["train"]["reserve"] == (40 if points == 4 else 100), "train, and evaluate after it"
         assert chosen.get("evaluate") == ({"fit_steps": 0} if points == 4 else None)

@@ -17,6 +17,7 @@ from stages.avatar.body.smpl import DA_POSE, Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
 from stages.avatar.rasterize import Camera
+from stages.contract import StageRecord
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.images import write_image, write_mask
@@ -158,6 +159,13 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
     (folders["train"] / "curve.csv").write_text("\n".join(rows) + "\n")
     for i, path in enumerate(folders.values()):
         stamp(path, seconds=1.5 + i, warnings=["the camera <b>barely</b> moved"] if path.name == "sfm" else [])
+
+
+UPSTREAM = {
+    name: StageRecord(1.5 + i, 200 << 20, ("8 frames",), ("the camera <b>barely</b> moved",) if name == "sfm" else ())
+    for i, name in enumerate(STAGES)
+}
+"""The records of all stages up to train, as the engine hands them to a stage."""
 
 
 def stamp(folder: Path, seconds: float = 1.0, warnings: tuple[str, ...] | list[str] = ()) -> None:

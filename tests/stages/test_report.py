@@ -25,7 +25,7 @@ def make(clip, folder):
     quick = render.Params(fps=8, turntable_frames=8, motion_seconds=1.0)
     export.run(Job(done["export"]), export.Params(), train=clip["train"])
     render.run(Job(done["render"]), quick, **shots)
-    evaluate.run(Job(done["evaluate"]), evaluate.Params(fit_steps=1), **clip)
+    evaluate.run(Job(done["evaluate"], upstream=tiny_clip.UPSTREAM), evaluate.Params(fit_steps=1), **shots)
     for name in ("export", "render", "evaluate"):
         tiny_clip.stamp(done[name])
     report.run(Job(done["report"]), report.Params(), **clip, **{n: p for n, p in done.items() if n != "report"})

@@ -11,6 +11,7 @@ import pytest
 
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import UsageError
+from hugs_cli.cache.fingerprint import digest
 from tests.made.flow import ALL, WHOLE
 
 
@@ -346,3 +347,68 @@ def test_a_gpu_counts_only_with_gsplat(monkeypatch):
     assert "gsplat" in error.value.problem and "hugs-avatar[gpu]" in error.value.hint
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: object())
     assert engine.device_of("auto") == engine.device_of("cuda") == "cuda"
+
+
+def written_by_older_code(flow) -> None:
+    """Rewrite all stamps as older code left them: other modules, and a stage that read one input more."""
+    for stage in ALL:
+        link = flow.work / "clip/default" / stage
+        stamp = json.loads((link / "stamp.json").read_text())
+        stamp["code"] = {"flow.long_gone": "0" * 64, f"flow.{stage}": "1" * 64}
+        if stage == "four":
+            stamp["inputs"]["one"] = "2" * 64
+        recipe = [stamp[name] for name in ("stage", "seed", "code", "params", "inputs")]
+        stamp["key"] = digest(recipe)
+        (link / "stamp.json").write_text(json.dumps(stamp))
+        folder = link.resolve()
+        link.unlink()
+        link.symlink_to(f"../store/{stage}-{stamp['key'][:8]}")
+        folder.rename(folder.with_name(f"{stage}-{stamp['key'][:8]}"))
+
+
+def test_results_of_older_code_are_kept_as_they_are(flow):
+    flow.hugs()
+    written_by_older_code(flow)
+    before = {path.name: path.stat().st_ino for path in flow.store.glob("*/out.txt")}
+    out, _ = flow.hugs(command="accept")
+    assert out.count(" accepted: ") == 4 and "four accepted" in out and "inputs.one no longer read" in out
+    assert flow.ran() == {} and flow.text("four") == WHOLE
+    assert before == {path.name: path.stat().st_ino for path in flow.store.glob("*/out.txt")}, "nothing was made again"
+    stamp = json.loads((flow.work / "clip/default/four/stamp.json").read_text())
+    assert list(stamp["inputs"]) == ["three", "two"]
+
+
+def test_an_input_that_was_given_and_is_not_any_more_is_no_change_of_code(flow):
+    (flow.folder / "masks.txt").write_text("m")
+    flow.hugs("--masks", "masks.txt")
+    out, _ = flow.hugs("three", command="accept")
+    assert out == "three not accepted, only changes of code can be: inputs.mask_files gone\n"
+
+
+def test_a_run_says_how_to_keep_results_where_only_code_changed(flow):
+    hint = "of results are made again; `hugs accept clip.mp4` (and --set ...) keeps them"
+    assert hint not in flow.hugs()[1]
+    flow.edit("helper", "count = len(", "count = 0 + len(")
+    err = flow.hugs()[1]
+    assert hint in err and err.index(hint) < err.index(" done ")
+    flow.edit("helper", "count = 0 + len(", "count = len(")
+    assert hint not in flow.hugs("--force")[1]
+    flow.edit("two", "helper.work(", "helper.x = 1; helper.work(")
+    assert hint not in flow.hugs("--set", "two.word=b")[1]
+    flow.hugs("--pipeline", "other")
+    flow.edit("four", "helper.work(", "helper.x = 1; helper.work(")
+    assert "`hugs accept clip.mp4 --pipeline other` (and" in flow.hugs("--pipeline", "other")[1]
+
+
+def test_a_stage_is_handed_the_records_of_all_stages_before_it(flow):
+    line = "import dataclasses, json; (job.out / 'up.json').write_text(json.dumps("
+    line += "{name: dataclasses.asdict(one) for name, one in job.upstream.items()})); helper.work("
+    flow.edit("four", "helper.work(", line)
+    flow.edit("one", "helper.work(", "job.warn('dark'); job.note('40 frames'); helper.work(")
+    for _ in range(2):  # the second time from the cache
+        flow.hugs("four")
+        found = json.loads((flow.work / "clip/default/four/up.json").read_text())
+        assert list(found) == ["one", "two", "three"]
+        assert found["one"]["warnings"] == ["dark"] and "40 frames" in found["one"]["notes"]
+        assert all(one["seconds"] > 0 and one["peak_memory_bytes"] > 1e6 for one in found.values())
+        flow.edit("four", "helper.work(", "helper.x = 1; helper.work(")
