@@ -9,8 +9,6 @@ from stages import contract
 from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from stages.formats.clip import Clip
     from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Stamp, Survey
     from stages.formats.page import Figure
@@ -178,8 +176,7 @@ def _curve(train: Path) -> str:
 def _stage_times(stamps: dict[str, Stamp]) -> Columns:
     longest = max(stamp.seconds for stamp in stamps.values()) or 1.0
     rows = [
-        [name, _duration(stamp.seconds), f"{stamp.peak_memory_bytes / 2**20:.0f} MiB"]
-        for name, stamp in stamps.items()
+        [name, _duration(stamp.seconds), f"{stamp.peak_memory_bytes / 2**20:.0f} MiB"] for name, stamp in stamps.items()
     ]
     return rows, (1, 2), [stamp.seconds / longest for stamp in stamps.values()]
 

@@ -20,7 +20,14 @@ from matplotlib.transforms import Bbox
 
 from stages.formats.page import COLORS
 
-INKS = {"ink": "#1c2024", "soft": "#60646c", "line": "#d9d9e0", "blue": "#1f6feb", "mark": "#b54708", "paper": "#fcfcfd"}
+INKS = {
+    "ink": "#1c2024",
+    "soft": "#60646c",
+    "line": "#d9d9e0",
+    "blue": "#1f6feb",
+    "mark": "#b54708",
+    "paper": "#fcfcfd",
+}
 """The page's colours by day. An SVG takes them by name, so the page's night changes them."""
 LINES = ("blue", "mark", "#009e73", "#cc79a7", "#8b6fc0", "#c9a000", "#56b4e9", "#7f7f7f", "#a65e2e")
 PX = 72  # px of an SVG in an inch
@@ -33,11 +40,24 @@ STYLE = {
     **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INKS["soft"]),
     **{f"axes.spines.{side}": False for side in ("left", "right", "top", "bottom")},
     **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 0),
-    **{"font.family": FONT, "font.size": 13, "axes.titlesize": 13, "axes.titlelocation": "left"},
-    **{"axes.grid": True, "axes.grid.axis": "y", "axes.axisbelow": True, "axes.formatter.useoffset": False},
-    **{"grid.color": INKS["line"], "figure.facecolor": INKS["paper"], "axes.facecolor": "none"},
-    **{"legend.frameon": False, "legend.labelcolor": "linecolor", "lines.linewidth": 2.5, "lines.markersize": 7},
-    **{"svg.fonttype": "none", "svg.hashsalt": "hugs"},
+    "font.family": FONT,
+    "font.size": 13,
+    "axes.titlesize": 13,
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.grid.axis": "y",
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": INKS["line"],
+    "figure.facecolor": INKS["paper"],
+    "axes.facecolor": "none",
+    "legend.frameon": False,
+    "legend.labelcolor": "linecolor",
+    "lines.linewidth": 2.5,
+    "lines.markersize": 7,
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "svg.hashsalt": "hugs",
 }
 """Axes without a frame; text as text, and ids that are the same every time."""
 
