@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.estimators.bodyfit import placing as fit_placing
+from stages.estimators.bodyfit import placing
 from stages.estimators.bodyfit.frames import join_frames
 from stages.formats.body_model import read_body_model
 from stages.formats.given_fits import files as smpl_fits
@@ -27,7 +27,7 @@ def match_frames(fit, names):
 def place_in_world(fit, viewmats, model, world_from_sfm=None):
     names = fit.names or tuple(str(i) for i in range(len(fit)))
     Ks = np.tile(np.diag([600.0, 600.0, 1.0]), (len(fit), 1, 1))
-    return fit_placing.place_in_world(fit, names, viewmats, Ks, model, world_from_sfm)
+    return placing.place_in_world(fit, names, viewmats, Ks, model, world_from_sfm)
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +224,7 @@ def test_j13_varying_and_extreme_shapes_are_said(tmp_path, arrays):
     betas = np.tile(arrays["betas"], (N, 1))
     betas[:, 0] = np.linspace(5, 8, N)
     fit = read_smpl_fit(save(tmp_path / "a.npz", **arrays | {"betas": betas}))
-    shape, notes = fit_placing.median_shape(fit)
+    shape, notes = placing.median_shape(fit)
     assert len(notes) == 2 and shape[0] == 6.5
 
 
