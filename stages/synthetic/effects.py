@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras import lens
-from stages.avatar.cameras.pinhole import look_at
+from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
 from stages.avatar.kernels.mesh import fill
 
 MOMENTS = 9
@@ -22,6 +23,10 @@ LAMP_AWAY, MAP_SIDE, MAP_M = 100.0, 640, 3.2
 """The lamp of a shadow map is so far that its rays are parallel, m; its pixels, and how many m they show."""
 SOFT, CONTACT_SOFT, CONTACT_HEIGHT = 0.02, 0.035, 0.12
 """Blur of a shadow's edge, of the dark rim of the feet, and up to where a body touches the floor, m."""
+
+
+Moving = Callable[[float], np.ndarray]
+"""Points [V,3] m in the world at a moment, in frames."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +93,8 @@ class Course:
     def _path(self) -> tuple[CubicSpline, CubicSpline, Rotation]:
         rotations, frames = Rotation.from_matrix(self.viewmats[:, :3, :3]), np.arange(len(self.viewmats))
         middle = rotations[len(frames) // 2]
-        centers = -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
-        return CubicSpline(frames, (rotations * middle.inv()).as_rotvec()), CubicSpline(frames, centers), middle
+        places = CubicSpline(frames, camera_centers(self.viewmats))
+        return CubicSpline(frames, (rotations * middle.inv()).as_rotvec()), places, middle
 
     @cached_property
     def _motion(self) -> CubicSpline:
@@ -110,7 +115,9 @@ def readout_times(effects: ClipEffects, height: int) -> np.ndarray:
     return effects.rolling_shutter * ((np.arange(height) + 0.5) / height - 0.5)
 
 
-def camera_points(course: Course, things, t: float, effects: ClipEffects, K: np.ndarray, height: int) -> np.ndarray:
+def camera_points(
+    course: Course, things: Moving, t: float, effects: ClipEffects, K: np.ndarray, height: int
+) -> np.ndarray:
     """`things`(moment) [V,3] in coordinates of the camera at `t`, each point when the row it falls on is read."""
 
     def at(moment: float) -> np.ndarray:
@@ -195,7 +202,7 @@ class _ShadowMap:
         center = np.array([0.0, 0.8, 0.0])
         self.viewmat = look_at(center + LAMP_AWAY * light / np.linalg.norm(light), center, np.array([0.0, 0.0, -1.0]))
         focal = MAP_SIDE / MAP_M * LAMP_AWAY
-        self.K = np.array([[focal, 0, MAP_SIDE / 2], [0, focal, MAP_SIDE / 2], [0, 0, 1.0]])
+        self.K = pinhole(focal, MAP_SIDE, MAP_SIDE)
         depth, face, _ = fill(self._seen(vertices), faces, self.K, MAP_SIDE, MAP_SIDE)
         self.nearest = depth.min()
         self.cover = gaussian_filter((face >= 0).astype(float), soft * MAP_SIDE / MAP_M)

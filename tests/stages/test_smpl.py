@@ -140,7 +140,7 @@ def test_of_two_people_in_a_folder_of_easymocap_the_masked_one_is_taken(folders,
     assert facts["person"] == "1" and facts["overlap"] > 0.8 and facts["people"]["0"] < 0.3
     texts = [event["text"] for event in said if event["event"] in ("note", "warning")]
     assert any(text.startswith("person 1 of EasyMocap is the masked one; overlap with the masks: ") for text in texts)
-    assert any("EasyMocap fits SMPL's body, the free body is another" in text for text in texts)
+    assert any("the fit of EasyMocap is for SMPL, but the bundled body is not SMPL" in text for text in texts)
 
 
 @pytest.mark.slow

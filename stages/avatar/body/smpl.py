@@ -19,6 +19,13 @@ class Body(nn.Module):
     Joints come from all vertices, whatever `vertices` is kept.
     """
 
+    v_template: Tensor
+    shapedirs: Tensor
+    posedirs: Tensor
+    lbs_weights: Tensor
+    joint_template: Tensor
+    joint_dirs: Tensor
+
     def __init__(self, model: records.BodyModel, dtype: torch.dtype = torch.float32):
         super().__init__()
         f64 = {

@@ -30,7 +30,7 @@ def join_frames(
     a row, or two rows of a fit of one person claim one frame.
     """
     if fit.times is not None:
-        return _resample(fit, names, times)
+        return _resample(fit, fit.times, names, times)
     keys, wanted, sure = _keys(fit, names, sources)
     place = {key: i for i, key in enumerate(wanted)}
     pairs = [(place[key], row) for row, key in enumerate(keys) if key is not None and key in place]
@@ -81,20 +81,21 @@ def _check_once(keys: list, path: str) -> None:
         raise StageError(f"two rows of {path} name the same frame", HINT, [f"{', '.join(twice[:5])}"])
 
 
-def _resample(fit: SmplFit, names: Sequence[str], times: np.ndarray) -> tuple[SmplFit, np.ndarray]:
-    """Poses at the frames' times: rotations along the shortest turn, the rest along straight lines."""
-    step = float(np.median(np.diff(fit.times))) if len(fit) > 1 else 0.0
+def _resample(fit: SmplFit, taken: np.ndarray, names: Sequence[str], times: np.ndarray) -> tuple[SmplFit, np.ndarray]:
+    """The poses `taken` at times [N] s as they are at the frames' `times` [F] s.
+
+    Rotations take the shortest turn, the rest goes along straight lines.
+    """
+    step = float(np.median(np.diff(taken))) if len(fit) > 1 else 0.0
     times = np.asarray(times, np.float64)
     after = (
-        np.clip(np.searchsorted(fit.times, times), 1, max(len(fit) - 1, 1))
-        if len(fit) > 1
-        else np.zeros(len(times), int)
+        np.clip(np.searchsorted(taken, times), 1, max(len(fit) - 1, 1)) if len(fit) > 1 else np.zeros(len(times), int)
     )
     before = np.maximum(after - 1, 0)
-    width = fit.times[after] - fit.times[before]
-    share = np.clip((times - fit.times[before]) / np.where(width > 0, width, 1), 0, 1)
-    near = np.minimum(abs(times - fit.times[before]), abs(times - fit.times[after])) <= step / 2 + 1e-6
-    inside = (times >= fit.times[0]) & (times <= fit.times[-1]) & (width <= max(GAP, 3 * step))
+    width = taken[after] - taken[before]
+    share = np.clip((times - taken[before]) / np.where(width > 0, width, 1), 0, 1)
+    near = np.minimum(abs(times - taken[before]), abs(times - taken[after])) <= step / 2 + 1e-6
+    inside = (times >= taken[0]) & (times <= taken[-1]) & (width <= max(GAP, 3 * step))
     frames = np.flatnonzero(near | inside)
     if len(frames) < max(1, len(names) / 2):
         _refuse(fit, names, len(frames))

@@ -38,11 +38,12 @@ def choose_person(
     chosen = max(sorted(say), key=lambda track: (say[track], len(best[track])))
     rows = [best[chosen][frame] for frame in sorted(best[chosen])]
     mean = {track: _mean(overlap[list(kept.values())]) for track, kept in best.items()}
-    if mean[chosen] is not None and mean[chosen] < NOWHERE:
-        facts = [f"the best of {len(best)} overlaps the masks by {100 * mean[chosen]:.0f} %, in {len(rows)} frames"]
+    most = mean[chosen]
+    if most is not None and most < NOWHERE:
+        facts = [f"the best of {len(best)} overlaps the masks by {100 * most:.0f} %, in {len(rows)} frames"]
         hint = "is it of this video, frame by frame, and in the camera's axes (x right, y down, z forward)?"
         raise StageError(f"{fit.path} shows nobody where the masks do", hint, facts)
-    found = {"tool": fit.tool, "person": chosen, "overlap": mean[chosen], "people": mean}
+    found = {"tool": fit.tool, "person": chosen, "overlap": most, "people": mean}
     return fit.rows(rows), frames[rows], found
 
 
@@ -53,9 +54,9 @@ def overlaps(
     names = tuple(cameras.names[i] for i in frames)
     poses = place_in_world(fit, names, cameras.viewmats[frames], cameras.Ks[frames], model, 1.0)
     body = Body(model).subset(torch.arange(0, len(model.v_template), EVERY))
-    f32 = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
-    zero = torch.zeros(len(fit), 3)
-    vertices = body(f32(poses.betas), f32(poses.global_orient), f32(poses.body_pose), zero)[0].double().numpy()
+    zero = np.zeros((len(fit), 3))
+    parts = (poses.betas, poses.global_orient, poses.body_pose, zero)
+    vertices = body(*(torch.tensor(part, dtype=torch.float32) for part in parts))[0].double().numpy()
     vertices = vertices + poses.transl[:, None]
     pixels, z = project(vertices, rescale_viewmats(cameras.viewmats[frames], poses.world_from_sfm), cameras.Ks[frames])
     ratio = min(1.0, SIDE / max(cameras.width, cameras.height))

@@ -9,6 +9,7 @@ import numpy as np
 from stages.avatar.cameras.pinhole import project
 from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap
+from stages.estimators.cameras.colmap import Cloud
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
 from stages.formats.images import read_image
@@ -70,9 +71,9 @@ def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray) -> floa
     return float(np.median(np.concatenate(found))) if found else None
 
 
-def compare_colors(job: Job, found: Pinholes) -> None:
+def compare_colors(job: Job, found: Pinholes, cloud: Cloud) -> None:
     """Say whether the points that came with given cameras have the colours of the frames where they fall."""
-    alike = color_agreement(job.out / "images", found)
+    alike = color_agreement(job.out / "images", found, cloud)
     found.facts["colour_correlation"] = alike
     if alike is None:
         job.warn("the given points have no colours, so the given cameras could not be checked")
@@ -82,15 +83,15 @@ def compare_colors(job: Job, found: Pinholes) -> None:
             "0.9): the cameras may belong to another clip, or their frame numbers may count from another frame"
         )
     else:
-        job.note(f"{len(found.cloud.ids)} points as given; they have the frames' colours (correlation {alike:.2f})")
+        job.note(f"{len(cloud.ids)} points as given; they have the frames' colours (correlation {alike:.2f})")
 
 
-def color_agreement(images: Path, found: Pinholes) -> float | None:
+def color_agreement(images: Path, found: Pinholes, cloud: Cloud) -> float | None:
     """Correlation between the brightness of given points and of the pixels they fall on; None if it means nothing.
 
     Each point is looked up where its track says that it was seen, in a few frames of `images`.
     """
-    cloud, seen_at = found.cloud, []
+    seen_at = []
     point = np.repeat(np.arange(len(cloud.tracks)), [len(track) for track in cloud.tracks])
     frame = np.concatenate([*cloud.tracks, np.zeros(0, np.int64)])
     for i in np.unique(np.linspace(0, len(found.names) - 1, LOOKED_AT).round().astype(int)):

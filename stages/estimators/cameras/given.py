@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from stages.avatar.cameras import lens as lenses
-from stages.avatar.cameras.pinhole import camera_centers
+from stages.avatar.cameras.pinhole import camera_centers, pinhole
 from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap
 from stages.estimators.cameras.sparse_model import Pinholes
@@ -33,9 +33,9 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
     rows = match_frames(given, listing, min_share, first)
     own = given.lenses[0]
     if not same_shape((own.width, own.height), (width, height)):
-        facts = [f"cameras for {own.width}x{own.height}, frames {width}x{height}"]
         hint = "give cameras of the same pictures; their size may differ, their shape not"
-        raise StageError("the given cameras are not for these frames", hint, facts)
+        fact = f"cameras for {own.width}x{own.height}, frames {width}x{height}"
+        raise StageError("the given cameras are not for these frames", hint, [fact])
     order = list(rows.values())
     made = {lens: straighten(lens, *size) for lens in {given.lenses[i] for i in order}}
     Ks, grids, shifts = zip(*(made[given.lenses[i]] for i in order), strict=True)
@@ -67,16 +67,15 @@ def match_frames(
     names, total = [frame.name for frame in listing.frames], listing.video.frames
     numbers = {number(name) for name in stems}
     picked = len(names) < total and set(stems) <= set(names)  # the frames of an earlier run
-    if first == "auto":
-        first = int(count_from_one(listing, stems))
-        if not (named(listing) or first or 0 in numbers or picked or numbers == {None}):
-            facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
-            hint = (
-                "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "
-                "every few frames of the video, give their folder in place of the video"
-            )
-            raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
-    rows = join(listing, stems, first, "cameras")
+    start = int(count_from_one(listing, stems)) if first == "auto" else first
+    if first == "auto" and not (named(listing) or start or 0 in numbers or picked or numbers == {None}):
+        facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
+        hint = (
+            "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "
+            "every few frames of the video, give their folder in place of the video"
+        )
+        raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
+    rows = join(listing, stems, start, "cameras")
     missing = [name for name in names if name not in rows]
     if len(rows) < math.ceil(min_share * len(names)):
         facts = [
@@ -130,7 +129,7 @@ def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, Grid | 
         raise StageError(
             str(error), "undistort the pictures in the program that found the cameras, and give both"
         ) from error
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    K = pinhole(focal, width, height)
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(x - width / 2) / focal, (y - height / 2) / focal, np.ones_like(x)], -1).reshape(-1, 3)
     source = (camera.img_from_cam(rays) * scale - 0.5).astype(np.float32).reshape(height, width, 2)

@@ -144,8 +144,8 @@ def camera_rotations(
     center = np.array([width / 2, height / 2])
     edges = []
     for pair in pairs:
-        rays = [_rays((points - center) / focal, k)[None] for points in (pair.a, pair.b)]
-        edges.append((pair.first, pair.second, rotations_between(*rays, 2 / focal)[0], len(pair.a)))
+        a, b = (_rays((points - center) / focal, k)[None] for points in (pair.a, pair.b))
+        edges.append((pair.first, pair.second, rotations_between(a, b, 2 / focal)[0], len(pair.a)))
     turns, known = np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, dtype=bool)
     if edges:
         known[max(edges, key=lambda edge: edge[3])[0]] = True

@@ -54,7 +54,7 @@ class Footage:
         if have == count:
             return None
         if have >= max(self.need, GOOD_SHARE * count):
-            job.note(f"left out, because nothing tells where they were taken: {said(self.names, ~posed[0])}")
+            job.note(f"left out, because nothing tells where they were taken: {name_frames(self.names, ~posed[0])}")
             return None
         files = [f"{name}.png" for name in self.names]
         pairs, features = colmap.read_pairs(self.database, files)
@@ -90,16 +90,16 @@ def judge_cameras(
     few, blurred = features < FEW, sharpness < BLURRED
     facts = [f"longest run: {longest_run(names, placed)}" if placed.any() else "no frame was placed"]
     if few.any():
-        facts.append(f"fewer than {FEW} features: {said(names, few)}")
+        facts.append(f"fewer than {FEW} features: {name_frames(names, few)}")
     if blurred.any():
-        facts.append(f"blurred: {said(names, blurred)}")
+        facts.append(f"blurred: {name_frames(names, blurred)}")
 
     def explains(cause: np.ndarray) -> bool:
         return bool((cause & lacking).sum() >= max(EXPLAINS * lacking.sum(), 1))
 
     if others and explains(np.any(others, axis=0)):
-        facts[:1] = [f"a model of {said(names, model)}" for model in [placed, *others][:SHOWN]]
-        facts.append(cut(names, placed, others[0], pairs))
+        facts[:1] = [f"a model of {name_frames(names, model)}" for model in [placed, *others][:SHOWN]]
+        facts.append(describe_cut(names, placed, others[0], pairs))
         return CameraVerdict(
             f"{'two' if len(others) == 1 else 1 + len(others)} separate models",
             facts,
@@ -157,14 +157,14 @@ def longest_run(names: list[str], chosen: np.ndarray) -> str:
     return f"frames {names[start]} to {names[end]}"
 
 
-def said(names: list[str], chosen: np.ndarray) -> str:
+def name_frames(names: list[str], chosen: np.ndarray) -> str:
     """Which frames are chosen, in words: their number and the first runs of their names."""
     parts = [names[a] if a == b else f"{names[a]} to {names[b]}" for a, b in runs(chosen)]
     more = f" and {len(parts) - SHOWN} more" if len(parts) > SHOWN else ""
     return f"{chosen.sum()} of {len(names)} frames ({', '.join(parts[:SHOWN])}{more})"
 
 
-def cut(names: list[str], first: np.ndarray, second: np.ndarray, pairs: list[Pair]) -> str:
+def describe_cut(names: list[str], first: np.ndarray, second: np.ndarray, pairs: list[Pair]) -> str:
     """Where the clip changes from one model's frames to the other's, and how many matches join the two."""
     owner = np.flatnonzero(first | second)
     changes = [(a, b) for a, b in zip(owner, owner[1:]) if first[a] != first[b]]

@@ -85,7 +85,14 @@ def _by_camera(points: np.ndarray, viewmats: np.ndarray, by_point: np.ndarray) -
     return np.concatenate([by_local @ turned, by_local], -1)
 
 
-def _solve(errors, weights, by_point, by_camera, shared, prior):
+def _solve(
+    errors: np.ndarray,
+    weights: np.ndarray,
+    by_point: np.ndarray,
+    by_camera: np.ndarray,
+    shared: np.ndarray,
+    prior: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least squares with the points eliminated (Schur complement): parameters, their covariance, errors left [F,T,2]."""
     frames, count = weights.shape
     own, both = 6 * frames, 6 * frames + shared.shape[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -37,7 +38,9 @@ def unmeasured(unit: str, threshold: float, why: str) -> Finding:
     return Finding(None, unit, threshold, f"unknown: {why}", False, 0.0)
 
 
-def compare(value: float, unit: str, threshold: float, words: tuple[str, str], frames=(), also: bool = True) -> Finding:
+def compare(
+    value: float, unit: str, threshold: float, words: tuple[str, str], frames: Sequence[str] = (), also: bool = True
+) -> Finding:
     """Called for if `value` > `threshold`, and if what else is asked for holds (`also`); `words` for yes and no."""
     called = bool(value > threshold and also)
     doubt = 0.25 ** abs(np.log2(max(value, 1e-9) / threshold)) if called or value <= threshold else 0.5

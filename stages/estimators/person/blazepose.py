@@ -6,8 +6,9 @@ stands around them here is our own. Pixel coordinates have the first pixel's cen
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -42,6 +43,14 @@ MIRRORED = [
     NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")) for name in NAMES
 ] + list(range(LANDMARKS, LANDMARKS + 6))
 """The network's rows with left and right exchanged; its last six are about the whole person."""
+
+
+class Images(Protocol):
+    """Frames uint8 [H,W,3] in order of time: a list, or what reads each one when it is needed."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, i: int, /) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -151,7 +160,7 @@ class BlazePose:
         height, width = image.shape[:2]
         window = window or Roi(width / 2, height / 2, float(max(width, height)), 0.0)
         pixels = crop(image, window, DETECTOR_SIDE, cv2.BORDER_CONSTANT).astype(np.float32)
-        boxes, logits = run(self.detector, pixels / 127.5 - 1)
+        boxes, logits = infer(self.detector, pixels / 127.5 - 1)
         scores = sigmoid(logits.reshape(-1))
         found: list[tuple[float, Roi]] = []
         for i in np.argsort(-scores):
@@ -188,7 +197,7 @@ class BlazePose:
         `mirrored`: show the network the crop's mirror image; the answer is told for the crop as it is.
         """
         pixels = crop(image, roi, CROP_SIDE, cv2.BORDER_REPLICATE).astype(np.float32)
-        points, presence, mask, heat, world = run(self.landmarker, (pixels[:, ::-1] if mirrored else pixels) / 255)
+        points, presence, mask, heat, world = infer(self.landmarker, (pixels[:, ::-1] if mirrored else pixels) / 255)
         points = points.reshape(-1, 5)
         spots = refine(points[:, :2] / CROP_SIDE, sigmoid(heat.reshape(HEATMAP_SIDE, HEATMAP_SIDE, -1)))
         world, mask = world.reshape(-1, 3), mask.reshape(CROP_SIDE, CROP_SIDE)
@@ -225,7 +234,8 @@ class BlazePose:
         }
         circles = np.stack([[pose.next_roi.x, pose.next_roi.y, pose.next_roi.side] for pose in poses])
         up = np.mean([np.exp(1j * pose.next_roi.angle) for pose in poses])
-        next_roi = Roi(*(float(v) for v in np.median(circles, 0)), float(np.angle(up)))
+        x, y, side = np.median(circles, 0).tolist()
+        next_roi = Roi(x, y, side, float(np.angle(up)))
         return Pose(**mean, presence=float(np.mean([p.presence for p in poses])), roi=roi, next_roi=next_roi)
 
     def follow(self, image: np.ndarray, last: Roi | None) -> Pose | None:
@@ -244,11 +254,12 @@ class BlazePose:
                     return pose
         return None
 
-    def sightings(self, images: Sequence[np.ndarray]) -> list[Sighting]:
+    def sightings(self, images: Images) -> list[Sighting]:
         """Everybody who is surely seen in a few frames spread over the clip, each frame's people from large to small."""
         found = []
         for i in np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)):
-            image, here = images[i], []
+            image = images[i]
+            here: list[Sighting] = []
             hits = self.search(image)
             while hits:
                 known = len(here)
@@ -256,16 +267,16 @@ class BlazePose:
                     pose, _ = self.look(images[i], roi)
                     if pose.presence >= SURE and not any(one.pose.next_roi.covers(pose.next_roi) for one in here):
                         here.append(Sighting(int(i), score, roi, pose))
-                image = without(image, here[known:])
+                image = paint_over(image, here[known:])
                 hits = self.detect(image) if len(here) > known else []
             found += sorted(here, key=lambda one: -one.pose.next_roi.side)
         return found
 
-    def track(self, images: Sequence[np.ndarray], start: Sighting | None = None) -> list[Pose | None]:
+    def track(self, images: Images, start: Sighting | None = None) -> list[Pose | None]:
         """Follow one person through a clip's frames (uint8 [H,W,3] in order of time), both ways from `start`.
 
         Without a `start` it is the largest who is surely seen. A frame where the person cannot be found gives None; after
-        it he is looked for again, nearest to where he was.
+        it they are looked for again, nearest to where they were.
         """
         count = len(images)
         poses: list[Pose | None] = [None] * count
@@ -273,14 +284,15 @@ class BlazePose:
         if start is None:
             return poses
         for order in (range(start.frame, count), range(start.frame - 1, -1, -1)):
-            last = poses[start.frame].next_roi if poses[start.frame] else start.roi
+            first = poses[start.frame]
+            last = first.next_roi if first else start.roi
             for i in order:
-                poses[i] = self.follow(images[i], last)
-                last = poses[i].next_roi if poses[i] else last
+                pose = poses[i] = self.follow(images[i], last)
+                last = pose.next_roi if pose else last
         return poses
 
 
-def without(image: np.ndarray, people: list[Sighting]) -> np.ndarray:
+def paint_over(image: np.ndarray, people: list[Sighting]) -> np.ndarray:
     """The picture with people painted over: the detector, made for one, tells of others once that one is gone."""
     painted = image.copy()
     for one in people:
@@ -297,7 +309,7 @@ def pick_clearest(sightings: list[Sighting]) -> Sighting | None:
 
 
 def pick_masked(sightings: list[Sighting], masks: Sequence[np.ndarray]) -> Sighting | None:
-    """The same among those whose torso the `masks` (uint8 [H,W], 255 = person) of their frames cover, or of all."""
+    """The largest of those whose torso the `masks` (uint8 [H,W], 255 = person) of their frames cover, or of all."""
     covered = [one for one in sightings if torso_share(one.pose, masks[one.frame]) > 0.5]
     return pick_clearest(covered or sightings)
 
@@ -309,7 +321,7 @@ def torso_share(pose: Pose, mask: np.ndarray) -> float:
     return float((mask[y[inside], x[inside]] > 127).sum() / len(TORSO))
 
 
-def run(network: Interpreter, pixels: np.ndarray) -> Iterator[np.ndarray]:
+def infer(network: Interpreter, pixels: np.ndarray) -> list[np.ndarray]:
     """Run one picture [H,W,3] through a network and give its outputs in the order of their names."""
     network.set_tensor(network.get_input_details()[0]["index"], np.ascontiguousarray(pixels[None], np.float32))
     network.invoke()

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from stages.contract import Job, StageError
+from stages.estimators.words import listed
 from stages.formats.facts import Listing
 from stages.formats.frame_names import count_from_one, join
 from stages.formats.given_masks.mask_set import MaskSet
@@ -46,7 +47,7 @@ def import_masks(
         raise StageError(
             f"masks are missing for {len(missing)} of {len(names)} frames",
             "name each mask by its frame's number in the video (or its picture's name), or leave out --masks",
-            [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(list(given.names or ()))}"],
+            [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
         )
     rows = [joined[name] for name in names]
     chosen = pick_masks(job, given, rows, person)
@@ -81,7 +82,7 @@ def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | No
             facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
             raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
         chosen = pick(objects, person) if objects else Object("", 0, 0.0)
-        say(job, objects, chosen)
+        report_objects(job, objects, chosen)
         return MaskedPerson(chosen.id, masks, frozenset(rows), chosen.labels or None)
     people = {one: ForeignMasks(rows, partial(given.read, one)) for one in given.objects}
     objects = []
@@ -92,11 +93,11 @@ def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | No
     if not objects:
         raise StageError("no object in the given masks is in any frame", "check the masks", [f"{len(people)} objects"])
     chosen = pick(objects, person)
-    say(job, objects, chosen)
+    report_objects(job, objects, chosen)
     return MaskedPerson(chosen.id, people[chosen.id], frozenset(people[chosen.id].keys))
 
 
-def say(job: Job, objects: list[Object], chosen: Object) -> None:
+def report_objects(job: Job, objects: list[Object], chosen: Object) -> None:
     """Name the objects if there are several, and which is followed."""
     if len(objects) > 1:
         more = f" and {len(objects) - 8} more" if len(objects) > 8 else ""
@@ -150,9 +151,3 @@ def resize_mask(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool
 def border_share(mask: np.ndarray) -> float:
     """Share of the picture's outermost pixels that are marked."""
     return float((np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]) > 127).mean())
-
-
-def listed(names: list[str], most: int = 8) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more

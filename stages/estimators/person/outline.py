@@ -24,15 +24,15 @@ def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
     """Probability [H,W] float32 that a pixel of the image uint8 [H,W,3] shows the person of the crop `roi`."""
     whole = np.zeros(image.shape[:2], np.float32)
     mirror = np.ascontiguousarray(image[:, ::-1])
-    for change in WHOLE:
-        part = roi.reframe(*change)
+    for side, turn in WHOLE:
+        part = roi.reframe(side, turn)
         mirrored = Roi(image.shape[1] - part.x, part.y, part.side, -part.angle)
         whole += look(network, image, part)[0] + look(network, mirror, mirrored)[0][:, ::-1]
     whole /= 2 * len(WHOLE)
     edge = near_edge(whole, BAND * roi.side / CROP_SIDE)
     close, weights = np.zeros_like(whole), np.zeros_like(whole)
-    for change in HALVES:
-        part = roi.reframe(*change)
+    for side, turn, shift in HALVES:
+        part = roi.reframe(side, turn, shift)
         mask, presence = look(network, image, part)
         if presence >= SURE:
             share = paste(rim_fade(), part, image.shape)

@@ -19,9 +19,9 @@ class Company:
         count = {one.frame: sum(other.frame == one.frame for other in sightings) for one in sightings}
         fullest = max(count, key=lambda frame: (count[frame], -frame), default=None)
         people = [one for one in sightings if one.frame == fullest]
-        self.start = pick_clearest(sightings) if person is None else chosen(people, person, names)
-        if len(people) > 1:
-            told = "; ".join(f"{i} {where(one)}" for i, one in enumerate(people, 1))
+        self.start = pick_clearest(sightings) if person is None else pick_person(people, person, names)
+        if fullest is not None and len(people) > 1:
+            told = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1))
             frames = sum(n > 1 for n in count.values())
             job.note(
                 f"{len(people)} people in frame {names[fullest]}, several in {frames} of {len(count)} frames looked at: {told}"
@@ -39,8 +39,9 @@ class Company:
         """Name the frames at which the person followed may have become another."""
         jumps = []
         for i in range(1, len(poses)):
-            if poses[i] is not None and poses[i - 1] is not None:
-                a, b = poses[i - 1].next_roi, poses[i].next_roi
+            before, pose = poses[i - 1], poses[i]
+            if before is not None and pose is not None:
+                a, b = before.next_roi, pose.next_roi
                 jumps += [self.names[i]] if np.hypot(a.x - b.x, a.y - b.y) > JUMP * max(a.side, b.side) else []
         if jumps:
             self.job.warn(
@@ -57,15 +58,15 @@ class Company:
             )
 
 
-def chosen(people: list[Sighting], person: int | str, names: list[str]) -> Sighting:
+def pick_person(people: list[Sighting], person: int | str, names: list[str]) -> Sighting:
     """The `person`-th of those in the frame with the most, from the largest on; StageError if there are not as many."""
     if str(person).isdigit() and 1 <= int(person) <= len(people):
         return people[int(person) - 1]
-    told = "; ".join(f"{i} {where(one)}" for i, one in enumerate(people, 1)) or "nobody"
+    told = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1)) or "nobody"
     facts = [f"{len(people)} seen" + (f" in frame {names[people[0].frame]}: {told}" if people else "")]
     raise StageError(f"no person {person!r} in view", "choose one of those with `--person N`", facts)
 
 
-def where(one: Sighting) -> str:
+def describe_place(one: Sighting) -> str:
     """Where somebody is, in words: the middle of the hips in px, and how large."""
     return f"at x {one.pose.next_roi.x:.0f}, y {one.pose.next_roi.y:.0f} px, {one.pose.next_roi.side:.0f} px across"

@@ -105,7 +105,7 @@ def seen():
 def told(pixels, viewmats, Ks):
     """What the bundle says of noisy `pixels`."""
     pixels = pixels + np.random.default_rng(1).normal(0, 0.1, pixels.shape)
-    points, angles = tracks.place(pixels, viewmats, Ks)
+    points, angles = tracks.triangulate(pixels, viewmats, Ks)
     there = tracks.project_with_slopes(points, viewmats, Ks)[0]
     return adjust_bundle(tracks.Tracks(pixels, points, pixels - there, angles), viewmats, Ks, 320)
 
@@ -114,7 +114,7 @@ def test_points_are_placed_where_they_are_and_too_few_views_place_none(seen):
     viewmats, Ks, points, pixels = seen
     few = pixels.copy()
     few[5:, 0] = np.nan
-    found, angles = tracks.place(few, viewmats, Ks)
+    found, angles = tracks.triangulate(few, viewmats, Ks)
     assert np.isnan(found[0]).all()
     assert np.abs(found[1:] - points[1:]).max() < 1e-6
     assert (angles[1:] > 0.2).all()

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from stages import sfm
 from stages.contract import Job, StageError
-from stages.estimators.cameras import colmap
-from stages.estimators.cameras import given as camera_import
+from stages.estimators.cameras import colmap, given
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.facts import Listing, parse
@@ -84,7 +83,7 @@ def read(path: Path, truth: Cameras, **settings):
     said: list[str] = []
     job = Job(path.parent, emit=lambda event: said.append(event.get("text", "")))
     listed = parse(json.dumps(settings.pop("listing", listing(truth))), Listing)
-    found = camera_import.import_cameras(job, path, listed, **{"min_share": 0.5, "first": "auto"} | settings)
+    found = given.import_cameras(job, path, listed, **{"min_share": 0.5, "first": "auto"} | settings)
     return found, Cameras(tuple(found.names), found.viewmats, found.Ks, truth.width, truth.height), said
 
 
@@ -192,7 +191,7 @@ def test_a_dot_seen_through_every_lens_lands_where_the_pinhole_sees_it(truth, mo
         lens = Lens("OPENCV_FISHEYE", (260.0, 262, 152, 118, 0, 0, 0, 0), 300, 240)
     else:
         lens = Lens(model, tuple(files.intrinsics(big, model, scale)), round(300 * scale), round(240 * scale))
-    K, grid, shift = camera_import.straighten(lens, 300, 240)
+    K, grid, shift = given.straighten(lens, 300, 240)
     assert shift > 0.5 and grid is not None
     y, x = np.mgrid[:240, :300] + 0.5
     for ray in np.array([[0.0, 0.0, 1], [0.25, 0.2, 1], [-0.28, 0.11, 1], [0.1, -0.22, 1]]):
@@ -206,7 +205,7 @@ def test_a_dot_seen_through_every_lens_lands_where_the_pinhole_sees_it(truth, mo
 
 def test_a_lens_that_sees_sideways_is_refused(truth):
     with pytest.raises(StageError, match="cannot be turned into a pinhole") as error:
-        camera_import.straighten(Lens("OPENCV_FISHEYE", (20, 20, 48, 64, 0, 0, 0, 0), 96, 128), 96, 128)
+        given.straighten(Lens("OPENCV_FISHEYE", (20, 20, 48, 64, 0, 0, 0, 0), 96, 128), 96, 128)
     assert "OPENCV_FISHEYE 20" in error.value.facts[0]
 
 
