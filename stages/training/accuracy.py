@@ -1,4 +1,4 @@
-"""How good a training is at a moment: accuracy on frames that it does not learn from."""
+"""Accuracy of a training on frames that it does not learn from."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from statistics import fmean
 
 import torch
 
-from stages.avatar.effects.shadow import Stance
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import person_crop, scores
 from stages.avatar.rasterize import Camera, Layer
@@ -14,19 +13,22 @@ from stages.training.fit import Fit
 
 
 @torch.no_grad()
-def judge(fit: Fit, frames: list[int], lpips: Lpips | None = None) -> dict[str, float | None]:
+def heldout_accuracy(fit: Fit, frames: list[int], lpips: Lpips | None = None) -> dict[str, float | None]:
     """Mean psnr, ssim and lpips of `frames`, which show the person, at full size; `*_person` in the person's box.
 
     The person is as training has it, before `bake` finishes it. None where there is no frame, or no `lpips`.
     """
     rows, views, gains = [], fit.full, fit.gains()
-    (orient, body_pose, transl), (_, resting), viewmats = fit.bodies(), fit.baked(), fit.cameras()
+    (orient, body_pose, transl), (_, resting), viewmats = fit.bodies(), fit.person.baked(), fit.cameras()
     scene = fit.scene.splats() if fit.scene else None
     for i in frames:
         image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
-        human = fit.posed(resting, orient[i], body_pose[i], transl[i])
-        stance = Stance(fit.person.joints, fit.person.parents, orient[i], body_pose[i], transl[i])
-        lit, motion = fit.effects.lit(scene, stance), fit.motion(i, resting)
+        body = orient[i], body_pose[i], transl[i]
+        human, lit, motion = (
+            fit.posed(resting, *body),
+            fit.effects.lit(scene, fit.stance(*body)),
+            fit.motion(i, resting),
+        )
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
         drawn = fit.effects.draw(human, lit, motion, camera, [Layer()])[0].image
         drawn, crop = (drawn * gains[i]).clamp(0, 1), person_crop(mask)
@@ -35,4 +37,5 @@ def judge(fit: Fit, frames: list[int], lpips: Lpips | None = None) -> dict[str, 
         whole, person = scores(drawn, image, lpips), scores(drawn[crop].contiguous(), image[crop].contiguous(), lpips)
         rows.append(whole | {f"{key}_person": value for key, value in person.items()})
     keys = [key + end for key in ("psnr", "ssim", "lpips") for end in ("", "_person")]
-    return {key: fmean(row[key] for row in rows) if rows and rows[0][key] is not None else None for key in keys}
+    found = {key: [value for row in rows if (value := row[key]) is not None] for key in keys}
+    return {key: fmean(values) if values else None for key, values in found.items()}

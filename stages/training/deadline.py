@@ -6,12 +6,11 @@ import copy
 import math
 import time
 from statistics import median
+from typing import Any
 
-import numpy as np
-
-from stages.training.checkpoint import restore, snapshot
+from stages.training.calibration import PAUSE
 from stages.training.fit import Fit
-from stages.training.schedule import SCENE_GROWTH, SETTLE
+from stages.training.schedule import LATE, SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
 TIMED = 4  # steps of one timing, at least: whole groups of all that comes every few steps
@@ -19,17 +18,7 @@ LONG = 24  # steps; an LPIPS that comes more rarely is not waited for
 TIMINGS = 3  # at each corner of a Pace, before sizes are chosen: the middle one counts, so one disturbance does not
 OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer
-LATE = 0.99  # share of the schedule, the last at which steps are timed
-PAUSE = 6.0  # full, grown steps that take as long as judging a training, until that has been timed
 HASTE = 300  # seconds; a training that has fewer times its steps once
-HELD = 10**9  # steps of a schedule that hardly moves
-SHORT_OF = {360: 3.1, 560: 2.6, 1100: 1.8, 3000: 0.8, 8500: 0.2, 10_000: 0.0}
-"""Steps -> dB of the whole picture that a training within a time was short of one of 10,000 steps: the phone clip."""
-
-
-def short_of(steps: int) -> float:
-    """About how many dB `steps` are short of 10,000: read off SHORT_OF between logarithms, its ends beyond."""
-    return float(np.interp(math.log(steps), [math.log(known) for known in SHORT_OF], list(SHORT_OF.values())))
 
 
 class Pace:
@@ -72,13 +61,14 @@ class Deadline:
     """The time that a training may take. Its steps are fitted into it before the first, and again and again on the way.
 
     `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over. `pauses`
-    are still to come, in which the training is judged.
+    are still to come, in which accuracy is measured.
     """
 
     def __init__(self, seconds: float, reserve: float, began: float, pauses: int):
         self.seconds, self.reserve, self.began, self.pauses = seconds, reserve, began, pauses
-        self.pace: Pace | None = None
-        self.paused = 0.0
+        self.pace = Pace((0.0, 0.0), (0.0, 0.0), 0.0)
+        self.pause = self.paused = 0.0
+        self.leg = 0.0, 0, 0.0
 
     @property
     def spent(self) -> float:
@@ -99,11 +89,11 @@ class Deadline:
         """Time a few steps of a training that has not begun, see `rehearse`; returns how many fit into the time."""
         self.pace = rehearse(fit, timings if self.seconds >= HASTE else 1)
         self.pause = PAUSE * self.pace.last
-        self.leg = self.spent, fit.step, fit.done
+        self.leg = self.spent, fit.progress.step, fit.progress.done
         return self.pace.steps(self.left)
 
-    def judged(self, pause: float) -> None:
-        """The training was judged, which took `pause` seconds."""
+    def add_pause(self, pause: float) -> None:
+        """Accuracy was measured, which took `pause` seconds."""
         self.pause, self.pauses, self.paused = pause, self.pauses - 1, self.paused + pause
 
     def mark(self, fit: Fit) -> None:
@@ -112,21 +102,22 @@ class Deadline:
         stepping = self.spent - spent - self.paused
         if stepping < OFTEN * self.seconds:
             return
-        self.leg, self.paused = (self.spent, fit.step, fit.done), 0.0
-        self.pace.learn(stepping, fit.step - step, done, fit.done)
-        fit.retime(self.pace.steps(self.left, fit.done))
+        now = fit.progress
+        self.leg, self.paused = (self.spent, now.step, now.done), 0.0
+        self.pace.learn(stepping, now.step - step, done, now.done)
+        now.retime(self.pace.steps(self.left, now.done))
 
-    def state(self) -> list:
+    def state(self) -> list[Any]:
         """For a checkpoint."""
         pace = self.pace
         return [self.spent, self.pauses, self.pause, pace.half, pace.full, pace.half_until, pace.slow]
 
-    def load(self, state: list, fit: Fit) -> None:
+    def load(self, state: list[Any], fit: Fit) -> None:
         """Go on from `state()`."""
         spent, self.pauses, self.pause, *pace = state
         self.began -= spent
         self.pace = Pace(*pace)
-        self.leg = self.spent, fit.step, fit.done
+        self.leg = self.spent, fit.progress.step, fit.progress.done
 
 
 def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
@@ -134,29 +125,23 @@ def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
 
     Each kind is timed `timings` times, and the middle one counts.
     """
-    before, options = copy.deepcopy(snapshot(fit)), fit.options
-    late = min(options.half_until, LATE)
-    fit.options = options._replace(half_until=late)  # a full step is timed even where training has none: films are full
+    before, half_until = copy.deepcopy(fit.state()), fit.half_until
+    fit.half_until = late = min(half_until, LATE)  # a full step is timed even where training has none: films are full
     few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
-    fit.fill_up()
+    fit.densifier.fill_up(fit.adam)
     many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
-    restore(fit, before)
-    fit.options, fit.clock.seconds = options, {}
-    return Pace((few[0], many[0]), (few[1], many[1]), options.half_until)
-
-
-def hold(fit: Fit, done: float = LATE) -> None:
-    """From now on a training stays at a share of its schedule, however many steps it takes."""
-    fit.phases = (fit.phases[-1]._replace(first=fit.step, steps=HELD, start=done),)
+    fit.load(before)
+    fit.half_until, fit.clock.seconds = half_until, {}
+    return Pace((few[0], many[0]), (few[1], many[1]), half_until)
 
 
 def _timed(fit: Fit, done: float, timings: int) -> float:
-    """Seconds a step at a share of the schedule, at which it is held; the middle one of `timings`."""
-    hold(fit, done)
+    """Seconds a step at a share of the schedule, at which it is frozen; the middle one of `timings`."""
+    fit.progress.freeze(done)
     for _ in range(WARM_UP):
         fit.advance()
-    views, took = fit.options.views_per_decode, []
-    often = math.lcm(views, fit.options.perceptual_every or 1)
+    views, took = fit.params.views_per_decode, []
+    often = math.lcm(views, fit.params.perceptual_every or 1)
     often = often if often <= LONG else views
     count = often * math.ceil(TIMED / often)
     for _ in range(timings):

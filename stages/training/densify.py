@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.optim import Optimizer
 
 from stages.avatar.body.rotations import matrix_from_quat
-from stages.avatar.splats.neighbours import nearest
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.scene import SceneModel
+from stages.training.finishing.bake import far_from_body
+from stages.training.person import PersonLearner
+from stages.training.schedule import HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Progress
+from stages.training.settings import Params
 
-if TYPE_CHECKING:
-    from stages.avatar.model.human import HumanModel
-    from stages.avatar.model.scene import SceneModel
-
-FAR = 0.1  # metres from the body; hair and clothes seldom reach beyond
+GROWN = 2e-4  # mean absolute gradient, in loss per half image side, from which a Gaussian is under-fitted
+FILLS = 10  # at most; each at most doubles a set
 LEAST = 1e-6  # distance of an opacity from 0 and 1 where its logit is taken
 SHRINK = 1.6  # the children of a split are this much smaller (3DGS section 5.2)
 
@@ -114,12 +117,6 @@ def plan(growth: Growth, sizes: Tensor, opacities: Tensor, rules: Rules, room: i
     return Plan(source, fresh, child, len(copies), len(parents), len(sizes) - kept)
 
 
-def strays(means: Tensor, body: Tensor) -> Tensor:
-    """Which of the canonical means[N,3] are farther than FAR from all of the body's vertices[V,3]: no part of a person."""
-    distance, _ = nearest(body, means, 1)
-    return distance[:, 0] > FAR
-
-
 def grow_scene(
     scene: SceneModel, optimizer: Optimizer, growth: Growth, rules: Rules, rounds_left: int, generator: torch.Generator
 ) -> Plan:
@@ -131,7 +128,7 @@ def grow_scene(
     for name in scene.ROWS:
         setattr(scene, name, _regrow(optimizer, getattr(scene, name), rows))
     with torch.no_grad():
-        scene.means += moved
+        scene.means.add_(moved)
         scene.log_scales[rows.child] -= math.log(SHRINK)
     growth.start(len(scene), scene.means.device)
     return rows
@@ -148,11 +145,11 @@ def grow_human(
 ) -> Plan:
     """Densify the person in place, as `grow_scene`; sizes and opacities are those decoded now.
 
-    Those that strayed from the canonical body's vertices `body`[V,3] go.
+    Those far from the canonical body's vertices `body`[V,3] go.
     """
     with torch.no_grad():
         person, *_ = human()
-    lost = strays(person.means, body)
+    lost = far_from_body(person.means, body)
     room = _room(human, rules, rounds_left)
     rows = plan(growth, person.scales.amax(1), person.opacities, rules, room, lost)
     moved = displacement(person.frames * person.scales[:, None, :], rows, generator)
@@ -162,7 +159,7 @@ def grow_human(
     for name in human.ROWS:
         setattr(human, name, getattr(human, name)[rows.source])
     with torch.no_grad():
-        human.xyz += moved
+        human.xyz.add_(moved)
         human.homes[rows.fresh] = human.xyz[rows.fresh]
         human.log_sizes[rows.child] -= math.log(SHRINK)
         human.logits += thinned
@@ -205,3 +202,96 @@ def displacement(axes: Tensor, rows: Plan, generator: torch.Generator) -> Tensor
     """Offsets [M,3] in metres: new rows are drawn from their parent's own Gaussian, `axes`[N,3,3]; old rows stay."""
     noise = torch.randn(len(rows.source), 3, 1, generator=generator).to(axes)
     return (axes[rows.source] @ noise)[:, :, 0] * rows.fresh[:, None]
+
+
+class Densifier:
+    """Adds and removes Gaussians on schedule, up to their caps, and says when the scene has its last ones.
+
+    `statistics` are by set, "human" and "scene". `settled` [N], or None until then, are the Gaussians of the scene with
+    their last colours.
+    """
+
+    def __init__(
+        self,
+        person: PersonLearner | None,
+        scene: SceneModel | None,
+        params: Params,
+        options: Options,
+        generator: torch.Generator,
+    ):
+        self.person, self.scene, self.params, self.options = person, scene, params, options
+        self.generator = generator
+        self.settled: Tensor | None = None
+        self.statistics: dict[str, Growth] = {}
+        if person is not None:
+            self.statistics["human"] = Growth(len(person.human), person.human.xyz.device)
+        if scene is not None:
+            self.statistics["scene"] = Growth(len(scene), scene.means.device)
+
+    def grow(self, progress: Progress, adam: dict[str, Optimizer]) -> None:
+        """Densify the sets that are due before the next step."""
+        step, done, phase, group = progress.step, progress.done, progress.phase, self.params.views_per_decode
+        every = max(1, round(phase.whole * (SETTLE - SCENE_GROWTH[0]) / self.options.growth_rounds))
+        scene_grows = self.scene is not None and phase.scene
+        if scene_grows and SCENE_GROWTH[0] <= done <= SCENE_GROWTH[1] and step % every == 0:
+            self.grow_scene(adam, GROWN, progress.rounds_left(every))
+        every = 3 * every // group * group or group
+        person_grows = self.person is not None and phase.human and self.params.human_densify
+        if person_grows and HUMAN_GROWTH[0] <= done <= HUMAN_GROWTH[1] and step % every == 0:
+            self.grow_person(adam, GROWN, progress.rounds_left(every))
+
+    def grow_scene(self, adam: dict[str, Optimizer], grad: float, rounds_left: int) -> None:
+        """Densify the scene where the screen gradient is at least `grad`."""
+        if self.scene is None:
+            return
+        rules = Rules(grad, 0.01 * self.options.extent, 0.5 * self.options.extent, 0.3, 0.005, self.params.scene_cap)
+        grow_scene(self.scene, adam["scene"], self.statistics["scene"], rules, rounds_left, self.generator)
+        self.settled = None
+
+    def grow_person(self, adam: dict[str, Optimizer], grad: float, rounds_left: int) -> None:
+        """Densify the person where the screen gradient is at least `grad`."""
+        if self.person is None:
+            return
+        rules, vertices = Rules(grad, 0.01, 0.1, 0.3, 0.005, self.params.human_cap), self.person.body.vertices
+        state = adam["human"], self.statistics["human"]
+        rows = grow_human(self.person.human, *state, rules, rounds_left, vertices, self.generator)
+        self.person.follow(rows.source)
+
+    def fill_up(self, adam: dict[str, Optimizer]) -> None:
+        """Bring every set that may grow to its cap at once, as it would be after densification."""
+        for _ in range(FILLS):
+            before = self._sizes()
+            self.grow_scene(adam, 0.0, 1)
+            if self.params.human_densify:
+                self.grow_person(adam, 0.0, 1)
+            if self._sizes() == before:
+                return
+
+    def _sizes(self) -> list[int]:
+        return [len(growth.count) for growth in self.statistics.values()]
+
+    def settle(self, progress: Progress, optimizer: Optimizer, last_colors: Callable[[SceneModel], Tensor]) -> None:
+        """Once growth is over: `last_colors` gives some of the scene's Gaussians their last colours, and tells which [N]."""
+        if self.scene is None or self.settled is not None or not progress.phase.scene or progress.done <= SETTLE:
+            return
+        self.settled = last_colors(self.scene)
+        for colors in self.scene.colors():
+            optimizer.state[colors]["exp_avg"][self.settled] = 0
+
+    def keep_settled(self) -> None:
+        """Zero the gradients of colours that are settled."""
+        if self.scene is not None and self.settled is not None:
+            for colors in self.scene.colors():
+                if colors.grad is not None:
+                    colors.grad[self.settled] = 0
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        settled = None if self.settled is None else self.settled.clone()
+        return {"statistics": {n: growth.state() for n, growth in self.statistics.items()}, "settled": settled}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Continue from `state()`."""
+        for name, growth in self.statistics.items():
+            growth.load(state["statistics"][name])
+        self.settled = None if state["settled"] is None else state["settled"].clone()

@@ -1,4 +1,4 @@
-"""What each effect is worth in a finished training: held-out frames drawn without it, and steps taken without it."""
+"""What each effect gains and costs in a finished training: held-out frames drawn, and steps taken, without it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ import torch
 
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.splats.neighbours import evenly
-from stages.training.accuracy import judge
-from stages.training.checkpoint import restore, snapshot
-from stages.training.deadline import hold
+from stages.training.accuracy import heldout_accuracy
 from stages.training.fit import Fit
 
 OPTIONS = {
@@ -30,10 +28,10 @@ PARTS = {
     "clothing": "clothing",
     "transients": "transients",
 }
-"""Effect -> where a training has it: the option, or the part of its `FrameEffects`, or its own."""
+"""Effect -> where a training has it: the option, or the part of its `FrameEffects`; `transients` are its own."""
 ONLY_TAUGHT = ("transients",)  # held-out frames are drawn the same without
 TURNS = 4  # of steps with an effect and without: the fastest of each, which nothing has disturbed, counts
-PAUSES = 4  # of a training, each as long as judging it: what `worth` takes for an effect
+PAUSES = 4  # of a training, each as long as measuring its accuracy: what `effect_gains` takes for an effect
 
 
 def effects_of(fit: Fit) -> list[str]:
@@ -44,36 +42,35 @@ def effects_of(fit: Fit) -> list[str]:
 
 
 def _owner(fit: Fit, effect: str) -> Fit | FrameEffects:
-    return fit if effect in ONLY_TAUGHT else fit.effects
+    return fit if effect == "transients" else fit.effects
 
 
 @contextmanager
 def without(fit: Fit, effect: str) -> Iterator[None]:
     """A training as it is, but for one of its `effects_of`; afterwards it has it again."""
-    options, effects, scene, speeds = fit.options, fit.effects, fit.scene, fit.speeds
-    owner = _owner(fit, effect)
+    options, owner, scene, speeds = fit.options, _owner(fit, effect), fit.scene, fit.speeds
     part = getattr(owner, PARTS[effect]) if effect in PARTS else None
-    shN, antialias = (None, False) if scene is None else (scene.shN, scene.antialias)
+    colors = None if scene is None else (scene.shN, scene.antialias)
     if effect in OPTIONS:
         fit.options = options._replace(**{OPTIONS[effect]: False})
     if effect in PARTS:
         setattr(owner, PARTS[effect], None)
-        fit.speeds = speeds if effects.takes_time else None
+        fit.speeds = speeds if fit.effects.takes_time else None
     if effect == "antialias" and scene is not None:
         scene.antialias = False
-    if effect == "view_dependence":
-        scene.shN = torch.nn.Parameter(shN.detach()[:, :0])
+    if effect == "view_dependence" and scene is not None:
+        scene.shN = torch.nn.Parameter(scene.shN.detach()[:, :0])
     try:
         yield
     finally:
         fit.options, fit.speeds = options, speeds
         if effect in PARTS:
             setattr(owner, PARTS[effect], part)
-        if scene is not None:
-            scene.shN, scene.antialias = shN, antialias
+        if scene is not None and colors is not None:
+            scene.shN, scene.antialias = colors
 
 
-def worth(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | None]]:
+def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | None]]:
     """Of each effect `psnr` and `psnr_person`, dB that `frames` lose drawn without it, and `share` of a step's time it takes.
 
     The rest was trained beside it: a training without it may lose less. None where nothing tells. The training is then
@@ -82,13 +79,13 @@ def worth(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | None]]:
     effects = effects_of(fit)
     if not effects:
         return {}
-    whole, found = judge(fit, frames), {}
+    whole, found = heldout_accuracy(fit, frames), {}
     for name in effects:
         with without(fit, name):
-            drawn = judge(fit, frames) if name not in ONLY_TAUGHT else {}
+            drawn = heldout_accuracy(fit, frames) if name not in ONLY_TAUGHT else {}
         found[name] = {key: _less(whole[key], drawn.get(key)) for key in ("psnr", "psnr_person")}
-    before, spent = copy.deepcopy(snapshot(fit)), dict(fit.clock.seconds)
-    hold(fit)
+    before, spent = copy.deepcopy(fit.state()), dict(fit.clock.seconds)
+    fit.progress.freeze()
     try:
         for name in effects:
             least = [math.inf, math.inf]
@@ -98,15 +95,15 @@ def worth(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | None]]:
                     least[1] = min(least[1], _seconds(fit))
             found[name]["share"] = 1 - least[1] / least[0]
     finally:
-        restore(fit, before)
+        fit.load(before)
         fit.clock.seconds = spent
     return found
 
 
 def _seconds(fit: Fit) -> float:
     """Seconds of a group of steps on the same frames, whichever is asked; of the processor, if that does the drawing."""
-    clock = time.process_time if fit.taught.device.type == "cpu" else time.perf_counter
-    count = fit.options.views_per_decode
+    clock = time.process_time if fit.full.viewmats.device.type == "cpu" else time.perf_counter
+    count = fit.params.views_per_decode
     fit.order, began = torch.tensor(evenly(list(range(len(fit.train))), count)), clock()
     for _ in range(count):
         fit.advance()

@@ -14,7 +14,7 @@ from torch import Tensor
 
 ABSURD = 300.0  # times the usual largest entry; trainings of good clips stay under 30 times
 QUIET = 0.01  # of the loudest tensor of its owner every tensor is taken to be: one that begins at 0 may wake
-YOUNG = 20  # judgements in which an owner's rows are also compared with each other, there being little else yet
+YOUNG = 20  # comparisons in which an owner's rows are also compared with each other, there being little else yet
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm
 MANY = 0.01  # of the rows: then the whole step counts as bad
 BAD_STEPS = 20  # in a row, after which training stops
@@ -24,12 +24,12 @@ LARGEST = torch.finfo(torch.float32).max
 class Guard:
     """Judges all gradients of a training.
 
-    `usual` are running means by name; `judged` judgements and `streaks` bad steps in a row, both by owner.
+    `usual` are running means by name; `compared` comparisons and `streaks` bad steps in a row, both by owner.
     """
 
     def __init__(self) -> None:
         self.usual: dict[str, float] = {}
-        self.judged: dict[str, int] = {}
+        self.compared: dict[str, int] = {}
         self.streaks: dict[str, int] = {}
         self.left_out = self.clipped = 0
 
@@ -58,9 +58,9 @@ class Guard:
             why = f"{left_out} of {len(bad)} gradients left out, the first in {name} row {int(rows.nonzero()[0])}"
         for name, entry in zip(grads, largest, strict=True):
             self._learn(name, entry)
-        self.judged[owner] = self.judged.get(owner, 0) + any(largest)
+        self.compared[owner] = self.compared.get(owner, 0) + any(largest)
         self.left_out += left_out
-        self.judge(owner, left_out > MANY * len(next(iter(grads.values()))), why)
+        self.count(owner, left_out > MANY * len(next(iter(grads.values()))), why)
 
     def _limits(self, owner: str, grads: Mapping[str, Tensor]) -> list[float]:
         """The largest entry that is let through, of each tensor: ABSURD times what its largest used to be.
@@ -71,7 +71,7 @@ class Guard:
         """
         known = [usual for name, usual in self.usual.items() if name.startswith(f"{owner}.")]
         floor = QUIET * max(known, default=0.0)
-        least = ABSURD**2 * _common(grads) if self.judged.get(owner, 0) < YOUNG else 0.0
+        least = ABSURD**2 * _common(grads) if self.compared.get(owner, 0) < YOUNG else 0.0
         return [min(max(ABSURD * max(self.usual.get(name, 0.0), floor), least), LARGEST) for name in grads]
 
     def clip(self, owner: str, grads: list[Tensor]) -> bool:
@@ -87,10 +87,10 @@ class Guard:
             self.clipped += 1
         self._learn(owner, norm if finite else 0.0)
         self.left_out += not finite
-        self.judge(owner, not finite, f"a norm of {norm}")
+        self.count(owner, not finite, f"a norm of {norm}")
         return finite
 
-    def judge(self, owner: str, bad: bool, why: str) -> None:
+    def count(self, owner: str, bad: bool, why: str) -> None:
         """Count bad steps of `owner` in a row; FloatingPointError, with the last reason, when there are BAD_STEPS."""
         self.streaks[owner] = self.streaks.get(owner, 0) + 1 if bad else 0
         if self.streaks[owner] >= BAD_STEPS:
@@ -103,11 +103,11 @@ class Guard:
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
         counts = {"left_out": self.left_out, "clipped": self.clipped}
-        return {"usual": dict(self.usual), "judged": dict(self.judged), "streaks": dict(self.streaks)} | counts
+        return {"usual": dict(self.usual), "compared": dict(self.compared), "streaks": dict(self.streaks)} | counts
 
     def load(self, state: dict[str, Any]) -> None:
         """Continue from `state()`."""
-        self.usual, self.judged, self.streaks = (dict(state[name]) for name in ("usual", "judged", "streaks"))
+        self.usual, self.compared, self.streaks = (dict(state[name]) for name in ("usual", "compared", "streaks"))
         self.left_out, self.clipped = state["left_out"], state["clipped"]
 
 

@@ -3,20 +3,46 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize import Layer
+from stages.avatar.effects.motion_blur import Exposed
+from stages.avatar.rasterize import Layer, Rendering
 from stages.avatar.splats.gaussians import Splats
-from stages.training.schedule import Options
+from stages.training.settings import Params
 from stages.training.views import NEAR, person_box
 
 CELLS = 64  # along the longer side of a picture, in which the person's nearest depth is looked up
 
 
+class DrawnFrame(NamedTuple):
+    """A training frame, its exposure and what was drawn of it, by layer; None for a person or a scene that was not."""
+
+    frame: int
+    image: Tensor
+    mask: Tensor
+    gains: Tensor | None
+    person: Splats | None
+    scene: Splats | None
+    layers: dict[str, Layer]
+    drawn: dict[str, Rendering | Exposed]
+
+    def window(self, name: str) -> tuple[slice, slice]:
+        """Rows and columns of the picture that a layer shows."""
+        window = self.layers[name].window
+        left, top, right, bottom = window or (0, 0, self.mask.shape[1], self.mask.shape[0])
+        return slice(top, bottom), slice(left, right)
+
+    def person_target(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Image, mask and background[3] of the layer of the person alone."""
+        crop, background = self.window("person"), self.layers["person"].background
+        return self.image[crop], self.mask[crop], self.mask.new_zeros(3) if background is None else background
+
+
 @torch.no_grad()
-def veil(scene: Splats, person: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int) -> Tensor:
+def foreground_occluders(scene: Splats, person: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int) -> Tensor:
     """Which Gaussians of the scene are nearer to a camera than the person's means[N,3] in the same part of the picture.
 
     Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told. Beside
@@ -47,24 +73,24 @@ def layers_of(
     mask: Tensor,
     viewmat: Tensor,
     K: Tensor,
-    options: Options,
+    params: Params,
     generator: torch.Generator,
 ) -> dict[str, Layer]:
-    """The pictures that a step's losses need, by name: `all`, `person`, and `veil` where the scene learns.
+    """The pictures that a step's losses need, by name: `all`, `person`, and `occluders` where the scene learns.
 
     mask[H,W] 0..1 and K[3,3] px of the frame; the random backgrounds come from `generator`.
     """
-    layers = {}
+    layers: dict[str, Layer] = {}
     if scene is not None:
-        layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K), stop=options.early_stop)
+        layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K), stop=params.early_stop)
     if human is not None:
         n, total = len(human.means), len(human.means) + (0 if scene is None else len(scene.means))
         rows = torch.arange(total, device=K.device) < n
         height, width = mask.shape
         box = person_box(mask, human.means.detach(), viewmat, K)
-        if options.human_loss:
-            layers["person"] = Layer(rows, box, torch.rand(3, generator=generator).to(K), options.early_stop)
+        if params.human_loss:
+            layers["person"] = Layer(rows, box, torch.rand(3, generator=generator).to(K), params.early_stop)
         if scene is not None and scene.means.requires_grad:
-            before = torch.cat([~rows[:n], veil(scene, human.means, viewmat, K, width, height)])
-            layers["veil"] = Layer(before, box, stop=options.early_stop)
+            before = torch.cat([~rows[:n], foreground_occluders(scene, human.means, viewmat, K, width, height)])
+            layers["occluders"] = Layer(before, box, stop=params.early_stop)
     return layers

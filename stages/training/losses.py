@@ -14,9 +14,9 @@ SEAM = 0.001  # of the longer side: the width around the person from which the s
 # On the mean squared difference: more drowns colours in the triplane that both share. In 900 steps 100 loses 0.4 dB of
 # the person for 30, 1000 more than that (G19); 10 wins nothing more.
 LBS = 30.0
-VEIL = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
-STRAY = 10.0  # per metre^2 outside the triplane's box
-SHY = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
+OCCLUDERS = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
+OUTSIDE = 10.0  # per metre^2 outside the triplane's box
+REGULAR = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
 ROUGH = 0.01  # metres; a usual depth of folds
 SMOOTH = 0.03  # on the roughness of the person's surface
 FRUGAL = 0.01  # on opacities and scales of the scene, see SceneModel.be_frugal
@@ -35,11 +35,11 @@ def outside_person(image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     Otherwise the scene explains what the body model does not, and keeps a ghost of the person (issue 21 of ml-hugs).
     The same goes for a seam around the person: no mask ends at the very edge, and colours bleed over it.
     """
-    return target + (1 - widened(mask, SEAM))[..., None] * (image - target)
+    return target + (1 - dilated(mask, SEAM))[..., None] * (image - target)
 
 
-def widened(mask: Tensor, width: float) -> Tensor:
-    """The mask [H,W], grown by `width` of its longer side, by one pixel at least; -widened(-mask, width) shrinks it."""
+def dilated(mask: Tensor, width: float) -> Tensor:
+    """The mask [H,W], grown by `width` of its longer side, by one pixel at least; -dilated(-mask, width) shrinks it."""
     for _ in range(2):  # a square is a row of rows
         grown = mask.clone()
         for by in range(1, max(1, round(width * max(mask.shape))) + 1):
@@ -87,7 +87,7 @@ def roughness(means: Tensor, near: Tensor, normals: Tensor) -> Tensor:
     return (out / ROUGH).square().mean()
 
 
-def patch(mask: Tensor, size: int, generator: torch.Generator) -> tuple[slice, slice]:
+def random_patch(mask: Tensor, size: int, generator: torch.Generator) -> tuple[slice, slice]:
     """Rows and columns of a window of size x size px around a random person pixel of mask[H,W], inside the picture.
 
     Anywhere when the mask is empty; smaller where the picture is (hard case G08).

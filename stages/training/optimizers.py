@@ -26,7 +26,7 @@ def optimizers(
     if human is not None:
         rates = LR_HUMAN | LR_OWN
         parts = {name: [getattr(owner, name)] for owner, name in human.rows()}
-        if human.triplane is not None:
+        if human.triplane is not None and human.decoders is not None:
             parts["triplane"] = [human.triplane.table]
             parts |= {name: list(network.parameters()) for name, network in human.decoders.named_children()}
         groups["human"] = [(parameters, name, rates[name]) for name, parameters in parts.items()]

@@ -23,10 +23,12 @@ class FrameCorrections(nn.Module):
         self.gain = nn.Embedding(frames, 3, sparse=True)
         self.turn = nn.Embedding(frames, 3, sparse=True)
         self.shift = nn.Embedding(frames, 3, sparse=True)
-        for table in self.children():
+        for table in (self.pose, self.place, self.gain, self.turn, self.shift):
             nn.init.zeros_(table.weight)
 
-    def body(self, frame: int, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, ...]:
+    def body(
+        self, frame: int, global_orient: Tensor, body_pose: Tensor, transl: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Corrected global_orient[3], body_pose[69] and transl[3] of one frame."""
         row = torch.tensor(frame, device=transl.device)
         pose = torch.cat([global_orient, body_pose]) + self.pose(row)

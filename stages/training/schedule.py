@@ -1,10 +1,8 @@
-"""When and how fast: learning rates, the phases of a run, and its sizes."""
+"""When and how fast: learning rates, the phases of a run, and how far it is."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from stages.avatar.rasterize.rendering import T_STOP
+from typing import Any, NamedTuple
 
 LR_HUMAN = {"xyz": 2e-4, "triplane": 2e-3, "appearance": 2e-3, "geometry": 1e-3, "deformation": 2e-4}
 LR_OWN = {  # corrections of each Gaussian's own: the paper's rates for explicit Gaussians, ours where it has none
@@ -43,31 +41,22 @@ LR_EFFECTS = {
 LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
 SETTLE = 0.65
-HALF_UNTIL = 0.4  # share of the steps at half resolution
 SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
 HUMAN_GROWTH = (0.15, SETTLE)
+LATE = 0.99  # share of the schedule, the last at which steps are timed
+FROZEN = 10**9  # steps of a schedule that hardly moves
 SCENE_FIRST = 0.5  # share of the steps that the scene has to itself where the two are not learned jointly
 
 
 class Options(NamedTuple):
-    """How to fit."""
+    """What the clip, not a setting, decides about a training: `extent` in m, and which corrections are learned."""
 
-    steps: int
-    views_per_decode: int
-    human_cap: int
-    scene_cap: int
     extent: float
     refine_pose: bool = True
-    exposure: bool = False
-    growth_rounds: int = 20
-    perceptual_every: int = 0
-    half_until: float = HALF_UNTIL
-    human_densify: bool = True
-    human_loss: bool = True
-    joint: bool = True
-    antialias: bool = False
     refine_camera: bool = False
-    early_stop: float = T_STOP
+    exposure: bool = False
+    antialias: bool = False
+    growth_rounds: int = 20
 
 
 class Phase(NamedTuple):
@@ -95,6 +84,56 @@ def phases(steps: int, joint: bool) -> tuple[Phase, ...]:
         return (Phase(0, steps, True, True),)
     first = int(SCENE_FIRST * steps)
     return Phase(0, first, False, True), Phase(first, steps - first, True, False)
+
+
+class Progress:
+    """How far a training is: the number of its next `step`, and its `phases`."""
+
+    def __init__(self, steps: int, joint: bool):
+        self.step = 0
+        self.phases = phases(steps, joint)
+
+    @property
+    def phase(self) -> Phase:
+        """The phase of the next step."""
+        return next(phase for phase in reversed(self.phases) if phase.first <= self.step)
+
+    @property
+    def done(self) -> float:
+        """Share of the phase's schedule behind us."""
+        return self.phase.done(self.step)
+
+    @property
+    def share(self) -> float:
+        """Share of the whole run behind us, each phase counted the same."""
+        return (self.phases.index(self.phase) + self.done) / len(self.phases)
+
+    @property
+    def total(self) -> int:
+        """Steps of the whole run."""
+        return self.phases[-1].first + self.phases[-1].steps
+
+    def retime(self, left: int) -> None:
+        """Let `left` > 0 more steps finish the schedule of the last phase, from where it is."""
+        *before, last = self.phases
+        self.phases = (*before, last._replace(first=self.step, steps=left, start=last.done(self.step)))
+
+    def freeze(self, done: float = LATE) -> None:
+        """Stay at a share of the last phase's schedule from now on, however many steps are taken."""
+        self.phases = (self.phases[-1]._replace(first=self.step, steps=FROZEN, start=done),)
+
+    def rounds_left(self, every: int) -> int:
+        """Densifications still to come, one every so many steps, this one included."""
+        phase = self.phase
+        return int((phase.first + (SETTLE - phase.start) * phase.whole - self.step) // every) + 1
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"step": self.step, "phases": [tuple(phase) for phase in self.phases]}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Continue from `state()`."""
+        self.step, self.phases = state["step"], tuple(Phase(*phase) for phase in state["phases"])
 
 
 def rate(name: str, done: float) -> float:

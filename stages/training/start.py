@@ -1,8 +1,9 @@
-"""Everything that is trained, at its initial value: from a clip, as `formats.clip.Clip` has it, and train's settings."""
+"""Everything that is trained, at its initial value."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,12 @@ from stages.avatar.model.scene import SceneModel, clear_of_cameras, fill_points,
 from stages.avatar.motion.formulas import upright
 from stages.avatar.splats.neighbours import evenly
 from stages.avatar.splats.sh import sh_from_rgb
+from stages.contract import StageError
+from stages.formats.clip import Clip
 from stages.training.fit import Fit
 from stages.training.init_colors import seen_colors
 from stages.training.schedule import Options
+from stages.training.settings import Params
 from stages.training.transients import Transients
 from stages.training.views import Person, Views
 
@@ -32,62 +36,102 @@ LEAST_DARK = 0.05  # share of the light, at least, that a shadow begins with: at
 FILLED = 16  # frames from which points of the scene are filled in
 
 
-class Start:
-    """Makes the parts of a training, in this order, from `train`, the frames of a clip that may be learned from.
+@dataclass(frozen=True)
+class Task:
+    """What a training is to learn, and how.
 
-    `params` has the settings of stages/train.py; `decisions`, and by effect where to begin, `starts`, are those of
-    survey.json; `say` hears what is worth knowing.
+    `decisions`, and where to begin, `starts`, are those of survey.json, by effect; `perceptual` is the network of the
+    perceptual loss, where the settings ask for it.
     """
 
-    def __init__(
-        self,
-        clip: Any,
-        train: list[int],
-        params: Any,
-        decisions: dict[str, bool],
-        starts: dict[str, list[float]],
-        seed: int,
-        device: str,
-        say: Callable[[str], None],
-    ):
-        self.clip, self.train, self.params, self.decisions, self.starts = clip, train, params, decisions, starts
-        self.seed, self.device, self.say = seed, device, say
-        self.generator = torch.Generator().manual_seed(seed)
+    clip: Clip
+    params: Params
+    decisions: dict[str, bool] = field(default_factory=dict)
+    starts: dict[str, list[float]] = field(default_factory=dict)
+    seed: int = 0
+    device: str = "cpu"
+    perceptual: Lpips | None = None
 
-    def fit(self, perceptual: Lpips | None) -> Fit:
-        """The training, before its first step."""
-        clip, params, on = self.clip, self.params, self.decisions
+    def resized(self, sizes: dict[str, int]) -> Task:
+        """The same with other settings of size."""
+        return replace(self, params=self.params.model_copy(update=sizes))
+
+    def frames(self) -> list[int]:
+        """The frames to learn from; StageError where there is none, or none that shows a person with a body fit."""
+        clip = self.clip
+        train = [i for i in range(len(clip.names)) if clip.training[i]]
+        train = evenly(train, self.params.frames_used or len(train))
+        if not train:
+            raise StageError(
+                "no frame is left to train on",
+                facts=[f"{len(clip.names)} frames registered, {int(clip.heldout.sum())} of them held out"],
+                hint="give more frames to training in the data set's split",
+            )
+        shown = [i for i in train if clip.shows_person(i)]
+        if not shown:
+            raise StageError(
+                "no training frame shows a person",
+                facts=[f"the masks of all {len(train)} training frames are empty"],
+                hint="give masks of your own: `hugs run VIDEO --masks DIR`",
+            )
+        if not any(clip.body.confidence[i] > 0 for i in shown):
+            raise StageError(
+                "no training frame has a body fit to learn from",
+                facts=[
+                    f"{len(shown)} of {len(train)} training frames show the person, the fit trusts its pose in none"
+                ],
+                hint="give a fit of your own: `hugs run VIDEO --smpl-fit FILE`",
+            )
+        return train
+
+
+def build(task: Task, note: Callable[[str], None]) -> Fit:
+    """The training of a task before its first step; `note` hears what is worth knowing."""
+    fit = _Start(task, note).fit()
+    params = task.params
+    if fit.scene is None and not (params.human_loss and params.joint):
+        raise StageError(
+            "there is no scene to train the person with",
+            facts=[f"human_loss: {params.human_loss}, joint: {params.joint}; without a scene both are needed"],
+            hint="leave out `--set train.human_loss` and `--set train.joint`",
+        )
+    return fit
+
+
+class _Start:
+    """Makes the parts of a training, in this order."""
+
+    def __init__(self, task: Task, note: Callable[[str], None]):
+        self.train, self.note = task.frames(), note
+        self.clip, self.params, self.decisions, self.starts = task.clip, task.params, task.decisions, task.starts
+        self.seed, self.device, self.perceptual = task.seed, task.device, task.perceptual
+        self.generator = torch.Generator().manual_seed(task.seed)
+
+    def fit(self) -> Fit:
+        clip, on = self.clip, self.decisions
         views, person = self._views(), self._person()
         human = self._human(person, views)
         extent = scene_extent(self._tensor(clip.viewmats).cpu(), self._tensor(clip.points).cpu())
         scene = self._scene(person, extent) if on.get("scene", True) and len(clip.points) else None
+        caps = {"human_cap": self._cap("human", human), "scene_cap": self._cap("scene", scene)}
         options = Options(
-            steps=params.steps,
-            views_per_decode=params.views_per_decode,
-            human_cap=self._cap("human", human),
-            scene_cap=self._cap("scene", scene),
             extent=extent,
             refine_pose=on.get("pose_refinement", True),
-            exposure=on.get("exposure", False),
-            perceptual_every=params.perceptual_every,
-            half_until=params.half_until,
-            human_densify=params.human_densify,
-            human_loss=params.human_loss,
-            joint=params.joint,
-            antialias=on.get("antialias", False),
             refine_camera=on.get("camera_refinement", False),
-            early_stop=params.early_stop,
+            exposure=on.get("exposure", False),
+            antialias=on.get("antialias", False),
         )
         effects = self._effects(person, human)
         transients = Transients(views, self.train) if on.get("transients", False) and scene is not None else None
-        return Fit(views, self.train, person, human, scene, options, self.generator, perceptual, effects, transients)
+        models = views, self.train, person, human, scene, self.params.model_copy(update=caps), options
+        return Fit(*models, self.generator, self.perceptual, effects, transients)
 
     def _cap(self, name: str, begun: HumanModel | SceneModel | None) -> int:
         """Most Gaussians of the person or the scene: what is set, or what it begins with."""
         cap, count = getattr(self.params, f"{name}_cap"), 0 if begun is None else len(begun)
         if count > cap:
             who = "person" if name == "human" else name
-            self.say(f"the {who} begins with {count:,} Gaussians, more than {name}_cap ({cap:,}), and gets no more")
+            self.note(f"the {who} begins with {count:,} Gaussians, more than {name}_cap ({cap:,}), and gets no more")
         return max(cap, count)
 
     def _tensor(self, array: Any) -> Tensor:
@@ -96,19 +140,30 @@ class Start:
     def _views(self) -> Views:
         clip, frames = self.clip, range(len(self.clip.names))
         images, masks = (np.stack([read(i) for i in frames]) for read in (clip.images, clip.mask))
-        pictures = (torch.as_tensor(pixels, device=self.device) for pixels in (images, masks))
-        moments = torch.as_tensor(clip.split.moments, device=self.device)
-        return Views(*pictures, self._tensor(clip.viewmats), self._tensor(clip.Ks), moments)
+        return Views(
+            torch.as_tensor(images, device=self.device),
+            torch.as_tensor(masks, device=self.device),
+            self._tensor(clip.viewmats),
+            self._tensor(clip.Ks),
+            torch.as_tensor(clip.split.moments, device=self.device),
+        )
 
     def _person(self) -> Person:
         fitted, model = self.clip.body, self.clip.body_model
         body, betas = Body(model), torch.as_tensor(fitted.betas, dtype=torch.float32)
         vertices, _ = body(betas, torch.zeros(1, 3), DA_POSE[None], torch.zeros(1, 3))
-        joints, at = self._tensor(body.rest(betas)[1]), self._tensor(vertices[0])
-        faces = torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device)
-        parts = (fitted.global_orient, fitted.body_pose, fitted.transl, fitted.confidence)
-        weights, canonical = body.lbs_weights.to(self.device), DA_POSE.to(self.device)
-        return Person(*map(self._tensor, parts), joints, body.parents, canonical, at, weights, faces)
+        return Person(
+            self._tensor(fitted.global_orient),
+            self._tensor(fitted.body_pose),
+            self._tensor(fitted.transl),
+            self._tensor(fitted.confidence),
+            joints=self._tensor(body.rest(betas)[1]),
+            parents=body.parents,
+            canonical_pose=DA_POSE.to(self.device),
+            vertices=self._tensor(vertices[0]),
+            weights=body.lbs_weights.to(self.device),
+            faces=torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device),
+        )
 
     def _human(self, person: Person, views: Views) -> HumanModel:
         params = self.params
@@ -128,7 +183,7 @@ class Start:
         colors, known = seen_colors(human, person, views, evenly(seen, PAINTED))
         human.sh_starts.copy_(sh_from_rgb(colors))
         share = (known == 1).float().mean().item()
-        self.say(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
+        self.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
         return human
 
     def _scene(self, person: Person, extent: float) -> SceneModel | None:
@@ -144,26 +199,26 @@ class Start:
         colors = self._tensor(np.concatenate([clip.colors, rgb])) / 255
         clear = clear_of_cameras(points, self._tensor(clip.viewmats), extent)
         if not clear.all():
-            self.say(f"{int((~clear).sum())} points left out that lie on a camera")
+            self.note(f"{int((~clear).sum())} points left out that lie on a camera")
         if not clear.any():
             return None
         degree = self.params.scene_sh if on.get("view_dependence", False) else 0
         scene = SceneModel(points[clear], colors[clear], degree, extent, on.get("antialias", False))
         if skies:
             far, tints, middle = shell(skies, images, *cameras, extent)
-            self.say(f"{len(far):,} Gaussians of the sky, {RADIUS * extent:.0f} m away")
+            self.note(f"{len(far):,} Gaussians of the sky, {RADIUS * extent:.0f} m away")
             if len(far):
                 scene.surround(self._tensor(far), self._tensor(tints), self._tensor(middle), RADIUS * extent)
         return scene
 
     def _effects(self, person: Person, human: HumanModel) -> FrameEffects:
         on, orient = self.decisions, self.clip.body.global_orient
-        *light, darkness = self.starts.get("shadow", [*upright(orient, orient[0])[:, 1], DARKNESS])
-        light = torch.as_tensor(light).to(person.joints)
-        takes = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
-        takes["shadow"] = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
+        *lamp, darkness = self.starts.get("shadow", [*upright(orient, orient[0])[:, 1], DARKNESS])
+        light = torch.as_tensor(lamp).to(person.joints)
+        shadow = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
         parts = casters(person.vertices, person.weights).moved(torch.linalg.inv(person.canonical_bones()))
-        effects = FrameEffects.starting(light, parts, **takes)
+        times = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
+        effects = FrameEffects.starting(light, parts, shadow, **times)
         if on.get("clothing", False):
             bare = rest(human.untaught(), person.canonical_bones()).means
             effects.clothing = Clothing.start(bare, person.body_pose[self.train])

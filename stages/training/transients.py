@@ -38,6 +38,7 @@ class Transients(nn.Module):
         self.cells = torch.stack([self._pooled(views.images[i].permute(2, 0, 1).float() / 255) for i in train])
         self.masks = torch.stack([self._pooled(views.masks[i][None].float() / 255) for i in train])
         self.size = torch.tensor([width, height]).to(self.Ks)
+        self.shares: Tensor
         self.register_buffer("shares", torch.zeros(len(views.images)).to(self.Ks))
 
     def _pooled(self, picture: Tensor) -> Tensor:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from stages.avatar.effects.clothing import Clothing
+from stages.avatar.effects.speeds import Speeds
 from stages.avatar.model.person import Resting, bone_transforms, pose
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import evenly
@@ -83,9 +85,17 @@ class Person(NamedTuple):
         return pose(dressed, self.bones(frame), self.transl[frame])._replace(antialias=self.antialias)
 
 
-def asked(body: Person, views: Views, frames: list[int]) -> list[int]:
+def person_frames(body: Person, views: Views, frames: list[int]) -> list[int]:
     """At most LOOKS of those `frames` that show the person, spread evenly."""
     return evenly([i for i in frames if body.confidence[i] > 0 and views.masks[i].max() > 0], LOOKS)
+
+
+def frame_speeds(views: Views, body: Person | None) -> Speeds:
+    """How camera and person move at each frame."""
+    count = len(views.images)
+    moments = np.arange(count) if views.moments is None else views.moments.cpu().numpy()
+    known = np.ones(count, bool) if body is None else (body.confidence > 0).cpu().numpy()
+    return Speeds(views.viewmats.cpu().numpy(), views.Ks, views.images.shape[1], moments, known)
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:

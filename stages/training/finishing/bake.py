@@ -13,12 +13,12 @@ from stages.avatar.model.person import Canonical, rest
 from stages.avatar.splats.compose import painted
 from stages.avatar.splats.gaussians import finite_rows
 from stages.avatar.splats.neighbours import median_near, nearest, spread_out
-from stages.training.densify import strays
-from stages.training.finishing.depths import evened
-from stages.training.losses import widened
-from stages.training.views import Person, Views, asked
+from stages.training.finishing.depths import snap_to_surface
+from stages.training.losses import dilated
+from stages.training.views import Person, Views, person_frames
 
-TAUGHT = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
+OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
+SEEN = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
 EDGE_DOUBT = 0.05  # neighbours' pixels for each at an outline; with 1 twice the accuracy is lost, for the same look
 DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
@@ -43,24 +43,30 @@ class Finished(NamedTuple):
     person: Canonical
     broken: int
     strays: int
-    evened: int
-    leant: int
+    snapped: int
+    recolored: int
     lining: int
 
 
-def finished(person: Canonical, lost: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
-    """What is kept of a trained person: without what is not finite, strayed, floats or lost[N] its part; even, leant, lined.
+def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
+    """Remove invalid, stray and floating Gaussians and outliers[N] of skinning; then snap, recolour and add the lining.
 
-    `frames` of `views` are those it was trained on.
+    `frames` of `views` are those that the person was trained on.
     """
     whole = finite_rows(person)
     kept = Canonical(*(part[whole] for part in person))
-    stray = strays(kept.means, body.vertices) | lost[whole]
+    stray = far_from_body(kept.means, body.vertices) | outliers[whole]
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
-    kept, moved = evened(Canonical(*(part[~stray] for part in kept)), body, views, frames)
-    kept, leant = lean(kept, body, views, frames)
-    done = lined(kept, body, views, frames)
-    return Finished(done, int((~whole).sum()), int(stray.sum()), moved, leant, len(done.means) - len(kept.means))
+    kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
+    kept, recolored = recolor(kept, body, views, frames)
+    done = add_lining(kept, body, views, frames)
+    return Finished(done, int((~whole).sum()), int(stray.sum()), snapped, recolored, len(done.means) - len(kept.means))
+
+
+def far_from_body(means: Tensor, vertices: Tensor) -> Tensor:
+    """Which of the canonical means[N,3] are farther than OFF_BODY from all of the body's vertices[V,3]."""
+    distance, _ = nearest(vertices, means, 1)
+    return distance[:, 0] > OFF_BODY
 
 
 def floating(person: Canonical, body: Person) -> Tensor:
@@ -75,30 +81,29 @@ def floating(person: Canonical, body: Person) -> Tensor:
     return ((away > APART * usual) & (away > SMALL * person.scales.amax(1))) | (thick > THICK)
 
 
-def as_body_where_unseen(decoded: Canonical, untaught: Canonical, taught: Tensor) -> Canonical:
+def as_body_where_unseen(decoded: Canonical, untaught: Canonical, color_grad_sum: Tensor) -> Canonical:
     """The person as `decoded`, but `untaught`, as the body says, in rows where no training frame has shown it.
 
-    taught[N] >= 0 is the sum of the gradients of each colour. There networks speak to features that are still random.
+    There the networks' features are still random.
     """
-    never = unseen(taught)
+    never = unseen(color_grad_sum)
     pairs = zip(untaught, decoded, strict=True)
     return Canonical(*(torch.where(never.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
 
 
-def unseen(taught: Tensor) -> Tensor:
-    """Which rows [N] no training frame has shown, by the sums taught[N] of the gradients of their colours."""
-    return taught <= TAUGHT * taught.mean()
+def unseen(color_grad_sum: Tensor) -> Tensor:
+    """Which rows [N] no training frame has shown, by the sums [N] >= 0 of the gradients of their colours."""
+    return color_grad_sum <= SEEN * color_grad_sum.mean()
 
 
-def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
-    """Colours that frames have not shown well lean on the nearest that they have: on the median of these, over a larger
-    patch where the nearest are far.
+def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
+    """Blend colours that frames do not show well with the median of the nearest that they do; far ones over a larger patch.
 
-    At an outline a pixel mixes the person with what is behind, and masks end late. A Gaussian that `frames` of `views`
+    At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay.
-    Returned with it: how many colours are more their neighbours' than their own.
+    Also returns how many colours are more their neighbours' than their own.
     """
-    inside, edge, _ = _painted(person, body, views, frames)[0].unbind(1)
+    inside, edge, _ = _count_pixels(person, body, views, frames)[0].unbind(1)
     mean = inside.mean()
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
@@ -112,7 +117,7 @@ def lean(person: Canonical, body: Person, views: Views, frames: list[int]) -> tu
     return person._replace(sh=own * person.sh + (1 - own) * around), int((own < 0.5).sum())
 
 
-def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
+def add_lining(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
     """The person and, after its rows, an opaque lining under the skin, which shows in holes that new poses tear open.
 
     The lining is the body's own vertices moved inwards, in the colours above them. Where it would show beside the
@@ -121,7 +126,7 @@ def lined(person: Canonical, body: Person, views: Views, frames: list[int]) -> C
     inner = _lining(person, body)
     for _ in range(PEELS):
         both = Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
-        counts, pixels = _painted(both, body, views, frames)
+        counts, pixels = _count_pixels(both, body, views, frames)
         leaks = counts[len(person.means) :, 2] > LEAK * pixels
         if not leaks.any():
             break
@@ -148,7 +153,7 @@ def _lining(person: Canonical, body: Person) -> Canonical:
     )
 
 
-def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
+def _count_pixels(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
     """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
     masks' pixels: sums over those of `frames` that are asked.
 
@@ -159,9 +164,9 @@ def _painted(person: Canonical, body: Person, views: Views, frames: list[int]) -
     outwards = vertex_normals(body.vertices, body.faces)[under[:, 0]]
     resting, skin = rest(person, bones), rest(person._replace(frames=rotation_z_to(outwards)), bones)
     counts, pixels = torch.zeros_like(person.means), 0.0
-    for i in asked(body, views, frames):
+    for i in person_frames(body, views, frames):
         mask = views.masks[i].float() / 255
-        splats, inside = body.posed(resting, i), -widened(-mask, EDGE)
+        splats, inside = body.posed(resting, i), -dilated(-mask, EDGE)
         paints = painted(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
         sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
         facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0

@@ -11,7 +11,7 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.compose import painted
 from stages.avatar.splats.neighbours import evenly, median_near
 from stages.training.finishing.bake import EDGE
-from stages.training.losses import widened
+from stages.training.losses import dilated
 from stages.training.views import LOOKS, Views
 
 HIDDEN = 4.0  # times as many pixels behind the person as beside; with 1 a phone clip loses 0.5 dB, with 4 it loses 0.1
@@ -21,20 +21,22 @@ SURE = 0.3  # of the mean of pixels painted: neighbours that are asked for a col
 NEIGHBOURS = 24  # that are asked
 
 
-def fill_behind(scene: SceneModel, views: Views, frames: list[int], dark: Callable[[int], Tensor]) -> Tensor:
+def inpaint_occluded(
+    scene: SceneModel, views: Views, frames: list[int], shadow_depth: Callable[[int], Tensor]
+) -> Tensor:
     """Give Gaussians that `frames` of `views` show in one way only the colours around; returns them, bool[N].
 
     Behind the person: only a fringe about them has taught these, and Adam takes steps as large for a fringe; unchecked they
-    turn into a bright ghost. In the person's shadow, `dark(frame)` [N] 0..1: how bright they are without it and how dark the
-    shadow is, no picture tells apart. A colour is the median of the nearest that are seen well; places and sizes stay.
+    turn into a bright ghost. In the person's shadow, `shadow_depth(frame)` [N] 0..1: how bright they are without it and how dark
+    it is, no picture tells apart. A colour is the median of the nearest that are seen well; places and sizes stay.
     """
     splats = scene.splats().detach()
     beside, behind, shaded = torch.zeros(3, len(scene)).to(splats.means)
     for i in evenly(frames, LOOKS):
-        person = widened(views.masks[i].float() / 255, EDGE)
+        person = dilated(views.masks[i].float() / 255, EDGE)
         kinds = torch.stack([1 - person, person, torch.zeros_like(person)], -1)
         shown = painted(splats, views.viewmats[i], views.Ks[i], kinds)
-        beside, behind, shaded = beside + shown[:, 0], behind + shown[:, 1], shaded + shown[:, 0] * dark(i)
+        beside, behind, shaded = beside + shown[:, 0], behind + shown[:, 1], shaded + shown[:, 0] * shadow_depth(i)
     hidden = (behind > HIDDEN * beside) | (shaded > ALWAYS * beside)
     sure = (beside > SURE * (beside + behind).mean()) & (behind < beside) & (shaded < LIT * beside)
     if not (hidden.any() and sure.any()):

@@ -9,7 +9,7 @@ from torch import Tensor
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.splats.neighbours import nearest
-from stages.training.views import Person, Views, asked
+from stages.training.views import Person, Views, person_frames
 
 UNDER = 4  # vertices of the body that tell where its skin is
 AROUND = 24  # neighbours over the skin whose middle height is that of the surface
@@ -19,8 +19,8 @@ ONE_SIDE = 0.8  # least share of the main one in all sights: what is seen from e
 
 
 @torch.no_grad()
-def evened(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
-    """The canonical person with what stands out of its surface moved back along the sights of `frames`, and how many did.
+def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
+    """Move Gaussians that stand out of the canonical person's surface back along the sights of `frames`; also how many.
 
     To those frames it looks the same; from the side it was a dot off the outline, and more of them the longer one
     trains. Along the normal of the skin the same move costs ten times as much.
@@ -46,7 +46,7 @@ def _sights(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     turned = person._replace(frames=torch.eye(3).to(person.frames).expand_as(person.frames))
     resting = rest(turned._replace(scales=torch.ones_like(person.scales)), body.canonical_bones())
     looks = torch.zeros_like(person.frames)
-    for i in asked(body, views, frames):
+    for i in person_frames(body, views, frames):
         splats = body.posed(resting, i)
         sight = F.normalize(splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3], dim=1)
         # transposed, not inverted: a blend of turns is nearly a turn, and may be singular

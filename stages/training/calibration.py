@@ -1,0 +1,25 @@
+"""What a training within a time reaches, measured, and the sizes chosen by it.
+
+Of 21 to 23 November 2026, on two cores of an AMD EPYC without a GPU: the hand-held phone clip of tests/benchmarks
+(480x864, 80 frames). Another machine changes the seconds of a step, which are timed anew each time, not these figures;
+another clip may need others.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+SMALL, SMALL_UNDER = {"rounds": 1, "human_cap": 28_000, "scene_cap": 50_000}, 1200
+LARGE, LARGE_FROM = {"human_cap": 60_000, "scene_cap": 160_000}, 9000
+"""Sizes where fewer, or more, than so many steps of the settings' own sizes fit into the time."""
+FEWEST = 200  # steps; fewer make no person
+PAUSE = 6.0  # full, grown steps that take as long as measuring accuracy, until that has been timed
+SHORT_OF = {360: 3.1, 560: 2.6, 1100: 1.8, 3000: 0.8, 8500: 0.2, 10_000: 0.0}
+"""Steps -> dB of the whole picture that a training within a time was short of one of 10,000 steps."""
+
+
+def short_of(steps: int) -> float:
+    """About how many dB `steps` are short of 10,000: read off SHORT_OF between logarithms, its ends beyond."""
+    return float(np.interp(math.log(steps), [math.log(known) for known in SHORT_OF], list(SHORT_OF.values())))

@@ -1,0 +1,120 @@
+"""How the person learns: decoded once for several frames, which share the gradients of its networks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim import Optimizer
+
+from stages.avatar.body.skinning import knn_weights
+from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import Canonical, Resting, rest
+from stages.avatar.splats.neighbours import nearest
+from stages.training import losses
+from stages.training.finishing.bake import as_body_where_unseen
+from stages.training.guard import Guard
+from stages.training.views import Person
+
+NEIGHBOURS = 8  # of which a Gaussian of the surface is the middle
+MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
+
+
+class PersonLearner:
+    """The model `human` of the person whose fitted `body` is known.
+
+    `leaves` is the decoded person as tensors that collect gradients, None until it is decoded again. `color_grad_sum` [N]
+    sums the gradients of each Gaussian's colour: what stays at 0 no frame has shown.
+    """
+
+    def __init__(self, body: Person, human: HumanModel, guard: Guard):
+        self.body, self.human, self.guard = body, human, guard
+        self.canonical_bones = body.canonical_bones()
+        self.leaves: Resting | None = None
+        self.near: Tensor | None = None
+        self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
+        self.color_grad_sum = torch.zeros(len(human)).to(body.vertices)
+
+    def _decode(self) -> tuple[Canonical, Resting, Tensor]:
+        canonical, outside_box, regularizer = self.human()
+        rough = losses.roughness(canonical.means, self._neighbours(), self.human.frames[:, :, 2])
+        prior = losses.OUTSIDE * outside_box + losses.REGULAR * regularizer + losses.SMOOTH * rough
+        return canonical, rest(canonical, self.canonical_bones), prior
+
+    def resting(self) -> Resting:
+        """The decoded person at rest, as leaves that collect gradients until the next `learn`."""
+        if self.leaves is None:
+            self.canonical, self.decoded, self.prior = self._decode()
+            self.leaves = Resting(*(t.detach().requires_grad_(t.requires_grad) for t in self.decoded))
+        return self.leaves
+
+    def learn(self, optimizer: Optimizer, frames: int) -> None:
+        """Take one step of the networks with what the leaves collected from so many frames, if any."""
+        leaves, self.leaves = self.leaves, None
+        if leaves is None or leaves.means.grad is None:
+            return
+        collected = {n: leaf.grad for n, leaf in leaves._asdict().items() if leaf.grad is not None}
+        self.guard.contain("person", collected)
+        self.color_grad_sum += collected["sh"].abs().sum((1, 2))
+        prior = self.prior
+        if self.canonical.weights.requires_grad:
+            prior = losses.skinning(self.canonical.weights, self._reference()) + prior
+        decoded = [getattr(self.decoded, n) for n in collected]
+        slopes = [grad / frames for grad in collected.values()]
+        torch.autograd.backward([*decoded, prior], [*slopes, torch.ones_like(prior)])
+        rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
+        self.guard.contain("corrections", {name: p.grad for name, p in rows.items() if p.grad is not None})
+        by_row = {id(p) for p in rows.values()}
+        shared = [p.grad for p in self.human.parameters() if id(p) not in by_row and p.grad is not None]
+        if self.guard.clip("networks", shared):
+            optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
+
+    def _neighbours(self) -> Tensor:
+        """Rows [N,NEIGHBOURS] of the Gaussians that began nearest to each."""
+        homes = self.human.homes
+        if self.near is None or len(self.near) != len(homes):
+            self.near = nearest(homes, homes, NEIGHBOURS + 1)[1][:, 1:]  # without itself
+        return self.near
+
+    def _reference(self) -> Tensor:
+        """Skinning weights [N,24] of the nearest body vertices, looked up again only for Gaussians that moved."""
+        at = self.canonical.means.detach()
+        if len(self.reference) != len(at):
+            self.reference_at = torch.full_like(at, math.inf)
+            self.reference = torch.zeros_like(self.canonical.weights.detach())
+        moved = ~((at - self.reference_at).norm(dim=1) < MOVED)
+        if moved.any():
+            self.reference[moved] = knn_weights(at[moved], self.body.vertices, self.body.weights)
+            self.reference_at[moved] = at[moved]
+        return self.reference
+
+    def follow(self, source: Tensor) -> None:
+        """After a densification: `source` [M] is the old row of each Gaussian."""
+        self.color_grad_sum = self.color_grad_sum[source]
+        self.leaves = self.near = None
+
+    @torch.no_grad()
+    def baked(self) -> tuple[Canonical, Resting]:
+        """The person to keep as of now, in the canonical and in the rest pose, without gradients; `bake` finishes it."""
+        canonical = as_body_where_unseen(self._decode()[0], self.human.untaught(), self.color_grad_sum)
+        return canonical, rest(canonical, self.canonical_bones)
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        leaves = {} if self.leaves is None else self.leaves._asdict()
+        return {
+            "reference": [self.reference.clone(), self.reference_at.clone()],
+            "color_grad_sum": self.color_grad_sum.clone(),
+            "leaves": {n: leaf.grad.clone() for n, leaf in leaves.items() if leaf.grad is not None},
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Continue from `state()`; the model is already as it was."""
+        self.reference, self.reference_at = (t.clone() for t in state["reference"])
+        self.color_grad_sum = state["color_grad_sum"].clone()
+        self.leaves = self.near = None
+        for name, grad in state["leaves"].items():
+            getattr(self.resting(), name).grad = grad.clone()

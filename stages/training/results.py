@@ -1,0 +1,186 @@
+"""What a finished training hands on: records of plain arrays, and facts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from torch import Tensor
+
+from stages.avatar.body.rotations import quat_from_matrix
+from stages.avatar.effects.clothing import Clothing
+from stages.avatar.model.scene import SceneModel
+from stages.avatar.splats.gaussians import finite_rows
+from stages.formats.clip import Clip
+from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
+from stages.training.finishing.bake import Finished, finish, unseen
+from stages.training.fit import Fit
+from stages.training.views import Person
+
+
+class Listener(Protocol):
+    """Who hears what is worth knowing of a result."""
+
+    def note(self, text: str, at_once: bool = False) -> None: ...
+
+    def warn(self, text: str) -> None: ...
+
+
+@dataclass(frozen=True)
+class Result:
+    """A trained clip.
+
+    `scene` is None where there is none; `effects` and `cameras` (SfM units) are None where none were learned. `curve` has
+    a row for each measurement of accuracy, `facts` are those of train.json.
+    """
+
+    avatar: Avatar
+    scene: Scene | None
+    body: BodyPoses
+    effects: Effects | None
+    cameras: Cameras | None
+    curve: list[dict[str, Any]]
+    facts: dict[str, Any]
+
+
+def result_of(
+    fit: Fit, clip: Clip, curve: list[dict[str, Any]], effects: dict[str, dict[str, Any]], say: Listener
+) -> Result:
+    """Finish what was trained on a clip; `effects` is what train.json says of their gains, `say` hears about the rest."""
+    orient, body_pose, transl = fit.bodies()
+    body = fit.person.body._replace(global_orient=orient, body_pose=body_pose, transl=transl)
+    kept = _finished(fit, body, say)
+    scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
+    broken = kept.broken + invalid
+    settled = fit.densifier.settled
+    never, behind = int(unseen(fit.person.color_grad_sum).sum()), 0 if settled is None else int(settled.sum())
+    if never:
+        say.note(f"{never:,} Gaussians of the person that no frame shows have the place and shape of the body")
+    if behind:
+        say.note(f"{behind:,} Gaussians of the scene that the person hides or shades took the colours seen around them")
+    if broken:
+        say.warn(f"{broken} Gaussians left out of the result because they are not finite")
+    known, cameras = fit.effects.known(), None
+    if known:
+        numbers = (f"{name} {value:.2f}" for name, value in known.items() if isinstance(value, float))
+        say.note(f"learned of how the clip was taken: {', '.join(numbers)}")
+    if fit.options.refine_camera:
+        viewmats = _array(fit.cameras()).astype(np.float64)
+        viewmats[:, :3, 3] /= clip.body.world_from_sfm
+        cameras = replace(clip.cameras, viewmats=viewmats)
+    distrusted = {} if fit.transients is None else fit.transients.found(clip.names)
+    if distrusted:
+        most = max(distrusted, key=lambda name: distrusted[name])
+        say.note(
+            f"something passes by in {len(distrusted)} of {len(fit.train)} training frames and was not learned, "
+            f"{100 * distrusted[most]:.0f} % of frame {most}"
+        )
+    gains = {}
+    if fit.options.exposure:
+        gains = dict(zip(clip.names, _array(fit.gains()).round(5).tolist(), strict=True))
+    facts = {
+        "steps": fit.progress.step,
+        "sizes": {"human_cap": fit.params.human_cap, "scene_cap": fit.params.scene_cap},
+        "seconds": curve[-1]["seconds"],
+        "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
+        "effects": effects,
+        "extent_m": fit.options.extent,
+        "gaussians": fit.sizes() | {"human": len(kept.person.means)},
+        "broken": broken,
+        "strays": kept.strays,
+        "evened": kept.snapped,
+        "leant": kept.recolored,
+        "unseen": never,
+        "behind": behind,
+        "lining": kept.lining,
+        "left_out": fit.guard.left_out,
+        "clipped": fit.guard.clipped,
+        "not_drawn": fit.undrawn,
+        "distrusted": distrusted,
+        "train_frames": [clip.names[i] for i in fit.train],
+        "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",
+        "exposure": gains,
+    }
+    if fit.guard.left_out:
+        say.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
+    if fit.guard.clipped:
+        say.note(
+            f"{fit.guard.clipped} gradients of networks or effects were far larger than usual and were scaled down"
+        )
+    if fit.undrawn:
+        say.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
+    poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
+    avatar = _avatar(kept, body, clip.body.betas, fit.effects.clothing, fit.options.antialias)
+    return Result(avatar, scene, poses, Effects(**known) if known else None, cameras, curve, facts)
+
+
+def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener) -> dict[str, dict[str, Any]]:
+    """What train.json says of the `effect_gains` of a training: dB on the curve's frames, and of its `seconds`."""
+    facts = {}
+    for name, effect in found.items():
+        gains = {key: None if effect[key] is None else round(effect[key], 3) for key in ("psnr", "psnr_person")}
+        facts[name] = gains | {"seconds": (spent := round(effect["share"] * seconds, 1))}
+        known = " / ".join(f"{gain:+.1f}" for gain in gains.values() if gain is not None)
+        gained = f"{known} dB on held-out frames, " if known else ""
+        cost = f"{round(spent)} s" if spent > 0 else "no measurable time"
+        say.note(f"{name.replace('_', ' ')}: {gained}{cost} of training")
+    return facts
+
+
+def _finished(fit: Fit, body: Person, say: Listener) -> Finished:
+    baked, _ = fit.person.baked()
+    seen = fit.full._replace(viewmats=fit.cameras())
+    dressed = body._replace(clothing=fit.effects.clothing, antialias=fit.options.antialias)
+    kept = finish(baked, fit.person.human.defectors(baked.weights), dressed, seen, fit.train)
+    if kept.strays:
+        say.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
+    if kept.recolored:
+        say.note(f"{kept.recolored:,} Gaussians that no frame shows well take the colours seen around them")
+    if kept.snapped:
+        say.note(
+            f"{kept.snapped:,} Gaussians put back that stood out of the surface where no frame looks from the side"
+        )
+    say.note(f"{kept.lining:,} Gaussians put under the skin, so that no pose tears holes")
+    return kept
+
+
+def _avatar(kept: Finished, body: Person, betas: np.ndarray, clothing: Clothing | None, antialias: bool) -> Avatar:
+    person, clothes = kept.person, None
+    if clothing is not None:
+        parts = (clothing.nodes, clothing.mean, clothing.axes, clothing.low, clothing.high, clothing.offsets)
+        clothes = Clothes(*map(_array, parts))
+    return Avatar(
+        means=_array(person.means),
+        quats=_array(quat_from_matrix(person.frames)),
+        scales=_array(person.scales),
+        opacities=_array(person.opacities),
+        sh0=_array(person.sh[:, 0]),
+        shN=_array(person.sh[:, 1:]),
+        lbs_weights=_array(person.weights),
+        joints=_array(body.joints),
+        parents=np.asarray(body.parents),
+        betas=betas,
+        canonical_pose=_array(body.canonical_pose),
+        antialias=antialias,
+        clothes=clothes,
+    )
+
+
+def _scene(model: SceneModel) -> tuple[Scene, int]:
+    """The scene to keep, and how many Gaussians are left out because they are not finite."""
+    quats = model.quats / model.quats.norm(dim=1, keepdim=True)
+    scales, opacities = model.log_scales.exp(), model.logit_opacities.sigmoid()
+    parts = (model.means, quats, scales, opacities, model.sh0, model.shN)
+    finite = finite_rows(parts)
+    return Scene(*(_array(t[finite]) for t in parts), antialias=model.antialias), int((~finite).sum())
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().numpy()
+
+
+def _by_part(parts: dict[str, float], total: float) -> dict[str, float]:
+    """Seconds of each part of training, the most first, and what is left of `total` as 'other'; sums to `total`."""
+    longest = dict(sorted(parts.items(), key=lambda part: -part[1]))
+    return {name: round(s, 3) for name, s in (longest | {"other": total - sum(parts.values())}).items()}

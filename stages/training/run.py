@@ -1,0 +1,191 @@
+"""A training from a clip to its result. No files but a checkpoint's, where one is given."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import torch
+
+from stages.avatar.splats.neighbours import evenly
+from stages.contract import StageError, Stopped, peak_memory
+from stages.training.accuracy import heldout_accuracy
+from stages.training.budget import fit_into_time
+from stages.training.checkpoint import Checkpoint
+from stages.training.deadline import Deadline
+from stages.training.effect_gains import PAUSES, effect_gains, effects_of
+from stages.training.fit import Fit
+from stages.training.results import Listener, Result, effect_facts, result_of
+from stages.training.start import Task, build
+
+MEASURED = 6  # held-out frames on the accuracy curve
+LOOK = "a wrong mask or body fit is the usual cause: look at what `masks` and `smpl` said; else try `--seed 1`"
+COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
+"""Of the curve."""
+SAVED = ("curve", "seconds", "parts", "sizes", "deadline")
+"""What a checkpoint holds besides the state of the training's `Fit`."""
+
+
+class Hooks(Listener, Protocol):
+    """Who watches a training, as a `contract.Job` does; `stop_asked` makes it stop."""
+
+    @property
+    def stop_asked(self) -> bool: ...
+
+    def progress(self, done: int, total: int, left: float | None = None, **numbers: Any) -> None: ...
+
+
+class Breakdown(Exception):
+    """A step broke a training; from `state` it breaks again. `frame` is the name of the frame that it learned from."""
+
+    def __init__(self, fit: Fit, task: Task, error: Exception):
+        super().__init__(str(error))
+        self.state, self.params, self.left_out = fit.before or fit.state(), task.params, fit.guard.left_out
+        self.step, self.frame = self.state["progress"]["step"], task.clip.names[fit.frame]
+
+
+@dataclass
+class Training:
+    """A training under way: its `curve` so far, and the seconds of its steps, pauses left out."""
+
+    task: Task
+    fit: Fit
+    sizes: dict[str, int] = field(default_factory=dict)
+    deadline: Deadline | None = None
+    curve: list[dict[str, Any]] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @cached_property
+    def heldout(self) -> list[int]:
+        """The held-out frames that show the person, at most MEASURED of them."""
+        clip = self.task.clip
+        return evenly([i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)], MEASURED)
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint, see SAVED."""
+        return {
+            "curve": self.curve,
+            "seconds": self.seconds,
+            "parts": self.fit.clock.seconds,
+            "sizes": self.sizes,
+            "deadline": self.deadline and self.deadline.state(),
+        }
+
+
+def run(
+    task: Task,
+    hooks: Hooks,
+    checkpoint: Checkpoint | None = None,
+    checkpoint_seconds: float = 60,
+    began: float | None = None,
+) -> Result:
+    """Train, from the start or from where a checkpoint left it.
+
+    The time of `task.params.seconds` counts from `began` (of time.perf_counter; None: now). Raises Breakdown, Stopped
+    when asked to stop, StageError where the clip or the time does not do.
+    """
+    training = begin(task, hooks, checkpoint, time.perf_counter() if began is None else began)
+    learn(training, hooks, checkpoint, checkpoint_seconds)
+    return finish(training, hooks)
+
+
+def begin(task: Task, hooks: Hooks, checkpoint: Checkpoint | None, began: float) -> Training:
+    """The training at its first step, or where a checkpoint left it."""
+    params, deadline = task.params, None
+    if params.seconds:
+        deadline = Deadline(params.seconds, params.reserve, began, params.curve_points)
+    saved = checkpoint.load(SAVED) if checkpoint else None
+    if saved:
+        task = task.resized(saved["sizes"])
+    fit = build(task, hooks.note)
+    if deadline and (effects := effects_of(fit)):
+        deadline.pauses += PAUSES * len(effects) + 1
+    if checkpoint and saved:
+        return _resume(task, fit, deadline, checkpoint, saved, hooks)
+    sizes: dict[str, int] = {}
+    if deadline:
+
+        def rebuilt(sizes: dict[str, int]) -> Fit:
+            return build(task.resized(sizes), hooks.note)
+
+        def note(text: str) -> None:
+            hooks.note(text, at_once=True)
+
+        try:
+            fit, sizes = fit_into_time(fit, params, deadline, rebuilt, note)
+        except (FloatingPointError, ValueError) as error:
+            raise StageError("training broke down in its first steps", LOOK, [str(error)]) from error
+    return Training(task.resized(sizes), fit, sizes, deadline)
+
+
+def _resume(
+    task: Task, fit: Fit, deadline: Deadline | None, checkpoint: Checkpoint, saved: dict[str, Any], hooks: Hooks
+) -> Training:
+    checkpoint.resume(fit, saved["fit"])
+    hooks.note(f"goes on after step {fit.progress.step}")
+    if saved["threads"] != (now := torch.get_num_threads()):
+        hooks.warn(f"{saved['threads']} threads before, {now} now: sums differ in their last digits")
+    fit.clock.seconds = dict(saved["parts"])
+    if deadline:
+        deadline.load(saved["deadline"], fit)
+    return Training(task, fit, saved["sizes"], deadline, saved["curve"], saved["seconds"])
+
+
+def learn(
+    training: Training, hooks: Hooks, checkpoint: Checkpoint | None = None, checkpoint_seconds: float = 60
+) -> None:
+    """Take all steps, measure accuracy on the way, and save a checkpoint every so often and when asked to stop."""
+    fit, curve, deadline = training.fit, training.curve, training.deadline
+    progress, params = fit.progress, training.task.params
+    sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
+    hooks.note(f"{len(fit.train)} training frames; starts with {sizes}")
+    mark = saved = time.perf_counter()
+    while progress.step < progress.total:
+        try:
+            numbers = fit.advance()
+        except (FloatingPointError, ValueError) as error:
+            raise Breakdown(fit, training.task, error) from error
+        shown, due = {}, progress.share * params.curve_points >= len(curve) + 1
+        if progress.step == progress.total or due:
+            paused = time.perf_counter()
+            training.seconds += paused - mark
+            curve.append(
+                {"step": progress.step, "seconds": round(training.seconds, 3)} | _measured(fit, training.heldout)
+            )
+            mark = time.perf_counter()
+            if deadline:
+                deadline.add_pause(mark - paused)
+            shown = {"psnr": curve[-1]["psnr"]}
+        elif progress.step % 25 == 0:
+            shown = {"loss": sum(numbers.values())}
+        if deadline and progress.step % 25 == 0 and progress.step < progress.total:
+            deadline.mark(fit)
+        if shown:
+            left = None if deadline is None else deadline.to_go
+            hooks.progress(progress.step, progress.total, left, **shown, gaussians=sum(fit.sizes().values()))
+        if checkpoint and (hooks.stop_asked or time.perf_counter() - saved > checkpoint_seconds):
+            saved = time.perf_counter()
+            training.seconds, mark = training.seconds + saved - mark, saved
+            checkpoint.save(fit, training.state())
+        if hooks.stop_asked:
+            raise Stopped(f"stopped after step {progress.step} of {progress.total}; the next run goes on from there")
+
+
+def finish(training: Training, hooks: Hooks) -> Result:
+    """The result of a training that has taken all its steps."""
+    fit, curve = training.fit, training.curve
+    try:
+        effects = effect_facts(effect_gains(fit, training.heldout), curve[-1]["seconds"], hooks)
+    except (FloatingPointError, ValueError) as error:  # of a step taken to be timed: the training is over, and is kept
+        hooks.warn(f"what effects are worth could not be measured: {error}")
+        effects = {}
+    return result_of(fit, training.task.clip, curve, effects, hooks)
+
+
+def _measured(fit: Fit, frames: list[int]) -> dict[str, Any]:
+    """What the curve tells of one step, but for the step and its time."""
+    found = heldout_accuracy(fit, frames)
+    numbers = {key: "" if value is None else round(value, 4) for key, value in found.items()}
+    return {key: numbers[key] for key in COLUMNS[2:6]} | fit.sizes() | {"memory_bytes": peak_memory()}

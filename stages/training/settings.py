@@ -1,0 +1,59 @@
+"""The settings of a training."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from stages import contract
+
+
+class Params(contract.Params):
+    steps: int = Field(4000, gt=0)
+    """Training frames looked at. Time grows linearly."""
+    seconds: float = Field(0, ge=0)
+    """Time to spend, on this machine: `steps` and the sizes are then chosen by timing a few steps; 0 = not limited."""
+    reserve: float = Field(0, ge=0)
+    """Of `seconds`, the time of so many steps is left over, for what comes after training."""
+    half_until: float = Field(0.4, ge=0, le=1)
+    """Share of the steps, the first ones, that look at pictures of half the size."""
+    frames_used: int = Field(0, ge=0)
+    """Most training frames to learn from, spread evenly; 0 = all."""
+    rounds: int = Field(1, ge=0, le=3)
+    """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
+    human_cap: int = Field(40_000, gt=0)
+    """Most Gaussians the person may have in training, unless it begins with more; an opaque lining is put under the skin."""
+    scene_cap: int = Field(80_000, gt=0)
+    """Most Gaussians the scene may have, unless it begins with more: its budget of memory, 0.2 KB each with gradients and
+    moments, 0.9 KB with colours of the 3rd degree."""
+    scene_fill: int = Field(20_000, ge=0)
+    """Points added to those of SfM before training, where SfM saw no texture."""
+    human_sh: int = Field(0, ge=0, le=3)
+    """Degree of the person's view-dependent colour; 0 as in the paper."""
+    scene_sh: int = Field(3, ge=0, le=3)
+    """Degree of the scene's view-dependent colour where survey finds that the clip calls for it; else it is 0."""
+    early_stop: float = Field(1e-4, gt=0, lt=1)
+    """Share of the light below which training finishes a pixel; films and measuring keep to 1e-4, and so must a GPU."""
+    channels: int = Field(32, gt=0)
+    """Features of each triplane cell."""
+    resolution: int = Field(128, gt=1)
+    """Cells along each side of a triplane."""
+    views_per_decode: int = Field(4, gt=0)
+    """Training frames drawn for each run of the person's networks, whose gradients they share."""
+    perceptual_every: int = Field(0, ge=0)
+    """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""
+    perceptual_net: Literal["alex", "vgg"] = "alex"
+    """The network of that term: AlexNet, or VGG16 as in the paper, which takes seven times as long."""
+    curve_points: int = Field(12, gt=0)
+    """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
+    lbs_learning: bool = True
+    """Skinning weights are learned; else they stay those of the body where each Gaussian began (see `hugs ablate`)."""
+    human_densify: bool = True
+    """Gaussians of the person are added and removed."""
+    human_loss: bool = True
+    """The person is also drawn alone and compared; else the whole picture teaches person and scene."""
+    triplane: bool = True
+    """Gaussians share corrections, by a triplane and networks; else each has only its own, as in plain splatting."""
+    joint: bool = True
+    """Person and scene learn together; else the scene has the first half of the steps, then the person before it."""
