@@ -111,7 +111,7 @@ def test_what_survey_finds_that_a_clip_does_not_call_for_is_not_varied(clip):
 )
 def test_a_difference_counts_from_two_standard_errors_on(seeds, means, spread, within):
     base, level = ({"mean": m, "spread": s, "values": [m] * n} for n, m, s in zip(seeds, means, spread, strict=True))
-    sweeps.set_beside(level, base)
+    sweeps.add_difference(level, base)
     assert level.get("within_noise") == within and level["difference"] == pytest.approx(means[1] - means[0])
 
 
