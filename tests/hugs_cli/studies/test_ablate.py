@@ -9,6 +9,7 @@ import pytest
 from hugs_cli.studies import ablate
 from hugs_cli.studies.comparison import cell
 from hugs_cli.studies.variants import ABLATIONS
+from stages.evaluate import published
 
 PARTS = ["", *(f".{part}" for part in ABLATIONS)]
 
@@ -54,12 +55,19 @@ def test_all_share_what_lies_before_training_and_are_cached(clip):
 def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(clip):
     out, _ = ablate_(clip, "--part", "none", "--seeds", "2")
     assert "paper" not in out, "not its clip"
+    clip.edit(
+        "evaluate",
+        "from stages.contract import Params as Base\n",
+        "from stages.contract import Params as Base\nfrom stages.evaluate import published\n",
+    )
+    clip.edit("evaluate", '"lpips": 0.1}, dict', '"lpips": 0.1, "psnr_per_channel": psnr, "lpips_legacy": 0.2}, dict')
     listing = clip.work / "clip" / "tiny" / "frames" / "frames.json"
     listing.parent.mkdir()
     listing.write_text(json.dumps({"dataset": {"name": "neuman", "sequence": "bike"}}))
+    assert "beside the paper" in ablate_(clip, "--part", "none", "--seeds", "2")[0]
     numbers = {"psnr_per_channel": 25.0, "ssim": 0.9, "lpips_legacy": 0.1}
     found = {"": [{"full": numbers}, {"full": numbers | {"psnr_per_channel": 26.0}}]}
-    table = ablate.compare_with_paper(listing.parent, "tiny", found)
+    table = ablate.compare_with_paper("tiny", found, published("neuman", "bike"))
     assert table["full"]["tiny"]["psnr_per_channel"]["mean"] == 25.5
     blank = {metric: {"mean": None, "spread": None} for metric in ("psnr", "ssim", "lpips")}
     heldout = {"tiny": dict.fromkeys(("full", "person_crop", "person_white"), blank)}
