@@ -46,7 +46,7 @@ HELP = "From a phone video to an animatable person and the scene, as 3D Gaussian
 app = typer.Typer(
     help=HELP, no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
 )
-SHOWN = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
+STAMP_FACTS = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
 
 
 @app.command()
@@ -78,10 +78,10 @@ def run(
     session = open_session(
         video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
     )
-    go(session, stages, device, force, dry_run, as_json, within)
+    run_pipeline(session, stages, device, force, dry_run, as_json, within)
 
 
-def go(
+def run_pipeline(
     session: Session,
     stages: list[str] | None,
     device: options.Device,
@@ -122,7 +122,7 @@ def go(
             "state": one.state,
             "reasons": list(map(str, one.reasons)),
             "folder": str(one.folder),
-            **shown(one.stamp),
+            **stamp_facts(one.stamp),
         }
         for one in ran
     ]
@@ -298,7 +298,7 @@ def demo(
 
     video = synthetic_clip(work, seed, Console())
     session = open_session(video, pipeline, set_, seed=seed, work=work, pipelines_file=pipelines_file)
-    go(session, None, device)
+    run_pipeline(session, None, device)
 
 
 @app.command()
@@ -332,15 +332,15 @@ def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:
         return
     rows = [
         {"stage": name, "state": verdict.state, "reasons": list(map(str, verdict.reasons))}
-        | shown(verdict.stamp or verdict.last)
+        | stamp_facts(verdict.stamp or verdict.last)
         for name, verdict in verdicts.items()
     ]
     console.result(json.dumps(rows, indent=1))
 
 
-def shown(stamp: Stamp | None) -> dict[str, Any]:
+def stamp_facts(stamp: Stamp | None) -> dict[str, Any]:
     """The part of a stamp that `--json` shows."""
-    return {name: getattr(stamp, name) for name in SHOWN} if stamp else {}
+    return {name: getattr(stamp, name) for name in STAMP_FACTS} if stamp else {}
 
 
 def clip_facts(workspace: Workspace) -> str:
@@ -371,7 +371,7 @@ def main() -> None:
         Console().error(error)
         sys.exit(2 if isinstance(error, UsageError) else 1)
     except OSError as error:
-        said = child.file_trouble(error)
+        said = child.file_error(error)
         if said is None:
             raise
         Console().error(said)

@@ -27,7 +27,7 @@ def render(
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
-    """Render given cameras, and given poses, from what `hugs run` made."""
+    """Render the result of `hugs run` for your own cameras and poses."""
     (train,) = finished(video, work, pipeline, "train")
     check_files(cameras, poses)
     where = engine.device_of(device.value)
@@ -56,7 +56,10 @@ def animate(
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
-    """Let the person of `hugs run` perform a motion file where it stood in the clip. No network runs."""
+    """Let the person perform a motion file.
+
+    They stay where they stood in the clip. No network runs.
+    """
     train, sfm, smpl = finished(video, work, pipeline, "train", "sfm", "smpl")
     check_files(motion, cameras)
     if only is options.Only.scene:

@@ -92,4 +92,4 @@ def open_session(
     }
     seeds = dict.fromkeys(SEEDED, int(seeded[1])) if seeded else {}
     session = Session(Workspace(video, work, pipeline), loaded, sources, seed, Code(work / CODE_MEMORY), seeds)
-    return within.remembered(session, last) if within_time else session
+    return within.last_promise(session, last) if within_time else session

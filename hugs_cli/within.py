@@ -58,7 +58,7 @@ class Promise:
         chosen = read_json(place)
         if "train" in forced or not self._begun(chosen):
             left = self.seconds - (time.monotonic() - began) - STAGE_START * (len(self.wanted) - len(before))
-            chosen = self._chosen(left)
+            chosen = self._choose(left)
             write_json(place, chosen)
             console.say(f"{duration(chosen['train']['seconds'])} are left for training and the stages after it")
             if left < SHORT:
@@ -67,7 +67,7 @@ class Promise:
                 )
         else:
             console.say("continuing the training that was begun for this time")
-        ran = engine.run(timed(self.session, chosen), self.wanted, forced - set(before), device, Quiet())
+        ran = engine.run(with_settings(self.session, chosen), self.wanted, forced - set(before), device, Quiet())
         ran = [*made, *(one for one in ran if one.stage not in before)]
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
@@ -76,22 +76,22 @@ class Promise:
 
     def _begun(self, chosen: dict[str, Any]) -> bool:
         """Whether training with the settings chosen before is finished, or was cut short."""
-        if not whole(chosen):
+        if not is_chosen(chosen):
             return False
-        session = timed(self.session, chosen)
+        session = with_settings(self.session, chosen)
         verdict = session.verdicts(session.pipeline.upstream(["train"]))["train"]
         return verdict.fresh or (
             verdict.recipe is not None and session.workspace.part("train", verdict.recipe.key).is_dir()
         )
 
-    def _chosen(self, left: float) -> Chosen:
+    def _choose(self, left: float) -> Chosen:
         """The settings, by stage, for a run with so many seconds left."""
         chosen: Chosen = {"train": {}}
         for name, stage in self.session.pipeline.stages.items() if left < SHORT else ():
             own = stage.params.model_dump()
             if shorter := load_stage(stage.module).shorter:
                 chosen[name] = {setting: min(own[setting], most) for setting, most in shorter.items()}
-        steps = self._steps_after(timed(self.session, chosen).pipeline.stages)
+        steps = self._steps_after(with_settings(self.session, chosen).pipeline.stages)
         chosen["train"] |= {"seconds": round(max(left, 1.0), 1), "reserve": round(steps, 1)}
         return chosen
 
@@ -108,7 +108,7 @@ class Promise:
     def last_session(self) -> Session:
         """The session with the settings of the last run of this promise, if there was one."""
         chosen = read_json(self.session.workspace.links / CHOSEN)
-        return timed(self.session, chosen) if whole(chosen) else self.session
+        return with_settings(self.session, chosen) if is_chosen(chosen) else self.session
 
 
 def promise(session: Session, stages: list[str] | None, text: str) -> Promise:
@@ -119,24 +119,24 @@ def promise(session: Session, stages: list[str] | None, text: str) -> Promise:
         raise UsageError("--within is for runs that train", "leave it out, or name train or a stage after it")
     if not getattr(session.pipeline.stages["train"].params, "joint", True):
         raise UsageError("--within is for trainings of person and scene together", "leave out train.joint, or --within")
-    return Promise(named(session, text.strip()), wanted, seconds)
+    return Promise(beside(session, text.strip()), wanted, seconds)
 
 
-def named(session: Session, text: str) -> Session:
+def beside(session: Session, text: str) -> Session:
     """The session of `default.10m`, given that of `default`."""
     name = f"{session.pipeline.name}.{text}"
     place = Workspace(session.video, session.workspace.work, name)
     return replace(session, workspace=place, pipeline=replace(session.pipeline, name=name))
 
 
-def timed(session: Session, chosen: Chosen) -> Session:
+def with_settings(session: Session, chosen: Chosen) -> Session:
     """The session with the chosen settings."""
     own = session.pipeline.stages
     given = {n: replace(own[n], params=own[n].params.model_copy(update=s)) for n, s in chosen.items() if n in own}
     return replace(session, pipeline=replace(session.pipeline, stages={**own, **given}))
 
 
-def whole(chosen: dict[str, Any]) -> bool:
+def is_chosen(chosen: dict[str, Any]) -> bool:
     """Whether within.json was read and holds the chosen settings."""
     train = chosen.get("train")
     return (
@@ -146,16 +146,16 @@ def whole(chosen: dict[str, Any]) -> bool:
     )
 
 
-def remembered(session: Session, text: str) -> Session:
+def last_promise(session: Session, text: str) -> Session:
     """The session of `--pipeline default.10m`, with the settings of its run; UsageError if there was none."""
-    session = named(session, text)
+    session = beside(session, text)
     chosen = read_json(session.workspace.links / CHOSEN)
-    if not whole(chosen):
+    if not is_chosen(chosen):
         base = session.pipeline.name.rpartition(".")[0]
         raise UsageError(
             f"no run of pipeline {base} within {text}", f"`hugs run VIDEO --pipeline {base} --within {text}`"
         )
-    return timed(session, chosen)
+    return with_settings(session, chosen)
 
 
 def is_time(text: str) -> bool:

@@ -38,7 +38,7 @@ LIBRARIES = {
     "trimesh": "trimesh",
     "ai_edge_litert": "ai-edge-litert",
 }
-"""What computes: the module's name and the name it is installed under."""
+"""Libraries that compute: module -> name of the package."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 GONE = (errno.ENOENT, errno.EIO, errno.ESTALE, errno.ENOTDIR, errno.EISDIR)
@@ -48,7 +48,7 @@ TICK = 0.25  # s between looks at the clock
 
 
 def prepare() -> None:
-    """Set what must stand before any numerical library loads.
+    """Set the environment that numerical libraries read when they load.
 
     Spinning OpenMP threads made a 4.7 ms call take 37 ms on a shared machine, and threads that sleep at once cost a
     training step 7 %: they spin a thousand times, a few microseconds. Libraries count the machine's processors, not
@@ -79,7 +79,7 @@ class Outcome:
     kind: str
     """done, error (StageError), crash (a bug), killed (by a signal), stopped (asked to)."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """Of the last event: versions; or problem, facts, hint; or traceback; or signal."""
+    """The last event: versions; or problem, facts, hint; or traceback; or signal."""
     seconds: float = 0.0
     peak_memory_bytes: int = 0
     notes: list[str] = field(default_factory=list)
@@ -205,14 +205,14 @@ def main() -> int:
     except Exception as error:
         if not isinstance(error, StageError):
             traceback.print_exc()
-        emit(failed(error, job["out"], job["inputs"].values()))
+        emit(error_event(error, job["out"], job["inputs"].values()))
     return 1
 
 
-def file_trouble(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> StageError | None:
-    """The StageError for a disk that is full, or a file that is gone or forbidden; None where a bug is likelier.
+def file_error(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> StageError | None:
+    """The StageError for a full disk, or a missing or forbidden file; None if a bug is more likely.
 
-    A file that is merely not there is a bug of a stage, unless it belongs to its inputs: these it has seen before.
+    A missing file is a bug of the stage, unless it belongs to the inputs, which were there when the run began.
     """
     from stages.contract import StageError
 
@@ -235,11 +235,11 @@ def file_trouble(error: BaseException, out: str = "", inputs: Iterable[str | Non
     return None
 
 
-def failed(error: Exception, out: str, inputs: Iterable[str | None] = ()) -> dict[str, Any]:
-    """The event for what a stage raised: 'error' where its user can help, 'crash' for a bug."""
+def error_event(error: Exception, out: str, inputs: Iterable[str | None] = ()) -> dict[str, Any]:
+    """The event for an exception of a stage: 'error' if the user can help, 'crash' for a bug."""
     from stages.contract import StageError
 
-    if said := file_trouble(error, out, inputs):
+    if said := file_error(error, out, inputs):
         error = said
     elif isinstance(error, MemoryError) or any(words in f"{type(error).__name__} {error}" for words in TORCH_MEMORY):
         hint = "close other programs, or use smaller settings (`--pipeline draft`)"
@@ -251,7 +251,7 @@ def failed(error: Exception, out: str, inputs: Iterable[str | None] = ()) -> dic
 
 
 def read_line(handle: int) -> bytes:
-    """The first line of a file handle; unbuffered, so that nothing holds stdin when the interpreter ends."""
+    """The first line of a file handle. Unbuffered: nothing may hold stdin when the interpreter ends."""
     line = b""
     while not line.endswith(b"\n"):
         data = os.read(handle, 65536)
@@ -262,14 +262,14 @@ def read_line(handle: int) -> bytes:
 
 
 def end_with_parent() -> None:
-    """Wait until the run that started this process is gone, then ask it to stop as Ctrl-C would."""
+    """Wait until the run that started this process is gone, then stop as on Ctrl-C."""
     while os.read(0, 1):
         pass
     os.kill(os.getpid(), signal.SIGTERM)
 
 
 def versions(only: Callable[[str], object] = sys.modules.get) -> dict[str, str]:
-    """Versions of Python and of the libraries that compute; only those that this process has loaded."""
+    """Versions of Python and of the libraries in use, by default those that this process has loaded."""
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"python": platform.python_version()}
@@ -289,7 +289,7 @@ def peak_memory() -> int:
 
 
 def gpu_memory() -> dict[str, int]:
-    """Most bytes that torch held on the GPU, where it was used."""
+    """The most memory that torch held on the GPU, in bytes; empty if no GPU was used."""
     torch = sys.modules.get("torch")
     if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
         return {}

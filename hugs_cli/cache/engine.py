@@ -1,4 +1,4 @@
-"""Runs what is not fresh, in order, each stage in a process of its own, and publishes what it made."""
+"""Runs the stages that are not fresh, each in a process of its own, and publishes the results."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def make(
         content, files = seal(part)
         if not files:
             outcome = replace(outcome, kind="crash", facts={"problem": "it ended as if all was well but wrote no file"})
-        elif doubt := doubtful(session, stage, recipe, part):
+        elif doubt := distrust(session, stage, recipe, part):
             outcome = replace(outcome, kind="error", facts=doubt)
     watcher.ended(stage.name, outcome)
     if outcome.kind != "done":
@@ -155,7 +155,7 @@ def upstream_records(session: Session, stage: Stage, done: Mapping[str, Verdict]
     return {name: {f.name: getattr(stamp, f.name) for f in fields(StageRecord)} for name, stamp in stamps.items()}
 
 
-def doubtful(session: Session, stage: Stage, recipe: Recipe, part: Path) -> dict[str, Any] | None:
+def distrust(session: Session, stage: Stage, recipe: Recipe, part: Path) -> dict[str, Any] | None:
     """Why the result of a stage that ended well cannot be trusted, as an error's problem, hint and facts; None if it can."""
     free = shutil.disk_usage(part).free
     if free < FULL_DISK:  # libraries in C cut files short there without a word
@@ -258,7 +258,7 @@ def rekey(session: Session, verdict: Verdict) -> Stamp | None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back until a result stands under its name."""
+    """Delay Ctrl-C and SIGTERM until the block is done."""
     held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield

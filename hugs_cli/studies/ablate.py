@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
@@ -37,7 +37,7 @@ def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:
     return [(case, verdict.state, verdict.stamp) for case, verdict in zip(cases, verdicts, strict=True)]
 
 
-def announced(plan: list[tuple[Case, str, Stamp | None]]) -> str:
+def summary(plan: list[tuple[Case, str, Stamp | None]]) -> str:
     """One line: '18 trainings: 6 cached, 12 to do, about 2h 10m'."""
     cached = [stamp.seconds for _, _, stamp in plan if stamp]
     left = len(plan) - len(cached)
@@ -47,7 +47,7 @@ def announced(plan: list[tuple[Case, str, Stamp | None]]) -> str:
 
 def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
     """Bring all cases up to date and compare them: `pipeline`, `seeds`, `heldout`, see `compared`, and `paper`, see
-    `beside_the_paper`."""
+    `compare_with_paper`."""
     found: dict[str, list[Scores]] = {}
     for i, case in enumerate(cases):
         if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:
@@ -57,16 +57,23 @@ def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
         ran = engine.run(case.session, case.stages, frozenset(), device, Quiet() if i else console)
         found.setdefault(case.variant, []).append(heldout(ran[-1].folder))
     name, seeds = cases[0].session.pipeline.name, sorted({case.seed for case in cases})
-    paper = beside_the_paper(cases[0].session, name, found)
+    paper = compare_with_paper(name, found, paper_scores(cases[0].session))
     return {"pipeline": name, "seeds": seeds, "heldout": compared(name, found), "paper": paper}
 
 
-def beside_the_paper(session: Session, name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
-    """Region -> "HUGS, CVPR 2024" and each variant -> `over_seeds` of each of PAPERS; empty for a clip that it does not have."""
+def paper_scores(session: Session) -> Mapping[str, Sequence[float | None]]:
+    """Region -> the paper's scores on the sequence, see PAPERS; empty for other clips."""
     dataset = read_json(session.workspace.links / "frames" / "frames.json").get("dataset")
     published = load_stage(session.pipeline.stages[LAST].module).published
+    return published(dataset["name"], dataset["sequence"]) if dataset and published else {}
+
+
+def compare_with_paper(
+    name: str, found: dict[str, list[Scores]], paper: Mapping[str, Sequence[float | None]]
+) -> dict[str, Any]:
+    """Region -> "HUGS, CVPR 2024" and each variant -> `over_seeds` of each of PAPERS; `paper`: region -> its scores."""
     table: dict[str, Any] = {}
-    for region, theirs in (published(dataset["name"], dataset["sequence"]) if dataset and published else {}).items():
+    for region, theirs in paper.items():
         rows = table[region] = {
             f"{name}.{part}" if part else name: {
                 m: over_seeds(one.get(region, {}).get(m) for one in seeds) for m in PAPERS

@@ -240,7 +240,7 @@ def table(result: dict[str, Any]) -> list[str]:
         lines += ["", line(REGIONS[region], *(metric.upper() for metric in METRICS), "dB per extra minute")]
         for row in rows:
             cells = [cell(row["scores"][region][metric], digits) for metric, digits in METRICS.items()]
-            lines.append(line(row["pipeline"], *cells, standing(row, region, result["knee"])))
+            lines.append(line(row["pipeline"], *cells, front_text(row, region, result["knee"])))
     return [*lines, "", *(f"note: {note}" for note in result["notes"]), *advice(result)]
 
 
@@ -250,7 +250,7 @@ def factor(row: dict[str, Any], part: str) -> str:
     return duration(row["seconds"][part]) + ("" if times is None else f"  x{times:.2f}")
 
 
-def standing(row: dict[str, Any], region: str, knees: dict[str, str]) -> str:
+def front_text(row: dict[str, Any], region: str, knees: dict[str, str]) -> str:
     """Where a row is on the front: '+0.24  knee', 'first', or '-' if another is as quick and better."""
     if region not in row["front"]:
         return "-"

@@ -87,14 +87,14 @@ def sweep(session: Session, axes: Sequence[str], seeds: int) -> Sweep:
         own = tuple(getattr(stage.params, setting) for setting in axis.settings)
         levels |= {level_name(name, level): Level(name, axis.stage, times) for level, times in axis.of(own).items()}
     found = comparison.cases(session, ("", *levels), seeds) if levels else []
-    called = called_for(Sweep(levels, sorted(found, key=lambda case: case.variant != ""), left_out))
+    called = without_idle_axes(Sweep(levels, sorted(found, key=lambda case: case.variant != ""), left_out))
     if not called.levels:
         hint = "`hugs stages` shows the settings of a pipeline"
         raise UsageError(f"pipeline {session.pipeline.name} has none of the settings to vary", hint, called.left_out)
     return called
 
 
-def called_for(sweep: Sweep) -> Sweep:
+def without_idle_axes(sweep: Sweep) -> Sweep:
     """The sweep without axes of effects that survey turned off, once survey is fresh."""
     about = {level.axis: AXES[level.axis].effect for level in sweep.levels.values() if AXES[level.axis].effect}
     if not about or "survey" not in sweep.cases[0].session.pipeline.stages:
@@ -111,7 +111,7 @@ def called_for(sweep: Sweep) -> Sweep:
     return Sweep(levels, cases, [*sweep.left_out, *said])
 
 
-def guessed(sweep: Sweep) -> float:
+def guess_seconds(sweep: Sweep) -> float:
     """Seconds of all cases, guessed from their settings alone, see calibration.py."""
     stages = sweep.cases[0].session.pipeline.stages
     taken = stages["frames"].params.model_dump() if "frames" in stages else {}
@@ -148,7 +148,7 @@ def plan(sweep: Sweep, budget: float) -> list[tuple[Case, str, float | None]]:
     return planned
 
 
-def announced(sweep: Sweep, planned: list[tuple[Case, str, float | None]], budget: float) -> str:
+def summary(sweep: Sweep, planned: list[tuple[Case, str, float | None]], budget: float) -> str:
     """One line: '57 trainings: 6 cached, 51 to do, about 8h 10m; budget 2h 00m: 12 of them now'."""
     states = [state for _, state, _ in planned]
     cached, now, left = states.count("cached"), states.count("now"), len(states) - states.count("cached")
@@ -158,11 +158,11 @@ def announced(sweep: Sweep, planned: list[tuple[Case, str, float | None]], budge
     seconds = [need for _, state, need in planned if state != "cached"]
     known = [need for need in seconds if need is not None]
     if len(known) < len(seconds):
-        return f"{said}, some {duration(guessed(sweep))} on 2 cores; more precisely when the first is done"
+        return f"{said}, some {duration(guess_seconds(sweep))} on 2 cores; more precisely when the first is done"
     return f"{said}, about {duration(sum(known))}; budget {duration(budget)}: {now} of them now"
 
 
-def listed(planned: list[tuple[Case, str, float | None]]) -> list[str]:
+def plan_lines(planned: list[tuple[Case, str, float | None]]) -> list[str]:
     """The plan as lines, a case each."""
     about = ["" if not need else f"about {duration(need)}" for _, _, need in planned]
     return [
@@ -197,8 +197,8 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
         done.append(case)
         forecast.learn(case, ran)
         if known is None and any(one.state == "done" for one in ran):
-            left, sweep = max(0.0, budget - (time.monotonic() - began)), called_for(sweep)  # survey is fresh now
-            console.say(announced(sweep, plan(sweep, left), left))
+            left, sweep = max(0.0, budget - (time.monotonic() - began)), without_idle_axes(sweep)  # survey is fresh now
+            console.say(summary(sweep, plan(sweep, left), left))
     if not done:
         raise UsageError("nothing of this sweep has been run", "give it a budget in minutes: `--budget 120`")
     return result(sweep, done, failed)
@@ -224,7 +224,7 @@ def result(sweep: Sweep, done: Sequence[Case], failed: dict[str, str]) -> dict[s
             row["axis"], row["expected_times"] = sweep.levels[variant].axis, sweep.levels[variant].times
             row["times"] = {part: row["seconds"][part] / base["seconds"][part] for part in ("total", "train")}
         for region, metric in product(REGIONS, METRICS):
-            set_beside(row["scores"][region][metric], base["scores"][region][metric] if variant else None)
+            add_difference(row["scores"][region][metric], base["scores"][region][metric] if variant else None)
     found["notes"] += [f"{links} failed: {problem}" for links, problem in failed.items()]
     found["notes"] += sweep.left_out
     left = len(sweep.cases) - len(done) - len(failed)
@@ -232,7 +232,7 @@ def result(sweep: Sweep, done: Sequence[Case], failed: dict[str, str]) -> dict[s
     return {"pipeline": name, "seeds": sorted({case.seed for case in done}), "left": left, "failed": failed} | found
 
 
-def set_beside(numbers: dict[str, Any], base: dict[str, Any] | None) -> None:
+def add_difference(numbers: dict[str, Any], base: dict[str, Any] | None) -> None:
     """Add `difference`, `noise` and `within_noise` to the numbers of one row, given the pipeline's own.
 
     Within the noise: two standard errors of the difference of both means, or less.

@@ -60,15 +60,6 @@ class Facts(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
 
 
-class Stamp(Facts):
-    """stamp.json, beside the files of every stage."""
-
-    seconds: Number
-    peak_memory_bytes: Whole
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
 class Video(Facts):
     path: str
     frames: Whole

@@ -59,9 +59,9 @@ def test_a_result_made_on_a_disk_that_is_full_now_is_not_believed(importable, mo
     session = open_session(Path("clip.mp4"), pipelines_file=Path("pipelines.yaml"))
     stage = session.pipeline.stages["two"]
     recipe = Recipe("two", 0, {}, {}, {"one": "its content"})
-    assert engine.doubtful(session, stage, recipe, importable.folder) is None
+    assert engine.distrust(session, stage, recipe, importable.folder) is None
     monkeypatch.setattr(engine, "FULL_DISK", 1 << 62)
-    assert "the disk is full at" in engine.doubtful(session, stage, recipe, importable.folder)["problem"]
+    assert "the disk is full at" in engine.distrust(session, stage, recipe, importable.folder)["problem"]
 
 
 def test_a_full_disk_behind_the_error_of_a_library_is_found():
@@ -73,7 +73,7 @@ def test_a_full_disk_behind_the_error_of_a_library_is_found():
 
     with pytest.raises(RuntimeError) as caught:
         wrapped()
-    assert child.failed(caught.value, "x.part")["problem"] == "the disk is full at x.part"
+    assert child.error_event(caught.value, "x.part")["problem"] == "the disk is full at x.part"
 
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS, errno.EPERM])
@@ -81,7 +81,9 @@ def test_a_folder_that_may_only_be_read(flow, number, monkeypatch, capsys):
     def forbidden(*_, **__):
         raise OSError(number, os.strerror(number), "work/clip/store/two.part")
 
-    assert child.failed(OSError(number, "no", "out/x"), "out")["problem"].startswith("cannot read or write out/x: ")
+    assert child.error_event(OSError(number, "no", "out/x"), "out")["problem"].startswith(
+        "cannot read or write out/x: "
+    )
     monkeypatch.chdir(flow.folder)
     monkeypatch.syspath_prepend(str(flow.folder))
     monkeypatch.setattr(engine, "make", forbidden)

@@ -181,3 +181,15 @@ def test_where_time_is_short_measuring_takes_less_of_it(clip):
         assert chosen["train"].get("curve_points", 12) == points
         assert chosen["train"]["reserve"] == (40 if points == 4 else 100), "train, and evaluate after it"
         assert chosen.get("evaluate") == ({"fit_steps": 0} if points == 4 else None)
+
+
+def test_results_within_a_time_are_kept_when_only_code_changes(clip):
+    run(clip, "--within", "60s")
+    before = told(clip)
+    clip.edit("train", "    if Path(", "    more = 1\n    if Path(")
+    out, _ = clip.hugs("--pipeline", "tiny.60s", command="accept")
+    assert out.count("train accepted: ") == 1
+    out, _ = run(clip, "--within", "60s", "--json")
+    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(clip) == before
+    clip.edit("train", "more = 1", "more = 2")
+    assert "`hugs accept clip.mp4 --pipeline tiny.60s` (and" in run(clip, "--within", "60s")[1]

@@ -26,7 +26,7 @@ def sweep_(clip, *args: str, code: int = 0) -> tuple[str, str]:
 def test_a_dry_run_lists_every_case_and_runs_none(clip):
     out, err = sweep_(clip, "--dry-run", "--seeds", "2")
     first, *rows = out.splitlines()
-    assert first == "18 trainings: 0 cached, 18 to do, some 50m 32s on 2 cores; better known when the first is done"
+    assert first == "18 trainings: 0 cached, 18 to do, some 50m 32s on 2 cores; more precisely when the first is done"
     names = ["tiny", "tiny", *(f"tiny.{level}" for level in LEVELS * 2)]
     assert [row.split()[0] for row in rows] == names and not err and not clip.work.exists()
     assert [row.split()[2] for row in rows] == ["0", "1", *"0" * 8, *"1" * 8]
@@ -111,7 +111,7 @@ def test_what_survey_finds_that_a_clip_does_not_call_for_is_not_varied(clip):
 )
 def test_a_difference_counts_from_two_standard_errors_on(seeds, means, spread, within):
     base, level = ({"mean": m, "spread": s, "values": [m] * n} for n, m, s in zip(seeds, means, spread, strict=True))
-    sweeps.set_beside(level, base)
+    sweeps.add_difference(level, base)
     assert level.get("within_noise") == within and level["difference"] == pytest.approx(means[1] - means[0])
 
 
