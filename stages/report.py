@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages import contract
-from stages.contract import Job, StageError
+from stages.contract import Job, StageError, StageRecord
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip
-    from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Stamp, Survey
+    from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Survey
     from stages.formats.page import Figure
 
 OVERLAYS = 6
@@ -44,7 +45,6 @@ def run(
     params: Params,
     *,
     frames: Path,
-    masks: Path,
     sfm: Path,
     smpl: Path,
     survey: Path,
@@ -53,15 +53,12 @@ def run(
     render: Path,
     evaluate: Path,
 ) -> None:
-    """Write report.html, one self-contained page."""
+    """Write report.html, one self-contained page. Of `export` it shows only the cost."""
     from stages.formats import page
     from stages.formats.clip import load_clip
     from stages.formats.datasets.published import COMPARED
-    from stages.formats.facts import Listing, Metrics, Sfm, Stamp, Survey, Trained, read_facts
+    from stages.formats.facts import Listing, Metrics, Sfm, Survey, Trained, read_facts
 
-    folders = (frames, masks, sfm, smpl, survey, train, export, render, evaluate)
-    names = ("frames", "masks", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
-    stamps = {name: read_facts(folder / "stamp.json", Stamp) for name, folder in zip(names, folders, strict=True)}
     listing = read_facts(frames / "frames.json", Listing)
     metrics, found = read_facts(evaluate / "metrics.json", Metrics), read_facts(survey / "survey.json", Survey)
     trained, cameras = read_facts(train / "train.json", Trained), read_facts(sfm / "sfm.json", Sfm)
@@ -73,7 +70,7 @@ def run(
         video=video,
         size=(len(clip.names), clip.width, clip.height, metrics.gaussians.human, metrics.gaussians.scene),
         headline=_headline(metrics),
-        warnings=[(stage, text) for stage, stamp in stamps.items() for text in stamp.warnings],
+        warnings=[(stage, text) for stage, record in job.upstream.items() for text in record.warnings],
         films=_films(render),
         comparisons=_comparisons(evaluate),
         accuracy=_accuracy(metrics),
@@ -82,7 +79,7 @@ def run(
         compared=COMPARED.get(dataset.name) if dataset else None,
         curve=_curve(train),
         costs=COSTS,
-        times=_stage_times(stamps),
+        times=_stage_times(job.upstream),
         parts=_training_times(trained.seconds_by_part),
         overlays=_overlays(clip),
         effects=_effects(found, trained.effects),
@@ -90,7 +87,7 @@ def run(
         scene=found.decisions.get("scene", True),
         rungs=_rungs(cameras),
         mapper=cameras.mapper or "none of them",
-        notes=[(stage, note) for stage, stamp in stamps.items() for note in stamp.notes],
+        notes=[(stage, note) for stage, record in job.upstream.items() for note in record.notes],
     )
     (job.out / "report.html").write_text(text, encoding="utf-8")
     job.note(f"report.html, {(job.out / 'report.html').stat().st_size / 2**20:.1f} MiB")
@@ -173,12 +170,13 @@ def _curve(train: Path) -> str:
     return Markup(plot.svg(plot.plot([plot.Panel("minutes of training", "PSNR dB", tuple(lines))]))) if lines else ""
 
 
-def _stage_times(stamps: dict[str, Stamp]) -> Columns:
-    longest = max(stamp.seconds for stamp in stamps.values()) or 1.0
+def _stage_times(records: Mapping[str, StageRecord]) -> Columns:
+    longest = max((record.seconds for record in records.values()), default=1.0) or 1.0
     rows = [
-        [name, _duration(stamp.seconds), f"{stamp.peak_memory_bytes / 2**20:.0f} MiB"] for name, stamp in stamps.items()
+        [name, _duration(record.seconds), f"{record.peak_memory_bytes / 2**20:.0f} MiB"]
+        for name, record in records.items()
     ]
-    return rows, (1, 2), [stamp.seconds / longest for stamp in stamps.values()]
+    return rows, (1, 2), [record.seconds / longest for record in records.values()]
 
 
 def _training_times(spent: dict[str, float]) -> Columns:

@@ -14,12 +14,8 @@ import pytest
 import torch
 
 from stages import evaluate, render, train
-<<<<<<< HEAD
 from stages.avatar.drawing.avatar import load_avatar, pose_avatar
-from stages.avatar.drawing.draw import Learned, pose_of
-=======
 from stages.avatar.drawing.draw import Learned, load_learned, pose_of
->>>>>>> 9a42504 (refactor: the command line runs animate, views, demo, models and costs_page as stages that no pipeline names; rich is not required)
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
