@@ -75,16 +75,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import path
     from stages.formats.clip import load_clip
-    from stages.formats.effects import read_effects
     from stages.formats.facts import Trained, read_facts
     from stages.formats.images import write_image
-    from stages.formats.splats import read_avatar, read_scene
+    from stages.formats.trained import read_trained
 
     began = time.perf_counter()
     clip = load_clip(sfm, smpl, train)
-    scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
-    effects = read_effects(train / "effects.npz")
-    learned = load_learned(read_avatar(train / "avatar.npz"), scene, effects, job.device)
+    avatar, scene, effects = read_trained(train)
+    learned = load_learned(avatar, scene, effects, job.device)
     facts = read_facts(train / "train.json", Trained)
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)

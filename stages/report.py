@@ -45,7 +45,6 @@ def run(
     params: Params,
     *,
     frames: Path,
-    masks: Path,
     sfm: Path,
     smpl: Path,
     survey: Path,
@@ -54,7 +53,7 @@ def run(
     render: Path,
     evaluate: Path,
 ) -> None:
-    """Write report.html, one self-contained page."""
+    """Write report.html, one self-contained page. Of `export` it shows only the cost."""
     from stages.formats import page
     from stages.formats.clip import load_clip
     from stages.formats.datasets.published import COMPARED
@@ -171,12 +170,13 @@ def _curve(train: Path) -> str:
     return Markup(plot.svg(plot.plot([plot.Panel("minutes of training", "PSNR dB", tuple(lines))]))) if lines else ""
 
 
-def _stage_times(stages: Mapping[str, StageRecord]) -> Columns:
-    longest = max(stage.seconds for stage in stages.values()) or 1.0
+def _stage_times(records: Mapping[str, StageRecord]) -> Columns:
+    longest = max((record.seconds for record in records.values()), default=1.0) or 1.0
     rows = [
-        [name, _duration(stage.seconds), f"{stage.peak_memory_bytes / 2**20:.0f} MiB"] for name, stage in stages.items()
+        [name, _duration(record.seconds), f"{record.peak_memory_bytes / 2**20:.0f} MiB"]
+        for name, record in records.items()
     ]
-    return rows, (1, 2), [stage.seconds / longest for stage in stages.values()]
+    return rows, (1, 2), [record.seconds / longest for record in records.values()]
 
 
 def _training_times(spent: dict[str, float]) -> Columns:

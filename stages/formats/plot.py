@@ -40,6 +40,7 @@ STYLE = {
     **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INKS["soft"]),
     **{f"axes.spines.{side}": False for side in ("left", "right", "top", "bottom")},
     **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 0),
+    **dict.fromkeys(("xtick.major.pad", "ytick.major.pad", "axes.titlepad"), 8),
     "font.family": FONT,
     "font.size": 13,
     "axes.titlesize": 13,
@@ -105,7 +106,7 @@ def plot(panels: Sequence[Panel], columns: int = 1) -> Figure:
         for axes in grid[len(panels) :]:
             axes.set_axis_off()
         named.pop("", None)
-        figure.legend(named.values(), named.keys(), loc="outside upper left", ncols=wide // 120, handlelength=0.5)
+        figure.legend(named.values(), named.keys(), loc="outside upper left", ncols=wide // 120, handlelength=0)
         figure.draw_without_rendering()  # lays out, so labels know where everything lies
         for axes, panel in zip(grid, panels):
             _label(axes, panel, inks)

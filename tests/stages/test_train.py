@@ -15,7 +15,7 @@ import torch
 
 from stages import evaluate, render, train
 from stages.avatar.drawing.avatar import load_avatar, pose_avatar
-from stages.avatar.drawing.draw import Learned, pose_of
+from stages.avatar.drawing.draw import Learned, load_learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
@@ -29,6 +29,7 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
+from stages.formats.trained import read_trained
 from stages.records import BodyPoses, Cameras
 from stages.training import losses
 from stages.training.deadline import Pace
@@ -358,7 +359,7 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     held(np.abs(clip.viewmats - kept[0].cameras().numpy()).max(), 1e-6)
     moved = np.abs(clip.viewmats - given.viewmats)[clip.training].max((1, 2))
     assert (moved > 1e-5).all() and moved.max() < 0.05
-    learned, _ = render.read_trained(job.out, "cpu")
+    learned = load_learned(*read_trained(job.out))
     for i in (2, 7):  # held out: as evaluation draws it, and as the film has it
         shot = evaluate.Shot(clip, learned, i, None, "cpu")
         wanted = (shot.draw(shot.pose)[0].numpy() * 255).round()
@@ -484,7 +485,7 @@ def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
     job = fresh(tmp_path, "out")
     train.run(job, PARAMS, **inputs)
     assert json.loads((job.out / "train.json").read_text())["left_out"] == 0
-    clip, (learned, _) = load_clip(inputs["sfm"], inputs["smpl"], job.out), render.read_trained(job.out, "cpu")
+    clip, learned = load_clip(inputs["sfm"], inputs["smpl"], job.out), load_learned(*read_trained(job.out))
     drawn = evaluate.Shot(clip, learned, 2, None, "cpu").draw(pose_of(clip, 2))[0]
     (film,) = render._beside_truth(clip, learned, [2])
     assert np.abs(film[:, WIDTH:] - (drawn.numpy() * 255).round()).max() <= 1
