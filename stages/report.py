@@ -238,7 +238,7 @@ def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
 
     chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)
     shots = []
-    for i, points in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen), strict=True):
+    for i, points in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen.tolist()), strict=True):
         image = clip.images(i).copy()
         size = image.shape[:2]
         inside = silhouette(points, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], size, size)

@@ -16,7 +16,7 @@ from stages.estimators.cameras import colmap, ladder
 from stages.estimators.cameras.ladder import Matched, Rung, best_rung, climb
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import write_ignored
-from stages.estimators.cameras.verdict import Footage, components, describe_cut, judge_cameras, name_frames, sharpness
+from stages.estimators.cameras.verdict import Footage, components, judge_cameras, name_frames, sharpness
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, write_image
 from tests.made.worlds import umeyama
@@ -169,7 +169,7 @@ def test_i02_frames_without_texture_are_named(tmp_path):
         write_image(path, np.full((room.HEIGHT, room.WIDTH, 3), 80, np.uint8))
     with pytest.raises(StageError) as error:
         run(tmp_path)
-    assert str(error.value) == "no two frames show the same thing outside the person: too little texture"
+    assert str(error.value) == "no two frames match outside the person: too little texture"
     facts = "; ".join(error.value.facts)
     assert "fewer than 100 features: 3 of 3 frames (000000 to 000006)" in facts and "verified pairs: 0" in facts
     assert "features a frame: 0 at least, 0 median" in facts and "sfm.camera=fixed" in error.value.hint
