@@ -199,7 +199,7 @@ def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
     """Warn where the size of the person against the scene is hardly known."""
     if scale["how"].startswith("not found"):
         job.warn(
-            "the size of the person against the scene is unknown: no floor under the feet, and no foot that stands"
+            "the scale of the person against the scene is unknown: neither a floor below the feet nor a standing foot was found"
         )
     elif scale.get("floor_spread", 0) > FLOOR_SPREAD:
         job.warn(f"the feet meet the floor at scales that differ by {100 * scale['floor_spread']:.0f} %")

@@ -51,7 +51,7 @@ CameraPath = Literal["moving", "static", "rotating"]
 
 @dataclass(frozen=True)
 class TrueViews:
-    """V pictures of the person with everything that is true of them.
+    """V pictures of the person, and the truth about them.
 
     `images` [V,H,W,3] and `masks` [V,H,W] uint8 (255 = person, soft edges), `depths` [V,H,W] float32 z in metres at
     the pixel centres, `viewmats` [V,4,4] camera_from_world, `Ks` [V,3,3] px, `global_orient` [V,3], `body_pose` [V,69]
@@ -103,7 +103,7 @@ def make_clip(
     """
     rng, apart = np.random.default_rng(seed), np.random.default_rng([seed, 1])  # effects change nothing else
     room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
-    stage = _Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects)
+    renderer = _Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects)
     viewmats = camera_path(frames, fps, camera, rng, effects.antialias)
     orient, pose = person.make_motion(frames, fps, rng)
     novel_orient, novel_pose = person.novel_poses()
@@ -111,10 +111,10 @@ def make_clip(
     total = frames + len(novel_pose)
     passers = make_passers(round(effects.transients), frames, apart)
     gain = gains(effects, frames, apart)
-    clip = stage.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain)
-    calm = replace(stage, effects=effects.scene_only())
-    novel = calm.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
-    return SyntheticClip(clip, novel, stage.betas, fps)
+    clip = renderer.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain)
+    plain = replace(renderer, effects=effects.scene_only())
+    novel = plain.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
+    return SyntheticClip(clip, novel, renderer.betas, fps)
 
 
 def camera_path(
@@ -163,7 +163,7 @@ def _tones(rng: np.random.Generator) -> list[tuple[float, float]]:
 
 @dataclass
 class _Renderer:
-    """Everything that does not change from picture to picture."""
+    """Draws room and person; holds everything that does not change from picture to picture."""
 
     model: BodyModel
     room: Room

@@ -1,4 +1,4 @@
-"""What a synthetic clip may have beside a room and a person: effects that a detector shall find and a model shall learn."""
+"""Effects of a synthetic clip, which a detector should find and training should learn."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def margin(effects: ClipEffects, K: np.ndarray, width: int, height: int) -> int:
 
 
 def distort(picture: np.ndarray, effects: ClipEffects, K: np.ndarray, pad: int, order: int = 1) -> np.ndarray:
-    """What the lens makes of a pinhole's `picture` [H+2pad,W+2pad,C]: [H,W,C]; `K` is that without the margin."""
+    """A pinhole's `picture` [H+2pad,W+2pad,C] as the lens sees it [H,W,C]; `K` [3,3] px is that without the margin."""
     if not effects.lens:
         return picture
     height, width = picture.shape[0] - 2 * pad, picture.shape[1] - 2 * pad
@@ -186,13 +186,13 @@ class BodyShadow:
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, light: np.ndarray, darkness: float):
         low = vertices[:, 1] < CONTACT_HEIGHT
         self.darkness = darkness
-        self.lit = _ShadowMap(vertices, faces, light, SOFT)
-        self.touched = _ShadowMap(vertices, faces[low[faces].all(1)], np.array([0.0, 1.0, 1e-3]), CONTACT_SOFT)
+        self.cast = _ShadowMap(vertices, faces, light, SOFT)
+        self.contact = _ShadowMap(vertices, faces[low[faces].all(1)], np.array([0.0, 1.0, 1e-3]), CONTACT_SOFT)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """The factor [N] of the brightness at `points` [N,3] of the room."""
         on_floor = points[:, 1] < 0.02
-        return (1 - self.darkness * self.lit(points)) * (1 - self.darkness * on_floor * self.touched(points))
+        return (1 - self.darkness * self.cast(points)) * (1 - self.darkness * on_floor * self.contact(points))
 
 
 class _ShadowMap:

@@ -1,4 +1,4 @@
-"""Which frame each pose of a fit belongs to: by picture name, by frame number or by time, never by place in a list."""
+"""Joins the poses of a fit to frames: by picture name, by frame number or by time, never by place in a list."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stages.contract import StageError
 from stages.formats.frame_names import number
 from stages.formats.given_fits.record import SmplFit
 
-GAP = 0.25  # s between poses over which nothing is made up
+GAP = 0.25  # s; poses farther apart are not interpolated
 HINT = "add `names` [N] to the file: the frame of each row, as in frames.json (the frame's number in the video)"
 _ROTATIONS = ("global_orient", "body_pose", "turns")
 _NUMBERS = ("betas", "transl", "scale")
@@ -44,7 +44,7 @@ def join_frames(
 
 
 def _keys(fit: SmplFit, names: Sequence[str], sources: Sequence[str]) -> tuple[list, list, bool]:
-    """What the rows and the frames are called where they are called alike; and whether that is more than a count."""
+    """Keys of the rows and of the frames that match each other; and whether they are names, not mere counts."""
     if fit.names is not None:
         stems = [Path(name).stem for name in fit.names]
         both = [list(names), [Path(name).stem for name in sources]]

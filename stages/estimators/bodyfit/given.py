@@ -32,7 +32,7 @@ def import_fit(
     moving: bool,
     sources: tuple[str, ...] = (),
 ) -> tuple[BodyPoses, dict[str, Any]]:
-    """The fit as poses of all `cameras` (SfM units), and what was found: person, scale, notes.
+    """The fit as poses of all `cameras` (SfM units), and facts for smpl.json: person, scale, notes.
 
     `masks` [H,W] of each camera choose among several people; `sources` are the names of the pictures, if the clip came
     as pictures. A fit in SfM units brings its scale; for one in camera frames it is found from floor and feet. Frames

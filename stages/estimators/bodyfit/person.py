@@ -1,4 +1,4 @@
-"""Which of the people that a tool found is the masked one: the person whose outline lies on the masks."""
+"""Picks the masked person among the people that a tool found: the one whose outline lies on the masks."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ NOWHERE = 0.1  # mean overlap under which a fit is of something else
 def choose_person(
     fit: SmplFit, frames: np.ndarray, cameras: Cameras, masks: list[np.ndarray], model: BodyModel
 ) -> tuple[SmplFit, np.ndarray, dict[str, Any]]:
-    """One row a frame, of the track that lies best on the masks: (fit, frames [M], what was found).
+    """The fit with one row a frame, of the track that lies best on the masks; its frames [M]; facts for smpl.json.
 
-    `frames` [N] says which camera each row belongs to. A track's say is the sum over its frames, so a person who is
-    followed for long wins over one who passes. StageError if nobody is where the masks are.
+    `frames` [N] is the camera of each row. A track scores the sum over its frames, so a person who is followed for long
+    wins over a passer-by. StageError if nobody is where the masks are.
     """
     overlap = overlaps(fit, frames, cameras, masks, model)
     tracks = np.array(fit.tracks if fit.tracks is not None else [""] * len(fit))
     best: dict[str, dict[int, int]] = {}
     for row in np.argsort(np.nan_to_num(overlap, nan=-1.0), kind="stable"):
         best.setdefault(str(tracks[row]), {})[int(frames[row])] = int(row)  # the best row of a frame comes last
-    say = {track: float(np.nansum(overlap[list(rows.values())])) for track, rows in best.items()}
-    chosen = max(sorted(say), key=lambda track: (say[track], len(best[track])))
+    score = {track: float(np.nansum(overlap[list(rows.values())])) for track, rows in best.items()}
+    chosen = max(sorted(score), key=lambda track: (score[track], len(best[track])))
     rows = [best[chosen][frame] for frame in sorted(best[chosen])]
     mean = {track: _mean(overlap[list(kept.values())]) for track, kept in best.items()}
     most = mean[chosen]

@@ -1,4 +1,4 @@
-"""From the camera of the tool that fitted a body into the clip's cameras and its world."""
+"""Moves a body from the camera of the tool that fitted it into the clip's cameras and world."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ VARIES, EXTREME = 1e-3, 5.0
 
 
 def median_shape(fit: SmplFit) -> tuple[np.ndarray, tuple[str, ...]]:
-    """One shape for all rows, their median [10], and what there is to say of it."""
+    """One shape for all rows, their median [10], and notes on it."""
     shape, notes = np.median(fit.betas, 0), []
     spread = np.ptp(fit.betas, axis=0).max()
     if spread > VARIES:

@@ -60,7 +60,7 @@ class State:
 
 @dataclass(frozen=True)
 class World:
-    """What ties camera frames together: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s, and
+    """The world of the camera frames: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s, and
     the floor's normal [3] and offset (None: no floor known). `moving` False: one camera, its frame is the world."""
 
     turn: Tensor
@@ -194,7 +194,7 @@ class Solver:
         return self.to_world(state, soles, scale).unflatten(1, self.soles.shape)
 
     def stance(self, feet: Tensor, scale: float) -> Tensor:
-        """How much each foot stands [F,2], 0..1: it hardly moves, and is on the floor where the floor is known."""
+        """Weight [F,2] in 0..1 of each foot as standing: it hardly moves, and is on the floor if the floor is known."""
         middle = feet.mean(2)
         if len(middle) < 2:
             return middle.new_zeros(middle.shape[:2])

@@ -1,4 +1,4 @@
-"""What makes a body pose likely: joints that bend as joints do, steady motion, an outline that lies on the mask's."""
+"""Costs of the body fit: joints that bend as joints do, steady motion, an outline that lies on the mask's."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FIELD_SIDE = 256  # px of the longer side of the distance fields
 
 
 def geman_mcclure(squared: Tensor, reach: float) -> Tensor:
-    """Geman-McClure: like `squared` (in standard deviations) near zero, never above reach**2."""
+    """Geman and McClure's robust cost (1987): like `squared` (in standard deviations) near zero, never above reach**2."""
     return squared / (1 + squared / reach**2)
 
 

@@ -27,7 +27,7 @@ CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 
 
 @dataclass(frozen=True)
 class Model:
-    """One reconstruction, and the numbers that tell whether to believe it."""
+    """One reconstruction, and the numbers by which its quality is judged."""
 
     reconstruction: pycolmap.Reconstruction
 

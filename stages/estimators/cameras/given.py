@@ -1,4 +1,4 @@
-"""Cameras of another program joined to a clip's frames: which is whose, and the pinhole in place of its lens."""
+"""Joins cameras of another program to a clip's frames, and replaces their lenses by pinholes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that mo
 
 
 def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, first: Literal["auto", 0, 1]) -> Pinholes:
-    """The cameras in `path` of the frames in `listing` (frames.json); StageError where they cannot be the frames' own.
+    """The cameras in `path` of the frames in `listing` (frames.json); StageError if they cannot belong to these frames.
 
     At least `min_share` of the frames need a camera. `first` is the number of the video's first frame in the names.
     """

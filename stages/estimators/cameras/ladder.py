@@ -17,7 +17,7 @@ from stages.contract import Job
 from stages.estimators.cameras import colmap
 from stages.estimators.cameras.colmap import Model
 
-GOOD_SHARE = 0.9  # of the frames: a model with fewer is not good enough to stop at
+GOOD_SHARE = 0.9  # of the frames: a model with fewer is not good enough to stop
 MAX_ERROR = 2.0  # px: a model that is off by more on average is not believed
 FEW_POINTS = 100  # with fewer, poses hang in the air and are no model: a turn mapped as a walk had 0, at 0 px error
 SANE_FOCAL = (0.3, 3.0)  # of the longer side; a phone has 0.75 to 2
@@ -114,7 +114,7 @@ RUNGS: dict[str, Mapping] = {
 
 
 def climb(job: Job, matched: Matched) -> list[Rung]:
-    """Try RUNGS in order until a model is good enough; every one tried is said as a note unless the first does."""
+    """Try RUNGS in order until a model is good enough; each is noted, unless the first is good enough."""
     tried: list[Rung] = []
     for how, mapping in RUNGS.items():
         if tried:

@@ -1,6 +1,6 @@
 """Points of the background followed through the clip, and where they are in the world.
 
-Kanade-Lucas-Tomasi: corners of one frame are found again in the next, and back; who does not come home is dropped.
+Kanade-Lucas-Tomasi: corners of one frame are found again in the next, and back; one that misses its start is dropped.
 Source: Shi and Tomasi 1994; Bouguet 2000 for the pyramid.
 """
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SIDE = 640  # px of the longer side; larger frames are followed at this size
 ALIVE = 500  # points followed at a time
-RETURN_PX = 0.3  # how far from its start a point may come home
+RETURN_PX = 0.3  # how far from its start a point may come back
 BORDER = 3.0  # px: corners nearer to the frame's edge are half outside the window
 WINDOW, LEVELS = 13, 4
 PERSON = 20  # mask value from which a pixel may be the person's

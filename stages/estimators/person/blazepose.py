@@ -1,7 +1,7 @@
-"""BlazePose on LiteRT: finds one person in each frame of a clip and gives joints, joints in metres and an outline.
+"""BlazePose on LiteRT: finds one person in each frame of a clip and gives joints in px and in metres, and an outline.
 
-The two networks are Google's (Bazarevsky et al. 2020, "BlazePose: On-device Real-time Body Pose Tracking"); what
-stands around them here is our own. Pixel coordinates have the first pixel's centre at (0.5, 0.5).
+The two networks are Google's (Bazarevsky et al. 2020, "BlazePose: On-device Real-time Body Pose Tracking",
+arXiv:2006.10204); the code around them is our own. Pixel coordinates have the first pixel's centre at (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ ROI_MARGIN = 1.25  # the person's circle is enlarged by this to make a crop
 SURE = 0.5  # probability from which a detection, a tracked person or a heat map counts
 NEIGHBOURHOOD = 3  # heat map cells on each side of the peak that take part in its mean
 PAINTED = 0.1  # of a person's height: how far beyond the joints a person is painted over
-APART = 0.3  # of a crop's side: people whose crops' middles are nearer are one
-SEEDS = 9  # frames looked at to choose whom to follow
+APART = 0.3  # of a crop's side: people whose crops' centres are nearer are the same
+SEEDS = 9  # frames in which the person to follow is looked for
 # Looks at the person that are averaged: (side as a share of the fitting crop, turn in degrees, mirrored). Measured on the
 # kitchen clip, five looks halve the jitter of one (second difference 2.4 -> 1.2 px, 19 -> 10 mm).
 LOOKS = ((1.0, 0, False), (0.9, 8, False), (0.9, -8, True), (1.1, 4, True), (1.1, -4, False))
@@ -74,12 +74,12 @@ class Roi:
         return Roi(x, y, self.side * side, self.angle + np.radians(turn))
 
     def covers(self, other: Roi) -> bool:
-        """True if the other crop's middle is so near that it is of the same person."""
+        """True if the other crop's centre is so near that it shows the same person."""
         return bool(np.hypot(self.x - other.x, self.y - other.y) <= APART * self.side)
 
     @staticmethod
     def around(center: np.ndarray, top: np.ndarray) -> Roi:
-        """The crop of a person whose circle has this centre and reaches to `top`, which shall point up."""
+        """The crop of a person whose circle has this centre and reaches to `top`; `top` points up in the crop."""
         dx, dy = top - center
         side = 2 * float(np.hypot(dx, dy)) * ROI_MARGIN
         return Roi(float(center[0]), float(center[1]), side, float(np.arctan2(dx, -dy)))
@@ -87,12 +87,12 @@ class Roi:
 
 @dataclass(frozen=True)
 class Pose:
-    """What was seen of the person in one frame."""
+    """The person as seen in one frame."""
 
     xy: np.ndarray
     """[33,2] px."""
     z: np.ndarray
-    """[33] depth against the hips, in px, smaller is nearer; weak."""
+    """[33] depth against the hips, in px, smaller is nearer; not accurate."""
     visibility: np.ndarray
     """[33] probability that the joint is in the picture and not hidden."""
     world: np.ndarray
@@ -194,7 +194,7 @@ class BlazePose:
     def look(self, image: np.ndarray, roi: Roi, mirrored: bool = False) -> tuple[Pose, np.ndarray]:
         """Read the person in a crop: the pose, and the outline's logits [256,256] in the crop.
 
-        `mirrored`: show the network the crop's mirror image; the answer is told for the crop as it is.
+        `mirrored`: show the network the crop's mirror image; the answer is for the crop as it is.
         """
         pixels = crop(image, roi, CROP_SIDE, cv2.BORDER_REPLICATE).astype(np.float32)
         points, presence, mask, heat, world = infer(self.landmarker, (pixels[:, ::-1] if mirrored else pixels) / 255)
@@ -220,7 +220,7 @@ class BlazePose:
         return pose, mask
 
     def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
-        """The mean of several looks, leaving out what strays (sides swapped, say); None if most see nobody."""
+        """The mean of several looks, leaving out outliers (swapped sides, say); None if most looks see nobody."""
         poses = [self.look(image, roi.reframe(side, turn), mirrored)[0] for side, turn, mirrored in LOOKS]
         poses = [pose for pose in poses if pose.presence >= SURE]
         if 2 * len(poses) <= len(LOOKS):
@@ -293,7 +293,7 @@ class BlazePose:
 
 
 def paint_over(image: np.ndarray, people: list[Sighting]) -> np.ndarray:
-    """The picture with people painted over: the detector, made for one, tells of others once that one is gone."""
+    """The picture with `people` painted over: the detector is made for one person and finds others once that one is gone."""
     painted = image.copy()
     for one in people:
         (left, top), (right, bottom) = one.pose.xy.min(0), one.pose.xy.max(0)

@@ -179,7 +179,7 @@ def test_cameras_without_points_get_them_by_triangulation(tmp_path, monkeypatch)
     )
     with pytest.raises(StageError, match="the given cameras do not fit the frames") as error:
         run("again", files.nerfstudio(tmp_path / "wrong.json", wrong))
-    assert "px from where the cameras put them" in error.value.facts[0]
+    assert "px off their epipolar lines" in error.value.facts[0]
 
 
 @pytest.mark.parametrize(

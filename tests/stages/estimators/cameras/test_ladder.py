@@ -172,7 +172,7 @@ def test_i02_frames_without_texture_are_named(tmp_path):
         write_image(path, np.full((room.HEIGHT, room.WIDTH, 3), 80, np.uint8))
     with pytest.raises(StageError) as error:
         run(tmp_path)
-    assert str(error.value) == "no two frames show the same thing outside the person: too little texture"
+    assert str(error.value) == "no two frames match outside the person: too little texture"
     facts = "; ".join(error.value.facts)
     assert "fewer than 100 features: 3 of 3 frames (000000 to 000006)" in facts and "verified pairs: 0" in facts
     assert "features a frame: 0 at least, 0 median" in facts and "sfm.camera=fixed" in error.value.hint
