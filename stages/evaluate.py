@@ -141,9 +141,9 @@ class Shot:
         self.viewmat, self.K = (torch.as_tensor(np.asarray(m)).to(like) for m in (clip.viewmats[i], clip.Ks[i]))
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
         self.box = person_crop(self.mask)
-        self.pose: Pose = pose_of(clip, i)
+        self.pose: Pose = pose_of(clip.body, i)
         self.scene = learned.lit(learned.scene, self.pose if self.box else None)  # its shadow is not fitted
-        self.motion = motion_at(learned, clip, i, self.box is not None)
+        self.motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, self.box is not None)
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
         """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black."""

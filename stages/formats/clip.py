@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -44,6 +44,11 @@ class Clip:
     @property
     def Ks(self) -> np.ndarray:
         return self.cameras.Ks
+
+    @property
+    def world_cameras(self) -> Cameras:
+        """The cameras in metres."""
+        return replace(self.cameras, viewmats=self.viewmats)
 
     @property
     def width(self) -> int:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.smpl import Body, Landmarks, vertex_normals
+from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, vertex_normals
 from stages.avatar.splats.neighbours import spread_out
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
@@ -118,7 +118,7 @@ class Solver:
         rest, joints = body.rest(state.betas)
         local = state.pose.unflatten(-1, (23, 3))
         turns = matrix_from_rotvec(torch.cat([local.new_zeros(len(local), 1, 3), local], 1))
-        transforms = body.transforms_of_rotations(joints, turns)
+        transforms = rest_relative_transforms(joints, turns, body.parents)
         points = rest[vertices]
         if body.posedirs.shape[-1]:
             feature = (turns[:, 1:] - torch.eye(3)).flatten(-3)
