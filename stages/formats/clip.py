@@ -96,7 +96,7 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None) -> Clip:
     Raises StageError when a frame with a camera has no body, or the world's origin is too far for float32.
     """
     refined = train is not None and (train / "cameras.npz").exists()
-    cameras = read_cameras((train if refined else sfm) / "cameras.npz")
+    cameras = read_cameras((train if train and refined else sfm) / "cameras.npz")
     poses = read_poses((train or smpl) / "body.npz")
     row = {name: i for i, name in enumerate(poses.names)}
     missing = [name for name in cameras.names if name not in row]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, read_npz
+from stages.formats.arrays import checked, read_npz, write_npz
 from stages.records import Effects
 
 HINT = "train again: `hugs run VIDEO train --force`"
@@ -27,7 +28,7 @@ _LIMITS = {
 def write_effects(path: Path, effects: Effects) -> None:
     """Write what is known as .npz of float64, without pickles."""
     _check(effects.known(), path)
-    np.savez(path, **effects.known())
+    write_npz(path, effects.known())
 
 
 def read_effects(path: Path) -> Effects:
@@ -41,7 +42,8 @@ def read_effects(path: Path) -> Effects:
         raise StageError(f"{path} holds effects that are not known", HINT, [f"found {', '.join(unknown)}"])
     arrays = {n: checked(a, _SHAPES.get(n, ()), n, path, HINT).astype(np.float64) for n, a in found.items()}
     _check(arrays, path)
-    return Effects(**{name: array if name in _SHAPES else float(array) for name, array in arrays.items()})
+    values: dict[str, Any] = {name: array if name in _SHAPES else float(array) for name, array in arrays.items()}
+    return Effects(**values)
 
 
 def _check(arrays: dict[str, np.ndarray], path: Path) -> None:

@@ -103,7 +103,7 @@ def write_uint8(path: Path, pixels: np.ndarray) -> None:
     suffix = Path(path).suffix
     try:
         _, data = cv2.imencode(suffix, stored, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL] if suffix == ".png" else [])
-        Path(path).write_bytes(data)
+        Path(path).write_bytes(data.tobytes())
     except (cv2.error, OSError) as error:
         raise StageError(f"cannot write {path}", "check the disk and the folder", [first_line(str(error))]) from error
 

@@ -112,7 +112,7 @@ def probe(path: Path) -> VideoInfo:
         raise StageError(f"no frame of {path} can be decoded", AGAIN, facts)
     rotation = round(first.rotation / QUARTER) % 4
     width, height = (first.width, first.height) if rotation % 2 == 0 else (first.height, first.width)
-    span = float((max(times) - min(times)) * base) if times else 0.0
+    span = float((max(times) - min(times)) * base) if times and base else 0.0
     rate = (len(times) - 1) / span if span > 0 else float(average or 0)
     transfer = HIGH_DYNAMIC_RANGE.get(int(first.color_trc), "sdr")
     frames = declared or len(times)

@@ -54,4 +54,4 @@ def _ours(path: Path) -> GivenCameras:
         )
         for name, K in zip(cameras.names, cameras.Ks, strict=True)
     ]
-    return without_points("cameras.npz", cameras.names, cameras.viewmats, lenses)
+    return without_points("cameras.npz", cameras.names, list(cameras.viewmats), lenses)

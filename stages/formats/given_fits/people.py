@@ -94,6 +94,7 @@ def read_romp(content: dict[str, Any], path: str, size: tuple[int, int], name: s
     """
     results = content["results"]
     tracks, several = content.get("sequence_results"), isinstance(results, Mapping) and "cam" not in results
+    people: list[tuple[Any, str | None, Any]]
     if isinstance(tracks, Mapping) and tracks:
         people = list(_tracked(tracks, results, path))
     elif several and all(isinstance(v, Mapping) and "cam" not in v and "poses" not in v for v in results.values()):

@@ -18,8 +18,18 @@ SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
 FAR = 1e9
 """Focal length in px that stands for weak perspective: a camera so far away that depth does not matter."""
 OTHER_SHAPE = "the shape numbers are those of {}, which SMPL reads as nearly the same shape"
-_PER_ROW = ("betas", "global_orient", "body_pose", "transl", "scale", "turns", "numbers", "times")
-_PER_ROW += ("focal", "center", "joints2d")
+_PER_ROW = (
+    "betas",
+    "global_orient",
+    "body_pose",
+    "transl",
+    "scale",
+    "turns",
+    "numbers",
+    "times",
+    "focal",
+    "center",
+) + ("joints2d",)
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def labelled(given: ForeignMasks) -> list[Object]:
     """The objects in label masks; labels that touch nearly always are parts of one, like the clothes of a person."""
     objects = []
     for kind, levels in given.kinds.items():
-        if not given.is_labels(kind) or len(levels.few) <= 2:
+        if levels.few is None or not given.is_labels(kind) or len(levels.few) <= 2:
             continue
         ground = given.background(kind)
         labels = [int(label) for label in levels.few if label != ground]

@@ -163,6 +163,12 @@ class ForeignMasks:
                 self.keys.append(key)
                 self.kinds.setdefault(found[1], Levels(found[0].dtype, found[0][:0, 0])).add(found[0])
 
+    def _found(self, key: Hashable) -> tuple[np.ndarray, str]:
+        found = self.values_of(key)
+        if found is None:
+            raise KeyError(key)
+        return found
+
     def is_labels(self, kind: str) -> bool:
         """True if masks of this kind hold labels."""
         levels = self.kinds[kind]
@@ -181,11 +187,11 @@ class ForeignMasks:
     def background(self, kind: str) -> float:
         """The label of the background."""
         levels = self.kinds[kind]
-        return levels.few[0] if len(levels.few) == 2 else min(0, levels.lowest)
+        return levels.few[0] if levels.few is not None and len(levels.few) == 2 else min(0, levels.lowest)
 
     def read(self, key: Hashable, labels: frozenset[int] | None = None) -> np.ndarray:
         """The mask as uint8 [H,W], 255 = marked; of label masks only `labels`, or all but the background."""
-        values, kind = self.values_of(key)
+        values, kind = self._found(key)
         if self.is_labels(kind):
             marked = values > self.background(kind) if labels is None else np.isin(values, list(labels))
             return np.where(marked, np.uint8(255), np.uint8(0))

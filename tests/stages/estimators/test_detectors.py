@@ -162,7 +162,7 @@ def test_wrong_cameras_are_found_and_blamed_on_nothing_else(seen):
 def test_too_few_points_are_unknown(seen):
     viewmats, Ks, _, pixels = seen
     assert told(pixels[:, :30], viewmats, Ks) is None
-    evidence = SimpleNamespace(leftover=None, facts={"distortion": {"max_shift_px": 0.0}})
+    evidence = SimpleNamespace(leftover=None, facts=Sfm(verdict="moving", distortion=Distortion(max_shift_px=0.0)))
     for name in ("lens", "rolling_shutter", "camera_refinement"):
         found = DETECTORS[name](evidence)
         assert found.value is None and not found.called_for and found.verdict.startswith("unknown")
@@ -173,7 +173,7 @@ def test_a_lens_that_sfm_took_out_is_told_with_its_shift():
     pixels[1], pixels[2, 0], pixels[4, 1] = np.nan, 2.0, 30.0
     clip = SimpleNamespace(Ks=pinhole(300.0, 240, 320)[None], names=tuple("abcde"))
     points = tracks.Tracks(pixels, np.zeros((2, 3)), np.zeros_like(pixels), np.ones(2))
-    facts = {"distortion": {"max_shift_px": 4.7}}
+    facts = Sfm(verdict="moving", distortion=Distortion(max_shift_px=4.7))
     found = DETECTORS["lens"](SimpleNamespace(leftover=None, facts=facts, clip=clip, tracks=points))
     assert found.called_for and found.value == 4.7 and "sfm" in found.verdict
     assert found.frames == ("a", "c", "e"), "with points near the corners, not the one that shows none"
