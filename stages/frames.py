@@ -138,11 +138,11 @@ def check_usable(info: VideoInfo, count: int, fate: str) -> None:
 
 def with_sources(frames: list[dict[str, Any]], video: Path) -> list[dict[str, Any]]:
     """The frames, with the picture's own name as `source` where a folder of pictures was given."""
-    from stages.formats.video import pictures
+    from stages.formats.video import picture_files
 
     if not Path(video).is_dir():
         return frames
-    names = [file.stem for file in pictures(video)]
+    names = [file.stem for file in picture_files(video)]
     return [{**frame, "source": names[frame["index"]]} for frame in frames]
 
 

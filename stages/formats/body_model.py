@@ -1,4 +1,4 @@
-"""The body model: SMPL's arrays, from a user's SMPL file or from the free body that comes with the program."""
+"""SMPL model files (.pkl, .npz), the free body that comes with the program, and body_model.npz of the smpl stage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One clip as everything after the body fit sees it: frames, masks, cameras and body in one world of metres."""
+"""Joins the files of the stages sfm and smpl to one clip: frames, masks, cameras and body in one world of metres."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Clip:
     def _sized(self, pixels: np.ndarray, kind: str, i: int) -> np.ndarray:
         if pixels.shape[:2] != (self.height, self.width):
             raise StageError(
-                f"{kind}/{self.names[i]}.png has not the size of its camera",
+                f"{kind}/{self.names[i]}.png does not have the size of its camera",
                 "run the sfm stage again: `hugs run VIDEO sfm --force`",
                 [f"picture {pixels.shape[1]}x{pixels.shape[0]}, camera {self.width}x{self.height}"],
             )

@@ -1,4 +1,4 @@
-"""What training leaves: the person and the scene as Gaussians, in `avatar.npz` and `scene.npz`."""
+"""avatar.npz and scene.npz: the trained person and scene as Gaussians."""
 
 from __future__ import annotations
 

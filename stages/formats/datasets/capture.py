@@ -69,7 +69,7 @@ class Capture:
 def write_capture(out: Path, capture: Capture, max_side: int) -> Iterator[int]:
     """Write the files named above, the longer side of the pictures at most `max_side` px; yields how many are done.
 
-    Raises StageError for a picture that has not the size of its camera, and for too few to train on.
+    Raises StageError for a picture whose size is not its camera's, and for too few to train on.
     """
     training = sum(shot.split == "train" for shot in capture.shots)
     if training < LEAST_TRAINING:
@@ -85,7 +85,7 @@ def write_capture(out: Path, capture: Capture, max_side: int) -> Iterator[int]:
         if image.shape[:2] != (capture.height, capture.width):
             fact = f"picture {image.shape[1]}x{image.shape[0]}, camera {capture.width}x{capture.height}"
             hint = "cameras and pictures must belong together: unpack the data set again"
-            raise StageError(f"{shot.image} has not the size of its camera", hint, [fact])
+            raise StageError(f"{shot.image} does not have the size of its camera", hint, [fact])
         small = shrink(image, max_side)
         name = f"{i:06d}"
         names.append(name)

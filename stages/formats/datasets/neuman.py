@@ -22,7 +22,7 @@ from stages.formats.frame_names import stem
 from stages.formats.given_cameras.colmap_model import read_colmap
 from stages.formats.given_cameras.record import GivenCameras
 from stages.formats.given_masks.values import mask_files, read_values
-from stages.formats.video import pictures
+from stages.formats.video import picture_files
 
 FIT = "4d_humans/smpl_optimized_aligned_scale.npz"
 SAM, DETECTED = "4d_humans/sam_segmentations", "segmentations"
@@ -37,7 +37,7 @@ def read_neuman(folder: Path) -> Capture:
     """Read a sequence; StageError for what is missing, and where masks or poses do not belong to the pictures."""
     require(folder, ("images", "sparse", FIT), "a NeuMan sequence", "neuman")
     model = read_colmap(folder / "sparse")
-    files = pictures(folder / "images")
+    files = picture_files(folder / "images")
     have = {file.name: file for file in files}
     gone = [name for name in model.files if name not in have]
     if gone:

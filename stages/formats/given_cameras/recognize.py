@@ -1,4 +1,4 @@
-"""Which program a camera file or folder is from, told by its content."""
+"""Camera files and folders of other programs: recognizes the program by the content and reads its cameras."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ HINT = "transforms.json needs frames with file_path and transform_matrix [4,4], 
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 FISHEYE = "OPENCV_FISHEYE"
 SAME_FOCAL = 0.01  # relative difference up to which fl_x and camera_angle_x say the same
-HUGE = 1e9  # px and coefficients beyond are no numbers of a lens
+HUGE = 1e9  # px and coefficients beyond are not those of a lens
 OPENGL = np.diag([1.0, -1, -1, 1])  # OpenCV's camera axes in OpenGL's
 
 
@@ -107,7 +107,7 @@ def _lens(given: dict[str, Any], what: str, width: int, height: int) -> Lens:
     if angle is not None:
         if not 0 < angle < np.pi:
             raise StageError(
-                f"camera_angle_x of {what} is no field of view", HINT, [f"{angle:g}, wanted 0 to 3.14 rad"]
+                f"camera_angle_x of {what} is not a field of view", HINT, [f"{angle:g}, wanted 0 to 3.14 rad"]
             )
         wide = 0.5 * w / np.tan(0.5 * angle)
         if fx is not None and abs(fx / wide - 1) > SAME_FOCAL and not given.get("is_fisheye"):

@@ -108,12 +108,12 @@ def _times(file: Fields, count: int) -> np.ndarray | None:
         if (np.diff(times) <= 0).any():
             row = int(np.flatnonzero(np.diff(times) <= 0)[0]) + 1
             facts = [f"row {row} is at {times[row]:g} s, the row before at {times[row - 1]:g} s"]
-            raise StageError(f"times in {file.where} do not grow", HINT, facts)
+            raise StageError(f"times in {file.where} do not increase", HINT, facts)
         return times
     key = next((key for key in _RATES if key in file), None)
     if key is None:
         return None
     rate = float(checked(file.array(key).reshape(-1), (1,), key, file.where, HINT)[0])
     if not rate > 0:
-        raise StageError(f"{key} in {file.where} is no frame rate", HINT, [f"it is {rate:g}"])
+        raise StageError(f"{key} in {file.where} is not a frame rate", HINT, [f"it is {rate:g}"])
     return np.arange(count) / rate

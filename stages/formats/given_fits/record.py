@@ -1,4 +1,4 @@
-"""What every importer of body fits comes to: SMPL poses as their file means them, and the checks they share."""
+"""The record that every reader of SMPL fits returns, and the checks that readers share."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class SmplFit:
         return replace(self, **parts)
 
 
-def joined(fits: Sequence[SmplFit], path: str) -> SmplFit:
+def join_fits(fits: Sequence[SmplFit], path: str) -> SmplFit:
     """The rows of all `fits` of one tool in one; StageError naming `path` if there are none."""
     if not fits:
         raise StageError(f"{path} holds no poses", "let the tool run again: it found nobody")
