@@ -15,7 +15,7 @@ from stages.estimators.cameras import colmap
 from stages.estimators.cameras.sparse_model import Pinholes
 from stages.formats.datasets.undistorted import Grid
 from stages.formats.facts import Listing
-from stages.formats.frame_names import count_from_one, join, named, number, stem
+from stages.formats.frame_names import count_from_one, has_sources, join, number, stem
 from stages.formats.given_cameras.recognize import read_camera_files
 from stages.formats.given_cameras.record import GivenCameras, Lens, widest_angles
 from stages.formats.images import same_shape
@@ -68,7 +68,7 @@ def match_frames(
     numbers = {number(name) for name in stems}
     picked = len(names) < total and set(stems) <= set(names)  # the frames of an earlier run
     start = int(count_from_one(listing, stems)) if first == "auto" else first
-    if first == "auto" and not (named(listing) or start or 0 in numbers or picked or numbers == {None}):
+    if first == "auto" and not (has_sources(listing) or start or 0 in numbers or picked or numbers == {None}):
         facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
         hint = (
             "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "

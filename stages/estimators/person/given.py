@@ -16,7 +16,7 @@ from stages.estimators.words import listed
 from stages.formats.facts import Listing
 from stages.formats.frame_names import count_from_one, join
 from stages.formats.given_masks.mask_set import MaskSet
-from stages.formats.given_masks.objects import Object, labelled, pick, ranked
+from stages.formats.given_masks.objects import Object, labeled_objects, pick, ranked
 from stages.formats.given_masks.recognize import read_mask_files
 from stages.formats.given_masks.values import ForeignMasks
 from stages.formats.images import same_shape
@@ -77,7 +77,7 @@ def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | No
     """The masks of the person; several objects are listed with numbers, and a warning names the one that is followed."""
     if given.objects == ("",):
         masks = ForeignMasks(rows, partial(given.read, ""))
-        objects = labelled(masks)
+        objects = labeled_objects(masks)
         if not objects and person is not None:
             facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
             raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
