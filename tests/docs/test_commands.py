@@ -11,7 +11,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import click
 import pytest
 import typer
 
@@ -46,32 +45,31 @@ def span_commands() -> list[tuple[str, str]]:
 COMMANDS = list(dict.fromkeys([*block_lines(), *span_commands()]))
 
 
-def parsed(words: list[str], example: bool) -> tuple[click.Command, dict]:
+def parsed(words: list[str], example: bool) -> tuple[str, dict]:
     """The command and its values, as the command line reads them; running text may leave arguments out."""
-    group = HUGS.make_context("hugs", list(words), resilient_parsing=True)
-    _, command, rest = HUGS.resolve_command(group, list(words))
-    assert command is not None
+    group = HUGS.make_context("hugs", list(words))
+    name, command, rest = HUGS.resolve_command(group, list(words))
     try:
-        return command, command.make_context(command.name, rest, parent=group).params
-    except click.MissingParameter:
-        if example:
+        return name, command.make_context(name, rest, parent=group).params
+    except Exception as error:
+        if example or type(error).__name__ != "MissingParameter":  # of click, or of typer's own copy of it
             raise
-        return command, {}
+        return name, {}
 
 
 def check_hugs(words: list[str], example: bool) -> None:
     if words[0].isupper() or words == ["--help"]:
         return
     command, values = parsed(words, example)
-    name = values.get("pipeline") or "default"
-    base, _, last = name.rpartition(".")
-    pipeline = pipelines.load(base if base and within.is_time(last) else name, values.get("set_") or ())
+    pipeline_name = values.get("pipeline") or "default"
+    base, _, last = pipeline_name.rpartition(".")
+    pipeline = pipelines.load(base if base and within.is_time(last) else pipeline_name, values.get("set_") or ())
     pipeline.upstream(values.get("stages") or [])  # refuses unknown stages
     if values.get("within") and values["within"] != "TIME":
         assert within.is_time(values["within"])
-    if command.name == "costs":
+    if command == "costs":
         assert set(values.get("axis") or ()) <= set(variants.AXES)
-    if command.name == "ablate":
+    if command == "ablate":
         assert set(values.get("part") or ()) <= {*variants.ABLATIONS, "none"}
 
 
@@ -109,10 +107,16 @@ def test_commands_exist(document, command):
 
 
 @pytest.mark.parametrize(
-    "command", ["hugs walk dance.mp4", "hugs run dance.mp4 --fast", "hugs run dance.mp4 --set train.no=1"]
+    ("command", "problem"),
+    [
+        ("hugs walk dance.mp4", "No such command"),
+        ("hugs run dance.mp4 --fast", "No such option"),
+        ("hugs run dance.mp4 paint", "no stage 'paint'"),
+        ("hugs run dance.mp4 --set train.no=1", "no setting 'no'"),
+    ],
 )
-def test_a_command_that_does_not_exist_is_noticed(command):
-    with pytest.raises((click.UsageError, pipelines.UsageError)):
+def test_a_command_that_does_not_exist_is_noticed(command, problem):
+    with pytest.raises(Exception, match=problem):
         check_hugs(shlex.split(command)[1:], True)
 
 
