@@ -6,6 +6,7 @@ import json
 import shutil
 import signal
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,10 +17,11 @@ from typer import Option
 from hugs_cli import options, pipelines, words
 from hugs_cli.app_compare import ablate, costs
 from hugs_cli.app_draw import animate, render
+from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
 from hugs_cli.cache import child, engine
 from hugs_cli.cache.engine import RunStopped
-from hugs_cli.cache.freshness import Session, Verdict
-from hugs_cli.cache.workspace import Stamp, Workspace, read_json, size_of
+from hugs_cli.cache.freshness import Session
+from hugs_cli.cache.workspace import Workspace, read_json, size_of
 from hugs_cli.console import Console, reasons_text
 from hugs_cli.options import (
     AsJson,
@@ -46,10 +48,8 @@ HELP = "From a phone video to an animatable person and the scene, as 3D Gaussian
 app = typer.Typer(
     help=HELP, no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
 )
-STAMP_FACTS = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
 
 
-@app.command()
 def run(
     video: options.Video,
     stages: Stages = None,
@@ -145,88 +145,6 @@ def hint_accept(session: Session, wanted: list[str], console: Console) -> None:
         console.say(f"only code has changed: {spent} of results are made again; `{command}` (and --set ...) keeps them")
 
 
-@app.command()
-def status(
-    video: options.Video,
-    as_json: AsJson = False,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
-) -> None:
-    """Show which results are fresh, and why others are not."""
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
-    show(Console(), session.verdicts(list(session.pipeline.stages)), as_json)
-
-
-@app.command()
-def why(
-    video: options.Video,
-    stages: Stages = None,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
-) -> None:
-    """Show what a result was made of and what has changed."""
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
-    wanted = stages or list(session.pipeline.stages)
-    verdicts, console, now = (
-        session.verdicts(session.pipeline.upstream(wanted)),
-        Console(),
-        child.versions(lambda module: True),
-    )
-    for i, name in enumerate(wanted):
-        if i:
-            console.result()
-        console.why(verdicts[name], now)
-
-
-@app.command("stages")
-def list_stages(
-    stages: Stages = None,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    as_json: AsJson = False,
-    pipelines_file: PipelinesFile = pipelines.FILE,
-) -> None:
-    """List the pipelines, and the stages and settings of one."""
-    loaded, console = pipelines.load(pipeline, set_ or (), pipelines_file), Console()
-    loaded.upstream(stages or [])  # refuses unknown names
-    chosen = [loaded.stages[name] for name in stages or loaded.stages]
-    if as_json:
-        rows = [
-            {"stage": s.name, "needs": s.needs, "doc": s.doc, "params": s.params.model_dump(mode="json")}
-            for s in chosen
-        ]
-        console.result(json.dumps({"pipeline": pipeline, "doc": loaded.doc, "stages": rows}, indent=1))
-        return
-    for name, doc in pipelines.names(pipelines_file).items():
-        console.result(f"{'*' if name == pipeline else ' '} {name:<12}{doc}")
-    for stage in chosen:
-        console.result(f"\n{stage.name}  <- {', '.join(stage.needs)}\n  {stage.doc}".rstrip())
-        for name, info in type(stage.params).model_fields.items():
-            doc = " ".join((info.description or "").split())
-            console.result(f"    {name} = {getattr(stage.params, name)}{'   ' + doc if doc else ''}")
-
-
-@app.command()
 def accept(
     video: options.Video,
     stages: Stages = None,
@@ -262,7 +180,6 @@ def accept(
             console.result(f"{name} not accepted, only changes of code can be: {reasons_text(verdict.reasons)}")
 
 
-@app.command()
 def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work")) -> None:
     """Delete results that no pipeline uses.
 
@@ -281,7 +198,6 @@ def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work"))
     console.result(f"{words.size(freed)} {'to free' if dry_run else 'freed'}")
 
 
-@app.command()
 def demo(
     pipeline: PipelineName = "default",
     set_: Settings = None,
@@ -301,7 +217,6 @@ def demo(
     run_pipeline(session, None, device)
 
 
-@app.command()
 def doctor(
     fetch: Annotated[bool, Option("--fetch", help="Download missing model files.")] = False,
     as_json: AsJson = False,
@@ -321,26 +236,22 @@ def doctor(
         raise typer.Exit(1)
 
 
-for command in (ablate, costs, render, animate):
-    app.command()(command)
-
-
-def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:
-    """Print verdicts as rows or as JSON."""
-    if not as_json:
-        console.verdicts(verdicts)
-        return
-    rows = [
-        {"stage": name, "state": verdict.state, "reasons": list(map(str, verdict.reasons))}
-        | stamp_facts(verdict.stamp or verdict.last)
-        for name, verdict in verdicts.items()
-    ]
-    console.result(json.dumps(rows, indent=1))
-
-
-def stamp_facts(stamp: Stamp | None) -> dict[str, Any]:
-    """The part of a stamp that `--json` shows."""
-    return {name: getattr(stamp, name) for name in STAMP_FACTS} if stamp else {}
+COMMANDS: dict[str, Callable[..., None]] = {
+    "run": run,
+    "status": status,
+    "why": why,
+    "stages": list_stages,
+    "accept": accept,
+    "gc": gc,
+    "demo": demo,
+    "doctor": doctor,
+    "ablate": ablate,
+    "costs": costs,
+    "render": render,
+    "animate": animate,
+}
+for name, command in COMMANDS.items():
+    app.command(name)(command)
 
 
 def clip_facts(workspace: Workspace) -> str:

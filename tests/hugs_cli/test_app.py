@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hugs_cli import app, app_compare
+from hugs_cli import app, app_compare, app_show
 from hugs_cli.pipelines import UsageError
 
 ROOT = Path(__file__).parents[2]
@@ -145,7 +145,7 @@ def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
         opened.append(args)
         raise UsageError("enough")
 
-    for module in (app, app_compare):
+    for module in (app, app_compare, app_show):
         monkeypatch.setattr(module, "open_session", refuse)
     names = [
         "pipeline",
