@@ -195,7 +195,7 @@ def _overlays(clip: Clip) -> list[Figure]:
 
     chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)
     figures = []
-    for i, vertices in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen), strict=True):
+    for i, vertices in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen.tolist()), strict=True):
         image, size = clip.images(i).copy(), (clip.height, clip.width)
         inside = silhouette(vertices, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], size, size)
         image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
