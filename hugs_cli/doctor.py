@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from hugs_cli.cache import child
 from hugs_cli.cache.engine import find_device
@@ -94,11 +94,12 @@ def codecs() -> list[Finding]:
     import av
 
     found = []
-    for name, mode, what in (
+    wanted: tuple[tuple[str, Literal["r", "w"], str], ...] = (
         ("h264", "r", "reads H.264"),
         ("hevc", "r", "reads HEVC"),
         ("libx264", "w", "writes H.264"),
-    ):
+    )
+    for name, mode, what in wanted:
         hint = "pip install --force-reinstall av"
         found.append(Finding(f"codec {name}", name in av.codecs_available, what, hint))
         if found[-1].ok:

@@ -95,22 +95,24 @@ def _read(path: Path, fps: float | None, soles: Soles, parents: np.ndarray) -> t
         skeleton = retarget.Skeleton(found.names, found.parents, found.places, found.rotations)
         chains = (body.limbs, body.pelvis, body.spine, body.neck)
         try:
-            performance = retarget.from_skeleton(skeleton, *chains, soles.joints, parents)
+            performance = retarget.from_skeleton(skeleton, *chains, soles.joints, parents.tolist())
         except ValueError as error:
             raise StageError(f"{path} has bones without length", bvh.HINT, [str(error)]) from error
         notes = [f"{body.used} of {body.used + len(body.unused)} joints used"]
+        length, own_fps = len(found), found.fps
     elif path.suffix.lower() == ".npz":
-        found = read_smpl_motion(path)
-        performance, notes = retarget.from_smpl(found.rotvecs, found.transl, soles.joints), list(found.notes)
+        smpl = read_smpl_motion(path)
+        performance, notes = retarget.from_smpl(smpl.rotvecs, smpl.transl, soles.joints), list(smpl.notes)
+        length, own_fps = len(smpl), smpl.fps
     else:
         raise StageError(
             f"{path} is no motion", "give a .bvh, or an .npz of SMPL poses", [f"it ends in {path.suffix!r}"]
         )
-    rate = fps or found.fps
+    rate = fps or own_fps
     if rate is None:
         rate = DEFAULT_FPS
         notes.append(f"how fast is not said: {rate:g} frames a second taken (`--motion-fps`)")
-    return performance, rate, [f"{len(found)} frames, {(len(found) - 1) / rate:.1f} s at {rate:.4g} fps", *notes]
+    return performance, rate, [f"{length} frames, {(length - 1) / rate:.1f} s at {rate:.4g} fps", *notes]
 
 
 def _views(clip: Clip, cameras: Path | None, count: int) -> list[Camera]:

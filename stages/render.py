@@ -62,7 +62,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         "turntable": (_turntable(learned, params.turntable_frames), fps),
         "motion": (_motion(clip, learned, poses, params), fps),
     }
-    held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or clip.shows_person(i)]
+    held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or clip.shows_person(int(i))]
     if held:
         shots["heldout"] = (_beside_truth(clip, learned, held), 4.0)
     if learned.scene is not None:
@@ -131,9 +131,9 @@ def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params
     from stages.avatar.motion import formulas as motion
     from stages.avatar.rasterize import Camera
 
-    moves = tuple(t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
+    turns, bends, places = (t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
     middle = len(clip.names) // 2
     orient, _, transl = poses[clip.names[middle]]
     stand = motion.upright(np.stack([poses[name][0] for name in clip.names]), orient)
     camera = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
-    yield from perform(learned, learned.scene, moves, stand, transl, [camera] * len(moves[0]))
+    yield from perform(learned, learned.scene, (turns, bends, places), stand, transl, [camera] * len(turns))

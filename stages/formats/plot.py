@@ -6,7 +6,7 @@ import io
 import math
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -36,7 +36,7 @@ PAD = 1.08  # by which a logarithmic axis is longer than its points, at both end
 NEAR = 20  # px within which a label needs no line to its point
 PLACES = [(x, y) for y in (0, 13, -14, 24, -26, 36, -38, 50, -52, 64) for x in (8, -8)]  # px from a point to its label
 FONT = "DejaVu Sans"  # ships with matplotlib, so a PNG is the same everywhere
-STYLE = {
+STYLE: dict[Any, Any] = {
     **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INKS["soft"]),
     **{f"axes.spines.{side}": False for side in ("left", "right", "top", "bottom")},
     **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 0),
@@ -97,19 +97,19 @@ def plot(panels: Sequence[Panel], columns: int = 1) -> Figure:
     wide = WIDTH if columns == 1 else HALF * min(columns, len(panels))
     with matplotlib.rc_context(STYLE):
         figure = Figure((wide / PX, (LEGEND + HEIGHT * rows) / PX), dpi=PX, layout="constrained")
-        FigureCanvasAgg(figure)
+        canvas = FigureCanvasAgg(figure)
         grid = list(figure.subplots(rows, columns, squeeze=False).flat)
-        named = {}
+        named: dict[str, Line2D] = {}
         for axes, panel in zip(grid, panels):
             _scale(axes, panel)
             named |= {line.name: _draw(axes, line, inks[line.name]) for line in panel.lines}
         for axes in grid[len(panels) :]:
             axes.set_axis_off()
         named.pop("", None)
-        figure.legend(named.values(), named.keys(), loc="outside upper left", ncols=wide // 120, handlelength=0)
+        figure.legend(list(named.values()), list(named), loc="outside upper left", ncols=wide // 120, handlelength=0)
         figure.draw_without_rendering()  # lays out, so labels know where everything lies
         for axes, panel in zip(grid, panels):
-            _label(axes, panel, inks)
+            _label(axes, panel, inks, canvas)
     return figure
 
 
@@ -174,18 +174,18 @@ def _draw(axes: Axes, line: Line, ink: str) -> Line2D:
     return drawn
 
 
-def _label(axes: Axes, panel: Panel, inks: dict[str, str]) -> None:
+def _label(axes: Axes, panel: Panel, inks: dict[str, str], canvas: FigureCanvasAgg) -> None:
     """The label of each point where nothing else is, as near as can be; none where there is no room."""
     dots = [(dot, inks[line.name]) for line in panel.lines for dot in line.dots]
     taken = [Bbox([at - 4, at + 4]) for at in axes.transData.transform([dot[:2] for dot, _ in dots])]
-    room = axes.get_window_extent().padded(10)
+    room, renderer = axes.get_window_extent().padded(10), canvas.get_renderer()
     for dot, ink in [(dot, ink) for dot, ink in dots if dot.label]:
         thin = {"arrowstyle": "-", "lw": 0.7, "color": ink, "shrinkA": 0, "shrinkB": 0}
         for x, y in PLACES:
-            side = {"ha": "left" if x > 0 else "right", "va": "center", "color": ink}
-            far = thin if abs(y) > NEAR else None
-            words = axes.annotate(dot.label, dot[:2], (x, y), textcoords="offset points", arrowprops=far, **side)
-            words.update_positions(axes.figure.canvas.get_renderer())
+            how: dict[str, Any] = {"ha": "left" if x > 0 else "right", "va": "center", "color": ink}
+            how |= {"textcoords": "offset points", "arrowprops": thin if abs(y) > NEAR else None}
+            words = axes.annotate(dot.label, dot[:2], (x, y), **how)
+            words.update_positions(renderer)
             box = Text.get_window_extent(words)
             inside = room.x0 <= box.x0 and box.x1 <= room.x1 and room.y0 <= box.y0 and box.y1 <= room.y1
             if inside and not box.count_overlaps(taken):

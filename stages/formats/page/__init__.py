@@ -32,8 +32,10 @@ class Figure(NamedTuple):
 def fill(template: str, **values: Any) -> str:
     """The whole document. A template may use `values` and the SHARED templates; a name that is missing is an error."""
     texts = {name: (ROOM / name).read_text(encoding="utf-8") for name in (*SHARED, template)}
-    how = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
-    return Environment(loader=DictLoader(texts), **how).get_template(template).render(values) + "\n"
+    environment = Environment(
+        loader=DictLoader(texts), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(template).render(values) + "\n"
 
 
 def picture(pixels: np.ndarray, caption: str, quality: int = 88) -> Figure:
