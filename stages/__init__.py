@@ -10,6 +10,7 @@
 
 For a data set's folder, `neuman` or `zju` replaces frames and `calibrated` replaces sfm; masks and smpl then take the masks
 and body poses of the data set. `pipelines.yaml` says which stages run and with which settings.
+No pipeline names animate, views, demo, models and costs_page: a command of its own runs each of them.
 
 contract.py  what a stage is: its settings, its job, its error
 records.py   plain numpy records that the houses below hand each other

@@ -89,6 +89,7 @@ def _read(path: Path, fps: float | None, soles: Soles, parents: np.ndarray) -> t
     from stages.formats.motions import bvh, bvh_names
     from stages.formats.motions.smpl_npz import read_smpl_motion
 
+    own_fps: float | None
     if path.suffix.lower() == ".bvh":
         found = bvh.read_bvh(path)
         body = bvh_names.map_body(found, path)

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job
+from stages.formats.facts import MASKED_REGIONS, REGIONS
 
 if TYPE_CHECKING:
     import torch
@@ -30,8 +31,6 @@ PROTOCOL = (
     "the mean of each channel's own. Equal pictures count 100 dB. Where the mask is empty nobody is drawn."
 )
 MASKED = "masked_full: picture and person alone, both times the mask, over black; masked_crop: the same in its box."
-REGIONS = ("full", "person_crop", "person_white")
-MASKED_REGIONS = ("masked_full", "masked_crop")
 NUMBERS = ("psnr", "psnr_per_channel", "ssim", "lpips", "lpips_legacy")
 LR_POSE = {"turn": 0.01, "place": 0.015}  # rad and m a step, falling to 0
 SHOWN = 6
@@ -105,7 +104,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     seconds = {name: record.seconds for name, record in job.upstream.items()}
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
-    regions = REGIONS + MASKED_REGIONS * params.masked
+    regions = (*REGIONS, *(MASKED_REGIONS if params.masked else ()))
     means = {protocol: _means(found, regions) for protocol, found in rows.items()}
     metrics = means | {
         "frames": len(held),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stages import contract
 from stages.contract import Job, StageError, StageRecord
+from stages.formats.facts import MASKED_REGIONS, REGIONS
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip
@@ -29,8 +30,6 @@ PROTOCOLS = {
     "heldout": "held out",
     "heldout_fitted": "held out, poses fitted",
 }
-REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
-MASKED = {"masked_full": "person times mask, whole", "masked_crop": "person times mask, its box"}
 
 Columns = tuple[list[list[str]], tuple[int, ...], list[float]]
 """Rows of cells, the columns that are numbers, and a share (0 to 1) for each row."""
@@ -124,7 +123,7 @@ def _accuracy(metrics: Metrics) -> list[list[str]]:
     """Poses, region, PSNR, SSIM, LPIPS."""
     rows = []
     for protocol, title in PROTOCOLS.items():
-        for region, where in (REGIONS | MASKED).items():
+        for region, where in (REGIONS | MASKED_REGIONS).items():
             values = getattr(metrics, protocol).get(region, {})
             if values.get("psnr") is not None:
                 numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
@@ -143,7 +142,7 @@ def _beside_paper(dataset: Dataset | None, metrics: Metrics) -> list[list[str]]:
         for title, name, number in columns:
             if number is not None:
                 value = "not measured" if ours.get(name) is None else f"{ours[name]:.{2 if title == 'PSNR dB' else 3}f}"
-                rows.append([(REGIONS | MASKED)[region], title, value, f"{number:.2f}"])
+                rows.append([(REGIONS | MASKED_REGIONS)[region], title, value, f"{number:.2f}"])
     return rows
 
 

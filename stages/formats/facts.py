@@ -191,6 +191,11 @@ class Seconds(Facts):
     total: Number
 
 
+REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
+MASKED_REGIONS = {"masked_full": "person times mask, whole", "masked_crop": "person times mask, its box"}
+"""The regions of metrics.json, in words."""
+
+
 class Metrics(Facts):
     """metrics.json of the evaluate stage."""
 
