@@ -8,7 +8,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 WORKERS ?= 2
 HUGS    = $(VENV)/bin/hugs
-PYTEST  = $(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist loadfile
+PYTEST  = $(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 run: $(VENV)/ready
 	@$(HUGS) doctor --fetch

@@ -6,6 +6,7 @@ import json
 import shutil
 import signal
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,12 +17,30 @@ from typer import Option
 from hugs_cli import options, pipelines, words
 from hugs_cli.app_compare import ablate, costs
 from hugs_cli.app_draw import animate, render
+from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
 from hugs_cli.cache import child, engine
 from hugs_cli.cache.engine import RunStopped
-from hugs_cli.cache.freshness import Judge, Verdict
-from hugs_cli.cache.workspace import Stamp, Workspace, read_json, size_of
+from hugs_cli.cache.freshness import Session
+from hugs_cli.cache.workspace import Workspace, read_json, size_of
 from hugs_cli.console import Console, reasons_text
-from hugs_cli.options import AsJson, DeviceName, DryRun, Force, PipelineName, Settings, Stages, Work, on_clip
+from hugs_cli.options import (
+    AsJson,
+    BodyModel,
+    Cameras,
+    DeviceName,
+    DryRun,
+    Force,
+    Masks,
+    Person,
+    PipelineName,
+    PipelinesFile,
+    Seed,
+    Settings,
+    SmplFit,
+    Stages,
+    Work,
+    open_session,
+)
 from hugs_cli.pipelines import UsageError
 from stages.contract import StageError
 
@@ -29,28 +48,41 @@ HELP = "From a phone video to an animatable person and the scene, as 3D Gaussian
 app = typer.Typer(
     help=HELP, no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
 )
-SHOWN = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
 
 
-@app.command()
-@on_clip
 def run(
-    judge: Judge,
+    video: options.Video,
     stages: Stages = None,
     device: DeviceName = options.Device.cpu,
     force: Force = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
     within: Annotated[
-        str | None, Option(metavar="TIME", help="Train as much as fits: 10m, 1h30m. Kept apart, as PIPELINE.TIME.")
+        str | None, Option(metavar="TIME", help="Train for what is left of 10m, 1h30m; results go to PIPELINE.TIME.")
     ] = None,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    masks: Masks = None,
+    person: Person = None,
+    cameras: Cameras = None,
+    smpl_fit: SmplFit = None,
+    body_model: BodyModel = None,
+    seed: Seed = 0,
+    work: Work = Path("work"),
+    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
-    """Run what is not fresh. The last line on stdout is the path of the report, or of the last stage asked for."""
-    go(judge, stages, device, force, dry_run, as_json, within)
+    """Run the pipeline; finished stages are reused.
+
+    The last line on stdout is the path of the report, or of the last stage named.
+    """
+    session = open_session(
+        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
+    )
+    run_pipeline(session, stages, device, force, dry_run, as_json, within)
 
 
-def go(
-    judge: Judge,
+def run_pipeline(
+    session: Session,
     stages: list[str] | None,
     device: options.Device,
     force: bool = False,
@@ -58,98 +90,89 @@ def go(
     as_json: bool = False,
     within: str | None = None,
 ) -> None:
-    """What `run` and `demo` have in common."""
+    """The common part of `run` and `demo`."""
     from hugs_cli.within import promise
 
-    wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
-    promised = promise(judge, stages, within) if within else None
-    judge = promised.judge if promised else judge
+    wanted = session.pipeline.upstream(stages or session.pipeline.stages)
+    promised = promise(session, stages, within) if within else None
+    session = promised.session if promised else session
     forced = frozenset(stages or wanted) if force else frozenset()
     console = Console(name_width=max(9, *(len(name) + 1 for name in wanted)))
     if dry_run:
-        show(console, judge.all(wanted, forced), as_json)
+        show(console, session.verdicts(wanted, forced), as_json)
         return
-    video, workspace = judge.sources["video"], judge.workspace
-    judge.check_sources()
+    video, workspace = session.video, session.workspace
+    session.check_sources()
     workspace.create()
-    console.header(video.name, clip_facts(workspace), judge.pipeline.name, words.relative(workspace.root))
+    console.header(video.name, clip_facts(workspace), session.pipeline.name, words.relative(workspace.root))
+    if not forced:
+        hint_accept(promised.last_session() if promised else session, wanted, console)
     if promised:
         ran, kept = promised.keep(forced, device.value, console)
     else:
-        ran, kept = engine.run(judge, wanted, forced, device.value, console), None
+        ran, kept = engine.run(session, wanted, forced, device.value, console), None
     path = workspace.links / (stages or wanted)[-1]
     path = path / "report.html" if path.name == "report" else path
     if not as_json:
         console.result(words.relative(path))
         return
     rows = [
-        {"stage": one.stage, "state": one.state, "reasons": list(map(str, one.reasons)), "folder": str(one.folder)}
-        | shown(one.stamp)
+        {
+            "stage": one.stage,
+            "state": one.state,
+            "reasons": list(map(str, one.reasons)),
+            "folder": str(one.folder),
+            **stamp_facts(one.stamp),
+        }
         for one in ran
     ]
-    result = {"clip": video.name, "pipeline": judge.pipeline.name, "result": str(path), "stages": rows}
+    result: dict[str, Any] = {
+        "clip": video.name,
+        "pipeline": session.pipeline.name,
+        "result": str(path),
+        "stages": rows,
+    }
     result |= {"within": kept} if kept else {}
     console.result(json.dumps(result, indent=1))
 
 
-@app.command()
-@on_clip
-def status(judge: Judge, as_json: AsJson = False) -> None:
-    """A line a stage: is its result fresh, and if not, why."""
-    show(Console(), judge.all(list(judge.pipeline.stages)), as_json)
+def hint_accept(session: Session, wanted: list[str], console: Console) -> None:
+    """Before a run: one line if it would make results again although only code has changed."""
+    if stamps := session.acceptable(wanted):
+        name = session.workspace.links.name
+        command = f"hugs accept {session.video}" + ("" if name == "default" else f" --pipeline {name}")
+        spent = words.duration(sum(stamp.seconds for stamp in stamps))
+        console.say(f"only code has changed: {spent} of results are made again; `{command}` (and --set ...) keeps them")
 
 
-@app.command()
-@on_clip
-def why(judge: Judge, stages: Stages = None) -> None:
-    """What a stage's last result was made of, and what is different now."""
-    wanted = stages or list(judge.pipeline.stages)
-    verdicts, console, now = judge.all(judge.pipeline.upstream(wanted)), Console(), child.versions(lambda module: True)
-    for i, name in enumerate(wanted):
-        if i:
-            console.result()
-        console.why(verdicts[name], now)
-
-
-@app.command("stages")
-def list_stages(
+def accept(
+    video: options.Video,
     stages: Stages = None,
     pipeline: PipelineName = "default",
     set_: Settings = None,
-    as_json: AsJson = False,
-    pipelines_file: options.PipelinesFile = pipelines.FILE,
+    masks: Masks = None,
+    person: Person = None,
+    cameras: Cameras = None,
+    smpl_fit: SmplFit = None,
+    body_model: BodyModel = None,
+    seed: Seed = 0,
+    work: Work = Path("work"),
+    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
-    """The pipelines, and the stages of one: what each needs, its settings and their meaning."""
-    loaded, console = pipelines.load(pipeline, set_ or (), pipelines_file), Console()
-    loaded.upstream(stages or [])  # refuses unknown names
-    chosen = [loaded.stages[name] for name in stages or loaded.stages]
-    if as_json:
-        rows = [
-            {"stage": s.name, "needs": s.needs, "doc": s.doc, "params": s.params.model_dump(mode="json")}
-            for s in chosen
-        ]
-        console.result(json.dumps({"pipeline": pipeline, "doc": loaded.doc, "stages": rows}, indent=1))
-        return
-    for name, doc in pipelines.names(pipelines_file).items():
-        console.result(f"{'*' if name == pipeline else ' '} {name:<12}{doc}")
-    for stage in chosen:
-        console.result(f"\n{stage.name}  <- {', '.join(stage.needs)}\n  {stage.doc}".rstrip())
-        for name, info in type(stage.params).model_fields.items():
-            doc = " ".join((info.description or "").split())
-            console.result(f"    {name} = {getattr(stage.params, name)}{'   ' + doc if doc else ''}")
+    """Keep existing results even though the code changed.
 
-
-@app.command()
-@on_clip
-def accept(judge: Judge, stages: Stages = None) -> None:
-    """Take present results as fresh although code has changed, because you know that the change does not alter them."""
-    judge.pipeline.upstream(stages or [])  # refuses unknown names
-    judge.check_sources()
-    judge.workspace.create()
+    Give the options of the run. Use it only if you know that the change does not alter the results.
+    """
+    session = open_session(
+        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
+    )
+    session.pipeline.upstream(stages or [])  # refuses unknown names
+    session.check_sources()
+    session.workspace.create()
     console = Console()
-    for name, (verdict, taken) in engine.accept(judge, stages or list(judge.pipeline.stages), console).items():
-        if taken:
-            changed = ", ".join(map(str, verdict.reasons))
+    for name, (verdict, taken) in engine.accept(session, stages or list(session.pipeline.stages), console).items():
+        if taken and verdict.last and verdict.recipe:
+            changed = reasons_text(verdict.reasons)
             console.result(f"{name} accepted: {verdict.last.key[:8]} is now {verdict.recipe.key[:8]}; {changed}")
         elif verdict.fresh:
             console.result(f"{name} is fresh: nothing to accept")
@@ -157,9 +180,11 @@ def accept(judge: Judge, stages: Stages = None) -> None:
             console.result(f"{name} not accepted, only changes of code can be: {reasons_text(verdict.reasons)}")
 
 
-@app.command()
 def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work")) -> None:
-    """Remove a clip's results that no pipeline links to, and what stopped runs left."""
+    """Delete results that no pipeline uses.
+
+    That is: results that no pipeline of the clip links to, and leftovers of stopped runs.
+    """
     workspace, console, freed = Workspace(video, work, "default"), Console(), 0
     if not workspace.store.is_dir():
         raise UsageError(f"no results of {video.name} in {work}", "choose the folder with `--work`")
@@ -173,29 +198,30 @@ def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work"))
     console.result(f"{words.size(freed)} {'to free' if dry_run else 'freed'}")
 
 
-@app.command()
 def demo(
     pipeline: PipelineName = "default",
     set_: Settings = None,
-    seed: options.Seed = 0,
+    seed: Seed = 0,
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
-    pipelines_file: options.PipelinesFile = pipelines.FILE,
+    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
-    """Make a synthetic clip, with its truth beside it, and run a pipeline on it."""
+    """Make a synthetic clip and run a pipeline on it.
+
+    The truth about the clip lies beside it in truth/.
+    """
     from hugs_cli.demo import synthetic_clip
 
     video = synthetic_clip(work, seed, Console())
-    judge = options.judge_of(video, pipeline, set_, seed=seed, work=work, pipelines_file=pipelines_file)
-    go(judge, None, device)
+    session = open_session(video, pipeline, set_, seed=seed, work=work, pipelines_file=pipelines_file)
+    run_pipeline(session, None, device)
 
 
-@app.command()
 def doctor(
-    fetch: Annotated[bool, Option("--fetch", help="Bring the model files that are missing (needs a network).")] = False,
+    fetch: Annotated[bool, Option("--fetch", help="Download missing model files.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """What is installed, what the machine has, what is missing and how to get it."""
+    """Check the installation and say how to get what is missing."""
     from hugs_cli.doctor import examine, fetch_missing
 
     console = Console()
@@ -210,31 +236,27 @@ def doctor(
         raise typer.Exit(1)
 
 
-for command in (ablate, costs, render, animate):
-    app.command()(command)
-
-
-def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:
-    """Print verdicts as rows or as JSON."""
-    if not as_json:
-        console.verdicts(verdicts)
-        return
-    rows = [
-        {"stage": name, "state": verdict.state, "reasons": list(map(str, verdict.reasons))}
-        | shown(verdict.stamp or verdict.last)
-        for name, verdict in verdicts.items()
-    ]
-    console.result(json.dumps(rows, indent=1))
-
-
-def shown(stamp: Stamp | None) -> dict[str, Any]:
-    """What `--json` shows of a stamp."""
-    return {name: getattr(stamp, name) for name in SHOWN} if stamp else {}
+COMMANDS: dict[str, Callable[..., None]] = {
+    "run": run,
+    "status": status,
+    "why": why,
+    "stages": list_stages,
+    "accept": accept,
+    "gc": gc,
+    "demo": demo,
+    "doctor": doctor,
+    "ablate": ablate,
+    "costs": costs,
+    "render": render,
+    "animate": animate,
+}
+for name, command in COMMANDS.items():
+    app.command(name)(command)
 
 
 def clip_facts(workspace: Workspace) -> str:
     """Length and size of the clip, once the frames stage has read them."""
-    video = read_json(workspace.links / "frames" / "frames.json").get("video")
+    video: Any = read_json(workspace.links / "frames" / "frames.json").get("video")
     try:
         return f"{video['duration_s']:.1f} s, {video['frames']} frames, {video['width']}x{video['height']}"
     except (TypeError, KeyError, ValueError):
@@ -260,7 +282,7 @@ def main() -> None:
         Console().error(error)
         sys.exit(2 if isinstance(error, UsageError) else 1)
     except OSError as error:
-        said = child.file_trouble(error)
+        said = child.file_error(error)
         if said is None:
             raise
         Console().error(said)

@@ -1,86 +1,133 @@
-"""The commands that set results of one clip beside each other: ablate, costs."""
+"""The commands that compare results of one clip: ablate, costs."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Annotated
 
 from typer import Option
 
-from hugs_cli import options, words
-from hugs_cli.cache.freshness import Judge
+from hugs_cli import options, pipelines, words
 from hugs_cli.console import Console
-from hugs_cli.options import AsJson, DeviceName, DryRun, on_clip
+from hugs_cli.options import (
+    AsJson,
+    BodyModel,
+    Cameras,
+    DeviceName,
+    DryRun,
+    Masks,
+    Person,
+    PipelineName,
+    PipelinesFile,
+    Seed,
+    Settings,
+    SmplFit,
+    Work,
+    open_session,
+)
 from hugs_cli.pipelines import UsageError
 
 
-@on_clip
 def ablate(
-    judge: Judge,
+    video: options.Video,
     part: Annotated[
-        list[str] | None, Option(help="Only without this part (may be repeated); none: the pipeline alone.")
+        list[str] | None, Option(help="Leave out only this part (may be repeated); none: the pipeline alone.")
     ] = None,
-    seeds: Annotated[int, Option(min=1, help="Trainings of each, from --seed on; what lies before is shared.")] = 3,
+    seeds: Annotated[int, Option(min=1, help="Seeds per variant, starting at --seed.")] = 3,
     device: DeviceName = options.Device.cpu,
     dry_run: DryRun = False,
     as_json: AsJson = False,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    masks: Masks = None,
+    person: Person = None,
+    cameras: Cameras = None,
+    smpl_fit: SmplFit = None,
+    body_model: BodyModel = None,
+    seed: Seed = 0,
+    work: Work = Path("work"),
+    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
-    """What each part of the method is worth on this clip: the pipeline, and five times the same without one part."""
+    """Measure what each part of the method is worth.
+
+    Trains the pipeline, and five variants of it with one part left out each.
+    """
+    session = open_session(
+        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
+    )
     from hugs_cli.studies import ablate as ablations
 
-    console, cases = Console(), ablations.cases(judge, part or (), seeds)
-    judge.check_sources()
+    console, cases = Console(), ablations.cases(session, part or (), seeds)
+    session.check_sources()
     if not dry_run:
-        judge.workspace.create()
+        session.workspace.create()
     plan = ablations.plan(cases)
     if dry_run:
-        rows = [{"pipeline": one.judge.pipeline.name, "seed": one.seed, "train": state} for one, state, _ in plan]
+        rows = [{"pipeline": one.session.pipeline.name, "seed": one.seed, "train": state} for one, state, _ in plan]
         lines = [f"  {row['pipeline']:<24}seed {row['seed']:<4}{row['train']}" for row in rows]
-        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.announced(plan), *lines]))
+        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.summary(plan), *lines]))
         return
-    console.say(ablations.announced(plan))
-    result = {"clip": judge.sources["video"].name, **ablations.run(cases, device.value, console)}
+    console.say(ablations.summary(plan))
+    result = {"clip": session.video.name, **ablations.run(cases, device.value, console)}
     console.result(json.dumps(result, indent=1) if as_json else "\n".join(ablations.table(result)))
 
 
-@on_clip
 def costs(
-    judge: Judge,
-    sweep: Annotated[bool, Option("--sweep", help="Vary one axis at a time around the pipeline, and train.")] = False,
-    axis: Annotated[list[str] | None, Option(help="Only this axis of a sweep (may be repeated).")] = None,
-    seeds: Annotated[int, Option(min=1, help="Of a sweep: trainings of each case, from --seed on.")] = 3,
-    budget: Annotated[float, Option(min=0, help="Of a sweep: minutes to train; 0: only what is cached.")] = 120,
-    plot: Annotated[bool, Option("--plot", help="Draw it, too: SVG, PNG and a page beside the results.")] = False,
+    video: options.Video,
+    sweep: Annotated[bool, Option("--sweep", help="Vary one setting at a time, and train.")] = False,
+    axis: Annotated[list[str] | None, Option(help="Vary only this axis (may be repeated; with --sweep).")] = None,
+    seeds: Annotated[int, Option(min=1, help="Seeds per case, starting at --seed (with --sweep).")] = 3,
+    budget: Annotated[float, Option(min=0, help="Minutes to train; 0: only cached results (with --sweep).")] = 120,
+    plot: Annotated[bool, Option("--plot", help="Also write a plot and a page beside the results.")] = False,
     device: DeviceName = options.Device.cpu,
     dry_run: DryRun = False,
     as_json: AsJson = False,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    masks: Masks = None,
+    person: Person = None,
+    cameras: Cameras = None,
+    smpl_fit: SmplFit = None,
+    body_model: BodyModel = None,
+    seed: Seed = 0,
+    work: Work = Path("work"),
+    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
-    """What the pipelines that were run on a clip cost, and what that bought; --sweep: what each setting costs and buys."""
+    """Compare time and accuracy of pipelines or settings.
+
+    Without --sweep: the pipelines that were run on a clip. With it: one setting at a time is varied, and trained.
+    """
+    session = open_session(
+        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
+    )
     from hugs_cli.studies import costs as accounts
 
-    console, clip, root = Console(), judge.sources["video"].name, judge.workspace.root
+    console, clip, root = Console(), session.video.name, session.workspace.root
     if axis and not sweep:
         raise UsageError("only a sweep has axes", "add `--sweep`")
     if sweep:
         from hugs_cli.studies import sweep as sweeps
 
-        cases = sweeps.sweep(judge, axis or (), seeds)
-        judge.check_sources()
+        cases = sweeps.sweep(session, axis or (), seeds)
+        session.check_sources()
         plan = sweeps.plan(cases, 60 * budget)
         if dry_run:
-            rows = [{"pipeline": c.judge.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
-            lines = [sweeps.announced(cases, plan, 60 * budget), *sweeps.listed(plan)]
+            rows = [{"pipeline": c.session.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
+            lines = [sweeps.summary(cases, plan, 60 * budget), *sweeps.plan_lines(plan)]
             console.result(json.dumps(rows, indent=1) if as_json else "\n".join(lines))
             return
-        judge.workspace.create()
-        console.say(sweeps.announced(cases, plan, 60 * budget))
+        session.workspace.create()
+        console.say(sweeps.summary(cases, plan, 60 * budget))
         result = sweeps.run(cases, 60 * budget, device.value, console)
     else:
-        result = accounts.compared(accounts.runs(judge.workspace))
+        result = accounts.compared(accounts.runs(session.workspace))
     result = {"clip": clip, **result}
     if plot:
         from hugs_cli.studies import costs_page
 
-        name, title = ("sweep-" + judge.pipeline.name, f"around {judge.pipeline.name}") if sweep else ("costs", "costs")
+        name, title = (
+            ("sweep-" + session.pipeline.name, f"around {session.pipeline.name}") if sweep else ("costs", "costs")
+        )
         console.say(words.relative(costs_page.write(root, name, f"{clip}: {title}", result)))
     console.result(json.dumps(result, indent=1) if as_json else "\n".join(accounts.table(result)))

@@ -1,9 +1,9 @@
-"""The commands that draw from what `hugs run` made: render, animate."""
+"""The commands that draw the result of `hugs run`: render, animate."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
@@ -11,8 +11,10 @@ from hugs_cli import options, words
 from hugs_cli.cache import engine
 from hugs_cli.cache.workspace import Stamp, Workspace
 from hugs_cli.console import Console
+from hugs_cli.direct import run_directly
 from hugs_cli.options import DeviceName, PipelineName, Work
 from hugs_cli.pipelines import UsageError
+from stages.contract import Job
 
 
 def render(
@@ -27,15 +29,13 @@ def render(
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
-    """Render given cameras, and given poses, from what `hugs run` made."""
+    """Render the result of `hugs run` for your own cameras and poses."""
     (train,) = finished(video, work, pipeline, "train")
     check_files(cameras, poses)
     where = engine.device_of(device.value)
-    from stages.render import render_views
-
     console = Console()
-    count = render_views(train=train, cameras=cameras, poses=poses, only=only.value, out=out, device=where)
-    console.say(f"{words.count(count, 'picture')} of {only.value}")
+    job = Job(out, where, emit=lambda event: console.say(event["text"]))
+    run_directly("stages.views", job, {"only": only.value}, train=train, cameras=cameras, poses=poses)
     console.result(words.relative(out))
 
 
@@ -56,7 +56,10 @@ def animate(
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
-    """Let the person of `hugs run` perform a motion file where it stood in the clip. No network runs."""
+    """Let the person perform a motion file.
+
+    They stay where they stood in the clip. No network runs.
+    """
     train, sfm, smpl = finished(video, work, pipeline, "train", "sfm", "smpl")
     check_files(motion, cameras)
     if only is options.Only.scene:
@@ -64,27 +67,22 @@ def animate(
     if out.suffix.lower() != ".mp4":
         raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
     where = engine.device_of(device.value)
-    from hugs_cli.animate import Motion
-    from hugs_cli.animate import animate as perform
-
     console = Console()
     console.started("animate", ())
-    count = perform(
-        Motion(motion, motion_fps, up and up.value),
-        train=train,
-        sfm=sfm,
-        smpl=smpl,
-        cameras=cameras,
-        only=only.value,
-        out=out,
-        fps=fps,
-        device=where,
-        say=console.say,
-        progress=lambda done, total: console.heard(
-            "animate", {"event": "progress", "done": done, "total": total, "numbers": {}}
-        ),
-    )
-    console.say(f"{words.count(count, 'frame')}, {words.duration(count / fps)} at {fps:g} fps")
+    frames = 0
+
+    def heard(event: dict[str, Any]) -> None:
+        nonlocal frames
+        if event["event"] == "note":
+            console.say(event["text"])
+        else:
+            frames = event["total"]
+            console.heard("animate", event)
+
+    settings = {"fps": fps, "motion_fps": motion_fps, "up": up and up.value, "only": only.value}
+    inputs = {"motion": motion, "train": train, "sfm": sfm, "smpl": smpl, "cameras": cameras}
+    run_directly("stages.animate", Job(out, where, emit=heard), settings, **inputs)
+    console.say(f"{words.count(frames, 'frame')}, {words.duration(frames / fps)} at {fps:g} fps")
     console.result(words.relative(out))
 
 

@@ -1,4 +1,4 @@
-"""Everything printed: rows and progress to stderr, results to stdout; a moving row only on a terminal."""
+"""All output: progress to stderr, results to stdout. Only on a terminal a row moves."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -26,7 +27,7 @@ ENDINGS = {"done": "done", "stopped": "stopped"}  # every other ending reads 'fa
 
 
 def reasons_text(reasons: tuple[Reason, ...]) -> str:
-    """Reasons of a re-run on one line; `hugs why` shows those that find no room."""
+    """Reasons of a re-run on one line, the first of many; `hugs why` shows them all."""
     texts = list(map(str, reasons))
     if len(texts) > ON_ONE_LINE:
         texts[ON_ONE_LINE - 1 :] = [f"{len(texts) - ON_ONE_LINE + 1} more"]
@@ -35,21 +36,21 @@ def reasons_text(reasons: tuple[Reason, ...]) -> str:
 
 @dataclass
 class Progress:
-    """What is known of the running stage: when it began and how fast it moves."""
+    """The running stage: when it began, and its last progress event."""
 
     started: float
     first: tuple[float, int] | None = None
     event: dict[str, Any] = field(default_factory=dict)
 
     def take(self, event: dict[str, Any], now: float) -> None:
-        """Note a progress event; a new total or a step back begins a new part, with its own speed."""
+        """Keep a progress event. A new total or a step back begins a new part, which has its own speed."""
         restarted = self.event and (event["total"] != self.event["total"] or event["done"] < self.event["done"])
         if self.first is None or restarted:
             self.first = (now, event["done"])
         self.event = event
 
     def left(self, now: float) -> float | None:
-        """Seconds until the present part ends: as the stage says, or at its speed so far; None while that is a guess."""
+        """Seconds until this part ends: the stage's own number, or from its speed so far; None in the first 2 s."""
         if "left" in self.event:
             return self.event["left"]
         if self.first is None or self.event["done"] <= self.first[1] or now - self.first[0] < 2:
@@ -61,15 +62,21 @@ class Progress:
 class Console:
     """Prints one command's output; a Watcher of the engine."""
 
-    def __init__(self, out: TextIO | None = None, err: TextIO | None = None, clock=time.monotonic, name_width: int = 9):
+    def __init__(
+        self,
+        out: TextIO | None = None,
+        err: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        name_width: int = 9,
+    ):
         self.out, self.err, self.clock = out or sys.stdout, err or sys.stderr, clock
         self.live = self.err.isatty() and os.environ.get("TERM") != "dumb"
-        self.colour = self.live and not os.environ.get("NO_COLOR")
+        self.color = self.live and not os.environ.get("NO_COLOR")
         self.name_width = name_width
-        self.progress: Progress | None = None
+        self.progress = Progress(0.0)
         self.reasons = ""
-        self.told: list[str] = []
-        self.said = 0.0
+        self.shown_notes: list[str] = []
+        self.last_line = 0.0
 
     # results
 
@@ -78,7 +85,7 @@ class Console:
         print(text, file=self.out, flush=True)
 
     def error(self, error: StageError) -> None:
-        """What is wrong, facts, a blank line, what helps; for a bug its traceback first."""
+        """The problem, facts, a blank line and the hint; for a bug the traceback first."""
         self.clear()
         if isinstance(error, StageFailed) and error.traceback:
             self.say(error.traceback.rstrip())
@@ -109,7 +116,7 @@ class Console:
         return f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}{seconds:<{TIME_WIDTH}}{text}".rstrip()
 
     def below(self, text: str) -> None:
-        """A line that belongs to the row above."""
+        """A line under the row of a stage."""
         self.say(f"  {'':<{self.name_width}}{text}")
 
     def waiting(self, holder: str) -> None:
@@ -125,8 +132,8 @@ class Console:
     def started(self, stage: str, reasons: tuple[Reason, ...]) -> None:
         """A stage's process begins."""
         self.progress = Progress(self.clock())
-        self.reasons, self.told = reasons_text(reasons), []
-        self.said = self.clock()
+        self.reasons, self.shown_notes = reasons_text(reasons), []
+        self.last_line = self.clock()
         self.draw(stage)
 
     def heard(self, stage: str, event: dict[str, Any]) -> None:
@@ -135,16 +142,16 @@ class Console:
         if kind == "progress":
             self.progress.take(event, self.clock())
         if event.get("at_once"):
-            self.told.append(event["text"])
+            self.shown_notes.append(event["text"])
             self.say(f"  {stage:<{self.name_width}}{event['text']}")
         if kind in (None, "progress"):
             self.draw(stage)
 
     def ended(self, stage: str, outcome: Outcome) -> None:
-        """A stage's process has ended: its row for good, its notes and warnings below."""
+        """A stage's process has ended: print its row, its notes and its warnings."""
         state = ENDINGS.get(outcome.kind, "failed")
         text = self.reasons
-        notes = [note for note in outcome.notes if note not in self.told]
+        notes = [note for note in outcome.notes if note not in self.shown_notes]
         short = "; ".join([text, *notes]) if outcome.kind == "done" else text
         together = len(self.row(stage, state, "", short)) <= 118
         self.say(self.row(stage, state, duration(outcome.seconds), short if together else text))
@@ -152,16 +159,15 @@ class Console:
             self.below(note)
         for warning in outcome.warnings:
             self.warning(warning)
-        self.progress = None
 
     def warning(self, text: str) -> None:
-        """What a user should know before trusting a result."""
+        """A warning about a result, under its row."""
         self.below(f"{self.paint('warning:', 33)} {text}")
 
     def draw(self, stage: str) -> None:
         """Show how far the running stage is: redraw the row on a terminal, elsewhere a line every minute."""
         now, progress = self.clock(), self.progress
-        if not self.live and now - self.said < QUIET_EVERY:
+        if not self.live and now - self.last_line < QUIET_EVERY:
             return
         state, text = "running", self.reasons
         elapsed = duration(now - progress.started)
@@ -176,7 +182,7 @@ class Console:
             self.err.write(f"\r\x1b[2K{line[: shutil.get_terminal_size().columns - 1]}")
             self.err.flush()
         else:
-            self.said = now
+            self.last_line = now
             self.say(f"  {stage:<{self.name_width}}{state}  {elapsed}  {text}".rstrip())
 
     def clear(self) -> None:
@@ -184,25 +190,25 @@ class Console:
         if self.live:
             self.err.write("\r\x1b[2K")
 
-    def paint(self, text: str, colour: int) -> str:
-        """The text in a colour where that is wanted; the words say it all without."""
-        return f"\x1b[1;{colour}m{text}\x1b[0m" if self.colour else text
+    def paint(self, text: str, color: int) -> str:
+        """The text in a colour, on a terminal that shows colours."""
+        return f"\x1b[1;{color}m{text}\x1b[0m" if self.color else text
 
     # status and why
 
     def verdicts(self, verdicts: dict[str, Verdict]) -> None:
-        """A line a stage: fresh or not, since when, how long it took, why it would run."""
+        """A line for each stage: fresh or not, its age, its time, why it would run."""
         self.name_width = max([self.name_width, *(len(name) + 1 for name in verdicts)])
         for name, verdict in verdicts.items():
             stamp = verdict.stamp or verdict.last
             took = duration(stamp.seconds) if stamp else ""
-            text = f"made {ago(stamp.made)}" if verdict.fresh else reasons_text(verdict.reasons)
+            text = f"made {ago(stamp.made)}" if stamp and verdict.fresh else reasons_text(verdict.reasons)
             self.result(self.row(name, verdict.state, took, text))
-            for warning in stamp.warnings if verdict.fresh else []:
+            for warning in stamp.warnings if stamp and verdict.fresh else []:
                 self.result(f"  {'':<{self.name_width}}warning: {warning}")
 
     def why(self, verdict: Verdict, now: dict[str, str]) -> None:
-        """Everything about one stage: what its last result was made of and what is different. `now`: versions."""
+        """Everything about one stage: what its last result was made of, and what differs. `now`: versions by name."""
         stamp = verdict.stamp or verdict.last
         if stamp is None:
             self.result(f"{verdict.stage} would run: {reasons_text(verdict.reasons)}.")
@@ -230,7 +236,7 @@ class Console:
             self.result(f"Since then (makes nothing stale): {', '.join(other)}")
 
     def findings(self, findings: list[Finding]) -> None:
-        """A line for each thing that doctor looked at, with what helps below it."""
+        """A line for each finding of doctor, and its hint below."""
         for finding in findings:
             state = "ok" if finding.ok else "none" if finding.optional else "missing"
             self.result(f"  {finding.name:<32}{state:<9}{finding.text}".rstrip())
@@ -255,7 +261,7 @@ def why_line(reason: Reason) -> str:
 
 
 def same_text(stamp: Stamp, reasons: tuple[Reason, ...]) -> str:
-    """What is as it was: inputs by name, settings and modules counted."""
+    """The inputs that are the same by name, and how many settings and modules are."""
     changed = {getattr(reason, "name", getattr(reason, "module", None)) for reason in reasons}
     inputs = [name for name, content in stamp.inputs.items() if name not in changed and content]
     settings = sum(name not in changed for name in stamp.params)

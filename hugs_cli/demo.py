@@ -8,16 +8,17 @@ from pathlib import Path
 
 from hugs_cli.cache.fingerprint import Code, digest
 from hugs_cli.console import Console
-from stages.contract import StageError
+from hugs_cli.direct import run_directly
+from stages.contract import Job, StageError
 
-MODULES = ("stages.synthetic.clip", "stages.synthetic.files")
+MODULE = "stages.demo"
 
 
 def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
     """The path of the clip, written if it is not there yet; its truth lies in truth/ beside it."""
     folder = work / "clip" / "synthetic"
     video, note = folder / "clip.mp4", folder / "made.json"
-    made_of = digest([seed, [Code().digests(module) for module in MODULES]])
+    made_of = digest([seed, Code().digests(MODULE)])
     if video.is_file() and note.is_file() and json.loads(note.read_bytes()) == made_of:
         return video
     folder.mkdir(parents=True, exist_ok=True)
@@ -33,9 +34,5 @@ def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
 
 
 def write(folder: Path, seed: int) -> None:
-    """In a process of its own, so that what it loads is gone afterwards."""
-    from stages.formats.body_model import read_body_model
-    from stages.synthetic.clip import make_clip
-    from stages.synthetic.files import write_clip
-
-    write_clip(folder, make_clip(read_body_model(None), seed=seed))
+    """Make the clip. Runs in a process of its own, which gives its memory back."""
+    run_directly(MODULE, Job(folder, seed=seed))

@@ -1,4 +1,4 @@
-"""What is installed, what the machine has, which model files are here; what is missing and how to get it."""
+"""Checks the machine, the installed libraries and the model files, and says how to get what is missing."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 from hugs_cli.cache import child
 from hugs_cli.cache.engine import find_device
+from hugs_cli.direct import run_directly
 from hugs_cli.words import size
+from stages.contract import Job
 
 DISTRIBUTIONS = {
     **child.LIBRARIES,
-    **{name: name for name in ("typer", "rich", "pydantic", "typing_extensions")},
+    **{name: name for name in ("typer", "pydantic", "typing_extensions", "jinja2", "matplotlib")},
     "yaml": "PyYAML",
 }
 MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # the bar of the whole flow; results of one clip and its copies
@@ -26,7 +29,7 @@ MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # the bar of the whole flow; 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """One thing that was checked."""
 
     name: str
     ok: bool
@@ -36,7 +39,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Everything, in the order in which it is printed."""
+    """All findings, in the order in which they are printed."""
     return [*machine(), *packages(), *codecs(), *models()]
 
 
@@ -91,11 +94,12 @@ def codecs() -> list[Finding]:
     import av
 
     found = []
-    for name, mode, what in (
+    wanted: tuple[tuple[str, Literal["r", "w"], str], ...] = (
         ("h264", "r", "reads H.264"),
         ("hevc", "r", "reads HEVC"),
         ("libx264", "w", "writes H.264"),
-    ):
+    )
+    for name, mode, what in wanted:
         hint = "pip install --force-reinstall av"
         found.append(Finding(f"codec {name}", name in av.codecs_available, what, hint))
         if found[-1].ok:
@@ -105,19 +109,21 @@ def codecs() -> list[Finding]:
 
 def models() -> list[Finding]:
     """The body that ships with hugs, and the model files that are fetched."""
-    from stages.estimators import assets
+    found: list[Finding] = []
 
-    body = Path(assets.__file__).with_name("free_body.npz")
-    found = [Finding("free body", body.is_file(), "ships with hugs", "clone the repository again")]
-    for name, asset in assets.ASSETS.items():
-        found.append(Finding(name, assets.present(name), asset.why, "hugs doctor --fetch"))
+    def heard(event: dict[str, Any]) -> None:
+        hint = "hugs doctor --fetch" if found else "clone the repository again"  # the free body comes first
+        found.append(Finding(event["name"], event["here"], event["why"], hint))
+
+    run_directly("stages.models", Job(Path(), emit=heard))
     return found
 
 
 def fetch_missing(say: Callable[[str], None]) -> None:
-    """Bring every model file that is not here; StageError if one cannot be had."""
-    from stages.estimators import assets
+    """Fetch every model file that is missing; StageError if one cannot be had."""
 
-    for name in assets.ASSETS:
-        if not assets.present(name):
-            assets.fetch(name, say)
+    def heard(event: dict[str, Any]) -> None:
+        if event["event"] == "note":
+            say(event["text"])
+
+    run_directly("stages.models", Job(Path(), emit=heard), {"fetch": True})

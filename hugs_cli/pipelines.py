@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import graphlib
-import importlib
-import inspect
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -16,11 +14,11 @@ import yaml
 from pydantic import ValidationError
 
 from hugs_cli.studies import variants
-from stages.contract import Params, StageError
+from stages.contract import Params, StageError, changes_speed_only, load_stage
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
 if not FILE.exists():  # installed, not a checkout
-    FILE = Path(next(file.locate() for file in files("hugs-avatar") if file.name == "pipelines.yaml")).resolve()
+    FILE = Path(next(file.locate() for file in files("hugs-avatar") or () if file.name == "pipelines.yaml")).resolve()
 SOURCES = {
     "video": "VIDEO",
     "mask_files": "--masks",
@@ -51,11 +49,8 @@ class Stage:
 
     def settings(self, speed_only: bool = False) -> dict[str, Any]:
         """The settings that make the result (or those that only change speed), as plain JSON values."""
-        chosen = {
-            name
-            for name, info in type(self.params).model_fields.items()
-            if bool((info.json_schema_extra or {}).get("speed_only")) == speed_only
-        }
+        fields = type(self.params).model_fields
+        chosen = {name for name, info in fields.items() if changes_speed_only(info) == speed_only}
         return self.params.model_dump(mode="json", include=chosen)
 
 
@@ -159,8 +154,8 @@ def check_keys(value: Any, allowed: tuple[str, ...] | None, where: str) -> dict[
     """The value if it is a mapping of allowed keys, else UsageError with the nearest allowed key."""
     if not isinstance(value, dict):
         raise UsageError(f"{where}: a mapping is needed, not {value!r}", "see the other pipelines for the form")
-    for key in value if allowed else ():
-        if key not in allowed:
+    for key in value:
+        if allowed is not None and key not in allowed:
             raise unknown("key", str(key), allowed, where)
     return value
 
@@ -193,20 +188,16 @@ def check_stage(name: str, entry: dict[str, Any], stages: dict[str, Any], pipeli
     """Import a stage's (light) module, compare `needs` with the keywords of run(), and check the settings."""
     where = f"pipeline {pipeline}, stage {name}"
     try:
-        module = importlib.import_module(entry["module"])
+        module = load_stage(entry["module"])
     except ModuleNotFoundError as error:
         if not error.name or not f"{entry['module']}.".startswith(f"{error.name}."):
             raise
         raise UsageError(f"{where}: there is no module {entry['module']}", "write it, or mend `module:`") from error
-    keywords = list(inspect.signature(module.run).parameters.values())
-    takes = [p.name for p in keywords if p.kind is p.KEYWORD_ONLY]
-    if set(takes) != set(entry["needs"]):
-        facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(takes)}"]
+    if set(module.inputs) != set(entry["needs"]):
+        facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(module.inputs)}"]
         raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "make them the same", facts)
-    params = checked(module.Params, entry["params"], name, where)
-    doc = inspect.getdoc(module.run) or inspect.getdoc(module) or ""
-    resumes = bool(getattr(module, "RESUMES", False))
-    return Stage(name, entry["module"], tuple(entry["needs"]), params, resumes, doc.splitlines()[0] if doc else "")
+    params = checked(module.params, entry["params"], name, where)
+    return Stage(name, entry["module"], tuple(entry["needs"]), params, module.resumes, module.doc)
 
 
 def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) -> Params:

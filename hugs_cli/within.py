@@ -1,4 +1,4 @@
-"""`hugs run VIDEO --within 10m`: as much training as fits into a time, on this machine, and how the promise was kept."""
+"""`hugs run VIDEO --within 10m`: run the missing stages, and train for the time that remains."""
 
 from __future__ import annotations
 
@@ -9,27 +9,22 @@ from typing import Any
 
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import Ran
-from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace, read_json, write_json
 from hugs_cli.console import Console
 from hugs_cli.pipelines import Stage, UsageError
+from hugs_cli.studies.calibration import STAGE_START
 from hugs_cli.studies.comparison import Quiet
 from hugs_cli.words import duration
+from stages.contract import load_stage
 
 TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
-CHOSEN = "within.json"  # in the pipeline's folder: what train was given, so that a run cut short goes on
-START = 2.5  # seconds from a stage to the next one, libraries loaded
-SHORT = 300  # seconds; where less is left, films and measuring must not take what training needs
-SHORTER = {  # at most, of what is set
-    "train": {"curve_points": 4},
-    "render": {"turntable_frames": 36, "motion_seconds": 2.0},
-    "evaluate": {"fit_steps": 0},
-}
+CHOSEN = "within.json"  # in the pipeline's folder: the chosen settings, for a run that was cut short
+SHORT = 300  # seconds; if less is left, stages take their `SHORTER` settings
 
-# What follows the last step of training, in steps of full size: measured on the kitchen clip, 2 cores, a short training.
-FINISH = 40.0  # train: looks at the frames before it writes the person
-PICTURE = 0.3  # render: a picture of a film
-SCORE, POSE_STEP = 3.0, 0.45  # evaluate: a held-out frame, each time it is measured, and each step that fits its pose
+
+Chosen = dict[str, dict[str, Any]]
+"""Settings by stage."""
 
 
 def seconds_of(text: str) -> int:
@@ -44,35 +39,35 @@ def seconds_of(text: str) -> int:
 
 @dataclass(frozen=True)
 class Promise:
-    """A run within a time: `judge` has results of its own beside the pipeline's, named `default.10m`."""
+    """A run within a time. Its results lie beside the pipeline's own, under a name like `default.10m`."""
 
-    judge: Judge
+    session: Session
     wanted: list[str]
     seconds: int
 
     def keep(self, forced: frozenset[str], device: str, console: Console) -> tuple[list[Ran], dict[str, Any]]:
-        """Run what comes before training, give training what is left of the time, and run the rest.
+        """Run the stages before training, train for the time that remains, and run the rest.
 
-        Returns what ran, and the time promised and taken, in seconds. A run that was cut short goes on with the time
-        that its training had left; that of finished training is not looked at again.
+        Returns the stages, and the time promised and taken, in seconds. A run that was cut short goes on with the
+        settings it had chosen, and a finished training is kept.
         """
         began = time.monotonic()
-        before = [name for name in self.judge.pipeline.upstream(["train"]) if name != "train"]
-        made = engine.run(self.judge, before, forced & set(before), device, console)
-        place = self.judge.workspace.links / CHOSEN
+        before = self._before()
+        made = engine.run(self.session, before, forced & set(before), device, console)
+        place = self.session.workspace.links / CHOSEN
         chosen = read_json(place)
         if "train" in forced or not self._begun(chosen):
-            left = self.seconds - (time.monotonic() - began) - START * (len(self.wanted) - len(before))
-            chosen = self._chosen(left)
+            left = self.seconds - (time.monotonic() - began) - STAGE_START * (len(self.wanted) - len(before))
+            chosen = self._choose(left)
             write_json(place, chosen)
-            console.say(f"{duration(chosen['train']['seconds'])} are left for training and what follows")
+            console.say(f"{duration(chosen['train']['seconds'])} are left for training and the stages after it")
             if left < SHORT:
                 console.say(
-                    "that is short: films are shorter, accuracy is measured at fewer moments, no held-out pose is fitted"
+                    "that is short: films are shorter, accuracy is measured less often, and held-out poses are not fitted"
                 )
         else:
-            console.say("goes on with the training that was begun for this time")
-        ran = engine.run(timed(self.judge, chosen), self.wanted, forced - set(before), device, Quiet())
+            console.say("continuing the training that was begun for this time")
+        ran = engine.run(with_settings(self.session, chosen), self.wanted, forced - set(before), device, Quiet())
         ran = [*made, *(one for one in ran if one.stage not in before)]
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
@@ -81,73 +76,68 @@ class Promise:
 
     def _begun(self, chosen: dict[str, Any]) -> bool:
         """Whether training with the settings chosen before is finished, or was cut short."""
-        if not whole(chosen):
+        if not is_chosen(chosen):
             return False
-        judge = timed(self.judge, chosen)
-        verdict = judge.all(judge.pipeline.upstream(["train"]))["train"]
+        session = with_settings(self.session, chosen)
+        verdict = session.verdicts(session.pipeline.upstream(["train"]))["train"]
         return verdict.fresh or (
-            verdict.recipe is not None and judge.workspace.part("train", verdict.recipe.key).is_dir()
+            verdict.recipe is not None and session.workspace.part("train", verdict.recipe.key).is_dir()
         )
 
-    def _chosen(self, left: float) -> dict[str, dict[str, Any]]:
-        """The settings of stages for a run with so many seconds left."""
-        stages, chosen = self.judge.pipeline.stages, {"train": {}}
-        if left < SHORT:
-            for name in [name for name in SHORTER if name in stages]:
-                own, limits = stages[name].params.model_dump(), SHORTER[name]
-                chosen[name] = {setting: min(own[setting], most) for setting, most in limits.items() if setting in own}
-        short = timed(self.judge, chosen).pipeline.stages
-        chosen["train"] |= {"seconds": round(max(left, 1.0), 1), "reserve": round(self._reserve(short), 1)}
+    def _choose(self, left: float) -> Chosen:
+        """The settings, by stage, for a run with so many seconds left."""
+        chosen: Chosen = {"train": {}}
+        for name, stage in self.session.pipeline.stages.items() if left < SHORT else ():
+            own = stage.params.model_dump()
+            if shorter := load_stage(stage.module).shorter:
+                chosen[name] = {setting: min(own[setting], most) for setting, most in shorter.items()}
+        steps = self._steps_after(with_settings(self.session, chosen).pipeline.stages)
+        chosen["train"] |= {"seconds": round(max(left, 1.0), 1), "reserve": round(steps, 1)}
         return chosen
 
-    def _reserve(self, stages: dict[str, Stage]) -> float:
-        """What follows the last step of training, in steps."""
-        steps = FINISH
-        if "render" in self.wanted:
-            films, (frames, heldout) = stages["render"].params, self._frames()
-            steps += PICTURE * (films.turntable_frames + films.motion_seconds * films.fps + heldout + frames)
-        if "evaluate" in self.wanted:
-            fitted = stages["evaluate"].params.fit_steps
-            steps += self._frames()[1] * (SCORE * (1 + bool(fitted)) + POSE_STEP * fitted)
-        return steps
+    def _steps_after(self, stages: dict[str, Stage]) -> float:
+        """The cost of all that follows the last step of training, in training steps."""
+        folders = {name: self.session.workspace.links / name for name in self._before()}
+        costs = ((stages[name].params, load_stage(stages[name].module).cost) for name in self.wanted)
+        return sum(cost(params, folders) for params, cost in costs if cost)
 
-    def _frames(self) -> tuple[int, int]:
-        """How many frames have a camera, and how many of them are held out."""
-        from stages.formats.cameras import read_cameras
-        from stages.formats.splits import read_split
+    def _before(self) -> list[str]:
+        """The stages before training, in running order."""
+        return [name for name in self.session.pipeline.upstream(["train"]) if name != "train"]
 
-        sfm = self.judge.workspace.links / "sfm"
-        names = read_cameras(sfm / "cameras.npz").names
-        return len(names), int(read_split(sfm / "split.json", names).heldout.sum())
+    def last_session(self) -> Session:
+        """The session with the settings of the last run of this promise, if there was one."""
+        chosen = read_json(self.session.workspace.links / CHOSEN)
+        return with_settings(self.session, chosen) if is_chosen(chosen) else self.session
 
 
-def promise(judge: Judge, stages: list[str] | None, text: str) -> Promise:
-    """The promise to bring `stages` (all if None) of a pipeline up to date within a time, as in '10m'."""
+def promise(session: Session, stages: list[str] | None, text: str) -> Promise:
+    """The promise to bring `stages` (all if None) up to date within a time like '10m'; UsageError for runs that cannot."""
     seconds = seconds_of(text)
-    wanted = judge.pipeline.upstream(stages or judge.pipeline.stages)
-    if "train" not in wanted or "seconds" not in type(judge.pipeline.stages["train"].params).model_fields:
+    wanted = session.pipeline.upstream(stages or session.pipeline.stages)
+    if "train" not in wanted or "seconds" not in type(session.pipeline.stages["train"].params).model_fields:
         raise UsageError("--within is for runs that train", "leave it out, or name train or a stage after it")
-    if not getattr(judge.pipeline.stages["train"].params, "joint", True):
+    if not getattr(session.pipeline.stages["train"].params, "joint", True):
         raise UsageError("--within is for trainings of person and scene together", "leave out train.joint, or --within")
-    return Promise(named(judge, text.strip()), wanted, seconds)
+    return Promise(beside(session, text.strip()), wanted, seconds)
 
 
-def named(judge: Judge, text: str) -> Judge:
-    """The judge of a pipeline's results within a time."""
-    name = f"{judge.pipeline.name}.{text}"
-    place = Workspace(judge.sources["video"], judge.workspace.work, name)
-    return replace(judge, workspace=place, pipeline=replace(judge.pipeline, name=name))
+def beside(session: Session, text: str) -> Session:
+    """The session of `default.10m`, given that of `default`."""
+    name = f"{session.pipeline.name}.{text}"
+    place = Workspace(session.video, session.workspace.work, name)
+    return replace(session, workspace=place, pipeline=replace(session.pipeline, name=name))
 
 
-def timed(judge: Judge, chosen: dict[str, dict[str, Any]]) -> Judge:
-    """The judge with the settings that were chosen, by stage."""
-    own = judge.pipeline.stages
+def with_settings(session: Session, chosen: Chosen) -> Session:
+    """The session with the chosen settings."""
+    own = session.pipeline.stages
     given = {n: replace(own[n], params=own[n].params.model_copy(update=s)) for n, s in chosen.items() if n in own}
-    return replace(judge, pipeline=replace(judge.pipeline, stages={**own, **given}))
+    return replace(session, pipeline=replace(session.pipeline, stages={**own, **given}))
 
 
-def whole(chosen: dict[str, Any]) -> bool:
-    """Whether a memory of what was chosen is one."""
+def is_chosen(chosen: dict[str, Any]) -> bool:
+    """Whether within.json was read and holds the chosen settings."""
     train = chosen.get("train")
     return (
         isinstance(train, dict)
@@ -156,16 +146,16 @@ def whole(chosen: dict[str, Any]) -> bool:
     )
 
 
-def remembered(judge: Judge, text: str) -> Judge:
-    """The judge of `--pipeline default.10m`: what `--within 10m` was given; UsageError if there was no such run."""
-    judge = named(judge, text)
-    chosen = read_json(judge.workspace.links / CHOSEN)
-    if not whole(chosen):
-        base = judge.pipeline.name.rpartition(".")[0]
+def last_promise(session: Session, text: str) -> Session:
+    """The session of `--pipeline default.10m`, with the settings of its run; UsageError if there was none."""
+    session = beside(session, text)
+    chosen = read_json(session.workspace.links / CHOSEN)
+    if not is_chosen(chosen):
+        base = session.pipeline.name.rpartition(".")[0]
         raise UsageError(
             f"no run of pipeline {base} within {text}", f"`hugs run VIDEO --pipeline {base} --within {text}`"
         )
-    return timed(judge, chosen)
+    return with_settings(session, chosen)
 
 
 def is_time(text: str) -> bool:

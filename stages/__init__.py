@@ -1,4 +1,4 @@
-"""The data flow; each stage is one file here and talks to the others only through the files it writes.
+"""The data flow; each stage is one file here and reads only the files that other stages wrote.
 
     video -> frames -+-> masks --+----------------+
                      |           v                |
@@ -8,7 +8,15 @@
                                                                   +-> render
                                                                   +-> evaluate -> report
 
-For a data set's folder `neuman` or `zju` stands in for frames and `calibrated` for sfm; masks and smpl then take what it
-brought along. `pipelines.yaml` says which stages run and with what; `contract.py` says what a stage is.
-`avatar/` is the mathematics, `formats/` the files, `estimators/` what stands in for data nobody gave us.
+For a data set's folder, `neuman` or `zju` replaces frames and `calibrated` replaces sfm; masks and smpl then take the masks
+and body poses of the data set. `pipelines.yaml` says which stages run and with which settings.
+No pipeline names animate, views, demo, models and costs_page: a command of its own runs each of them.
+
+contract.py  what a stage is: its settings, its job, its error
+records.py   plain numpy records that the houses below hand each other
+avatar/      what person and scene are: tensors in, tensors out
+training/    how they are learned
+synthetic/   the demo clip, made by computer with its truth
+estimators/  masks, cameras and body poses, and the measures that decide on effects
+formats/     readers and writers of files
 """

@@ -1,4 +1,4 @@
-"""Cameras that came with the frames, in place of sfm: the same files, but for sparse/, which the data set has itself."""
+"""Takes the cameras of a data set in place of sfm; writes the same files except sparse/."""
 
 from __future__ import annotations
 

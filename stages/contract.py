@@ -1,16 +1,19 @@
-"""What a stage is: its settings, its job, and how it says that it cannot do its work."""
+"""What a stage is: its settings, its job, its errors, and the one way to load one by name."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import resource
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
 
 
 class Params(BaseModel):
@@ -20,8 +23,13 @@ class Params(BaseModel):
 
 
 def speed_only(default: Any, **limits: Any) -> Any:
-    """A setting that changes speed, never the result: it stays out of the stage's key."""
+    """A setting that changes the speed and never the result. It stays out of the stage's key."""
     return Field(default, json_schema_extra={"speed_only": True}, **limits)
+
+
+def changes_speed_only(setting: FieldInfo) -> bool:
+    """Whether a setting was declared with `speed_only`."""
+    return isinstance(setting.json_schema_extra, dict) and bool(setting.json_schema_extra.get("speed_only"))
 
 
 class StageError(Exception):
@@ -31,11 +39,21 @@ class StageError(Exception):
     `hint` names the command or the change that helps.
     """
 
-    def __init__(self, problem: str, hint: str = "", facts: tuple[str, ...] | list[str] = ()):
+    def __init__(self, problem: str, hint: str = "", facts: Sequence[str] = ()):
         super().__init__(problem)
         self.problem = problem
         self.facts = tuple(facts)
         self.hint = hint
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What a finished stage cost and said. Evaluate and report write it down."""
+
+    seconds: float
+    peak_memory_bytes: int
+    notes: Sequence[str] = ()
+    warnings: Sequence[str] = ()
 
 
 @dataclass
@@ -49,6 +67,8 @@ class Job:
     device: str = "cpu"
     seed: int = 0
     emit: Callable[[dict[str, Any]], None] = lambda event: None
+    upstream: Mapping[str, StageRecord] = field(default_factory=dict)
+    """Every stage before this one, direct input or not, by name in running order; filled by the engine."""
     _stop: bool = field(default=False, repr=False)
 
     def progress(self, done: int, total: int, left: float | None = None, **numbers: Any) -> None:
@@ -86,7 +106,51 @@ class Stopped(Exception):
     """A stage was asked to stop and left what it needs to go on from in `job.out`."""
 
 
+Cost = Callable[[Any, Mapping[str, Path]], float]
+Published = Callable[[str, str], Mapping[str, Sequence[float | None]]]
+
+
+@dataclass(frozen=True)
+class StageModule:
+    """All that the command line knows of a stage. A module must have `Params` and `run`; the rest it may have."""
+
+    params: type[Params]
+    run: Callable[..., None]
+    """Takes a Job, its Params, and its inputs by name; the first line of its docstring describes the stage."""
+    resumes: bool = False
+    """RESUMES: a run that was cut short goes on in its folder."""
+    cost: Cost | None = None
+    """cost(params, folders): time of the stage after the last step of training, in training steps.
+    `folders` are the finished stages before training, by name."""
+    shorter: Mapping[str, float] = field(default_factory=dict)
+    """SHORTER: the most that settings may be when time is short (`--within`)."""
+    published: Published | None = None
+    """published(dataset, sequence): the paper's PSNR, SSIM and LPIPS by region, empty if it has none."""
+
+    @property
+    def inputs(self) -> list[str]:
+        """The keyword-only parameters of `run`."""
+        parameters = inspect.signature(self.run).parameters.values()
+        return [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+
+    @property
+    def doc(self) -> str:
+        """One line: what the stage does."""
+        return (inspect.getdoc(self.run) or "").partition("\n")[0]
+
+
+def load_stage(name: str) -> StageModule:
+    """Import a stage's module by its dotted name. The only way from the command line to a stage."""
+    module = importlib.import_module(name)
+    optional = {key: getattr(module, key, None) for key in ("RESUMES", "cost", "SHORTER", "published")}
+    given = {key.lower(): value for key, value in optional.items() if value is not None}
+    return StageModule(module.Params, module.run, **given)
+
+
+MAXRSS = 1 if sys.platform == "darwin" else 1024
+"""Bytes in one unit of `ru_maxrss`: macOS counts bytes, Linux kilobytes."""
+
+
 def peak_memory() -> int:
-    """The most bytes of memory that this process has held so far."""
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else 1024 * most  # Linux counts kilobytes
+    """The most memory that this process held at once, in bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job
+from stages.formats.facts import MASKED_REGIONS, REGIONS
 
 if TYPE_CHECKING:
     import torch
@@ -30,8 +31,6 @@ PROTOCOL = (
     "the mean of each channel's own. Equal pictures count 100 dB. Where the mask is empty nobody is drawn."
 )
 MASKED = "masked_full: picture and person alone, both times the mask, over black; masked_crop: the same in its box."
-REGIONS = ("full", "person_crop", "person_white")
-MASKED_REGIONS = ("masked_full", "masked_crop")
 NUMBERS = ("psnr", "psnr_per_channel", "ssim", "lpips", "lpips_legacy")
 LR_POSE = {"turn": 0.01, "place": 0.015}  # rad and m a step, falling to 0
 SHOWN = 6
@@ -46,32 +45,47 @@ class Params(contract.Params):
     """Rate the person cut out by the mask, over black, too: what is usual on ZJU-MoCap."""
 
 
-def run(
-    job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl: Path, survey: Path, train: Path
-) -> None:
-    """Write metrics.json, and heldout/*.png: the clip, the result, the person alone."""
-    import resource
+SHORTER = {"fit_steps": 0}
+SCORE, POSE_STEP = 3.0, 0.45
+"""Training steps of full size that it takes to score a held-out frame once, and to fit its pose by one step.
+The kitchen clip, a short training, 2 cores, November 2026."""
 
+
+def cost(params: Params, folders: Mapping[str, Path]) -> float:
+    """See `contract.StageModule`."""
+    from stages.formats.clip import load_clip
+
+    heldout = int(load_clip(folders["sfm"], folders["smpl"]).heldout.sum())
+    return heldout * (SCORE * (1 + bool(params.fit_steps)) + POSE_STEP * params.fit_steps)
+
+
+def published(dataset: str, sequence: str) -> Mapping[str, tuple[float | None, ...]]:
+    """See `contract.StageModule`."""
+    from stages.formats.datasets import published
+
+    return published.published(dataset, sequence)
+
+
+def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None:
+    """Write metrics.json, and heldout/*.png: the clip, the result, the person alone."""
     import numpy as np
 
     from stages.avatar.drawing.draw import load_learned, to_uint8
     from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import path
     from stages.formats.clip import load_clip
-    from stages.formats.effects import read_effects
-    from stages.formats.facts import Stamp, Trained, read_facts
+    from stages.formats.facts import Trained, read_facts
     from stages.formats.images import write_image
-    from stages.formats.splats import read_avatar, read_scene
+    from stages.formats.trained import read_trained
 
     began = time.perf_counter()
     clip = load_clip(sfm, smpl, train)
-    scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
-    effects = read_effects(train / "effects.npz")
-    learned = load_learned(read_avatar(train / "avatar.npz"), scene, effects, job.device)
+    avatar, scene, effects = read_trained(train)
+    learned = load_learned(avatar, scene, effects, job.device)
     facts = read_facts(train / "train.json", Trained)
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
-    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(i)]
+    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(int(i))]
     shown = set(held[:: max(1, len(held) // SHOWN)][:SHOWN])
     (job.out / "heldout").mkdir()
     protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
@@ -87,14 +101,12 @@ def run(
             if protocol == "heldout" and i in shown:
                 strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
                 write_image(job.out / "heldout" / f"{clip.names[i]}.png", strip)
-    upstream = {"frames": frames, "masks": masks, "sfm": sfm, "smpl": smpl, "survey": survey, "train": train}
-    stamps = {name: read_facts(folder / "stamp.json", Stamp) for name, folder in upstream.items()}
-    seconds = {name: stamp.seconds for name, stamp in stamps.items()}
+    seconds = {name: record.seconds for name, record in job.upstream.items()}
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
-    memory = [stamp.peak_memory_bytes for stamp in stamps.values()]
-    memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
-    regions = REGIONS + MASKED_REGIONS * params.masked
-    metrics = {protocol: _means(found, regions) for protocol, found in rows.items()} | {
+    memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
+    regions = (*REGIONS, *(MASKED_REGIONS if params.masked else ()))
+    means = {protocol: _means(found, regions) for protocol, found in rows.items()}
+    metrics = means | {
         "frames": len(held),
         "gaussians": {"human": len(learned.avatar.resting.means), "scene": len(scene) if scene else 0},
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
@@ -106,7 +118,7 @@ def run(
         "per_frame": rows,
     }
     (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False))
-    job.note(_sentence(metrics["heldout"]))
+    job.note(_sentence(means["heldout"]))
     if not held:
         job.warn(f"nothing could be measured: no held-out frame to compare in {len(clip.names)} registered frames")
 
@@ -128,9 +140,9 @@ class Shot:
         self.viewmat, self.K = (torch.as_tensor(np.asarray(m)).to(like) for m in (clip.viewmats[i], clip.Ks[i]))
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
         self.box = person_crop(self.mask)
-        self.pose: Pose = pose_of(clip, i)
+        self.pose: Pose = pose_of(clip.body, i)
         self.scene = learned.lit(learned.scene, self.pose if self.box else None)  # its shadow is not fitted
-        self.motion = motion_at(learned, clip, i, self.box is not None)
+        self.motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, self.box is not None)
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
         """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black."""
@@ -176,9 +188,10 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
 
     if shot.box is None:
         return shot.pose
-    box = tuple(
-        slice(max(0, side.start - MARGIN), min(limit, side.stop + MARGIN))
-        for side, limit in zip(shot.box, shot.mask.shape, strict=True)
+    (rows, columns), (height, width) = shot.box, shot.mask.shape
+    box = (
+        slice(max(0, rows.start - MARGIN), min(height, rows.stop + MARGIN)),
+        slice(max(0, columns.start - MARGIN), min(width, columns.stop + MARGIN)),
     )
     like = shot.learned.avatar.joints
     orient, body, transl = (torch.as_tensor(p).to(like).requires_grad_() for p in shot.pose)
@@ -193,7 +206,8 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
         human = pose_avatar(shot.learned.avatar, orient, body, transl)
         loss = (shot.render(human, shot.scene, box, white=alone) - truth).abs().mean()
         if loss.item() < least:
-            best, least = tuple(p.detach().cpu().numpy().copy() for p in (orient, body, transl)), loss.item()
+            now = [p.detach().cpu().numpy().copy() for p in (orient, body, transl)]
+            best, least = (now[0], now[1], now[2]), loss.item()
         loss.backward()
         optimiser.step()
         falling.step()

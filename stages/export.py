@@ -21,18 +21,18 @@ def run(job: Job, params: Params, *, train: Path) -> None:
     avatar = read_avatar(train / "avatar.npz")
     bounded = write_ply(job.out / "avatar.ply", avatar)
     shutil.copyfile(train / "avatar.npz", job.out / "avatar.npz")
-    said = f"avatar {len(avatar)} Gaussians"
+    sizes = f"avatar {len(avatar)} Gaussians"
     if (train / "scene.npz").exists():
         scene = read_scene(train / "scene.npz")
         bounded += write_ply(job.out / "scene.ply", scene)
-        said += f", scene {len(scene)}"
-    job.note(said)
+        sizes += f", scene {len(scene)}"
+    job.note(sizes)
     if avatar.clothes is not None:
         away = 100 * avatar.clothes.largest
         job.note(
-            f"clothes that move with the pose (by up to {away:.1f} cm) are in avatar.npz alone: .ply knows no poses"
+            f"clothes that move with the pose (by up to {away:.1f} cm) are only in avatar.npz: a .ply has no poses"
         )
     if avatar.antialias:
-        job.note("learned with antialiasing: viewers must have it on, else what is small looks too strong")
+        job.note("learned with anti-aliasing: enable it in the viewer, or thin parts look too opaque")
     if bounded:
         job.note(f"{bounded} opacities of 0 or 1 written as logits of +-15")

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stages.formats.video import VideoInfo
 
 LEAST = 8
 """Frames without which neither cameras nor a person can be had."""
@@ -16,7 +24,7 @@ DECODED_SHARE = 0.5
 """A file of which less than this decodes is refused; less than all is reported."""
 SCORE_SIDE = 480
 """Longer side in px at which sharpness is compared, so that it does not depend on the resolution."""
-CENTRE_PULL = 0.3
+CENTER_PULL = 0.3
 """Share of its sharpness that a frame at the edge of its time slot is marked down, to spread the frames evenly."""
 SAME = 4.0
 """Grey levels: two frames whose blurred thumbnails differ by less everywhere are the same picture."""
@@ -43,17 +51,10 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     cut short, or has too few frames.
     """
     from stages.formats.images import shrink, write_image
-    from stages.formats.video import decode, pictures, probe
+    from stages.formats.video import decode, probe
 
     info = probe(video)
-    if info.transfer != "sdr":
-        job.warn(f"the video is {info.transfer} (high dynamic range), decoded without tone mapping: colours look flat")
-    if info.frames < LEAST:
-        raise StageError(
-            f"{Path(video).name} has only {info.frames} frame{'s' * (info.frames != 1)}",
-            "film the person for some seconds, walking around them or with the phone moving",
-            [f"at least {LEAST} are needed"],
-        )
+    check_video(job, info)
     folder = job.out / "images"
     folder.mkdir(exist_ok=True)
     picker = Picker(params.count, info.duration_s, info.frames)
@@ -62,37 +63,19 @@ def run(job: Job, params: Params, *, video: Path) -> None:
         decoded += 1
         small = shrink(pixels, params.max_side)
         for picked in picker.offer(index, time, small):
-            write_image(folder / f"{picked['name']}.png", picked.pop("pixels"))
+            write_image(folder / f"{picked.name}.png", picked.pixels)
         if decoded % 10 == 0:
             job.progress(decoded, max(info.frames, decoded))
     for picked in picker.close():
-        write_image(folder / f"{picked['name']}.png", picked.pop("pixels"))
+        write_image(folder / f"{picked.name}.png", picked.pixels)
 
-    if decoded < max(LEAST, DECODED_SHARE * info.frames):
-        raise StageError(
-            f"only {decoded} of {info.frames} frames of {Path(video).name} could be decoded",
-            "the file is damaged or cut short; copy or export it again",
-        )
-    if decoded < info.frames:
-        job.warn(f"only {decoded} of {info.frames} frames could be decoded; the file is damaged or cut short")
+    check_decoded(job, info, decoded)
     frames, blurred = without_blurred(picker.kept)
     for frame in blurred:
         (folder / f"{frame['name']}.png").unlink()
-    if len(frames) < LEAST:
-        raise StageError(
-            f"{Path(video).name} has only {len(frames)} usable frames",
-            "film longer, with the phone or the person moving and the picture sharp",
-            [f"{decoded} decoded, {picker.copies} copies of the frame before, {len(blurred)} blurred"],
-        )
-    if Path(video).is_dir():
-        names = [file.stem for file in pictures(video)]
-        frames = [{**frame, "source": names[frame["index"]]} for frame in frames]
-    dropped = {
-        "undecodable": max(info.frames - decoded, 0),
-        "not_sharpest": decoded - len(picker.kept) - picker.copies,
-        "copies": picker.copies,
-        "blurred": len(blurred),
-    }
+    check_usable(
+        info, len(frames), f"{decoded} decoded, {picker.copies} copies of the frame before, {len(blurred)} blurred"
+    )
     height, width = small.shape[:2]
     facts = {
         "video": {
@@ -106,8 +89,13 @@ def run(job: Job, params: Params, *, video: Path) -> None:
         },
         "width": width,
         "height": height,
-        "frames": frames,
-        "dropped": dropped,
+        "frames": with_sources(frames, video),
+        "dropped": {
+            "undecodable": max(info.frames - decoded, 0),
+            "not_sharpest": decoded - len(picker.kept) - picker.copies,
+            "copies": picker.copies,
+            "blurred": len(blurred),
+        },
     }
     (job.out / "frames.json").write_text(json.dumps(facts, indent=1) + "\n")
     job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
@@ -115,48 +103,103 @@ def run(job: Job, params: Params, *, video: Path) -> None:
         job.note(f"dropped {picker.copies} copies and {len(blurred)} blurred frames")
 
 
+def check_video(job: Job, info: VideoInfo) -> None:
+    """StageError for a video that says it has too few frames; a warning for high dynamic range."""
+    if info.transfer != "sdr":
+        job.warn(f"the video is {info.transfer} (high dynamic range), decoded without tone mapping: colours look flat")
+    if info.frames < LEAST:
+        raise StageError(
+            f"{Path(info.path).name} has only {info.frames} frame{'s' * (info.frames != 1)}",
+            "film the person for some seconds, walking around them or with the phone moving",
+            [f"at least {LEAST} are needed"],
+        )
+
+
+def check_decoded(job: Job, info: VideoInfo, decoded: int) -> None:
+    """StageError if too few of the promised frames could be decoded, a warning if some are missing."""
+    if decoded < max(LEAST, DECODED_SHARE * info.frames):
+        raise StageError(
+            f"only {decoded} of {info.frames} frames of {Path(info.path).name} could be decoded",
+            "the file is damaged or cut short; copy or export it again",
+        )
+    if decoded < info.frames:
+        job.warn(f"only {decoded} of {info.frames} frames could be decoded; the file is damaged or cut short")
+
+
+def check_usable(info: VideoInfo, count: int, fate: str) -> None:
+    """StageError if too few frames are left; `fate` says where the others went."""
+    if count < LEAST:
+        raise StageError(
+            f"{Path(info.path).name} has only {count} usable frames",
+            "film longer, with the phone or the person moving and the picture sharp",
+            [fate],
+        )
+
+
+def with_sources(frames: list[dict[str, Any]], video: Path) -> list[dict[str, Any]]:
+    """The frames, with the picture's own name as `source` where a folder of pictures was given."""
+    from stages.formats.video import picture_files
+
+    if not Path(video).is_dir():
+        return frames
+    names = [file.stem for file in picture_files(video)]
+    return [{**frame, "source": names[frame["index"]]} for frame in frames]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A frame of the video: its time in s, its sharpness, its score in its slot, pixels uint8 [H,W,3]."""
+
+    index: int
+    time_s: float
+    sharpness: float
+    score: float
+    pixels: np.ndarray
+
+    @property
+    def name(self) -> str:
+        return f"{self.index:06d}"
+
+
 class Picker:
     """Keeps the sharpest frame of each of `count` equal time slots of a stream; a short clip keeps all its frames."""
 
     def __init__(self, count: int, duration_s: float, frames: int):
         self.slots, self.duration = min(count, frames), duration_s
-        self.slot, self.best, self.last = 0, None, None
-        self.kept: list[dict] = []
+        self.slot = 0
+        self.best: Candidate | None = None
+        self.last: np.ndarray | None = None
+        self.kept: list[dict[str, Any]] = []
         self.copies = 0
 
-    def offer(self, index: int, time_s: float, pixels):
-        """Take the next frame; yields the frame of a slot that has just ended, with its `pixels`."""
+    def offer(self, index: int, time_s: float, pixels: np.ndarray) -> Iterator[Candidate]:
+        """Take the next frame; yields the frame of a slot that has just ended."""
         place = time_s / self.duration * self.slots
         slot = min(int(place + 1e-6), self.slots - 1)
         if slot != self.slot:
             yield from self.close()
             self.slot = slot
         sharp = sharpness(pixels)
-        score = sharp * (1 - CENTRE_PULL * min(abs(place - slot - 0.5) * 2, 1) ** 2)
-        if self.best is None or score > self.best["score"]:
-            self.best = {"index": index, "time_s": time_s, "sharpness": sharp, "score": score, "pixels": pixels}
+        score = sharp * (1 - CENTER_PULL * min(abs(place - slot - 0.5) * 2, 1) ** 2)
+        if self.best is None or score > self.best.score:
+            self.best = Candidate(index, time_s, sharp, score, pixels)
 
-    def close(self):
+    def close(self) -> Iterator[Candidate]:
         """End the slot: yields its best frame unless it is a copy of the one kept before."""
         best, self.best = self.best, None
         if best is None:
             return
-        thumb = thumbnail(best["pixels"])
+        thumb = thumbnail(best.pixels)
         if self.last is not None and abs(thumb - self.last).max() < SAME:
             self.copies += 1
             return
         self.last = thumb
-        frame = {
-            "name": f"{best['index']:06d}",
-            "index": best["index"],
-            "time_s": round(best["time_s"], 6),
-            "sharpness": round(best["sharpness"], 3),
-        }
-        self.kept.append(frame)
-        yield {**frame, "pixels": best["pixels"]}
+        times = {"time_s": round(best.time_s, 6), "sharpness": round(best.sharpness, 3)}
+        self.kept.append({"name": best.name, "index": best.index} | times)
+        yield best
 
 
-def without_blurred(frames: list[dict]) -> tuple[list[dict], list[dict]]:
+def without_blurred(frames: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Split frames into those about as sharp as their neighbours and those far below them."""
     import numpy as np
 
@@ -168,7 +211,7 @@ def without_blurred(frames: list[dict]) -> tuple[list[dict], list[dict]]:
     return [frame for frame, keep in pairs if keep], [frame for frame, keep in pairs if not keep]
 
 
-def sharpness(pixels) -> float:
+def sharpness(pixels: np.ndarray) -> float:
     """Variance of the Laplacian of the grey picture at a fixed scale (Pech-Pacheco et al. 2000)."""
     import cv2
 
@@ -178,7 +221,7 @@ def sharpness(pixels) -> float:
     return float(cv2.Laplacian(grey, cv2.CV_32F).var())
 
 
-def thumbnail(pixels):
+def thumbnail(pixels: np.ndarray) -> np.ndarray:
     """A small blurred grey picture, float32, in which compression noise is gone and a moving hand is not."""
     import cv2
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.estimators.words import listed
 from stages.formats.facts import Listing, read_facts
+
+if TYPE_CHECKING:
+    import numpy as np
 
 PERSON_SHARE = 5e-4
 """Share of the picture below which a mask shows nobody."""
@@ -20,19 +25,26 @@ MANY = 0.2
 """Share of frames from which a finding is a warning."""
 
 
+class FrameMask(TypedDict):
+    """What masks.json says of one frame."""
+
+    coverage: float
+    touches_border: list[str]
+
+
 class Params(contract.Params):
-    """How given masks are read, and who is the person."""
+    """How to read given masks, and which person to follow."""
 
     invert: Literal["auto", "always", "never"] = "auto"
-    """Swap person and background of given masks; auto does so if most of the picture and of its border is marked."""
+    """Swap person and background of given masks. auto: if they mark most of the picture and of its border."""
     person: int | str | None = None
-    """Whom to follow where several are in view: the id that is said when the stage runs; else the largest."""
+    """Person to follow if several are visible: an id that the stage lists when it runs. Default: the largest."""
 
 
 def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = None) -> None:
-    """Write masks/%06d.png (0..255, 255 = person) for every frame and masks.json.
+    """Write masks.json, and masks/%06d.png (0..255, 255 = person) for every frame.
 
-    Masks that a data set brought along are taken like given ones, unless others are given.
+    Without `mask_files` the masks of the data set are used, and without those BlazePose segments the person.
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
     from stages.estimators.person.given import import_masks
@@ -49,7 +61,8 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         source, details, masks = "blazepose", {}, segment(job, params, frames, names)
         job.note("outlines by BlazePose, a small network; `--masks DIR` takes better ones")
     (job.out / "masks").mkdir(exist_ok=True)
-    found, apart = {}, []
+    found: dict[str, FrameMask] = {}
+    apart = []
     for i, (name, mask) in enumerate(zip(names, masks, strict=True)):
         write_mask(job.out / "masks" / f"{name}.png", mask)
         found[name] = {"coverage": round(float((mask > 127).mean()), 5), "touches_border": cut_sides(mask)}
@@ -66,8 +79,8 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     (job.out / "masks.json").write_text(json.dumps(summary, indent=1) + "\n")
 
 
-def segment(job: Job, params: Params, frames: Path, names: list[str]):
-    """Follow one person through the pictures by BlazePose and yield his outline in each, empty where he is not."""
+def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterator[np.ndarray]:
+    """Follow one person through the frames by BlazePose; yields a mask uint8 [H,W] for each, empty where nobody is."""
     import numpy as np
 
     from stages.estimators.person.blazepose import BlazePose
@@ -76,7 +89,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]):
     from stages.formats.images import read_image
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
-    pictures = Pictures(paths, read_image)
+    pictures = Pictures(paths)
     company = Company(job, names, network.sightings(pictures), params.person)
     poses = network.track(pictures, company.start)
     company.warn_of_jumps(poses)
@@ -91,19 +104,21 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]):
 
 
 class Pictures:
-    """Pictures on disk as a sequence, read when asked for."""
+    """Pictures uint8 [H,W,3] on disk as a sequence; each is read when it is needed."""
 
-    def __init__(self, paths: list[Path], read):
-        self.paths, self.read = paths, read
+    def __init__(self, paths: Sequence[Path]):
+        self.paths = paths
 
     def __len__(self) -> int:
         return len(self.paths)
 
-    def __getitem__(self, i: int):
-        return self.read(self.paths[i])
+    def __getitem__(self, i: int) -> np.ndarray:
+        from stages.formats.images import read_image
+
+        return read_image(self.paths[i])
 
 
-def has_second_part(mask) -> bool:
+def has_second_part(mask: np.ndarray) -> bool:
     """True if the mask has a second part that is large beside its largest."""
     import cv2
     import numpy as np
@@ -113,14 +128,14 @@ def has_second_part(mask) -> bool:
     return len(areas) > 1 and bool(areas[-2] > PART * areas[-1])
 
 
-def cut_sides(mask) -> list[str]:
+def cut_sides(mask: np.ndarray) -> list[str]:
     """The sides of the picture at which the person is cut off."""
     sides = {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}
     return [side for side, line in sides.items() if (line > 127).mean() > BORDER_SHARE]
 
 
-def report(job: Job, found: dict[str, dict], nobody: list[str]) -> None:
-    """Say how much of the pictures the person covers, and where he is missing or cut off; StageError if nowhere."""
+def report(job: Job, found: dict[str, FrameMask], nobody: list[str]) -> None:
+    """Note how much of the pictures the person covers, and where they are missing or cut off; StageError if nowhere."""
     count = len(found)
     if len(nobody) == count:
         raise StageError(
@@ -138,9 +153,3 @@ def report(job: Job, found: dict[str, dict], nobody: list[str]) -> None:
         if cut:
             say = job.warn if len(cut) > MANY * count else job.note
             say(f"the person is cut off at the {side} in {len(cut)} of {count} frames: {listed(cut)}")
-
-
-def listed(names: list[str], most: int = 8) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more

@@ -1,4 +1,4 @@
-"""A sequence of the NeuMan data set in place of a video: its pictures, masks, cameras and body poses, and HUGS's split."""
+"""Reads a sequence of the NeuMan data set in place of a video: pictures, masks, cameras, body poses and HUGS's split."""
 
 from __future__ import annotations
 

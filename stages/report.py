@@ -1,47 +1,38 @@
-"""One page to look at: what was learned, how good it is, what it cost, and what to know before trusting it."""
+"""One page: the result in pictures and videos, its accuracy, its cost, and the warnings. Its words are in report.html."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages import contract
-from stages.contract import Job, StageError
+from stages.contract import Job, StageError, StageRecord
+from stages.formats.facts import MASKED_REGIONS, REGIONS
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from stages.formats.clip import Clip
-    from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Stamp, Survey
+    from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Survey
+    from stages.formats.page import Figure
 
 OVERLAYS = 6
 FILMS = {
-    "heldout": "frames never trained on: the clip on the left, ours on the right",
+    "heldout": "held-out frames: the clip on the left, ours on the right",
     "turntable": "the person from all sides",
     "motion": "a motion that is not in the clip",
     "scene": "the scene without the person",
 }
-CURVE = (
-    "The clock stands still while accuracy is measured. `hugs costs VIDEO --plot` sets all pipelines that were run on "
-    "this clip beside each other, here, too."
-)
 COSTS = "../../costs"
-"""Where `hugs costs --plot` draws, from the report; pipelines run later are none of this stage's inputs, so it is only shown."""
-CALLED = (
-    "Each effect was measured before training; it is modelled where the value is beyond the threshold, unless the settings "
-    "say always or never. What could not be measured is off. Gained: what the held-out frames of the curve lose when what "
-    "was trained is drawn without it; a training without it may lose less, since the rest would have made up for it "
-    "(`--set survey.NAME=never` tells). Empty for passers-by, whom no held-out frame is to show, for a sky, which is part "
-    "of the scene, and for a lens, which sfm takes out before training (`--set sfm.undistort=never` tells). Cost: of the "
-    "time of training, by steps timed with and without at the end, to within some 5 % of it."
-)
+"""Where `hugs costs --plot` draws, seen from the report. Pipelines that run later are no input of this stage, so the page
+can only point at the plot; the browser shows it once it is there."""
 AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
     "heldout": "held out",
     "heldout_fitted": "held out, poses fitted",
 }
-REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
-MASKED = {"masked_full": "person times mask, whole", "masked_crop": "person times mask, its box"}
+
+Columns = tuple[list[list[str]], tuple[int, ...], list[float]]
+"""Rows of cells, the columns that are numbers, and a share (0 to 1) for each row."""
 
 
 class Params(contract.Params):
@@ -53,7 +44,6 @@ def run(
     params: Params,
     *,
     frames: Path,
-    masks: Path,
     sfm: Path,
     smpl: Path,
     survey: Path,
@@ -62,223 +52,183 @@ def run(
     render: Path,
     evaluate: Path,
 ) -> None:
-    """Write report.html, one self-contained page."""
+    """Write report.html, one self-contained page. Of `export` it shows only the cost."""
     from stages.formats import page
     from stages.formats.clip import load_clip
-    from stages.formats.facts import Listing, Metrics, Sfm, Stamp, Survey, Trained, read_facts
+    from stages.formats.datasets.published import COMPARED
+    from stages.formats.facts import Listing, Metrics, Sfm, Survey, Trained, read_facts
 
-    folders = (frames, masks, sfm, smpl, survey, train, export, render, evaluate)
-    names = ("frames", "masks", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
-    stamps = {name: read_facts(folder / "stamp.json", Stamp) for name, folder in zip(names, folders, strict=True)}
     listing = read_facts(frames / "frames.json", Listing)
     metrics, found = read_facts(evaluate / "metrics.json", Metrics), read_facts(survey / "survey.json", Survey)
-    trained = read_facts(train / "train.json", Trained)
-    clip = load_clip(sfm, smpl)
-    name = Path(listing.video.path).name
-    sizes = metrics.gaussians
-    parts = [
-        f"<h1>{page.escape(name)}</h1>",
-        f'<p class="soft">{len(clip.names)} frames of {clip.width}x{clip.height} px, '
-        f"{sizes.human:,} Gaussians in the person, {sizes.scene:,} in the scene</p>",
-        page.facts(_headline(metrics)),
-        *(page.warning(f"{stage}: {text}") for stage, stamp in stamps.items() for text in stamp.warnings),
-        page.section("What was learned", _films(render)),
-        page.section(
-            "Held-out frames",
-            page.row([page.picture(*shot) for shot in _comparisons(evaluate)], 260),
-            note="The clip on the left, ours in the middle, the person alone on the right. Nothing of these frames was "
-            "trained on.",
-        ),
-        page.section("Accuracy on held-out frames", _accuracy(metrics), note=metrics.protocol),
-        *_beside_the_paper(listing.dataset, metrics),
-        page.section("Accuracy over time", _curve(train), page.aside(f"{COSTS}.svg", f"{COSTS}.html"), note=CURVE),
-        page.section(
-            "Where the time went", _times(stamps), "<p>Training, step by step:</p>", _parts(trained.seconds_by_part)
-        ),
-        page.section(
-            "The body fit",
-            page.row([page.picture(*shot) for shot in _overlays(clip)], 320),
-            note="The fitted body over the frames. Where the outline leaves the person, the avatar suffers.",
-        ),
-        page.section(
-            "What this clip called for",
-            _effects(found, trained.effects),
-            note=CALLED,
-        ),
-        page.section("What else was measured", _measures(found) + _rungs(read_facts(sfm / "sfm.json", Sfm))),
-        page.section("Notes", page.table(["stage", "note"], _notes(stamps))),
-    ]
-    (job.out / "report.html").write_text(page.page(f"{name}: hugs", parts), encoding="utf-8")
+    trained, cameras = read_facts(train / "train.json", Trained), read_facts(sfm / "sfm.json", Sfm)
+    clip, dataset = load_clip(sfm, smpl), listing.dataset
+    video = Path(listing.video.path).name
+    text = page.fill(
+        "report.html",
+        title=f"{video}: hugs",
+        video=video,
+        size=(len(clip.names), clip.width, clip.height, metrics.gaussians.human, metrics.gaussians.scene),
+        headline=_headline(metrics),
+        warnings=[(stage, text) for stage, record in job.upstream.items() for text in record.warnings],
+        films=_films(render),
+        comparisons=_comparisons(evaluate),
+        accuracy=_accuracy(metrics),
+        protocol=metrics.protocol,
+        beside_paper=_beside_paper(dataset, metrics),
+        compared=COMPARED.get(dataset.name) if dataset else None,
+        curve=_curve(train),
+        costs=COSTS,
+        times=_stage_times(job.upstream),
+        parts=_training_times(trained.seconds_by_part),
+        overlays=_overlays(clip),
+        effects=_effects(found, trained.effects),
+        measures=_measures(found),
+        scene=found.decisions.get("scene", True),
+        rungs=_rungs(cameras),
+        mapper=cameras.mapper or "none of them",
+        notes=[(stage, note) for stage, record in job.upstream.items() for note in record.notes],
+    )
+    (job.out / "report.html").write_text(text, encoding="utf-8")
     job.note(f"report.html, {(job.out / 'report.html').stat().st_size / 2**20:.1f} MiB")
 
 
 def _headline(metrics: Metrics) -> list[tuple[str, str]]:
-    held, seconds = metrics.heldout, metrics.seconds.total
-    numbers = [
-        ("PSNR, whole picture", held["full"]["psnr"], "dB"),
-        ("PSNR, box of the person", held["person_crop"]["psnr"], "dB"),
-        ("PSNR, person over white", held["person_white"]["psnr"], "dB"),
-    ]
-    shown = [(name, f"{value:.1f} {unit}") for name, value, unit in numbers if value is not None]
-    memory = metrics.peak_memory_bytes / 2**30
-    return [*shown, ("from video to avatar", _duration(seconds)), ("peak memory", f"{memory:.1f} GiB")]
+    held = metrics.heldout
+    values = [(f"PSNR, {name}", held[region]["psnr"]) for region, name in REGIONS.items()]
+    known = [(name, f"{value:.1f} dB") for name, value in values if value is not None]
+    seconds, memory = metrics.seconds.total, metrics.peak_memory_bytes / 2**30
+    return [*known, ("from video to avatar", _duration(seconds)), ("peak memory", f"{memory:.1f} GiB")]
 
 
 def _duration(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds // 60)} min {int(seconds % 60)} s"
 
 
-def _films(render: Path) -> str:
+def _films(render: Path) -> list[Figure]:
     from stages.formats import page
 
     known = [(render / f"{name}.mp4", caption) for name, caption in FILMS.items()]
-    return page.row([page.film(path, caption) for path, caption in known if path.exists()], 300)
+    return [page.film(path, caption) for path, caption in known if path.exists()]
 
 
-def _comparisons(evaluate: Path) -> list[tuple[np.ndarray, str]]:
+def _comparisons(evaluate: Path) -> list[Figure]:
+    from stages.formats import page
     from stages.formats.images import read_image
 
-    return [(read_image(path), f"frame {path.stem}") for path in sorted((evaluate / "heldout").glob("*.png"))]
+    paths = sorted((evaluate / "heldout").glob("*.png"))
+    return [page.picture(read_image(path), f"frame {path.stem}") for path in paths]
 
 
-def _accuracy(metrics: Metrics) -> str:
-    from stages.formats import page
-
+def _accuracy(metrics: Metrics) -> list[list[str]]:
+    """Poses, region, PSNR, SSIM, LPIPS."""
     rows = []
     for protocol, title in PROTOCOLS.items():
-        for region, where in (REGIONS | MASKED).items():
+        for region, where in (REGIONS | MASKED_REGIONS).items():
             values = getattr(metrics, protocol).get(region, {})
             if values.get("psnr") is not None:
                 numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
                 rows.append([title, where, *("too small" if n is None else f"{n:.{d}f}" for n, d in numbers)])
-    if not rows:
-        return "<p>No held-out frame could be compared.</p>"
-    return page.table(["poses", "where", "PSNR dB", "SSIM", "LPIPS"], rows, numeric=(2, 3, 4))
+    return rows
 
 
-def _beside_the_paper(dataset: Dataset | None, metrics: Metrics) -> list[str]:
-    """A section with the HUGS paper's numbers beside ours, for a sequence that it has."""
-    from stages.formats import page
-    from stages.formats.datasets.published import COMPARED, published
+def _beside_paper(dataset: Dataset | None, metrics: Metrics) -> list[list[str]]:
+    """Region, measure, our number and the HUGS paper's, for a sequence of the paper; else nothing."""
+    from stages.formats.datasets.published import published
 
-    if not dataset:
-        return []
     rows = []
-    for region, theirs in published(dataset.name, dataset.sequence).items():
+    for region, theirs in published(dataset.name, dataset.sequence).items() if dataset else ():
         ours = metrics.heldout.get(region, {})
         columns = zip(("PSNR dB", "SSIM", "LPIPS"), ("psnr_per_channel", "ssim", "lpips_legacy"), theirs, strict=True)
         for title, name, number in columns:
             if number is not None:
                 value = "not measured" if ours.get(name) is None else f"{ours[name]:.{2 if title == 'PSNR dB' else 3}f}"
-                rows.append([(REGIONS | MASKED)[region], title, value, f"{number:.2f}"])
-    if not rows:
-        return []
-    table = page.table(["where", "measure", "ours", "HUGS, CVPR 2024"], rows, numeric=(2, 3))
-    return [page.section("Beside the paper", table, note=COMPARED[dataset.name])]
+                rows.append([(REGIONS | MASKED_REGIONS)[region], title, value, f"{number:.2f}"])
+    return rows
 
 
 def _curve(train: Path) -> str:
+    """A plot of curve.csv as SVG, '' where it has fewer than two points."""
     import csv
     import math
 
-    from stages.formats import page
+    from markupsafe import Markup
 
-    lines = {}
+    from stages.formats import plot
+
+    lines = []
     try:
         with (train / "curve.csv").open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         for column, name in (("psnr", "whole picture"), ("psnr_person", "box of the person")):
-            known = [(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column]]
-            if not all(math.isfinite(number) for point in known for number in point):
+            dots = tuple(plot.Dot(float(r["seconds"]) / 60, float(r[column])) for r in rows if r[column])
+            if not all(math.isfinite(dot.x) and math.isfinite(dot.y) for dot in dots):
                 raise ValueError(f"{column} is not finite")
-            lines[name] = tuple(zip(*known, strict=True)) if known else ((), ())
+            lines += [plot.Line(name, dots)] if len(dots) > 1 else []
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise StageError(f"cannot read {train / 'curve.csv'}", AGAIN, [repr(error)]) from error
-    return page.chart(lines, "minutes of training", "PSNR dB") or "<p>Too few measurements for a curve.</p>"
+    return Markup(plot.svg(plot.plot([plot.Panel("minutes of training", "PSNR dB", tuple(lines))]))) if lines else ""
 
 
-def _times(stamps: dict[str, Stamp]) -> str:
-    from stages.formats import page
-
-    spent = {name: stamp.seconds for name, stamp in stamps.items()}
-    longest = max(spent.values(), default=1.0) or 1.0
+def _stage_times(records: Mapping[str, StageRecord]) -> Columns:
+    longest = max((record.seconds for record in records.values()), default=1.0) or 1.0
     rows = [
-        [name, _duration(s), f"{stamps[name].peak_memory_bytes / 2**20:.0f} MiB", page.bar(s / longest)]
-        for name, s in spent.items()
+        [name, _duration(record.seconds), f"{record.peak_memory_bytes / 2**20:.0f} MiB"]
+        for name, record in records.items()
     ]
-    return page.table(["stage", "time", "peak memory", ""], rows, numeric=(1, 2))
+    return rows, (1, 2), [record.seconds / longest for record in records.values()]
 
 
-def _parts(spent: dict[str, float]) -> str:
-    """What the seconds of training went into; accuracy is measured with the clock stopped."""
-    from stages.formats import page
-
+def _training_times(spent: dict[str, float]) -> Columns:
     total = sum(spent.values()) or 1.0
-    rows = [[name, _duration(s), f"{100 * s / total:.0f} %", page.bar(s / total)] for name, s in spent.items()]
-    return page.table(["part", "time", "share", ""], rows, numeric=(1, 2))
+    rows = [[name, _duration(seconds), f"{100 * seconds / total:.0f} %"] for name, seconds in spent.items()]
+    return rows, (1, 2), [seconds / total for seconds in spent.values()]
 
 
-def _overlays(clip: Clip) -> list[tuple[np.ndarray, str]]:
-    """The posed body, shaded, over evenly spread frames, its outline against the mask's."""
+def _overlays(clip: Clip) -> list[Figure]:
+    """The posed body in blue over evenly spread frames, and the edge of the mask in orange."""
     import cv2
     import numpy as np
 
     from stages.estimators.bodyfit.silhouette import posed_bodies, silhouette
+    from stages.formats import page
 
     chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)
-    shots = []
-    for i, points in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen), strict=True):
-        image = clip.images(i).copy()
-        size = image.shape[:2]
-        inside = silhouette(points, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], size, size)
+    figures = []
+    for i, vertices in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen.tolist()), strict=True):
+        image, size = clip.images(i).copy(), (clip.height, clip.width)
+        inside = silhouette(vertices, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], size, size)
         image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
         edges, _ = cv2.findContours((clip.mask(i) > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, edges, -1, (255, 140, 0), max(1, clip.height // 400))
-        shots.append((image, f"frame {clip.names[i]}: body blue, mask edge orange"))
-    return shots
+        figures.append(page.picture(image, f"frame {clip.names[i]}: body blue, mask edge orange"))
+    return figures
 
 
-def _effects(found: Survey, worth: dict[str, Gain]) -> str:
-    """A row for each effect of survey.json, those that are modelled first; `worth` is what train.json says of them."""
-    from stages.formats import page
-
+def _effects(found: Survey, gains: dict[str, Gain]) -> list[list[str]]:
+    """A row for each effect of the survey, the modelled ones first, with its gain in training."""
     rows = []
     for name, effect in sorted(found.effects.items(), key=lambda item: not item[1].on):
         value = "" if effect.value is None else f"{effect.value:.3g} {effect.unit}"
-        gain = worth.get(name)
-        gains = (gain.psnr, gain.psnr_person) if gain else ()
-        gained = " / ".join(f"{db:+.2f} dB" for db in gains if db is not None)
-        seconds = gain.seconds if gain else None
-        cost = "" if seconds is None else f"{round(seconds)} s" if seconds > 0 else "not measurable"
+        gain = gains.get(name)
+        gained = " / ".join(f"{db:+.2f} dB" for db in (gain.psnr, gain.psnr_person) if db is not None) if gain else ""
+        cost = (f"{round(gain.seconds)} s" if gain.seconds > 0 else "not measurable") if gain else ""
         rows.append([name.replace("_", " "), "on" if effect.on else "off", value, f"{effect.threshold:g}"]
                     + [effect.verdict, f"{effect.confidence:.0%}", gained, cost, ", ".join(effect.frames)])  # fmt: skip
-    head = ["effect", "", "measured", "threshold", "verdict", "confidence", "gained, whole / person", "cost"]
-    return page.table([*head, "most in frames"], rows, numeric=(3, 5, 6, 7))
+    return rows
 
 
-def _measures(found: Survey) -> str:
-    from stages.formats import page
-
-    rows = [[name.replace("_", " "), f"{_number(m.value)} {m.unit}", m.verdict] for name, m in found.measures.items()]
-    scene = "modelled" if found.decisions.get("scene", True) else "left out"
-    return page.table(["measured", "value", "verdict"], rows) + f"<p>The scene is {scene}.</p>"
-
-
-def _rungs(found: Sfm) -> str:
-    """How the cameras were found, and what was tried before, if they were mapped; `found` is sfm.json."""
-    from stages.formats import page
-
-    said = []
-    for rung in found.rungs:
-        best = max((model.registered for model in rung.models), default=0)
-        said.append(f"{rung.how} {best} of {found.of} frames in the largest of {len(rung.models)} models")
-    taken = f" Taken: {found.mapper or 'none of them'}." if len(said) > 1 else ""
-    return f"<p>Cameras: {page.escape('; '.join(said))}.{page.escape(taken)}</p>" if said else ""
+def _measures(found: Survey) -> list[list[str]]:
+    return [[name.replace("_", " "), f"{_number(m.value)} {m.unit}", m.verdict] for name, m in found.measures.items()]
 
 
 def _number(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _notes(stamps: dict[str, Stamp]) -> list[list[str]]:
-    return [[stage, note] for stage, stamp in stamps.items() for note in stamp.notes]
+def _rungs(found: Sfm) -> list[str]:
+    """A clause for each way in which sfm tried to map the cameras."""
+    clauses = []
+    for rung in found.rungs:
+        best = max((model.registered for model in rung.models), default=0)
+        clauses.append(f"{rung.how} {best} of {found.of} frames in the largest of {len(rung.models)} models")
+    return clauses

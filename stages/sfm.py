@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from stages.estimators.cameras.motion import CameraMotion, Pair
     from stages.estimators.cameras.sparse_model import Pinholes
     from stages.estimators.cameras.verdict import Footage
+    from stages.formats.datasets.undistorted import Grid
 
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
@@ -29,30 +30,30 @@ HUMAN_ONLY = "film while walking a few steps around the person to get the scene 
 
 class Params(contract.Params):
     camera: Literal["auto", "fixed"] = "auto"
-    """auto: find out how the camera moved. fixed: it stood still; nothing is reconstructed, every frame is kept."""
+    """auto: measure how the camera moves. fixed: it stands still; nothing is reconstructed, every frame is kept."""
     focal: float | None = Field(None, gt=0)
-    """Focal length in px of the frames as the frames stage wrote them, if it is known; else it is estimated."""
+    """Focal length, if known, in px of the frames that the frames stage wrote. Default: estimated."""
     features: int = Field(2048, ge=256)
-    """SIFT features a frame, about. Matching time grows with its square; 1024 still place a textured room to 1 mm."""
+    """About how many SIFT features a frame. Matching time grows with the square; 1024 still place a textured room to 1 mm."""
     overlap: int = Field(2, ge=1)
     """Each frame is matched with this many that follow, besides those 1, 2, 4, 8 ... frames later; 1 and 2 add none.
 
     Time grows with it.
     """
     undistort: Literal["auto", "always", "never"] = "auto"
-    """Whether the lens found by SfM is taken out of the frames. auto: where it moves pixels enough to be seen.
+    """Whether to remove the lens distortion that SfM found. auto: where it moves pixels visibly.
 
-    That of cameras given by `--cameras` always is.
+    The distortion of cameras given by `--cameras` is always removed.
     """
     min_share: float = Field(0.5, gt=0, le=1)
     """Share of the frames that must get a pose."""
     cameras_from: Literal["auto", 0, 1] = "auto"
-    """Number of the video's first frame in the names of `--cameras`. auto: found out where the names tell."""
+    """Number of the video's first frame in the names of `--cameras`. auto: read from the names where they tell."""
 
 
 @dataclass
 class Solution:
-    """What was found out about the cameras: poses of `names`, the lens, the COLMAP model, numbers for sfm.json."""
+    """Solved cameras: the poses of `names`, the lens, the COLMAP model, and facts for sfm.json."""
 
     verdict: str
     names: list[str]
@@ -61,11 +62,11 @@ class Solution:
     center: tuple[float, float]
     k: float
     model: Any = None
-    facts: dict = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
 
 
 def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | None = None) -> None:
-    """Find out where each frame was taken from, with the person masked out, and undistort the frames once.
+    """Solve the camera of each frame, with the person masked out, and undistort the frames.
 
     `cameras` of another program (a COLMAP model, transforms.json) take the place of mapping; where they have no points,
     COLMAP triangulates them. A camera that stood still or only turned is named in sfm.json `verdict` and by a warning.
@@ -89,7 +90,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
             job.progress(85 + 14 * done // len(found.names), 100)
         write_cameras(job.out / "cameras.npz", Cameras(tuple(found.names), found.viewmats, found.Ks, *size))
         if found.cloud is not None:
-            compare_colors(job, found)
+            compare_colors(job, found, found.cloud)
         elif cameras is not None and found.verdict == "moving":
             triangulate(job, found, size, params.features, Path(scratch))
     facts = {
@@ -110,6 +111,7 @@ def map_cameras(
     import numpy as np
 
     from stages.avatar.cameras import lens
+    from stages.avatar.cameras.pinhole import pinhole
     from stages.estimators.cameras import colmap
     from stages.estimators.cameras.sparse_model import Pinholes
 
@@ -117,19 +119,20 @@ def map_cameras(
     if params.camera == "fixed":
         focal = params.focal or GUESSED_FOCAL * max(size)
         solution = Solution("static camera", names, fixed_views(len(names)), focal, (width / 2, height / 2), 0.0)
-        job.note("the camera is taken to stand still, as asked")
+        job.note("the camera is taken to stand still, as set")
     else:
         solution = solve(job, params, names, frames, masks, width, height, scratch)
-    shift, pinhole, grid = lens.max_shift(solution.focal, solution.k, width, height), solution.focal, None
+    shift, focal = lens.max_shift(solution.focal, solution.k, width, height), solution.focal
+    grids: dict[str, Grid | None] = dict.fromkeys(solution.names)
     if params.undistort == "never":
-        shift = 0.0  # taken out, which is what sfm.json says
+        shift = 0.0  # as if there were no lens, and sfm.json says so
     if params.undistort == "always" or shift >= lens.NO_SHIFT:
         center = np.array(solution.center)
-        pinhole = lens.pinhole_focal(solution.focal, center, solution.k, width, height)
-        grid = lens.remap_grid(solution.focal, center, solution.k, pinhole, width, height)
-    K = np.array([[pinhole, 0, width / 2], [0, pinhole, height / 2], [0, 0, 1.0]])
+        focal = lens.pinhole_focal(solution.focal, center, solution.k, width, height)
+        grid = lens.remap_grid(solution.focal, center, solution.k, focal, width, height)
+        grids = dict.fromkeys(solution.names, grid)
     if solution.model is not None:
-        colmap.make_pinhole(solution.model, pinhole)
+        colmap.make_pinhole(solution.model, focal)
     guessed = solution.verdict == "static camera" and params.focal is None
     if guessed:
         job.warn(
@@ -139,11 +142,11 @@ def map_cameras(
     facts = {
         "focal_px": solution.focal,
         "focal_source": "guessed" if guessed else "given" if params.focal else "estimated",
-        "pinhole_focal_px": pinhole,
+        "pinhole_focal_px": focal,
         "distortion": {"model": "SIMPLE_RADIAL", "params": [solution.k], "max_shift_px": shift},
         **solution.facts,
     }
-    Ks, grids = np.tile(K, (len(solution.names), 1, 1)), dict.fromkeys(solution.names, grid)
+    Ks = np.tile(pinhole(focal, width, height), (len(solution.names), 1, 1))
     return Pinholes(solution.verdict, solution.names, solution.viewmats, Ks, grids, facts, solution.model)
 
 
@@ -151,31 +154,14 @@ def solve(
     job: Job, params: Params, names: list[str], frames: Path, masks: Path, width: int, height: int, scratch: Path
 ) -> Solution:
     """Features, matches, the verdict on the camera's motion, and the cameras of a clip that stands, turns or walks."""
-    import numpy as np
-
-    from stages.estimators.cameras import colmap
-    from stages.estimators.cameras import ladder as sfm_ladder
-    from stages.estimators.cameras import verdict as sfm_verdict
+    from stages.estimators.cameras.ladder import Matched
     from stages.estimators.cameras.motion import judge_motion
-    from stages.estimators.cameras.sparse_model import write_ignored
+    from stages.estimators.cameras.verdict import Footage
 
-    files, images, database = [f"{name}.png" for name in names], frames / "images", scratch / "database.db"
-    job.progress(0, 100)
-    side = max(width, height)
-    write_ignored(names, masks, scratch / "ignored", side)
-    camera = [params.focal, width / 2, height / 2, 0.0] if params.focal else []
-    colmap.extract(database, images, scratch / "ignored", files, params.features, camera)
-    job.progress(30, 100)
-    colmap.match(database, len(names).bit_length(), growing=True, side=side)
-    if params.overlap > 2:
-        colmap.match(database, params.overlap, growing=False, side=side)
-    pairs, counts = colmap.read_pairs(database, files)
-    facts: dict = {
-        "features": {"min": int(counts.min()), "median": float(np.median(counts))},
-        "verified_pairs": len(pairs),
-    }
+    side, images, database = max(width, height), frames / "images", scratch / "database.db"
+    pairs, facts = match_frames(job, params, names, frames, masks, width, height, scratch)
     need = math.ceil(params.min_share * len(names))
-    footage = sfm_verdict.Footage(names, images, scratch / "ignored", database, need)
+    footage = Footage(names, images, scratch / "ignored", database, need)
     if not pairs:
         footage.require(job, [], [])  # raises
     motion = judge_motion(pairs, width, height, params.focal)
@@ -189,24 +175,44 @@ def solve(
             f"the camera stands still (the background moves {motion.displacement_px:.2f} px between frames): "
             f"its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
         )
-        focal = params.focal or GUESSED_FOCAL * side
-        return Solution(
-            motion.verdict, names, fixed_views(len(names)), focal, (width / 2, height / 2), 0.0, facts=facts
-        )
+        focal, center = params.focal or GUESSED_FOCAL * side, (width / 2, height / 2)
+        return Solution(motion.verdict, names, fixed_views(len(names)), focal, center, 0.0, facts=facts)
     if motion.verdict == "rotation only":
         return solve_turn(job, footage, motion, pairs, width, height, facts)
     job.progress(55, 100)
     fixed_focal = params.focal is not None
-    matched = sfm_ladder.Matched(database, images, scratch, len(names), side, need, params.overlap, fixed_focal)
-    return solve_walk(job, matched, footage, motion, pairs, facts) or solve_turn(
-        job, footage, motion, pairs, width, height, facts
-    )
+    matched = Matched(database, images, scratch, len(names), side, need, params.overlap, fixed_focal)
+    walk = solve_walk(job, matched, footage, motion, pairs, facts)
+    return walk or solve_turn(job, footage, motion, pairs, width, height, facts)
+
+
+def match_frames(
+    job: Job, params: Params, names: list[str], frames: Path, masks: Path, width: int, height: int, scratch: Path
+) -> tuple[list[Pair], dict[str, Any]]:
+    """The verified pairs of frames, and the first facts for sfm.json; features and matches go to scratch/database.db."""
+    import numpy as np
+
+    from stages.estimators.cameras import colmap
+    from stages.estimators.cameras.sparse_model import write_ignored
+
+    files, database, side = [f"{name}.png" for name in names], scratch / "database.db", max(width, height)
+    job.progress(0, 100)
+    write_ignored(names, masks, scratch / "ignored", side)
+    camera = [params.focal, width / 2, height / 2, 0.0] if params.focal else []
+    colmap.extract(database, frames / "images", scratch / "ignored", files, params.features, camera)
+    job.progress(30, 100)
+    colmap.match(database, len(names).bit_length(), growing=True, side=side)
+    if params.overlap > 2:
+        colmap.match(database, params.overlap, growing=False, side=side)
+    pairs, counts = colmap.read_pairs(database, files)
+    features = {"min": int(counts.min()), "median": float(np.median(counts))}
+    return pairs, {"features": features, "verified_pairs": len(pairs)}
 
 
 def solve_walk(
-    job: Job, matched: Matched, footage: Footage, motion: CameraMotion, pairs: list[Pair], facts: dict
+    job: Job, matched: Matched, footage: Footage, motion: CameraMotion, pairs: list[Pair], facts: dict[str, Any]
 ) -> Solution | None:
-    """The cameras of the best model of all rungs; None if there is none to believe and a turn may stand in."""
+    """The cameras of the best model of all rungs; None if no model is reliable and a turn may stand in."""
     from stages.estimators.cameras.ladder import best_rung, climb
     from stages.estimators.cameras.verdict import components
 
@@ -217,26 +223,37 @@ def solve_walk(
     joined = components(pairs, len(names))[0].sum() >= footage.need
     if motion.nearly_turns and joined and not any(matched.usable(model) for model in rung.models):
         return None
-    tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.said(matched) for rung in rungs)]
+    tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.describe(matched) for rung in rungs)]
     facts["mapper"] = rung.how
     facts["trouble"] = footage.require(job, [model.placed_frames(names) for model in rung.models], tried)
-    best, posed = rung.models[0], rung.models[0].posed
+    best, poses = rung.models[0], rung.models[0].poses
     if doubts := matched.doubts(best):
-        job.warn(f"the best model is hard to believe: {', '.join(doubts)}")
-    kept = [name for name in names if name in posed]
+        job.warn(f"the best reconstruction looks unreliable: {', '.join(doubts)}")
+    kept = [name for name in names if name in poses]
     viewmats = fixed_views(len(kept))
-    viewmats[:, :3] = [posed[name] for name in kept]
+    viewmats[:, :3] = [poses[name] for name in kept]
     focal, cx, cy, k = (float(value) for value in next(iter(best.reconstruction.cameras.values())).params)
     return Solution("moving", kept, viewmats, focal, (cx, cy), k, best.reconstruction, facts)
 
 
 def solve_turn(
-    job: Job, footage: Footage, motion: CameraMotion, pairs: list[Pair], width: int, height: int, facts: dict
+    job: Job,
+    footage: Footage,
+    motion: CameraMotion,
+    pairs: list[Pair],
+    width: int,
+    height: int,
+    facts: dict[str, Any],
 ) -> Solution:
-    """The rotations of a camera that only turns, or that does hardly more and cannot be mapped."""
+    """The rotations of a camera that only turns, or that hardly does more and cannot be mapped.
+
+    Raises ValueError if `motion` was not measured well enough to know the lens.
+    """
     from stages.estimators.cameras.motion import camera_rotations
     from stages.estimators.cameras.verdict import components
 
+    if motion.focal_px is None or motion.k is None:
+        raise ValueError("a turn needs the focal length and lens that judge_motion fits")
     names = footage.names
     turns, known = camera_rotations(pairs, len(names), motion.focal_px, motion.k, width, height)
     others = [part for part in components(pairs, len(names)) if not (part & known).any()]

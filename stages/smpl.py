@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +13,16 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.estimators.words import listed
 from stages.formats.facts import Listing, Sfm, read_facts
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from stages.estimators.bodyfit.evidence import LandmarkEvidence
+    from stages.estimators.bodyfit.fit import BodyFit
     from stages.estimators.bodyfit.quality import FitQuality
+    from stages.estimators.person.blazepose import Pose
     from stages.records import BodyModel, BodyPoses, Cameras
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
@@ -28,7 +34,22 @@ SEEN_LEAST = 0.1  # share of the frames that must show a person
 
 class Params(contract.Params):
     doubtful: float = Field(0.5, ge=0, le=1)
-    """Confidence under which a frame's pose is named as doubtful."""
+    """Confidence below which a frame's pose is listed as doubtful."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The clip as both ways to a body fit need it: `times` [F] s, `masks` F of uint8 [H,W], `points` [P,3] in SfM units.
+
+    `moving` says whether SfM found a camera that moves.
+    """
+
+    model: BodyModel
+    cameras: Cameras
+    times: np.ndarray
+    masks: list[np.ndarray]
+    points: np.ndarray
+    moving: bool
 
 
 def run(
@@ -40,64 +61,67 @@ def run(
     Frames without a person are filled in between their neighbours with confidence 0. Raises StageError if nearly no
     frame shows a person.
     """
-    import numpy as np
-
     from stages.estimators.bodyfit.quality import measure_quality
-    from stages.formats.body_model import read_body_model, write_body_model
-    from stages.formats.cameras import read_cameras
+    from stages.formats.body_model import write_body_model
     from stages.formats.datasets.capture import given_by
-    from stages.formats.images import read_mask
-    from stages.formats.points import read_points
     from stages.formats.poses import write_poses
 
-    model = read_body_model(body_model)
-    cameras = read_cameras(sfm / "cameras.npz")
-    masks = [read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names]
-    points = read_points(sfm / "points.ply")[0].astype(np.float64)
-    moving = read_facts(sfm / "sfm.json", Sfm).verdict == "moving"
     listing = read_facts(frames / "frames.json", Listing)
-    taken = {frame.name: frame.time_s for frame in listing.frames}
-    times = np.array([taken[name] for name in cameras.names], np.float64)
+    clip = read_inputs(listing, sfm, body_model)
     smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
     if listing.dataset and body_model is None:
-        job.warn("the data set's poses and shapes are those of SMPL, the free body is another: give --body-model FILE")
+        job.warn("the data set's poses are for SMPL, but the bundled body is not SMPL: give --body-model FILE")
     if smpl_fit is not None:
         pictures = {frame.name: frame.source for frame in listing.frames if frame.source}
-        sources = tuple(pictures[name] for name in cameras.names if name in pictures)
-        poses, facts = import_poses(job, smpl_fit, model, cameras, times, masks, points, moving, sources)
-        verdict = measure_quality(poses, model, cameras, times, masks)
+        sources = tuple(pictures[name] for name in clip.cameras.names if name in pictures)
+        poses, facts = import_poses(job, smpl_fit, clip, sources)
+        quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.masks)
     else:
-        poses, facts, evidence, pixels = estimate_poses(job, sfm, model, cameras, times, points, moving, masks)
-        verdict = measure_quality(poses, model, cameras, times, masks, evidence, pixels)
-    poses = replace(poses, confidence=verdict.confidence)
+        fit, evidence, facts = estimate_poses(job, sfm, clip)
+        poses = fit.poses
+        quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.masks, evidence, fit.pixels)
+    poses = replace(poses, confidence=quality.confidence)
     write_poses(job.out / "body.npz", poses)
-    write_body_model(job.out / "body_model.npz", model)
+    write_body_model(job.out / "body_model.npz", clip.model)
     warn_of_scale(job, facts["scale"])
-    facts = {**facts, **summary(job, params, poses, model, verdict)}
+    report(job, params, poses, clip.model, quality)
+    facts = {**facts, **summary(params, poses, clip.model, quality)}
     (job.out / "smpl.json").write_text(json.dumps(facts, indent=1) + "\n")
 
 
-def import_poses(
-    job: Job,
-    smpl_fit: Path,
-    model: BodyModel,
-    cameras: Cameras,
-    times: np.ndarray,
-    masks: list[np.ndarray],
-    points: np.ndarray,
-    moving: bool,
-    sources: tuple[str, ...],
-) -> tuple[BodyPoses, dict[str, Any]]:
-    """Poses read from another program's file; says which of its people was taken, and what else is worth knowing."""
+def read_inputs(listing: Listing, sfm: Path, body_model: Path | None) -> Inputs:
+    """The cameras, masks and points in the folder of sfm, with the times that frames.json lists."""
+    import numpy as np
+
+    from stages.formats.body_model import read_body_model
+    from stages.formats.cameras import read_cameras
+    from stages.formats.images import read_mask
+    from stages.formats.points import read_points
+
+    cameras = read_cameras(sfm / "cameras.npz")
+    time_of = {frame.name: frame.time_s for frame in listing.frames}
+    return Inputs(
+        model=read_body_model(body_model),
+        cameras=cameras,
+        times=np.array([time_of[name] for name in cameras.names], np.float64),
+        masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
+        points=read_points(sfm / "points.ply")[0].astype(np.float64),
+        moving=read_facts(sfm / "sfm.json", Sfm).verdict == "moving",
+    )
+
+
+def import_poses(job: Job, smpl_fit: Path, clip: Inputs, sources: tuple[str, ...]) -> tuple[BodyPoses, dict[str, Any]]:
+    """Poses read from another program's file, and facts for smpl.json; says which of its people was taken."""
     from stages.estimators.bodyfit.given import import_fit
     from stages.formats.given_fits.recognize import read_smpl_fit
 
+    cameras = clip.cameras
     fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
-    poses, facts = import_fit(fit, model, cameras, times, masks, points, moving, sources)
+    poses, facts = import_fit(fit, clip.model, cameras, clip.times, clip.masks, clip.points, clip.moving, sources)
     for note in facts.pop("notes"):
         job.warn(note)
-    if fit.tool != "npz" and model.name == "free body":
-        job.warn(f"{fit.tool} fits SMPL's body, the free body is another: give --body-model FILE")
+    if fit.tool != "npz" and clip.model.name == "free body":
+        job.warn(f"the fit of {fit.tool} is for SMPL, but the bundled body is not SMPL: give --body-model FILE")
     overlap, people = facts["overlap"], facts["people"]
     if len(people) > 1:
         others = [f"{who or 'unnamed'} {100 * share:.0f} %" for who, share in people.items() if share is not None]
@@ -112,31 +136,21 @@ def import_poses(
     return poses, {"source": smpl_fit.name, **facts}
 
 
-def estimate_poses(
-    job: Job,
-    sfm: Path,
-    model: BodyModel,
-    cameras: Cameras,
-    times: np.ndarray,
-    points: np.ndarray,
-    moving: bool,
-    masks: list[np.ndarray],
-):
-    """Poses fitted to BlazePose landmarks and the masks; writes landmarks.npz. Also gives evidence and pixels."""
-    import numpy as np
-
-    from stages.estimators.bodyfit import evidence as evidences
+def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, LandmarkEvidence, dict[str, Any]]:
+    """Fit poses to BlazePose landmarks and the masks; writes landmarks.npz. Also gives the evidence, facts for smpl.json."""
+    from stages.estimators.bodyfit.evidence import drop_strangers, gather, model_landmarks, vote_sides
     from stages.estimators.bodyfit.fit import fit_body
     from stages.estimators.person.blazepose import BlazePose, pick_masked
     from stages.formats.images import read_image
 
-    names, regressor = evidences.model_landmarks(model)
+    frames = clip.cameras.names
+    names, regressor = model_landmarks(clip.model)
     job.progress(0, 100)
-    network, images = BlazePose(), [read_image(sfm / "images" / f"{name}.png") for name in cameras.names]
-    tracks = network.track(images, pick_masked(network.sightings(images), masks))
+    network, images = BlazePose(), [read_image(sfm / "images" / f"{name}.png") for name in frames]
+    tracks = network.track(images, pick_masked(network.sightings(images), clip.masks))
     job.progress(40, 100)
-    evidence, strangers = evidences.drop_strangers(evidences.gather(tracks, names), masks)
-    evidence, swapped = evidences.vote_sides(evidence)
+    evidence, strangers = drop_strangers(gather(tracks, names), clip.masks)
+    evidence, swapped = vote_sides(evidence)
     count = int(evidence.seen.sum())
     if count < max(2, SEEN_LEAST * len(tracks)):
         raise StageError(
@@ -144,81 +158,114 @@ def estimate_poses(
             "use a clip that shows one whole person, or give a fit of your own with --smpl-fit FIT.npz",
             [f"{int(strangers.sum())} more frames showed somebody else than the masked person"],
         )
-    blank = np.zeros((33, 6))
-    found = np.stack([blank if t is None else np.c_[t.xy, t.visibility, t.world] for t in tracks])
-    np.savez(
-        job.out / "landmarks.npz",
-        names=np.array(cameras.names),
-        xy=found[..., :2],
-        visibility=found[..., 2],
-        world=found[..., 3:],
+    write_landmarks(job.out / "landmarks.npz", frames, tracks)
+    others, exchanged = select(frames, strangers), select(frames, swapped)
+    if others:
+        job.warn(f"left out {count_names(others)}: the landmarks are somebody else's, not the masked person's")
+    if exchanged:
+        job.note(f"left and right exchanged in {count_names(exchanged)}")
+
+    def show(done: int, total: int, cost: float) -> None:
+        job.progress(40 + 55 * done // total, 100, cost=round(cost, 2))
+
+    fit = fit_body(
+        clip.model, regressor, evidence, clip.cameras, clip.times, clip.masks, clip.points, clip.moving, show
     )
-    named = lambda chosen: [n for n, c in zip(cameras.names, chosen, strict=True) if c]  # noqa: E731
-    if strangers.any():
-        job.warn(f"somebody else than the masked person was found in {_some(named(strangers))}; left out")
-    if swapped.any():
-        job.note(f"left and right exchanged in {_some(named(swapped))}")
-    shown = lambda done, total, cost: job.progress(40 + 55 * done // total, 100, cost=round(cost, 2))  # noqa: E731
-    fit = fit_body(model, regressor, evidence, cameras, times, masks, points, moving, shown)
     facts = {
         "source": "blazepose",
         "scale": fit.scale,
-        "not_seen": named(~evidence.seen),
-        "strangers": named(strangers),
-        "sides_exchanged": named(swapped),
+        "not_seen": select(frames, ~evidence.seen),
+        "strangers": others,
+        "sides_exchanged": exchanged,
     }
-    return fit.poses, facts, evidence, fit.pixels
+    return fit, evidence, facts
+
+
+def write_landmarks(path: Path, names: Sequence[str], tracks: Sequence[Pose | None]) -> None:
+    """Write BlazePose's 33 landmarks of each frame: px, visibility and metres; zeros where nobody was found."""
+    import numpy as np
+
+    blank = np.zeros((33, 6))
+    found = np.stack([blank if t is None else np.c_[t.xy, t.visibility, t.world] for t in tracks])
+    np.savez(path, names=np.array(names), xy=found[..., :2], visibility=found[..., 2], world=found[..., 3:])
+
+
+def select(names: Sequence[str], chosen: np.ndarray) -> list[str]:
+    """The names where `chosen` bool [F] is true."""
+    return [name for name, taken in zip(names, chosen, strict=True) if taken]
 
 
 def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
-    """Say so where the size of the person against the scene is weakly known."""
+    """Warn where the size of the person against the scene is hardly known."""
     if scale["how"].startswith("not found"):
         job.warn(
-            "the size of the person against the scene is unknown: no floor under the feet, and no foot that stands"
+            "the scale of the person against the scene is unknown: neither a floor below the feet nor a standing foot was found"
         )
     elif scale.get("floor_spread", 0) > FLOOR_SPREAD:
         job.warn(f"the feet meet the floor at scales that differ by {100 * scale['floor_spread']:.0f} %")
 
 
-def summary(job: Job, params: Params, poses: BodyPoses, model: BodyModel, verdict: FitQuality) -> dict[str, Any]:
-    """What smpl.json says about the result, and the notes and warnings a user should see."""
+def report(job: Job, params: Params, poses: BodyPoses, model: BodyModel, quality: FitQuality) -> None:
+    """Note how large the body is and how well it fits; warn of doubtful poses, jumps and unusual shapes."""
     import numpy as np
 
-    def mean(values: np.ndarray) -> float | None:
-        known = values[~np.isnan(values)]
-        return round(float(known.mean()), 4) if len(known) else None
-
-    shape = model.v_template + model.shapedirs @ poses.betas
-    stature = float(np.ptp(shape[:, 1]))
-    doubtful = [n for n, c in zip(poses.names, verdict.confidence, strict=True) if c < params.doubtful]
-    fast = [f"{n} ({joint})" for n, joint in zip(poses.names, verdict.fast, strict=True) if joint]
-    error, iou = mean(verdict.error_px), mean(verdict.iou)
-    told = [f"body {stature:.2f} m tall, {poses.world_from_sfm:.4g} m per SfM unit"]
-    told += [f"landmarks {error:.1f} px off"] if error is not None else []
-    told += [f"outline IoU {iou:.2f}"] if iou is not None else []
-    job.note(", ".join(told))
+    stature = stature_of(model, poses)
+    doubtful = select(poses.names, quality.confidence < params.doubtful)
+    error, iou = mean_known(quality.error_px), mean_known(quality.iou)
+    parts = [f"body {stature:.2f} m tall, {poses.world_from_sfm:.4g} m per SfM unit"]
+    parts += [f"landmarks {error:.1f} px off"] if error is not None else []
+    parts += [f"outline IoU {iou:.2f}"] if iou is not None else []
+    job.note(", ".join(parts))
     if doubtful:
-        job.warn(f"the body's pose is doubtful in {_some(doubtful)}")
-    if fast:
-        job.warn(f"the body jumps at {_some(fast)}")
+        job.warn(f"the body's pose is doubtful in {count_names(doubtful)}")
+    if fast := fast_frames(poses, quality):
+        job.warn(f"the body jumps at {count_names(fast)}")
     if not STOCKY[0] < stature < STOCKY[1] or np.abs(poses.betas).max() > EXTREME_BETA:
         job.warn(f"an unusual shape: {stature:.2f} m tall, betas up to {np.abs(poses.betas).max():.1f}")
-    rounded = lambda value: None if np.isnan(value) else round(float(value), 4)  # noqa: E731
-    each = zip(poses.names, verdict.error_px, verdict.iou, verdict.confidence, strict=True)
+
+
+def summary(params: Params, poses: BodyPoses, model: BodyModel, quality: FitQuality) -> dict[str, Any]:
+    """What smpl.json says about the result."""
+    each = zip(poses.names, quality.error_px, quality.iou, quality.confidence, strict=True)
     return {
         "body_model": model.name,
         "world_from_sfm": poses.world_from_sfm,
-        "stature_m": round(stature, 4),
+        "stature_m": round(stature_of(model, poses), 4),
         "betas": [round(float(b), 4) for b in poses.betas],
-        "mean_error_px": error,
-        "mean_iou": iou,
-        "doubtful": doubtful,
-        "fast": fast,
-        "frames": {n: {"error_px": rounded(e), "iou": rounded(u), "confidence": rounded(c)} for n, e, u, c in each},
+        "mean_error_px": mean_known(quality.error_px),
+        "mean_iou": mean_known(quality.iou),
+        "doubtful": select(poses.names, quality.confidence < params.doubtful),
+        "fast": fast_frames(poses, quality),
+        "frames": {n: {"error_px": known(e), "iou": known(u), "confidence": known(c)} for n, e, u, c in each},
     }
 
 
-def _some(names: list[str]) -> str:
-    """A few names and how many there are."""
-    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-    return f"{len(names)} frame{'s' if len(names) > 1 else ''}: {', '.join(names[:5])}{more}"
+def stature_of(model: BodyModel, poses: BodyPoses) -> float:
+    """Height in m of the body at rest."""
+    import numpy as np
+
+    shape = model.v_template + model.shapedirs @ poses.betas
+    return float(np.ptp(shape[:, 1]))
+
+
+def fast_frames(poses: BodyPoses, quality: FitQuality) -> list[str]:
+    """The frames at which a joint turns faster than a person's can, each with the joint."""
+    return [f"{name} ({joint})" for name, joint in zip(poses.names, quality.fast, strict=True) if joint]
+
+
+def mean_known(values: np.ndarray) -> float | None:
+    """The mean of `values` without NaN, to 4 digits; None if all are NaN."""
+    import numpy as np
+
+    finite = values[~np.isnan(values)]
+    return round(float(finite.mean()), 4) if len(finite) else None
+
+
+def known(value: float) -> float | None:
+    """A value to 4 digits for JSON, None for NaN."""
+    return None if math.isnan(value) else round(float(value), 4)
+
+
+def count_names(names: list[str]) -> str:
+    """How many frames, and the first of their names."""
+    return f"{len(names)} frame{'s' if len(names) > 1 else ''}: {listed(names, 5)}"

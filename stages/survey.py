@@ -1,4 +1,4 @@
-"""frames, masks, sfm, smpl -> survey.json: what was measured on this clip, and which effects it calls for."""
+"""frames, masks, sfm, smpl -> survey.json: measures of the clip, and the effects that training should model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Effect = Literal["auto", "always", "never"]
 
-# Where a finding changes a decision or is worth a warning.
+# Limits at which a measure changes a decision or causes a warning.
 MIN_PARALLAX_DEG = 1.0  # below this SfM depth is mostly noise
 MIN_POINTS = 100  # fewer points start no scene
 MAX_REPROJECTION_PX = 1.0
@@ -24,21 +24,21 @@ MIN_COVERAGE = 0.02  # of the picture; below it the person is too small to learn
 
 
 class Params(contract.Params):
-    """What is modelled. auto: what the clip calls for, by the measures of stages/estimators/detectors; unknown is off.
+    """Which effects to model. auto: those that the detectors in stages/estimators/detectors find; if unknown, off.
 
-    The lens has no setting: `sfm` takes out what moves a pixel by 0.1 px or more, and here is told what is left.
+    The lens has no setting: `sfm` removes distortion of 0.1 px or more; the survey reports the rest.
     """
 
     scene: Effect = "auto"
     """Model the scene around the person. auto: when SfM found a moving camera and enough points."""
     view_dependence: Effect = "auto"
-    """Colours of the scene that depend on where they are seen from. auto: when points change with the view."""
+    """Colours of the scene that depend on the viewing direction. auto: when points change with the view."""
     exposure: Effect = "auto"
     """Learn a gain per frame. auto: when the background's brightness drifts or jumps."""
     rolling_shutter: Effect = "auto"
-    """Rows of a picture are taken one after the other. auto: when points move within a picture as if they were."""
+    """The camera reads a frame row by row. auto: when points move within a frame that way."""
     motion_blur: Effect = "auto"
-    """Pictures are means over the time the shutter is open. auto: when edges across the motion are wider."""
+    """Frames are blurred while the shutter is open. auto: when edges across the motion are wider."""
     shadow: Effect = "auto"
     """The person's shadow on the floor. auto: when the floor darkens where the body takes the light."""
     clothing: Effect = "auto"
@@ -48,11 +48,11 @@ class Params(contract.Params):
     camera_refinement: Effect = "auto"
     """Let training correct the cameras. auto: when they contradict what is seen in several frames."""
     sky: Effect = "auto"
-    """A background infinitely far. auto: when part of the picture stays where it is however the camera moves."""
+    """A background infinitely far away. auto: when part of the picture stays in place however the camera moves."""
     transients: Effect = "auto"
-    """Leave out what passes through. auto: when neighbouring frames do not explain each other beside the person."""
+    """Leave out passers-by. auto: when neighbouring frames contradict each other outside the person."""
     antialias: Effect = "auto"
-    """Keep Gaussians from flickering at other sizes. auto: when things are seen at very different sizes."""
+    """Keep Gaussians from flickering at other distances. auto: when things are seen at very different sizes."""
 
 
 def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl: Path) -> None:
@@ -75,7 +75,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
         job.note(text)
     for name in ("camera_parallax", "reprojection", "coverage"):
         if measures[name]["verdict"] in ("weak", "loose", "small"):
-            job.warn(f"{name.replace('_', ' ')} is {measures[name]['verdict']}: {said(measures[name])}")
+            job.warn(f"{name.replace('_', ' ')} is {measures[name]['verdict']}: {describe(measures[name])}")
     decisions = {"scene": scene} | {name: effect["on"] for name, effect in effects.items()}
     starts = {name: list(finding.start) for name, finding in findings.items() if finding.start}
     found = {"measures": measures, "effects": effects, "decisions": decisions, "starts": starts}
@@ -83,7 +83,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
 
 
 def decide(setting: Effect, finding: Finding) -> dict:
-    """The entry of an effect in survey.json: what was measured, whether training models it, and why."""
+    """The entry of an effect in survey.json: the finding, whether training models it, and why."""
     on = finding.called_for if setting == "auto" else setting == "always"
     measured = finding.verdict
     if finding.value is not None:
@@ -92,12 +92,12 @@ def decide(setting: Effect, finding: Finding) -> dict:
 
 
 def reasons(effects: dict[str, dict]) -> list[str]:
-    """What is on and why, what could not be measured, and the names of the rest, in plain words."""
-    told = [f"{name.replace('_', ' ')} on ({effect['why']})" for name, effect in effects.items() if effect["on"]]
+    """The effects that are on and why, those that could not be measured, and the names of the rest, in words."""
+    lines = [f"{name.replace('_', ' ')} on ({effect['why']})" for name, effect in effects.items() if effect["on"]]
     off = {name: effect for name, effect in effects.items() if not effect["on"]}
-    told += [f"{name.replace('_', ' ')} off ({e['why']})" for name, e in off.items() if e["value"] is None]
+    lines += [f"{name.replace('_', ' ')} off ({e['why']})" for name, e in off.items() if e["value"] is None]
     quiet = [name.replace("_", " ") for name, effect in off.items() if effect["value"] is not None]
-    return told + ([f"off: {', '.join(quiet)}"] if quiet else [])
+    return lines + ([f"off: {', '.join(quiet)}"] if quiet else [])
 
 
 def decide_scene(setting: Effect, verdict: str, points: int) -> tuple[bool, str]:
@@ -106,7 +106,7 @@ def decide_scene(setting: Effect, verdict: str, points: int) -> tuple[bool, str]
     why = f"{points} points from a moving camera" if moving else f"{verdict}, so the clip shows no depth"
     on = moving and points >= MIN_POINTS if setting == "auto" else setting == "always"
     if on and not points:
-        return False, "asked for, but SfM left no points to start it from"
+        return False, "set to always, but SfM left no points to start from"
     return on, why if setting == "auto" else f"as set; measured: {why}"
 
 
@@ -117,7 +117,7 @@ def measure(value: float | None, unit: str, threshold: float, verdict: str, fram
     return {"value": value, "unit": unit, "threshold": threshold, "verdict": verdict, "frames": frames or []}
 
 
-def said(entry: dict) -> str:
+def describe(entry: dict) -> str:
     """A measure in words: value and unit."""
     return "too little to measure" if entry["value"] is None else f"{entry['value']:.3g} {entry['unit']}".strip()
 

@@ -7,6 +7,7 @@ import io
 import json
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,16 @@ if TYPE_CHECKING:
 
 RESUMES = True
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
+
+SHORTER = {"curve_points": 4}
+FINISH = 40.0
+"""Training steps of full size that it takes to look at the frames and write the person, after the last step.
+The kitchen clip, a short training, 2 cores, November 2026."""
+
+
+def cost(params: Params, folders: Mapping[str, Path]) -> float:
+    """See `contract.StageModule`."""
+    return FINISH
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:

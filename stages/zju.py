@@ -1,4 +1,4 @@
-"""A sequence of ZJU-MoCap in place of a video: one camera to learn from, the others to be measured on."""
+"""Reads a sequence of ZJU-MoCap in place of a video: one camera to learn from, the others to measure on."""
 
 from __future__ import annotations
 

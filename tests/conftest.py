@@ -19,6 +19,11 @@ QUICK = 1.0  # s; `make quick` leaves out tests marked `slow`, which take longer
 over: dict[str, float] = {}
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that are slow as a whole come first: with several workers none of them is left alone with one at the end."""
+    items.sort(key=lambda item: not any(mark.name == "slow" for mark in item.parent.own_markers))
+
+
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Remember a test that took longer than QUICK and is not marked `slow`."""
     if report.when == "call" and report.duration > QUICK and "slow" not in report.keywords:

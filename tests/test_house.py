@@ -41,23 +41,21 @@ SOURCES = sources()
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in SOURCES.items()}
 
 
-def imported(name: str) -> Iterator[str]:
+def imported(tree: ast.Module) -> Iterator[str]:
     """All that a module imports, at its top or inside a function: dotted names of modules, or of things in them."""
-    package = name if SOURCES[name].name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(TREES[name]):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            place = ".".join([*above, *filter(None, [node.module])])
-            yield from (f"{place}.{alias.name}" for alias in node.names)
+            assert node.module and not node.level, "imports have whole names"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def graph() -> dict[str, set[str]]:
     """Module -> the modules of the packages that it imports."""
     found: dict[str, set[str]] = {}
     for name in SOURCES:
-        parts = {one if one in SOURCES else one.rpartition(".")[0] for one in imported(name)}
+        parts = {one if one in SOURCES else one.rpartition(".")[0] for one in imported(TREES[name])}
         found[name] = (parts & set(SOURCES)) - {name}
     return found
 
@@ -85,7 +83,7 @@ def test_nobody_imports_in_a_circle():
 
 
 def test_the_product_imports_no_test():
-    assert [name for name in SOURCES if any(one.partition(".")[0] == "tests" for one in imported(name))] == []
+    assert [name for name in SOURCES if any(one.partition(".")[0] == "tests" for one in imported(TREES[name]))] == []
 
 
 def test_tests_lie_where_the_modules_lie_that_they_test():
@@ -97,6 +95,19 @@ def test_tests_lie_where_the_modules_lie_that_they_test():
         if not known:
             lost.append(path.relative_to(ROOT / "tests").as_posix())
     assert sorted(lost) == sorted(ELSEWHERE)
+
+
+def test_test_files_hold_tests_only_and_lend_each_other_nothing():
+    """Helpers stand in tests/made, what is run by hand in tests/tools and tests/benchmarks."""
+    found = []
+    for path in (ROOT / "tests").rglob("*.py"):
+        place = path.relative_to(ROOT / "tests")
+        if place.parts[0] in PACKAGES and not path.name.startswith(("test_", "conftest.")):
+            found.append(f"{place} is no test")
+        names = {one.rpartition(".")[0] for one in imported(ast.parse(path.read_text("utf-8")))}
+        lent = [one for one in names if one.startswith("tests.") and ".test_" in one]
+        found += [f"{place} imports {one}" for one in sorted(lent)]
+    assert not found, "\n".join(found)
 
 
 def unclear(tree: ast.Module) -> Iterator[str]:

@@ -21,7 +21,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stages.contract import StageError
 
 LIBRARIES = {
     "torch": "torch",
@@ -35,18 +38,17 @@ LIBRARIES = {
     "trimesh": "trimesh",
     "ai_edge_litert": "ai-edge-litert",
 }
-"""What computes: the module's name and the name it is installed under."""
+"""Libraries that compute: module -> name of the package."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 GONE = (errno.ENOENT, errno.EIO, errno.ESTALE, errno.ENOTDIR, errno.EISDIR)
 PROGRESS_EVERY = 0.1  # s between progress events of one stage
 TORCH_MEMORY = ("OutOfMemoryError", "can't allocate memory")  # how torch says it, on a GPU and without
 TICK = 0.25  # s between looks at the clock
-MAXRSS = 1 if sys.platform == "darwin" else 1024  # bytes in one unit of ru_maxrss
 
 
 def prepare() -> None:
-    """Set what must stand before any numerical library loads.
+    """Set the environment that numerical libraries read when they load.
 
     Spinning OpenMP threads made a 4.7 ms call take 37 ms on a shared machine, and threads that sleep at once cost a
     training step 7 %: they spin a thousand times, a few microseconds. Libraries count the machine's processors, not
@@ -77,7 +79,7 @@ class Outcome:
     kind: str
     """done, error (StageError), crash (a bug), killed (by a signal), stopped (asked to)."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """Of the last event: versions; or problem, facts, hint; or traceback; or signal."""
+    """The last event: versions; or problem, facts, hint; or traceback; or signal."""
     seconds: float = 0.0
     peak_memory_bytes: int = 0
     notes: list[str] = field(default_factory=list)
@@ -85,10 +87,12 @@ class Outcome:
 
 
 def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str, Any]], None]) -> Outcome:
-    """Run one job (module, params, inputs, out, device, seed) to its end; `heard` gets each event and {} each tick.
+    """Run one job (see `engine.make`) to its end; `heard` gets each event and {} each tick.
 
     SIGINT and SIGTERM are passed on once as a request to stop; the second time the process is killed.
     """
+    from stages.contract import MAXRSS
+
     started = time.monotonic()
     read, write = os.pipe()
     with open(log, "ab") as output:
@@ -109,6 +113,7 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     outcome = Outcome("killed")
+    assert process.stdin
     try:
         job = {**job, "events": write, "path": sys.path}
         process.stdin.write(json.dumps(job).encode() + b"\n")
@@ -160,7 +165,6 @@ def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> 
 def main() -> int:
     """The stage's process."""
     import faulthandler
-    import importlib
     import threading
 
     job = json.loads(read_line(0))
@@ -170,7 +174,7 @@ def main() -> int:
     prepare()
     watch = threading.Thread(target=end_with_parent, daemon=True)
     watch.start()
-    from stages.contract import Job, StageError, Stopped
+    from stages.contract import Job, StageError, StageRecord, Stopped, load_stage
 
     pipe = os.fdopen(job["events"], "w", encoding="utf-8", buffering=1)
     last = 0.0
@@ -183,15 +187,16 @@ def main() -> int:
             last = time.monotonic()
         pipe.write(json.dumps(event, default=float) + "\n")
 
-    stage_job = Job(Path(job["out"]), job["device"], job["seed"], emit)
+    upstream = {name: StageRecord(**record) for name, record in job["upstream"].items()}
+    stage_job = Job(Path(job["out"]), job["device"], job["seed"], emit, upstream)
     if job["resumes"]:
         stage_job.listen_for_stop()
     else:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        module = importlib.import_module(job["module"])
+        module = load_stage(job["module"])
         inputs = {name: Path(path) if path else None for name, path in job["inputs"].items()}
-        module.run(stage_job, module.Params(**job["params"]), **inputs)
+        module.run(stage_job, module.params(**job["params"]), **inputs)
         emit({"event": "done", "versions": versions(), "peak_memory_bytes": peak_memory(), **gpu_memory()})
         return 0
     except Stopped:
@@ -200,14 +205,14 @@ def main() -> int:
     except Exception as error:
         if not isinstance(error, StageError):
             traceback.print_exc()
-        emit(failed(error, job["out"], job["inputs"].values()))
+        emit(error_event(error, job["out"], job["inputs"].values()))
     return 1
 
 
-def file_trouble(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> Exception | None:
-    """The StageError for a disk that is full, or a file that is gone or forbidden; None where a bug is likelier.
+def file_error(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> StageError | None:
+    """The StageError for a full disk, or a missing or forbidden file; None if a bug is more likely.
 
-    A file that is merely not there is a bug of a stage, unless it belongs to its inputs: these it has seen before.
+    A missing file is a bug of the stage, unless it belongs to the inputs, which were there when the run began.
     """
     from stages.contract import StageError
 
@@ -230,11 +235,11 @@ def file_trouble(error: BaseException, out: str = "", inputs: Iterable[str | Non
     return None
 
 
-def failed(error: Exception, out: str, inputs: Iterable[str | None] = ()) -> dict[str, Any]:
-    """The event for what a stage raised: 'error' where its user can help, 'crash' for a bug."""
+def error_event(error: Exception, out: str, inputs: Iterable[str | None] = ()) -> dict[str, Any]:
+    """The event for an exception of a stage: 'error' if the user can help, 'crash' for a bug."""
     from stages.contract import StageError
 
-    if said := file_trouble(error, out, inputs):
+    if said := file_error(error, out, inputs):
         error = said
     elif isinstance(error, MemoryError) or any(words in f"{type(error).__name__} {error}" for words in TORCH_MEMORY):
         hint = "close other programs, or use smaller settings (`--pipeline draft`)"
@@ -246,7 +251,7 @@ def failed(error: Exception, out: str, inputs: Iterable[str | None] = ()) -> dic
 
 
 def read_line(handle: int) -> bytes:
-    """The first line of a file handle; unbuffered, so that nothing holds stdin when the interpreter ends."""
+    """The first line of a file handle. Unbuffered: nothing may hold stdin when the interpreter ends."""
     line = b""
     while not line.endswith(b"\n"):
         data = os.read(handle, 65536)
@@ -257,14 +262,14 @@ def read_line(handle: int) -> bytes:
 
 
 def end_with_parent() -> None:
-    """Wait until the run that started this process is gone, then ask it to stop as Ctrl-C would."""
+    """Wait until the run that started this process is gone, then stop as on Ctrl-C."""
     while os.read(0, 1):
         pass
     os.kill(os.getpid(), signal.SIGTERM)
 
 
 def versions(only: Callable[[str], object] = sys.modules.get) -> dict[str, str]:
-    """Versions of Python and of the libraries that compute; only those that this process has loaded."""
+    """Versions of Python and of the libraries in use, by default those that this process has loaded."""
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"python": platform.python_version()}
@@ -276,12 +281,15 @@ def versions(only: Callable[[str], object] = sys.modules.get) -> dict[str, str]:
 
 
 def peak_memory() -> int:
-    """Most bytes of memory that this process, or one of its own, held at once."""
-    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) * MAXRSS
+    """The most memory that this process, or one of its own, held at once, in bytes."""
+    from stages import contract
+
+    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * contract.MAXRSS
+    return max(contract.peak_memory(), children)
 
 
 def gpu_memory() -> dict[str, int]:
-    """Most bytes that torch held on the GPU, where it was used."""
+    """The most memory that torch held on the GPU, in bytes; empty if no GPU was used."""
     torch = sys.modules.get("torch")
     if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
         return {}

@@ -1,4 +1,4 @@
-"""Runs what is not fresh, in order, each stage in a process of its own, and publishes what it made."""
+"""Runs the stages that are not fresh, each in a process of its own, and publishes the results."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ import os
 import platform
 import shutil
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
 from hugs_cli.cache import child
 from hugs_cli.cache.child import Outcome
-from hugs_cli.cache.freshness import CodeChanged, Forced, Judge, Reason, Recipe, Unfinished, Verdict
-from hugs_cli.cache.workspace import LOG, STAMP, Stamp, seal
+from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished, Verdict, is_code
+from hugs_cli.cache.workspace import LOG, STAMP, Accepted, FileFacts, Machine, Stamp, seal
 from hugs_cli.pipelines import Stage, UsageError
-from stages.contract import StageError
+from stages.contract import StageError, StageRecord
 
 FULL_DISK = 1 << 20  # bytes
 
 
 class Watcher(Protocol):
-    """Who is told what happens (the console)."""
+    """Hears the events of a run, as the console does."""
 
     def waiting(self, holder: str) -> None: ...
     def cached(self, stage: str, stamp: Stamp) -> None: ...
@@ -37,7 +37,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Ran:
-    """What one stage came to in a run: cached or done."""
+    """One stage of a finished run; `state` is cached or done."""
 
     stage: str
     state: str
@@ -60,46 +60,50 @@ class RunStopped(Exception):
         self.stage, self.continues = stage, continues
 
 
-def run(judge: Judge, wanted: list[str], forced: frozenset[str], device: str, watcher: Watcher) -> list[Ran]:
+def run(session: Session, wanted: list[str], forced: frozenset[str], device: str, watcher: Watcher) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
     stage that does not finish. What was finished before stays."""
     done: dict[str, Verdict] = {}
     ran: list[Ran] = []
-    with judge.workspace.lock(watcher.waiting) as lock:
+    with session.workspace.lock(watcher.waiting) as lock:
         for name in wanted:
-            stage = judge.pipeline.stages[name]
-            verdict = judge.one(stage, done, name in forced)
-            if verdict.fresh:
+            stage = session.pipeline.stages[name]
+            verdict = session.verdict(stage, done, name in forced)
+            assert verdict.recipe and verdict.folder, "every stage before it is fresh by now"
+            if verdict.stamp:
                 watcher.cached(name, verdict.stamp)
-                state = "cached"
+                stamp, state = verdict.stamp, "cached"
             else:
-                inputs = {need: judge.path(need, done) for need in stage.needs}
-                stamp = make(judge, stage, verdict, inputs, device, lock, watcher)
-                verdict, state = replace(verdict, stamp=stamp), "done"
-            judge.workspace.link(name, verdict.folder)
-            done[name] = verdict
-            ran.append(Ran(name, state, verdict.reasons, verdict.folder, verdict.stamp))
-        judge.code.save()
+                stamp, state = (
+                    make(session, stage, verdict.recipe, verdict.reasons, done, device, lock, watcher),
+                    "done",
+                )
+            session.workspace.link(name, verdict.folder)
+            done[name] = replace(verdict, stamp=stamp)
+            ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
+        session.code.save()
     return ran
 
 
 def make(
-    judge: Judge,
+    session: Session,
     stage: Stage,
-    verdict: Verdict,
-    inputs: dict[str, Path | None],
+    recipe: Recipe,
+    reasons: tuple[Reason, ...],
+    done: Mapping[str, Verdict],
     device: str,
     lock: int,
     watcher: Watcher,
 ) -> Stamp:
-    """Run one stage into its .part folder; stamp it and give it its final name."""
-    workspace, recipe = judge.workspace, verdict.recipe
+    """Run one stage into its .part folder, stamp the result and give the folder its final name."""
+    workspace, folder = session.workspace, session.workspace.folder(stage.name, recipe.key)
     part = workspace.part(stage.name, recipe.key)
-    if part.exists() and (not stage.resumes or Forced() in verdict.reasons):
+    if part.exists() and (not stage.resumes or Forced() in reasons):
         shutil.rmtree(part)
     part.mkdir(exist_ok=True)
     (part / STAMP).unlink(missing_ok=True)
     device = device_of(device)
+    inputs = {need: session.input_path(need, done) for need in stage.needs}
     job = {
         "module": stage.module,
         "params": stage.params.model_dump(mode="json"),
@@ -108,15 +112,16 @@ def make(
         "device": device,
         "seed": recipe.seed,
         "resumes": stage.resumes,
+        "upstream": upstream_records(session, stage, done),
     }
-    watcher.started(stage.name, verdict.reasons)
+    watcher.started(stage.name, reasons)
     outcome = child.launch(job, part / LOG, lock, lambda event: watcher.heard(stage.name, event))
     facts = {
         "when": now(),
         "stage": stage.name,
-        "pipeline": judge.pipeline.name,
+        "pipeline": session.pipeline.name,
         "key": recipe.key,
-        "reasons": [str(reason) for reason in verdict.reasons],
+        "reasons": [str(reason) for reason in reasons],
         "seconds": round(outcome.seconds, 3),
         "peak_memory_bytes": outcome.peak_memory_bytes,
         "host": platform.node(),
@@ -126,7 +131,7 @@ def make(
         content, files = seal(part)
         if not files:
             outcome = replace(outcome, kind="crash", facts={"problem": "it ended as if all was well but wrote no file"})
-        elif doubt := doubtful(judge, stage, recipe, part):
+        elif doubt := distrust(session, stage, recipe, part):
             outcome = replace(outcome, kind="error", facts=doubt)
     watcher.ended(stage.name, outcome)
     if outcome.kind != "done":
@@ -137,36 +142,45 @@ def make(
     stamp = stamp_of(recipe, content, files, outcome, facts)
     with uninterrupted():
         stamp.write(part)
-        workspace.publish(part, verdict.folder)
-        workspace.link(stage.name, verdict.folder)
+        workspace.publish(part, folder)
+        workspace.link(stage.name, folder)
         workspace.log_run(**facts, result="done")
     return stamp
 
 
-def doubtful(judge: Judge, stage: Stage, recipe: Recipe, part: Path) -> dict[str, Any] | None:
-    """Why a result that a stage ended well with is not to be trusted, as an error's problem, hint and facts."""
+def upstream_records(session: Session, stage: Stage, done: Mapping[str, Verdict]) -> dict[str, Any]:
+    """The fields of a `contract.StageRecord` of every stage before this one, in running order."""
+    before = [name for name in session.pipeline.upstream([stage.name]) if name != stage.name]
+    stamps = {name: done[name].made for name in before}
+    return {name: {f.name: getattr(stamp, f.name) for f in fields(StageRecord)} for name, stamp in stamps.items()}
+
+
+def distrust(session: Session, stage: Stage, recipe: Recipe, part: Path) -> dict[str, Any] | None:
+    """Why the result of a stage that ended well cannot be trusted, as an error's problem, hint and facts; None if it can."""
     free = shutil.disk_usage(part).free
     if free < FULL_DISK:  # libraries in C cut files short there without a word
         hint = "free some space; `hugs gc` removes results that nothing uses"
         return {"problem": f"the disk is full at {part}", "hint": hint, "facts": [f"{free} bytes are free"]}
     for need in stage.needs:
-        if judge.changed(need, recipe.inputs[need]):
+        if session.source_changed(need, recipe.inputs[need]):
             hint = "run again when nothing writes to it; finished stages are kept"
-            return {"problem": f"{judge.sources[need]} changed while {stage.name} ran", "hint": hint, "facts": []}
+            return {"problem": f"{session.sources[need]} changed while {stage.name} ran", "hint": hint, "facts": []}
     return None
 
 
-def stamp_of(recipe: Recipe, content: str, files: dict, outcome: Outcome, facts: dict[str, Any]) -> Stamp:
+def stamp_of(
+    recipe: Recipe, content: str, files: dict[str, FileFacts], outcome: Outcome, facts: dict[str, Any]
+) -> Stamp:
     """The stamp of a finished run."""
-    gpu = {name: value for name, value in outcome.facts.items() if name == "peak_gpu_memory_bytes"}
-    machine = {
+    machine: Machine = {
         "host": facts["host"],
         "device": facts["device"],
         "system": f"{platform.system()} {platform.machine()}",
         "processors": child.processors(),
         "versions": outcome.facts.get("versions", {}),
-        **gpu,
     }
+    if "peak_gpu_memory_bytes" in outcome.facts:
+        machine["peak_gpu_memory_bytes"] = outcome.facts["peak_gpu_memory_bytes"]
     return Stamp(
         stage=recipe.stage,
         key=recipe.key,
@@ -209,44 +223,42 @@ def failure(stage: Stage, outcome: Outcome, log: Path) -> Exception:
     return StageFailed(f"stage {stage.name} was killed by {name}", hint, [memory, *lines])
 
 
-def accept(judge: Judge, wanted: list[str], watcher: Watcher) -> dict[str, tuple[Verdict, bool]]:
-    """Take present results as made by the present code, where nothing but code has changed; returns each wanted
-    stage's verdict and whether it was accepted. The result's folder and stamp get the new key, its content stays."""
+def accept(session: Session, wanted: list[str], watcher: Watcher) -> dict[str, tuple[Verdict, bool]]:
+    """Keep the results of the wanted stages where only code has changed: folder and stamp get the new key, the content
+    stays. Returns each wanted stage's verdict and whether it was accepted."""
     found: dict[str, Verdict] = {}
     said: dict[str, tuple[Verdict, bool]] = {}
-    with judge.workspace.lock(watcher.waiting):
-        for name in judge.pipeline.upstream(wanted):
-            verdict = judge.one(judge.pipeline.stages[name], found)
-            folder = judge.workspace.linked(name)
-            taken = name in wanted and not verdict.fresh and acceptable(verdict, folder)
-            if taken:
-                how = {"when": now(), "instead_of": verdict.last.key, "changes": list(map(str, verdict.reasons))}
-                stamp = replace(
-                    verdict.last,
-                    key=verdict.recipe.key,
-                    code=verdict.recipe.code,
-                    accepted=[*verdict.last.accepted, how],
-                )
-                with uninterrupted():
-                    stamp.write(folder)
-                    os.rename(folder, verdict.folder)
-                    judge.workspace.relink(folder, verdict.folder)
-                    judge.workspace.log_run(stage=name, pipeline=judge.pipeline.name, result="accepted", **how)
-            found[name] = replace(verdict, stamp=stamp) if taken else verdict
+    with session.workspace.lock(watcher.waiting):
+        for name in session.pipeline.upstream(wanted):
+            verdict = session.verdict(session.pipeline.stages[name], found)
+            stamp = rekey(session, verdict) if name in wanted and not verdict.fresh else None
+            found[name] = replace(verdict, stamp=stamp) if stamp else verdict
             if name in wanted:
-                said[name] = (verdict, taken)
+                said[name] = (verdict, stamp is not None)
     return said
 
 
-def acceptable(verdict: Verdict, folder: Path | None) -> bool:
-    """True if only code differs from the last result, and that result is whole."""
-    only_code = all(isinstance(reason, (CodeChanged, Unfinished)) for reason in verdict.reasons)
-    return only_code and verdict.last is not None and not verdict.last.damage(folder) and not verdict.folder.exists()
+def rekey(session: Session, verdict: Verdict) -> Stamp | None:
+    """Give the last result the key of the present code, and return its new stamp. None, and nothing is done, where more
+    than code differs or the result is damaged."""
+    last, recipe, new = verdict.last, verdict.recipe, verdict.folder
+    folder = session.workspace.linked(verdict.stage)
+    only_code = all(is_code(reason) or isinstance(reason, Unfinished) for reason in verdict.reasons)
+    if not (only_code and last and folder and recipe and new) or last.damage(folder) or new.exists():
+        return None
+    how: Accepted = {"when": now(), "instead_of": last.key, "changes": list(map(str, verdict.reasons))}
+    stamp = replace(last, key=recipe.key, code=recipe.code, inputs=recipe.inputs, accepted=[*last.accepted, how])
+    with uninterrupted():
+        stamp.write(folder)
+        os.rename(folder, new)
+        session.workspace.relink(folder, new)
+        session.workspace.log_run(stage=verdict.stage, pipeline=session.pipeline.name, result="accepted", **how)
+    return stamp
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back until a result stands under its name."""
+    """Delay Ctrl-C and SIGTERM until the block is done."""
     held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
@@ -255,7 +267,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def device_of(name: str) -> str:
-    """'auto' made plain; UsageError for a GPU that is not there, or not without gsplat, which draws on it."""
+    """'cpu' or 'cuda' for a name that may be 'auto'; UsageError where the GPU, or gsplat, is missing."""
     found = find_device() if name != "cpu" else "cpu"
     if name == "cuda" and found != "cuda":
         raise UsageError("no GPU that torch can use", "leave out `--device cuda`; `hugs doctor` shows what is here")
@@ -269,7 +281,7 @@ def device_of(name: str) -> str:
 def find_device() -> str:
     """'cuda' if the driver shows a GPU and torch was built for it, else 'cpu'; without importing torch."""
     torch = importlib.util.find_spec("torch")
-    if torch is None or not list((Path(torch.origin).parent / "lib").glob("*torch_cuda.*")):
+    if torch is None or not torch.origin or not list((Path(torch.origin).parent / "lib").glob("*torch_cuda.*")):
         return "cpu"
     try:
         cuda = ctypes.CDLL("libcuda.so.1")

@@ -24,7 +24,7 @@ REMEMBERED = 1000  # modules; beyond it only those in use are kept
 
 
 def digest(value: Any) -> str:
-    """sha256 of a JSON value, whatever the order of its keys."""
+    """sha256 of a JSON value; the order of keys does not matter."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
@@ -35,7 +35,7 @@ def file_digest(path: Path) -> str:
 
 
 def files_under(path: Path) -> dict[str, Path]:
-    """The files of a folder by relative name, hidden ones left out; or the one file, named ''."""
+    """The files of a folder by relative name, without hidden ones. For a file: itself, named ''."""
     if path.is_file():
         return {"": path}
     found = {}
@@ -53,13 +53,13 @@ def content_digest(path: Path) -> str:
 
 
 def stat_digest(path: Path) -> str:
-    """Changes when a file, or any file of a folder, changes name, size or time: cheap to ask, says 'look again'."""
+    """A cheap digest of names, sizes and times: if it is the same, the content need not be read again."""
     stats = {name: file.stat() for name, file in files_under(path).items()}
     return digest({name: [stat.st_size, stat.st_mtime_ns] for name, stat in stats.items()})
 
 
 class Code:
-    """Digests the code of stages; remembers in `memory` (a JSON file) what each source text came to."""
+    """Digests the code of stages. Remembers the digest of each source text in `memory`, a JSON file."""
 
     def __init__(self, memory: Path | None = None):
         self.memory = memory
@@ -67,10 +67,10 @@ class Code:
         self.used: dict[str, Any] = {}
         self.files: dict[str, dict[str, Path]] = {}
         if memory and memory.is_file():
-            self.known = remembered(memory)
+            self.known = read_memory(memory)
 
     def digests(self, module: str) -> dict[str, str]:
-        """Digest of each module and data file that `module` comes to: {'stages.train': ..., 'stages/x.npz': ...}."""
+        """Digest of each module and data file that `module` depends on: {'stages.train': ..., 'stages/x.npz': ...}."""
         top = module.partition(".")[0]
         root = package_folder(top)
         found: dict[str, str] = {}
@@ -92,7 +92,7 @@ class Code:
         return dict(sorted(found.items()))
 
     def read(self, name: str, path: Path) -> dict[str, Any]:
-        """What one module is (digest), what it imports, and which files it may name."""
+        """The digest of one module, its imports, and the file names in it."""
         source = path.read_bytes()
         text = hashlib.sha256(f"{name} {path.name}\0".encode() + source).hexdigest()
         if text not in self.used:
@@ -108,7 +108,7 @@ class Code:
         return self.files[key]
 
     def save(self) -> None:
-        """Write what was learned, if anything was; a folder that cannot be written costs time, not correctness."""
+        """Write new digests to the memory. A folder that cannot be written only costs time."""
         if self.memory is None or set(self.used) <= set(self.known):
             return
         modules = {**self.known, **self.used} if len(self.known) < REMEMBERED else self.used
@@ -120,8 +120,8 @@ class Code:
             part.unlink(missing_ok=True)
 
 
-def remembered(memory: Path) -> dict[str, Any]:
-    """What earlier runs learned of source texts; only a memory, so what cannot be read is worked out again."""
+def read_memory(memory: Path) -> dict[str, Any]:
+    """The digests that earlier runs wrote; empty if they cannot be read."""
     try:
         content = json.loads(memory.read_bytes())
         modules = content["modules"] if content["format"] == FORMAT else {}
@@ -131,7 +131,7 @@ def remembered(memory: Path) -> dict[str, Any]:
 
 
 def is_known(facts: Any) -> bool:
-    """True for what `look_into` returns."""
+    """Whether a value has the form that `look_into` returns."""
     if not isinstance(facts, dict) or not isinstance(facts.get("digest"), str):
         return False
     lists = [facts.get(name) for name in ("imports", "names")]
@@ -147,7 +147,7 @@ def package_folder(top: str) -> Path:
 
 
 def module_file(root: Path, name: str) -> Path | None:
-    """The file of a dotted name under a package's folder, or None: an attribute, not a module."""
+    """The file of a dotted name under a package's folder; None if the name is an attribute."""
     path = root.joinpath(*name.split(".")[1:])
     for file in (path / "__init__.py", path.with_name(f"{path.name}.py")):
         if file.is_file():
@@ -156,7 +156,7 @@ def module_file(root: Path, name: str) -> Path | None:
 
 
 def parents(name: str) -> list[str]:
-    """'a.b.c' -> ['a', 'a.b']: importing a module runs its packages too."""
+    """The packages that run when a module is imported: 'a.b.c' -> ['a', 'a.b']."""
     parts = name.split(".")
     return [".".join(parts[:i]) for i in range(1, len(parts))]
 
@@ -190,7 +190,7 @@ def look_into(source: bytes, name: str, is_package: bool) -> dict[str, Any]:
 
 
 def flatten(node: Any, tokens: list[str]) -> None:
-    """Write a syntax tree as a list of words; statements that are only a string (docstrings) leave no trace."""
+    """Write a syntax tree as a list of words, without statements that are only a string (docstrings)."""
     if isinstance(node, ast.AST):
         tokens.append(f"({type(node).__name__}")
         for field, value in ast.iter_fields(node):

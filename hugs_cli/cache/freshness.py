@@ -1,7 +1,8 @@
-"""Is a stage's result fresh? What would make a new one, what the last one was made of, and the reasons for a re-run."""
+"""Is a stage's result fresh? Compares the recipe of a new result with that of the last one, and names the differences."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from hugs_cli.pipelines import SOURCES, Pipeline, Stage, UsageError
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that decides a result; equal recipes have equal keys. Device and library versions are not in it."""
+    """All that decides a result: equal recipes have equal keys. Device and library versions are left out."""
 
     stage: str
     seed: int
@@ -23,7 +24,7 @@ class Recipe:
 
     @property
     def key(self) -> str:
-        """sha256 of it all."""
+        """sha256 of all fields."""
         return digest([self.stage, self.seed, self.code, self.params, self.inputs])
 
 
@@ -37,7 +38,7 @@ class FirstRun:
 
 @dataclass(frozen=True)
 class CodeChanged:
-    """A module (or a data file of the code) is not what it was."""
+    """A module, or a data file beside it, has changed."""
 
     module: str
     how: str  # edited, new, gone
@@ -48,7 +49,7 @@ class CodeChanged:
 
 @dataclass(frozen=True)
 class ParamChanged:
-    """A setting that counts has another value."""
+    """A setting has another value."""
 
     name: str
     old: Any
@@ -58,14 +59,17 @@ class ParamChanged:
         return f"params.{self.name}: {self.old} -> {self.new}"
 
 
+UNREAD = "no longer read"
+
+
 @dataclass(frozen=True)
 class InputChanged:
-    """An input's content is not what it was."""
+    """The content of an input has changed."""
 
     name: str
-    how: str = "changed"  # changed, new, gone
+    how: str = "changed"  # changed, new, gone, or UNREAD
     decided: tuple[str, ...] = ()
-    """What the stage it comes from decides otherwise now: "shadow off -> on"."""
+    """Decisions of its stage that differ now: "shadow off -> on"."""
 
     def __str__(self) -> str:
         return f"inputs.{self.name} {self.how}" + (f" ({', '.join(self.decided)})" if self.decided else "")
@@ -84,7 +88,7 @@ class SeedChanged:
 
 @dataclass(frozen=True)
 class Damaged:
-    """The result is there, but not as it was written."""
+    """The result's files have changed since they were written."""
 
     what: str
 
@@ -112,7 +116,7 @@ class Unfinished:
 
 @dataclass(frozen=True)
 class Upstream:
-    """Stages it needs would run first; whether their result changes is not known before."""
+    """Stages before it must run first; their results may or may not change."""
 
     stages: tuple[str, ...]
 
@@ -123,9 +127,14 @@ class Upstream:
 Reason = FirstRun | CodeChanged | ParamChanged | InputChanged | SeedChanged | Damaged | Forced | Unfinished | Upstream
 
 
+def is_code(reason: Reason) -> bool:
+    """Whether a reason is a change of code: a stage that no longer reads an input is one, too."""
+    return isinstance(reason, CodeChanged) or (isinstance(reason, InputChanged) and reason.how == UNREAD)
+
+
 @dataclass(frozen=True)
 class Verdict:
-    """What was found about one stage: `stamp` and `folder` of a fresh result, or why it would run."""
+    """Is one stage fresh? `stamp` and `folder` of its result, or the reasons to run it."""
 
     stage: str
     reasons: tuple[Reason, ...] = ()
@@ -134,12 +143,18 @@ class Verdict:
     folder: Path | None = None
     stamp: Stamp | None = None
     last: Stamp | None = None
-    """What this pipeline's link shows now."""
+    """The stamp of the result that the pipeline links to now."""
 
     @property
     def fresh(self) -> bool:
         """True if there is nothing to do."""
         return self.stamp is not None
+
+    @property
+    def made(self) -> Stamp:
+        """The stamp of a fresh result; an error where it is not fresh."""
+        assert self.stamp is not None, f"{self.stage} is not fresh"
+        return self.stamp
 
     @property
     def state(self) -> str:
@@ -152,8 +167,8 @@ class Verdict:
 
 
 @dataclass
-class Judge:
-    """Asks of one clip and one pipeline what is fresh."""
+class Session:
+    """One clip and one pipeline, as a command was given them; says which results are fresh."""
 
     workspace: Workspace
     pipeline: Pipeline
@@ -161,19 +176,26 @@ class Judge:
     seed: int = 0
     code: Code = field(default_factory=Code)
     seeds: dict[str, int] = field(default_factory=dict)
-    """Of stages that do not take `seed`."""
+    """Seeds of single stages; all others take `seed`."""
 
-    def all(self, wanted: list[str], forced: frozenset[str] = frozenset()) -> dict[str, Verdict]:
-        """A verdict for each wanted stage, in order, nothing run."""
+    @property
+    def video(self) -> Path:
+        """The clip, which every session has."""
+        video = self.sources["video"]
+        assert video is not None
+        return video
+
+    def verdicts(self, wanted: list[str], forced: frozenset[str] = frozenset()) -> dict[str, Verdict]:
+        """A verdict on each wanted stage, in order. Runs nothing."""
         self.check_sources()
         found: dict[str, Verdict] = {}
         for name in wanted:
-            found[name] = self.one(self.pipeline.stages[name], found, name in forced)
+            found[name] = self.verdict(self.pipeline.stages[name], found, name in forced)
         self.code.save()
         return found
 
-    def one(self, stage: Stage, before: dict[str, Verdict], forced: bool = False) -> Verdict:
-        """The verdict on one stage, given those on the stages it needs."""
+    def verdict(self, stage: Stage, before: dict[str, Verdict], forced: bool = False) -> Verdict:
+        """The verdict on one stage, given the verdicts on its inputs."""
         linked = self.workspace.linked(stage.name)
         last = Stamp.read(linked) if linked else None
         seed = self.seeds.get(stage.name, self.seed)
@@ -183,34 +205,47 @@ class Judge:
             own = changes(last, Recipe(stage.name, seed, code, params, last.inputs)) if last else (FirstRun(),)
             own = (Forced(),) if forced else own
             return Verdict(stage.name, (*own, Upstream(stale)), last=last)
-        inputs = {need: self.input(need, before) for need in sorted(stage.needs)}
+        inputs = {need: self.input_digest(need, before) for need in sorted(stage.needs)}
         recipe = Recipe(stage.name, seed, code, params, inputs)
         folder, part = self.workspace.folder(stage.name, recipe.key), self.workspace.part(stage.name, recipe.key)
         stamp = Stamp.read(folder)
-        whole = stamp is not None and stamp.key == recipe.key
-        damage = stamp.damage(folder) if whole else ""
-        if whole and not damage and not forced:
+        if stamp and stamp.key != recipe.key:
+            stamp = None
+        damage = stamp.damage(folder) if stamp else ""
+        if stamp and not damage and not forced:
             return Verdict(stage.name, (), recipe, folder, stamp, last)
         reasons: tuple[Reason, ...] = (Forced(),) if forced else (Damaged(damage),) if damage else ()
         if not reasons:
             cut = (Unfinished(stage.resumes),) if part.is_dir() else ()
-            differing = (self.told(reason, last, before) for reason in changes(last, recipe)) if last else (FirstRun(),)
-            reasons = (*differing, *cut)
+            own = changes(last, recipe) if last else (FirstRun(),)
+            reasons = (*(self.with_decisions(reason, last, before) for reason in own), *cut)
         if not reasons:
             reasons = (Damaged("it is gone or has no stamp"),)
         return Verdict(stage.name, reasons, recipe, folder, None, last)
 
-    def input(self, need: str, before: dict[str, Verdict]) -> str | None:
-        """The content digest of what a stage needs: an earlier stage's result or a source."""
+    def acceptable(self, wanted: list[str]) -> list[Stamp]:
+        """The stamps of results that `hugs accept` would keep: nothing but code has changed."""
+        verdicts, kept = self.verdicts(wanted), dict[str, Stamp]()
+        for name, verdict in verdicts.items():
+            rest = [reason for reason in verdict.reasons if not is_code(reason)]
+            waits = {need for reason in rest if isinstance(reason, Upstream) for need in reason.stages}
+            only_code = all(isinstance(reason, Upstream | Unfinished) for reason in rest) and waits <= set(kept)
+            last = verdict.last if only_code and not verdict.fresh else None
+            if last and all(last.inputs.get(need) == kept[need].content for need in waits):
+                kept[name] = last
+        return list(kept.values())
+
+    def input_digest(self, need: str, before: dict[str, Verdict]) -> str | None:
+        """The digest of an input's content: an earlier stage's result or a source."""
         if need in self.pipeline.stages:
-            return before[need].stamp.content
+            return before[need].made.content
         return self.workspace.source(need, self.sources.get(need))
 
-    def told(self, reason: Reason, last: Stamp, before: dict[str, Verdict]) -> Reason:
-        """A reason of the result that `last` stamps; of a changed input also what its stage decides otherwise now."""
-        if not isinstance(reason, InputChanged) or reason.name not in self.pipeline.stages:
+    def with_decisions(self, reason: Reason, last: Stamp | None, before: dict[str, Verdict]) -> Reason:
+        """The reason; for a changed input with the decisions that its stage takes differently now."""
+        if last is None or not isinstance(reason, InputChanged) or reason.name not in before:
             return reason
-        old = self.workspace.holding(reason.name, last.inputs.get(reason.name))
+        old = self.workspace.with_content(reason.name, last.inputs.get(reason.name))
         folders = (old, before[reason.name].folder)
         was, now = (decisions(folder, reason.name) if folder else {} for folder in folders)
         words = {True: "on", False: "off"}
@@ -219,12 +254,12 @@ class Judge:
         )
         return replace(reason, decided=tuple(decided))
 
-    def changed(self, need: str, content: str | None) -> bool:
-        """True if a source has not, or no longer, the content that a run began with."""
+    def source_changed(self, need: str, content: str | None) -> bool:
+        """Whether a source has other content than when the run began."""
         return need in SOURCES and self.workspace.source(need, self.sources.get(need)) != content
 
     def check_sources(self) -> None:
-        """Refuse sources that are given but not there, or that no stage of this pipeline takes."""
+        """UsageError for a source that does not exist, or that no stage of this pipeline reads."""
         taken = {need for stage in self.pipeline.stages.values() for need in stage.needs}
         for name, path in self.sources.items():
             if path is not None and not path.exists():
@@ -234,13 +269,13 @@ class Judge:
                 hint = "leave it out, or choose another pipeline"
                 raise UsageError(f"no stage of pipeline {self.pipeline.name} reads {SOURCES[name]}", hint)
 
-    def path(self, need: str, before: dict[str, Verdict]) -> Path | None:
-        """Where that lies."""
+    def input_path(self, need: str, before: Mapping[str, Verdict]) -> Path | None:
+        """Where an input lies: an earlier stage's folder or a source."""
         return before[need].folder if need in self.pipeline.stages else self.sources.get(need)
 
 
 def changes(last: Stamp, recipe: Recipe) -> tuple[Reason, ...]:
-    """What differs between the last result's recipe and a new one: settings, seed, inputs, code."""
+    """Differences between the last result's recipe and a new one: settings, seed, inputs, code."""
     found: list[Reason] = []
     for name in sorted({*last.params, *recipe.params}):
         old, new = last.params.get(name, "(not there)"), recipe.params.get(name, "(gone)")
@@ -250,8 +285,9 @@ def changes(last: Stamp, recipe: Recipe) -> tuple[Reason, ...]:
         found.append(SeedChanged(last.seed, recipe.seed))
     for name in sorted({*last.inputs, *recipe.inputs}):
         old, new = last.inputs.get(name), recipe.inputs.get(name)
+        how = "new" if old is None else UNREAD if name not in recipe.inputs else "gone" if new is None else "changed"
         if old != new:
-            found.append(InputChanged(name, "new" if old is None else "gone" if new is None else "changed"))
+            found.append(InputChanged(name, how))
     for name in sorted({*last.code, *recipe.code}):
         old, new = last.code.get(name), recipe.code.get(name)
         if old != new:

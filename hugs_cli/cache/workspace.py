@@ -1,4 +1,4 @@
-"""The folders of one clip: results in a store with a folder a key, links for each pipeline, stamps, lock, garbage.
+"""The folders of one clip: a store with one folder per key, links for each pipeline, stamps, lock, garbage.
 
 work/dance/  sources.json  runs.jsonl  .lock
     default/train -> ../store/train-3f2a9c1b
@@ -31,7 +31,7 @@ PART, OLD = ".part", ".old"
 
 
 def with_zone(text: str) -> str:
-    """The time of a stamp if it is one; ValueError for any other text."""
+    """The text if it is a time with a zone, else ValueError."""
     if datetime.fromisoformat(text).tzinfo is None:
         raise ValueError("a time without its zone")
     return text
@@ -41,7 +41,7 @@ Time = Annotated[str, AfterValidator(with_zone)]
 
 
 class FileFacts(TypedDict):
-    """What is known of one file of a result."""
+    """One file of a result."""
 
     size: int
     mtime_ns: int
@@ -60,19 +60,16 @@ class Machine(TypedDict):
 
 
 class Accepted(TypedDict):
-    """When a result was taken as made by newer code, and what had changed."""
+    """One use of `hugs accept`: when, the key before it, and the changes of code."""
 
     when: Time
     instead_of: str
     changes: list[str]
 
 
-form_of = cache(TypeAdapter)
-
-
 @dataclass(frozen=True)
 class Stamp:
-    """What a finished result was made of and how; written last, so a folder with a stamp is whole."""
+    """The recipe and the costs of a finished result. Written last: a folder with a stamp is whole."""
 
     stage: str
     key: str
@@ -81,14 +78,14 @@ class Stamp:
     params: dict[str, Any]
     inputs: dict[str, str | None]
     content: str
-    """Digest of names and bytes of all files: what later stages see."""
+    """Digest of names and bytes of all files. Later stages depend on it, not on the key."""
     files: dict[str, FileFacts]
     """By relative name."""
     made: Time
     seconds: float
     peak_memory_bytes: int
     machine: Machine
-    """Host, device, processors, library versions: shown, never compared."""
+    """Shown, never compared."""
     reasons: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -96,9 +93,9 @@ class Stamp:
 
     @classmethod
     def read(cls, folder: Path) -> Stamp | None:
-        """The stamp of a folder, or None where there is no whole one."""
+        """The stamp of a folder; None if there is none, or a broken one."""
         try:
-            return form_of(cls).validate_json((folder / STAMP).read_bytes(), strict=True)
+            return stamp_form().validate_json((folder / STAMP).read_bytes(), strict=True)
         except (OSError, ValueError):
             return None
 
@@ -108,7 +105,7 @@ class Stamp:
         sync(folder)
 
     def damage(self, folder: Path) -> str:
-        """The first file that is missing or is not what was written, or ''; bytes are read only where in doubt."""
+        """The first file that is missing or has changed, or ''. Reads bytes only where size or time differ."""
         for name, facts in self.files.items():
             try:
                 stat = os.stat(folder / name)
@@ -120,8 +117,14 @@ class Stamp:
         return ""
 
 
+@cache
+def stamp_form() -> TypeAdapter[Stamp]:
+    """The check of a stamp's JSON; built once, since that takes time."""
+    return TypeAdapter(Stamp)
+
+
 class Workspace:
-    """Where one clip's results lie, seen by one pipeline."""
+    """The folders of one clip's results, as one pipeline sees them."""
 
     def __init__(self, video: Path, work: Path, pipeline: str):
         self.root = work / clip_name(video)
@@ -140,15 +143,15 @@ class Workspace:
             raise UsageError(f"cannot write to {self.root}", hint, [str(error.strerror)]) from error
 
     def folder(self, stage: str, key: str) -> Path:
-        """Where the result of a key stands when it is finished."""
+        """The folder of a finished result."""
         return self.store / f"{stage}-{key[:8]}"
 
     def part(self, stage: str, key: str) -> Path:
-        """Where the result of a key is made."""
+        """The folder of an unfinished result."""
         return self.store / f"{stage}-{key[:8]}{PART}"
 
     def linked(self, stage: str) -> Path | None:
-        """The store folder that this pipeline last made for a stage."""
+        """The store folder that the pipeline's link of a stage points to."""
         link = self.links / stage
         return self.store / os.path.basename(os.readlink(link)) if link.is_symlink() else None
 
@@ -163,7 +166,7 @@ class Workspace:
         os.replace(new, self.links / stage)
 
     def publish(self, part: Path, folder: Path) -> None:
-        """Give a stamped folder its final name; one of that name (damaged or forced) makes room."""
+        """Give a stamped folder its final name. Replaces a damaged or forced one of that name."""
         old = folder.with_name(folder.name + OLD)
         if folder.exists():
             shutil.rmtree(old, ignore_errors=True)
@@ -173,7 +176,7 @@ class Workspace:
         shutil.rmtree(old, ignore_errors=True)
 
     def source(self, name: str, path: Path | None) -> str | None:
-        """Digest of a source's content, remembered while size and time of its files stay; None if not given."""
+        """Digest of a source's content; None if not given. Remembered while size and time of its files stay."""
         if path is None:
             return None
         memory = self.root / "sources.json"
@@ -193,19 +196,19 @@ class Workspace:
             write_json(memory, {**known, name: entry})
         return sha256
 
-    def holding(self, stage: str, content: str | None) -> Path | None:
-        """A stored result of a stage with that content, if there still is one."""
+    def with_content(self, stage: str, content: str | None) -> Path | None:
+        """A stored result of a stage with that content, or None."""
         stamps = {folder: Stamp.read(folder) for folder in sorted(self.store.glob(f"{stage}-*"))}
         return next((folder for folder, stamp in stamps.items() if stamp and stamp.content == content), None)
 
     def log_run(self, **facts: Any) -> None:
-        """Add a line to runs.jsonl (or only see that it can be written)."""
+        """Add a line to runs.jsonl. Without facts: only test that it can be written."""
         with open(self.root / "runs.jsonl", "a", encoding="utf-8") as file:
             file.write(json.dumps(facts) + "\n" if facts else "")
 
     @contextmanager
     def lock(self, waiting: Callable[[str], None]) -> Iterator[int]:
-        """Hold this clip alone; calls `waiting` with who holds it, then waits. Yields the handle for the child.
+        """Lock this clip. If another process holds it, calls `waiting` with its name and waits. Yields the handle for the child.
 
         The lock belongs to the open file, so a stage's process that outlives a killed run still holds it.
         """
@@ -223,7 +226,7 @@ class Workspace:
             os.close(handle)
 
     def garbage(self) -> list[Path]:
-        """Results that no pipeline links to, and what stopped or killed runs left."""
+        """Results that no pipeline links to, and leftovers of stopped or killed runs."""
         linked = {
             os.path.basename(os.readlink(link))
             for link in self.root.glob("*/*")
@@ -248,21 +251,21 @@ def clip_name(video: Path) -> str:
     return name
 
 
-def seal(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
-    """Bring a finished result's files to the disk; returns the digest of all and the facts of each."""
-    files = {}
+def seal(folder: Path) -> tuple[str, dict[str, FileFacts]]:
+    """Flush a finished result's files to the disk; returns the digest of all and the facts of each."""
+    files: dict[str, FileFacts] = {}
     for name, path in fingerprint.files_under(folder).items():
         if name in OURS:
             continue
         sync(path)
         stat = path.stat()
-        facts = {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns, "sha256": fingerprint.file_digest(path)}
-        files[name] = facts
+        sha256 = fingerprint.file_digest(path)
+        files[name] = {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns, "sha256": sha256}
     return fingerprint.digest({name: facts["sha256"] for name, facts in files.items()}), files
 
 
 def sync(path: Path) -> None:
-    """Wait until a file or a folder's list of names is on the disk."""
+    """Flush a file, or a folder's list of names, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -276,7 +279,7 @@ def size_of(folder: Path) -> int:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON file that is only a memory: empty where it is missing or broken."""
+    """The values of a JSON file that one can do without: empty if it is missing or broken."""
     try:
         content = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):
@@ -285,13 +288,13 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def decisions(folder: Path, stage: str) -> dict[str, bool]:
-    """What a stage decided by itself, if its <stage>.json has `decisions`, by name."""
+    """The `decisions` in a stage's <stage>.json, by name; empty if it has none."""
     found = read_json(folder / f"{stage}.json").get("decisions")
     return {name: on for name, on in found.items() if isinstance(on, bool)} if isinstance(found, dict) else {}
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Replace a small JSON file in one step, on the disk when this returns."""
+    """Replace a small JSON file in one step, and flush it to the disk."""
     part = path.with_name(f"{path.name}.{os.getpid()}")
     with open(part, "w", encoding="utf-8") as file:
         json.dump(value, file, indent=1)

@@ -1,27 +1,26 @@
-"""The paper's ablations on one clip: a pipeline and its variants, over seeds, and the table of what each part is worth."""
+"""The paper's ablations on one clip: trains a pipeline and its variants over seeds, and tabulates the value of each part."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
 from hugs_cli.cache import engine
-from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
 from hugs_cli.pipelines import unknown
 from hugs_cli.studies import comparison
-from hugs_cli.studies.comparison import METRICS, PAPERS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
+from hugs_cli.studies.comparison import LAST, METRICS, PAPERS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
 from hugs_cli.studies.variants import ABLATIONS
 from hugs_cli.words import count, duration
-from stages.formats.datasets.published import published
+from stages.contract import load_stage
 
 NEEDS_SCENE = ("no_human_loss", "no_joint")
 
 
-def cases(judge: Judge, parts: Sequence[str], seeds: int) -> list[Case]:
+def cases(session: Session, parts: Sequence[str], seeds: int) -> list[Case]:
     """Every training of a comparison, seed by seed, the full method first; of all `parts`, or of these.
 
     UsageError for a part that is not known; "none" is no part.
@@ -29,17 +28,17 @@ def cases(judge: Judge, parts: Sequence[str], seeds: int) -> list[Case]:
     for part in parts:
         if part not in (*ABLATIONS, "none"):
             raise unknown("part", part, [*ABLATIONS, "none"], "hugs ablate --part")
-    return comparison.cases(judge, ("", *(part for part in ABLATIONS if not parts or part in parts)), seeds)
+    return comparison.cases(session, ("", *(part for part in ABLATIONS if not parts or part in parts)), seeds)
 
 
 def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:
     """Each case, the state of its training (fresh, missing, stale, waits), and the stamp of a fresh one."""
-    verdicts = [case.judge.all(case.stages)["train"] for case in cases]
+    verdicts = [case.session.verdicts(case.stages)["train"] for case in cases]
     return [(case, verdict.state, verdict.stamp) for case, verdict in zip(cases, verdicts, strict=True)]
 
 
-def announced(plan: list[tuple[Case, str, Stamp | None]]) -> str:
-    """How much there is to do: '18 trainings: 6 cached, 12 to do, about 2h 10m'."""
+def summary(plan: list[tuple[Case, str, Stamp | None]]) -> str:
+    """One line: '18 trainings: 6 cached, 12 to do, about 2h 10m'."""
     cached = [stamp.seconds for _, _, stamp in plan if stamp]
     left = len(plan) - len(cached)
     about = f", about {duration(left * fmean(cached))}" if cached and left else ""
@@ -48,25 +47,33 @@ def announced(plan: list[tuple[Case, str, Stamp | None]]) -> str:
 
 def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
     """Bring all cases up to date and compare them: `pipeline`, `seeds`, `heldout`, see `compared`, and `paper`, see
-    `beside_the_paper`."""
+    `compare_with_paper`."""
     found: dict[str, list[Scores]] = {}
     for i, case in enumerate(cases):
         if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:
-            console.say(f"{case.judge.pipeline.name} is left out: it needs a scene, and this clip has none")
+            console.say(f"{case.session.pipeline.name} is left out: it needs a scene, and this clip has none")
             continue
-        console.say(f"{case.judge.pipeline.name}  seed {case.seed}   {i + 1} of {len(cases)}")
-        ran = engine.run(case.judge, case.stages, frozenset(), device, Quiet() if i else console)
+        console.say(f"{case.session.pipeline.name}  seed {case.seed}   {i + 1} of {len(cases)}")
+        ran = engine.run(case.session, case.stages, frozenset(), device, Quiet() if i else console)
         found.setdefault(case.variant, []).append(heldout(ran[-1].folder))
-    name, seeds = cases[0].judge.pipeline.name, sorted({case.seed for case in cases})
-    paper = beside_the_paper(cases[0].judge.workspace.links / "frames", name, found)
+    name, seeds = cases[0].session.pipeline.name, sorted({case.seed for case in cases})
+    paper = compare_with_paper(name, found, paper_scores(cases[0].session))
     return {"pipeline": name, "seeds": seeds, "heldout": compared(name, found), "paper": paper}
 
 
-def beside_the_paper(frames: Path, name: str, found: dict[str, list[Scores]]) -> dict[str, Any]:
-    """Region -> "HUGS, CVPR 2024" and each variant -> `over_seeds` of each of PAPERS; empty for a clip that it does not have."""
-    dataset = read_json(frames / "frames.json").get("dataset")
+def paper_scores(session: Session) -> Mapping[str, Sequence[float | None]]:
+    """Region -> the paper's scores on the sequence, see PAPERS; empty for other clips."""
+    dataset = read_json(session.workspace.links / "frames" / "frames.json").get("dataset")
+    published = load_stage(session.pipeline.stages[LAST].module).published
+    return published(dataset["name"], dataset["sequence"]) if dataset and published else {}
+
+
+def compare_with_paper(
+    name: str, found: dict[str, list[Scores]], paper: Mapping[str, Sequence[float | None]]
+) -> dict[str, Any]:
+    """Region -> "HUGS, CVPR 2024" and each variant -> `over_seeds` of each of PAPERS; `paper`: region -> its scores."""
     table: dict[str, Any] = {}
-    for region, theirs in (published(dataset["name"], dataset["sequence"]) if dataset else {}).items():
+    for region, theirs in paper.items():
         rows = table[region] = {
             f"{name}.{part}" if part else name: {
                 m: over_seeds(one.get(region, {}).get(m) for one in seeds) for m in PAPERS

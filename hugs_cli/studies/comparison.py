@@ -1,4 +1,4 @@
-"""Trainings of one clip that are set beside each other: what `hugs ablate` and `hugs costs` have in common."""
+"""Comparing trainings of one clip: the common part of `hugs ablate` and `hugs costs`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from statistics import fmean, stdev
 from typing import Any
 
 from hugs_cli import pipelines
-from hugs_cli.cache.freshness import Judge
+from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, Workspace
 from hugs_cli.console import Console
 from hugs_cli.pipelines import UsageError
 
 LAST = "evaluate"
-SEEDED = ("train", LAST)  # every seed shares what lies before
+SEEDED = ("train", LAST)  # all seeds share the stages before
 REGIONS = {"full": "whole picture", "person_crop": "person", "person_white": "person over white"}
 METRICS = {"psnr": 2, "ssim": 4, "lpips": 4}  # with the decimals that are shown
 PAPERS = {"psnr_per_channel": 2, "ssim": 4, "lpips_legacy": 4}
@@ -32,40 +32,40 @@ class Case:
 
     variant: str
     seed: int
-    judge: Judge
+    session: Session
 
     @property
     def stages(self) -> list[str]:
-        """What must be fresh, in running order."""
-        return self.judge.pipeline.upstream([LAST])
+        """The stages that must be fresh, in running order."""
+        return self.session.pipeline.upstream([LAST])
 
 
-def cases(judge: Judge, variants: Sequence[str], seeds: int) -> list[Case]:
+def cases(session: Session, variants: Sequence[str], seeds: int) -> list[Case]:
     """A case for each variant and seed, seed by seed; UsageError for a pipeline that is a variant already.
 
     The first seed's results stand under the pipeline's own names (`default`, `default.no_lbs`), those of another seed
     under `default.seed1`, `default.no_lbs.seed1`.
     """
-    if "." in judge.pipeline.name:
-        whole = judge.pipeline.name.partition(".")[0]
-        raise UsageError(f"{judge.pipeline.name} is a variant already", f"compare with `--pipeline {whole}`")
-    judge.pipeline.upstream(["train", LAST])  # refuses a pipeline without them
+    if "." in session.pipeline.name:
+        whole = session.pipeline.name.partition(".")[0]
+        raise UsageError(f"{session.pipeline.name} is a variant already", f"compare with `--pipeline {whole}`")
+    session.pipeline.upstream(["train", LAST])  # refuses a pipeline without them
     found = []
-    for seed in range(judge.seed, judge.seed + seeds):
+    for seed in range(session.seed, session.seed + seeds):
         for name in variants:
-            pipeline = pipelines.variant(judge.pipeline, name) if name else judge.pipeline
-            links = pipeline.name if seed == judge.seed else f"{pipeline.name}.seed{seed}"
-            place = Workspace(judge.sources["video"], judge.workspace.work, links)
+            pipeline = pipelines.variant(session.pipeline, name) if name else session.pipeline
+            links = pipeline.name if seed == session.seed else f"{pipeline.name}.seed{seed}"
+            place = Workspace(session.video, session.workspace.work, links)
             own = dict.fromkeys(SEEDED, seed)
-            found.append(Case(name, seed, replace(judge, workspace=place, pipeline=pipeline, seeds=own)))
+            found.append(Case(name, seed, replace(session, workspace=place, pipeline=pipeline, seeds=own)))
     return found
 
 
 class Quiet(Console):
-    """Says nothing of stages that are fresh: after the first case they are the same ones."""
+    """Prints no rows of cached stages: they are the same in every case."""
 
     def cached(self, stage: str, stamp: Stamp) -> None:
-        """Not worth a row."""
+        """Print nothing."""
 
 
 def heldout(folder: Path) -> Scores:
@@ -77,8 +77,9 @@ def over_seeds(values: Iterable[float | None]) -> dict[str, Any]:
     """The `values` of all seeds, their `mean` and `spread` (standard deviation); None where a seed has no value, or
     there is one seed."""
     values = list(values)
-    mean = None if None in values else fmean(values)
-    spread = stdev(values) if mean is not None and len(values) > 1 else None
+    known = [value for value in values if value is not None]
+    mean = fmean(known) if len(known) == len(values) else None
+    spread = stdev(known) if mean is not None and len(known) > 1 else None
     return {"mean": mean, "spread": spread, "values": values}
 
 

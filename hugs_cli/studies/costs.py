@@ -1,4 +1,4 @@
-"""What the pipelines that were run on a clip cost, and what that bought: time, memory, accuracy, and where to stop."""
+"""Compares the pipelines that were run on a clip: time, memory, accuracy, and where more time stops paying."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ F = TypeVar("F", bound=BaseModel)
 
 
 class Trained(BaseModel):
-    """What is taken from train.json."""
+    """The part of train.json that is compared."""
 
     seconds: FiniteFloat
 
 
 class Evaluated(BaseModel):
-    """What is taken from metrics.json."""
+    """The part of metrics.json that is compared."""
 
     heldout: dict[str, dict[str, FiniteFloat | None]]
     gaussians: dict[str, int]
 
     @model_validator(mode="after")
     def whole(self) -> Evaluated:
-        """Refuse a file without one of the regions or metrics that are compared."""
+        """ValueError if a region or metric is missing."""
         missing = [
             f"{region}.{metric}"
             for region in REGIONS
@@ -55,7 +55,7 @@ class Evaluated(BaseModel):
 
 @dataclass(frozen=True)
 class Run:
-    """One finished pipeline: what it cost from the video to the avatar, and what was measured."""
+    """One finished pipeline: its costs from the video to the avatar, and its scores."""
 
     name: str
     """Of the pipeline or variant, without the seed."""
@@ -66,20 +66,21 @@ class Run:
     gaussians: dict[str, int]
     scores: Scores
     pictures: str
-    """Digest of the frames and masks that it was measured on."""
+    """Digest of the frames and masks that it is measured on."""
     machine: str
     code: str
     """Digest of the code of training."""
 
 
 def run_of(links: Path) -> Run | None:
-    """What the pipeline whose links lie in a folder last made; None where it is not finished, or was not measured since."""
+    """The last run of the pipeline whose links lie in a folder; None if it is not finished, or not measured since."""
     found = stamps(links)
     train, evaluate = found.get("train"), found.get(LAST)
     if train is None or evaluate is None or evaluate.inputs.get("train") != train.content:
         return None
     metrics = read(links / LAST / "metrics.json", Evaluated)
     before = upstream(found, "train")
+    inputs = {name: content for stamp in before.values() for name, content in stamp.inputs.items()}
     seconds = {name: stamp.seconds for name, stamp in before.items()}
     seconds["train"] = max(train.seconds, read(links / "train" / "train.json", Trained).seconds)
     where = train.machine
@@ -90,7 +91,7 @@ def run_of(links: Path) -> Run | None:
         peak_memory_bytes=max(stamp.peak_memory_bytes for stamp in before.values()),
         gaussians=metrics.gaussians,
         scores=metrics.heldout,
-        pictures=digest([evaluate.inputs.get(name) for name in ("frames", "masks")]),
+        pictures=digest([inputs.get(name) for name in ("frames", "masks")]),
         machine=f"{where['host']} ({count(where['processors'], 'processor')}, {where['device']})",
         code=digest(train.code),
     )
@@ -112,7 +113,7 @@ def stamps(links: Path) -> dict[str, Stamp]:
 
 
 def upstream(found: dict[str, Stamp], stage: str) -> dict[str, Stamp]:
-    """The stamps of a stage and of all that it was made of."""
+    """The stamps of a stage and of all stages before it."""
     needed = {
         name: stamp for need in found[stage].inputs if need in found for name, stamp in upstream(found, need).items()
     }
@@ -239,7 +240,7 @@ def table(result: dict[str, Any]) -> list[str]:
         lines += ["", line(REGIONS[region], *(metric.upper() for metric in METRICS), "dB per extra minute")]
         for row in rows:
             cells = [cell(row["scores"][region][metric], digits) for metric, digits in METRICS.items()]
-            lines.append(line(row["pipeline"], *cells, standing(row, region, result["knee"])))
+            lines.append(line(row["pipeline"], *cells, front_text(row, region, result["knee"])))
     return [*lines, "", *(f"note: {note}" for note in result["notes"]), *advice(result)]
 
 
@@ -249,7 +250,7 @@ def factor(row: dict[str, Any], part: str) -> str:
     return duration(row["seconds"][part]) + ("" if times is None else f"  x{times:.2f}")
 
 
-def standing(row: dict[str, Any], region: str, knees: dict[str, str]) -> str:
+def front_text(row: dict[str, Any], region: str, knees: dict[str, str]) -> str:
     """Where a row is on the front: '+0.24  knee', 'first', or '-' if another is as quick and better."""
     if region not in row["front"]:
         return "-"

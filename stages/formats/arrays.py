@@ -89,6 +89,11 @@ def npy_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
     return shape, fortran, dtype, file.tell()
 
 
+def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write named arrays as .npz."""
+    np.savez(path, **arrays)
+
+
 def take(arrays: Mapping[str, np.ndarray], key: str, path: Path | str, hint: str = "") -> np.ndarray:
     """The array of that name, or a StageError that lists the names there are."""
     if key not in arrays:

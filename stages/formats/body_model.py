@@ -1,4 +1,4 @@
-"""The body model: SMPL's arrays, from a user's SMPL file or from the free body that comes with the program."""
+"""SMPL model files (.pkl, .npz), the free body that comes with the program, and body_model.npz of the smpl stage."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def read_body_model(path: Path | None = None) -> BodyModel:
 
 def write_body_model(path: Path, model: BodyModel) -> None:
     """Write the model as .npz under SMPL's own keys, so that other programs read it."""
-    extra = {}
+    extra: dict[str, Any] = {}
     if model.keypoint_regressor is not None:
         extra = {"keypoint_regressor": model.keypoint_regressor, "keypoint_names": np.array(model.keypoint_names)}
     parents = model.parents.astype(np.int64) % 2**32

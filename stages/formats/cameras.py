@@ -1,4 +1,4 @@
-"""cameras.npz: where each frame was taken from."""
+"""cameras.npz: the pose and pinhole lens of each frame's camera."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def read_cameras(path: Path) -> Cameras:
     _check_values(path, viewmats, Ks, hint)
     width, height = (int(checked(arrays[key], (), key, path, hint)) for key in ("width", "height"))
     if not 0 < min(width, height) <= max(width, height) <= LARGEST_SIDE:
-        raise StageError(f"{path} has a size that no picture has", hint, [f"{width}x{height} px"])
+        raise StageError(f"{path} has an impossible picture size", hint, [f"{width}x{height} px"])
     return Cameras(
         names=tuple(str(name) for name in names),
         viewmats=viewmats,

@@ -1,8 +1,8 @@
-"""One clip as everything after the body fit sees it: frames, masks, cameras and body in one world of metres."""
+"""Joins the files of the stages sfm and smpl to one clip: frames, masks, cameras and body in one world of metres."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -46,6 +46,11 @@ class Clip:
         return self.cameras.Ks
 
     @property
+    def world_cameras(self) -> Cameras:
+        """The cameras in metres."""
+        return replace(self.cameras, viewmats=self.viewmats)
+
+    @property
     def width(self) -> int:
         return self.cameras.width
 
@@ -83,7 +88,7 @@ class Clip:
     def _sized(self, pixels: np.ndarray, kind: str, i: int) -> np.ndarray:
         if pixels.shape[:2] != (self.height, self.width):
             raise StageError(
-                f"{kind}/{self.names[i]}.png has not the size of its camera",
+                f"{kind}/{self.names[i]}.png does not have the size of its camera",
                 "run the sfm stage again: `hugs run VIDEO sfm --force`",
                 [f"picture {pixels.shape[1]}x{pixels.shape[0]}, camera {self.width}x{self.height}"],
             )
@@ -96,7 +101,7 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None) -> Clip:
     Raises StageError when a frame with a camera has no body, or the world's origin is too far for float32.
     """
     refined = train is not None and (train / "cameras.npz").exists()
-    cameras = read_cameras((train if refined else sfm) / "cameras.npz")
+    cameras = read_cameras((train if train and refined else sfm) / "cameras.npz")
     poses = read_poses((train or smpl) / "body.npz")
     row = {name: i for i, name in enumerate(poses.names)}
     missing = [name for name in cameras.names if name not in row]

@@ -1,4 +1,4 @@
-"""How loose clothes move with the pose: optional arrays of `avatar.npz`, each named `clothes_...` there."""
+"""The optional arrays `clothes_...` of avatar.npz: how loose clothes move with the pose."""
 
 from __future__ import annotations
 

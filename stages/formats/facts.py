@@ -60,15 +60,6 @@ class Facts(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
 
 
-class Stamp(Facts):
-    """stamp.json, beside the files of every stage."""
-
-    seconds: Number
-    peak_memory_bytes: Whole
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
 class Video(Facts):
     path: str
     frames: Whole
@@ -198,6 +189,11 @@ class Sizes(Facts):
 
 class Seconds(Facts):
     total: Number
+
+
+REGIONS = {"full": "whole picture", "person_crop": "box of the person", "person_white": "person over white"}
+MASKED_REGIONS = {"masked_full": "person times mask, whole", "masked_crop": "person times mask, its box"}
+"""The regions of metrics.json, in words."""
 
 
 class Metrics(Facts):

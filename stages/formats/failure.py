@@ -1,4 +1,4 @@
-"""failure.npz: what a training that broke down leaves, so that its last step can be taken again."""
+"""failure.npz: the state of a training that broke down, to repeat its last step."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_failure(path: Path) -> tuple[bytes, Failure]:
         if state.dtype != np.uint8:
             raise ValueError(f"state is {state.dtype}, not bytes")
     except NotJson as error:
-        raise StageError(f"facts in {path} are no JSON", HINT, [str(error)]) from error
+        raise StageError(f"facts in {path} are not JSON", HINT, [str(error)]) from error
     except ValueError as error:
         raise StageError(f"{path} is not what training leaves", HINT, [str(error)]) from error
     return state.tobytes(), failure

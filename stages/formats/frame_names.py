@@ -1,4 +1,4 @@
-"""Which frame of a clip a file of another program belongs to, by its name: never by its place in a list."""
+"""Joins files of other programs to the frames of a clip by their names, never by their place in a list."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def number(name: str) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def named(listing: Listing) -> bool:
+def has_sources(listing: Listing) -> bool:
     """True if the clip is a folder of pictures, whose frames have names of their own."""
     return any(frame.source for frame in listing.frames)
 
@@ -36,7 +36,7 @@ def named(listing: Listing) -> bool:
 def count_from_one(listing: Listing, stems: Sequence[str]) -> bool:
     """True if the stems are surely numbered from 1 to the number of the video's frames: the last is there, 0 is not."""
     numbers = {number(name) for name in stems}
-    return not named(listing) and 0 not in numbers and listing.video.frames in numbers
+    return not has_sources(listing) and 0 not in numbers and listing.video.frames in numbers
 
 
 def join(listing: Listing, stems: Sequence[str], first: int, what: str) -> dict[str, int]:

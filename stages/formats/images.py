@@ -52,8 +52,8 @@ def read_image(path: Path) -> np.ndarray:
     if pixels.dtype != np.uint8:
         top = 65535.0 if pixels.dtype == np.uint16 else 1.0
         pixels = np.rint(pixels.clip(0, top) * (255.0 / top)).astype(np.uint8)
-    colour = pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1]
-    return np.ascontiguousarray(np.broadcast_to(colour, (*pixels.shape[:2], 3)))
+    color = pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1]
+    return np.ascontiguousarray(np.broadcast_to(color, (*pixels.shape[:2], 3)))
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
@@ -103,7 +103,7 @@ def write_uint8(path: Path, pixels: np.ndarray) -> None:
     suffix = Path(path).suffix
     try:
         _, data = cv2.imencode(suffix, stored, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL] if suffix == ".png" else [])
-        Path(path).write_bytes(data)
+        Path(path).write_bytes(data.tobytes())
     except (cv2.error, OSError) as error:
         raise StageError(f"cannot write {path}", "check the disk and the folder", [first_line(str(error))]) from error
 

@@ -1,4 +1,4 @@
-"""3D Gaussians as the .ply file that other viewers and editors read."""
+"""avatar.ply and scene.ply: 3D Gaussians in the layout that viewers and editors read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""points.ply: the sparse points of structure from motion, position and colour."""
+"""points.ply: the sparse points of structure from motion, position and colour.
+
+Ours, not trimesh's: trimesh adds a comment and an alpha channel to the file and invents colours for one that has none.
+"""
 
 from __future__ import annotations
 

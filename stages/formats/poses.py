@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, read_npz, take
+from stages.formats.arrays import checked, read_npz, take, write_npz
 from stages.records import BodyPoses
 
 HINT = "body.npz needs names [F], betas [10], global_orient [F,3], body_pose [F,69], transl [F,3], world_from_sfm"
@@ -16,7 +16,7 @@ HINT = "body.npz needs names [F], betas [10], global_orient [F,3], body_pose [F,
 
 def write_poses(path: Path, poses: BodyPoses) -> None:
     """Write `poses` as .npz, rotations and translations as float64, without pickles."""
-    arrays = {
+    values = {
         "betas": poses.betas,
         "global_orient": poses.global_orient,
         "body_pose": poses.body_pose,
@@ -24,9 +24,10 @@ def write_poses(path: Path, poses: BodyPoses) -> None:
         "confidence": poses.confidence,
         "world_from_sfm": poses.world_from_sfm,
     }
-    arrays = {key: np.asarray(value, np.float64) for key, value in arrays.items()}
-    poses_from_arrays(arrays | {"names": np.array(poses.names, dtype=np.str_)}, path)
-    np.savez(path, names=np.array(poses.names, dtype=np.str_), **arrays)
+    names: np.ndarray = np.array(poses.names, dtype=np.str_)
+    arrays = {"names": names} | {key: np.asarray(value, np.float64) for key, value in values.items()}
+    poses_from_arrays(arrays, path)
+    write_npz(path, arrays)
 
 
 def read_poses(path: Path) -> BodyPoses:

@@ -14,7 +14,7 @@ import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
@@ -113,7 +113,7 @@ def plain(value: Any, name: str) -> Any:
 
 
 def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
-    shape = tuple(int(n) for n in state.get("_shape", state.get("shape")))
+    shape = tuple(int(n) for n in (state["_shape"] if "_shape" in state else state["shape"]))
     if math.prod(shape) > _DENSE:
         raise ValueError(f"its shape is {shape}")
     dense = np.zeros(shape, np.asarray(state["data"]).dtype)
@@ -142,7 +142,7 @@ class Type:
         """The type; UnpicklingError for any other than those above."""
         if not _TYPE.fullmatch(self.code) or self.order not in ("<", ">", "=", "|"):
             raise pickle.UnpicklingError(f"it has an array of type {self.order}{self.code}")
-        return np.dtype(self.code).newbyteorder(self.order)
+        return np.dtype(self.code).newbyteorder(cast(Literal["<", ">", "=", "|"], self.order))
 
 
 class _Array(np.ndarray):
@@ -155,7 +155,7 @@ class _Array(np.ndarray):
         length = math.prod(shape) * (1 if dtype.hasobject else dtype.itemsize)
         if min(shape, default=0) < 0 or len(content) != length or isinstance(content, list) != dtype.hasobject:
             raise pickle.UnpicklingError(f"{length} long content of {dtype} {shape} promised, {len(content)} found")
-        super().__setstate__((1, shape, dtype, bool(fortran), content))
+        super().__setstate__((1, shape, dtype, bool(fortran), content))  # type: ignore[arg-type]  # numpy's stub wants its own bool
         check_letters(self)
 
 
@@ -169,7 +169,7 @@ def _scalar(kind: Type, content: bytes | str) -> Any:
     return np.frombuffer(content.encode("latin1") if isinstance(content, str) else content, kind.dtype())[0]
 
 
-def _from_buffer(content: bytes, kind: Type, shape: tuple[int, ...], order: str, *_: Any) -> np.ndarray:
+def _from_buffer(content: bytes, kind: Type, shape: tuple[int, ...], order: Literal["C", "F"], *_: Any) -> np.ndarray:
     return np.frombuffer(content, kind.dtype()).reshape(shape, order=order)
 
 
@@ -187,7 +187,9 @@ def _latin1(text: str, encoding: str = "latin1") -> bytes:
 class ArraysOnly(pickle._Unpickler):
     """The unpickler in Python: it keeps what it has seen by number in a dictionary, the one in C in a table of any size."""
 
-    dispatch: ClassVar = {
+    read: Callable[[int], bytes]
+    append: Callable[[Any], None]
+    dispatch: ClassVar[dict[int, Callable[[Any], None]]] = {
         code: load for code, load in pickle._Unpickler.dispatch.items() if bytes([code]) not in _ELSEWHERE
     }
 

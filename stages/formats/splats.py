@@ -1,14 +1,15 @@
-"""What training leaves: the person and the scene as Gaussians, in `avatar.npz` and `scene.npz`."""
+"""avatar.npz and scene.npz: the trained person and scene as Gaussians."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, read_npz
+from stages.formats.arrays import checked, read_npz, write_npz
 from stages.formats.clothes import clothes_of
 from stages.records import Avatar, Scene
 
@@ -24,6 +25,8 @@ _ROWS = {
 }
 _REST = {"joints": (24, 3), "parents": (24,), "betas": (10,), "canonical_pose": (69,)}
 
+S = TypeVar("S", bound=Scene)
+
 
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
@@ -35,7 +38,7 @@ def write_splats(path: Path, splats: Scene | Avatar) -> None:
         arrays["antialias"] = np.ones(())
     if isinstance(splats, Avatar) and splats.clothes is not None:
         arrays |= splats.clothes.arrays()
-    np.savez(path, **{k: v.astype(np.int32 if k == "parents" else np.float32) for k, v in arrays.items()})
+    write_npz(path, {k: v.astype(np.int32 if k == "parents" else np.float32) for k, v in arrays.items()})
 
 
 def read_scene(path: Path) -> Scene:
@@ -56,10 +59,12 @@ def read_avatar(path: Path) -> Avatar:
     return avatar
 
 
-def _read(path: Path, kind: type) -> Scene | Avatar:
+def _read(path: Path, kind: type[S]) -> S:
     names = _always(kind)
     data = read_npz(path, HINT)
-    more = {"antialias": bool(checked(data.get("antialias", np.zeros(())), (), "antialias", path.name, HINT))}
+    more: dict[str, Any] = {
+        "antialias": bool(checked(data.get("antialias", np.zeros(())), (), "antialias", path.name, HINT))
+    }
     if kind is Avatar:
         more["clothes"] = clothes_of(data, path.name, HINT)
     missing = [n for n in names if n not in data]
@@ -71,7 +76,7 @@ def _read(path: Path, kind: type) -> Scene | Avatar:
         )
     lengths = {n: len(np.atleast_1d(data[n])) for n in names if n in _ROWS}
     bad = [n for n in names if data[n].dtype.kind == "f" and not np.isfinite(data[n]).all()]
-    zero = np.flatnonzero(~data["quats"].any(-1)) if data["quats"].ndim == 2 else []
+    zero = np.flatnonzero(~data["quats"].any(-1)) if data["quats"].ndim == 2 else np.zeros(0, np.int64)
     if len(set(lengths.values())) != 1 or bad or len(zero):
         raise StageError(
             f"{path.name} is damaged",
@@ -83,8 +88,8 @@ def _read(path: Path, kind: type) -> Scene | Avatar:
             hint=HINT,
         )
     shapes = {n: (lengths["means"], *shape) for n, shape in _ROWS.items()} | _REST
-    return kind(**{n: checked(data[n], shapes[n], n, path.name, HINT) for n in names}, **more)
+    return kind(**more | {n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})
 
 
-def _always(kind: type) -> list[str]:
+def _always(kind: type[Scene]) -> list[str]:
     return [f.name for f in fields(kind) if not f.kw_only]

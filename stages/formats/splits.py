@@ -1,4 +1,4 @@
-"""split.json of the sfm stage: which frames are trained on and which are measured, where a data set says so."""
+"""split.json of the stage calibrated: which frames of a data set are trained on and which are measured."""
 
 from __future__ import annotations
 

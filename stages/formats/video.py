@@ -38,7 +38,7 @@ class VideoInfo:
     """'sdr', 'PQ' or 'HLG'."""
 
 
-def natural(path: Path) -> list:
+def natural_order(path: Path) -> list:
     """Sort key that puts frame_9 before frame_10."""
     parts, digits = [], ""
     for letter in path.name.lower() + "\0":
@@ -51,10 +51,10 @@ def natural(path: Path) -> list:
     return [*parts, path.name]
 
 
-def pictures(folder: Path) -> list[Path]:
+def picture_files(folder: Path) -> list[Path]:
     """The picture files of a folder in natural order."""
     found = [p for p in Path(folder).iterdir() if p.suffix.lower() in PICTURES and not p.name.startswith(".")]
-    return sorted(found, key=natural)
+    return sorted(found, key=natural_order)
 
 
 def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream.VideoStream]:
@@ -94,7 +94,7 @@ def probe(path: Path) -> VideoInfo:
     Raises StageError for a path that is missing, empty, not a video, or without a single frame.
     """
     if Path(path).is_dir():
-        files = pictures(path)
+        files = picture_files(path)
         if not files:
             raise StageError(f"no pictures in {path}", f"give a video, or a folder of {', '.join(PICTURES)} files")
         height, width = read_image(files[0]).shape[:2]
@@ -112,7 +112,7 @@ def probe(path: Path) -> VideoInfo:
         raise StageError(f"no frame of {path} can be decoded", AGAIN, facts)
     rotation = round(first.rotation / QUARTER) % 4
     width, height = (first.width, first.height) if rotation % 2 == 0 else (first.height, first.width)
-    span = float((max(times) - min(times)) * base) if times else 0.0
+    span = float((max(times) - min(times)) * base) if times and base else 0.0
     rate = (len(times) - 1) / span if span > 0 else float(average or 0)
     transfer = HIGH_DYNAMIC_RANGE.get(int(first.color_trc), "sdr")
     frames = declared or len(times)
@@ -146,7 +146,7 @@ def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
     """
     if Path(path).is_dir():
         size = None
-        for index, file in enumerate(pictures(path)):
+        for index, file in enumerate(picture_files(path)):
             picture = read_image(file)
             size = size or picture.shape
             if picture.shape != size:

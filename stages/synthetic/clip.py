@@ -6,9 +6,9 @@ exact pinholes; the centre of the first pixel is at (0.5, 0.5).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,12 +16,14 @@ import torch
 from stages.avatar.body.smpl import Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.kernels.mesh import cast, fill
+from stages.records import BodyModel
 from stages.synthetic import person
 from stages.synthetic.effects import (
     NO_EFFECTS,
     BodyShadow,
     ClipEffects,
     Course,
+    Moving,
     camera_points,
     distort,
     gains,
@@ -31,7 +33,7 @@ from stages.synthetic.effects import (
     to_linear,
     to_srgb,
 )
-from stages.synthetic.passers import make_passers
+from stages.synthetic.passers import Passer, make_passers
 from stages.synthetic.room import LAMPS, Room, make_room, sky
 
 SUPERSAMPLE = 2
@@ -44,12 +46,12 @@ FOCAL = 0.95
 LIGHT = np.array([0.3, 0.9, 0.32]) / np.linalg.norm([0.3, 0.9, 0.32])
 UP = np.array([0.0, 1.0, 0.0])
 
-Motion = Literal["moving", "static", "rotating"]
+CameraPath = Literal["moving", "static", "rotating"]
 
 
 @dataclass(frozen=True)
 class TrueViews:
-    """V pictures of the person with everything that is true of them.
+    """V pictures of the person, and the truth about them.
 
     `images` [V,H,W,3] and `masks` [V,H,W] uint8 (255 = person, soft edges), `depths` [V,H,W] float32 z in metres at
     the pixel centres, `viewmats` [V,4,4] camera_from_world, `Ks` [V,3,3] px, `global_orient` [V,3], `body_pose` [V,69]
@@ -81,27 +83,27 @@ class SyntheticClip:
 
 
 def make_clip(
-    model: Any,
+    model: BodyModel,
     *,
     seed: int = 0,
     width: int = 384,
     height: int = 512,
     frames: int = 60,
     fps: float = 12.0,
-    camera: Motion = "moving",
+    camera: CameraPath = "moving",
     effects: ClipEffects = NO_EFFECTS,
     done: Callable[[int, int], None] = lambda done, total: None,
 ) -> SyntheticClip:
     """Make the clip of that seed; the same arguments give the same bytes.
 
-    `model` is a formats.body_model.BodyModel with keypoints. `camera`: "moving" goes around the person, "rotating"
+    `model` has keypoints. `camera`: "moving" goes around the person, "rotating"
     only turns, "static" stands. `effects` change the pictures and nothing that is drawn at random; novel views have those
     of the scene and the person, and none of the recording. Depths and masks are those of room and person at the frame's
     own time, masks blurred as the pictures are. `done` hears of pictures made and their number.
     """
     rng, apart = np.random.default_rng(seed), np.random.default_rng([seed, 1])  # effects change nothing else
     room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
-    stage = _Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects)
+    renderer = _Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects)
     viewmats = camera_path(frames, fps, camera, rng, effects.antialias)
     orient, pose = person.make_motion(frames, fps, rng)
     novel_orient, novel_pose = person.novel_poses()
@@ -109,14 +111,14 @@ def make_clip(
     total = frames + len(novel_pose)
     passers = make_passers(round(effects.transients), frames, apart)
     gain = gains(effects, frames, apart)
-    clip = stage.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain)
-    calm = replace(stage, effects=effects.scene_only())
-    novel = calm.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
-    return SyntheticClip(clip, novel, stage.betas, fps)
+    clip = renderer.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain)
+    plain = replace(renderer, effects=effects.scene_only())
+    novel = plain.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
+    return SyntheticClip(clip, novel, renderer.betas, fps)
 
 
 def camera_path(
-    frames: int, fps: float, motion: Motion, rng: np.random.Generator, range_ratio: float = 0.0
+    frames: int, fps: float, motion: CameraPath, rng: np.random.Generator, range_ratio: float = 0.0
 ) -> np.ndarray:
     """viewmats [F,4,4] of a hand-held camera that goes around the origin, or only turns, or stands still.
 
@@ -161,9 +163,9 @@ def _tones(rng: np.random.Generator) -> list[tuple[float, float]]:
 
 @dataclass
 class _Renderer:
-    """Everything that does not change from picture to picture."""
+    """Draws room and person; holds everything that does not change from picture to picture."""
 
-    model: Any
+    model: BodyModel
     room: Room
     betas: np.ndarray
     K: np.ndarray
@@ -176,7 +178,15 @@ class _Renderer:
         self.clothes = person.Outfit(self.model)
 
     def views(
-        self, viewmats, orient, pose, width: int, height: int, done: Callable[[int], None], passers=(), gain=None
+        self,
+        viewmats: np.ndarray,
+        orient: np.ndarray,
+        pose: np.ndarray,
+        width: int,
+        height: int,
+        done: Callable[[int], None],
+        passers: Sequence[Passer] = (),
+        gain: np.ndarray | None = None,
     ) -> TrueViews:
         """Draw the person in each pose from its camera, with `passers` behind and colours times `gain` [V,3]."""
         transl, vertices, joints = person.pose_body(self.body, self.betas, orient, pose)
@@ -190,7 +200,9 @@ class _Renderer:
         Ks = np.broadcast_to(self.K, (len(viewmats), 3, 3)).copy()
         return TrueViews(images, masks, depths, viewmats, Ks, orient, pose, transl, joints)
 
-    def shoot(self, course: Course, i: int, width: int, height: int, passers, gain):
+    def shoot(
+        self, course: Course, i: int, width: int, height: int, passers: Sequence[Passer], gain: np.ndarray | float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Image uint8 [H,W,3], mask uint8 [H,W] and depth float32 [H,W] of frame `i`, as its camera takes it."""
         fine, size = self.K * np.array([[SUPERSAMPLE], [SUPERSAMPLE], [1]]), (width * SUPERSAMPLE, height * SUPERSAMPLE)
         pad = margin(self.effects, fine, *size)
@@ -205,7 +217,9 @@ class _Renderer:
         depth = distort(self.depth(course, i, width, height, pad)[..., None], self.effects, self.K, pad, order=0)
         return _shrink(image), _shrink(mask)[..., 0], depth[..., 0].astype(np.float32)
 
-    def draw(self, course: Course, t: float, K: np.ndarray, width: int, height: int, pad: int, passers):
+    def draw(
+        self, course: Course, t: float, K: np.ndarray, width: int, height: int, pad: int, passers: Sequence[Passer]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Colours [H+2pad,W+2pad,3] 0..1 of moment `t`, and where the person is seen in them."""
         wide, width, height = K + np.array([[0, 0, pad], [0, 0, pad], [0, 0, 0]]), width + 2 * pad, height + 2 * pad
         vertices = course.body(t)
@@ -234,13 +248,15 @@ class _Renderer:
         room = self.cast(course, t, wide, width, height)[1]
         return np.minimum(room, self.fill(course, course.body, self.faces, t, wide, width, height)[0])
 
-    def fill(self, course: Course, things, faces: np.ndarray, t: float, K: np.ndarray, width: int, height: int):
+    def fill(
+        self, course: Course, things: Moving, faces: np.ndarray, t: float, K: np.ndarray, width: int, height: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Depth, face and weights of the mesh `things`(moment) as seen at moment `t`."""
         return fill(camera_points(course, things, t, self.effects, K, height), faces, K, width, height)
 
     def cast(
         self, course: Course, t: float, K: np.ndarray, width: int, height: int, vertices: np.ndarray | None = None
-    ):
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Colour and depth of the room at moment `t`, with the shadow of `vertices`, without the person."""
         room, effects = self.room, self.effects
         poses = np.stack([np.linalg.inv(course.viewmat(t + s)) for s in readout_times(effects, height)])

@@ -1,7 +1,8 @@
-"""What a synthetic clip may have beside a room and a person: effects that a detector shall find and a model shall learn."""
+"""Effects of a synthetic clip, which a detector should find and training should learn."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras import lens
-from stages.avatar.cameras.pinhole import look_at
+from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
 from stages.avatar.kernels.mesh import fill
 
 MOMENTS = 9
@@ -22,6 +23,10 @@ LAMP_AWAY, MAP_SIDE, MAP_M = 100.0, 640, 3.2
 """The lamp of a shadow map is so far that its rays are parallel, m; its pixels, and how many m they show."""
 SOFT, CONTACT_SOFT, CONTACT_HEIGHT = 0.02, 0.035, 0.12
 """Blur of a shadow's edge, of the dark rim of the feet, and up to where a body touches the floor, m."""
+
+
+Moving = Callable[[float], np.ndarray]
+"""Points [V,3] m in the world at a moment, in frames."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +93,8 @@ class Course:
     def _path(self) -> tuple[CubicSpline, CubicSpline, Rotation]:
         rotations, frames = Rotation.from_matrix(self.viewmats[:, :3, :3]), np.arange(len(self.viewmats))
         middle = rotations[len(frames) // 2]
-        centers = -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
-        return CubicSpline(frames, (rotations * middle.inv()).as_rotvec()), CubicSpline(frames, centers), middle
+        places = CubicSpline(frames, camera_centers(self.viewmats))
+        return CubicSpline(frames, (rotations * middle.inv()).as_rotvec()), places, middle
 
     @cached_property
     def _motion(self) -> CubicSpline:
@@ -110,7 +115,9 @@ def readout_times(effects: ClipEffects, height: int) -> np.ndarray:
     return effects.rolling_shutter * ((np.arange(height) + 0.5) / height - 0.5)
 
 
-def camera_points(course: Course, things, t: float, effects: ClipEffects, K: np.ndarray, height: int) -> np.ndarray:
+def camera_points(
+    course: Course, things: Moving, t: float, effects: ClipEffects, K: np.ndarray, height: int
+) -> np.ndarray:
     """`things`(moment) [V,3] in coordinates of the camera at `t`, each point when the row it falls on is read."""
 
     def at(moment: float) -> np.ndarray:
@@ -161,7 +168,7 @@ def margin(effects: ClipEffects, K: np.ndarray, width: int, height: int) -> int:
 
 
 def distort(picture: np.ndarray, effects: ClipEffects, K: np.ndarray, pad: int, order: int = 1) -> np.ndarray:
-    """What the lens makes of a pinhole's `picture` [H+2pad,W+2pad,C]: [H,W,C]; `K` is that without the margin."""
+    """A pinhole's `picture` [H+2pad,W+2pad,C] as the lens sees it [H,W,C]; `K` [3,3] px is that without the margin."""
     if not effects.lens:
         return picture
     height, width = picture.shape[0] - 2 * pad, picture.shape[1] - 2 * pad
@@ -179,13 +186,13 @@ class BodyShadow:
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, light: np.ndarray, darkness: float):
         low = vertices[:, 1] < CONTACT_HEIGHT
         self.darkness = darkness
-        self.lit = _ShadowMap(vertices, faces, light, SOFT)
-        self.touched = _ShadowMap(vertices, faces[low[faces].all(1)], np.array([0.0, 1.0, 1e-3]), CONTACT_SOFT)
+        self.cast = _ShadowMap(vertices, faces, light, SOFT)
+        self.contact = _ShadowMap(vertices, faces[low[faces].all(1)], np.array([0.0, 1.0, 1e-3]), CONTACT_SOFT)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """The factor [N] of the brightness at `points` [N,3] of the room."""
         on_floor = points[:, 1] < 0.02
-        return (1 - self.darkness * self.lit(points)) * (1 - self.darkness * on_floor * self.touched(points))
+        return (1 - self.darkness * self.cast(points)) * (1 - self.darkness * on_floor * self.contact(points))
 
 
 class _ShadowMap:
@@ -195,7 +202,7 @@ class _ShadowMap:
         center = np.array([0.0, 0.8, 0.0])
         self.viewmat = look_at(center + LAMP_AWAY * light / np.linalg.norm(light), center, np.array([0.0, 0.0, -1.0]))
         focal = MAP_SIDE / MAP_M * LAMP_AWAY
-        self.K = np.array([[focal, 0, MAP_SIDE / 2], [0, focal, MAP_SIDE / 2], [0, 0, 1.0]])
+        self.K = pinhole(focal, MAP_SIDE, MAP_SIDE)
         depth, face, _ = fill(self._seen(vertices), faces, self.K, MAP_SIDE, MAP_SIDE)
         self.nearest = depth.min()
         self.cover = gaussian_filter((face >= 0).astype(float), soft * MAP_SIDE / MAP_M)

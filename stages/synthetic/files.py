@@ -12,7 +12,6 @@ truth/novel/             the same files for views with poses and cameras that th
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,13 +20,14 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.poses import write_poses
 from stages.formats.video import write_video
 from stages.records import BodyPoses, Cameras
+from stages.synthetic.clip import SyntheticClip, TrueViews
 
 CRF = 14
 DEPTH_EVERY, DEPTH_FIRST = 5, 2
 
 
-def write_clip(folder: Path, clip: Any) -> Path:
-    """Write `clip`, with the fields of avatar.synthetic.SyntheticClip, into `folder`; returns the path of the video."""
+def write_clip(folder: Path, clip: SyntheticClip) -> Path:
+    """Write `clip` into `folder`; returns the path of the video."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_views(folder / "truth", clip.frames, clip.betas)
@@ -37,8 +37,8 @@ def write_clip(folder: Path, clip: Any) -> Path:
     return video
 
 
-def write_views(folder: Path, views: Any, betas: np.ndarray) -> None:
-    """Write pictures, masks, cameras, poses and depth of `views`, with the fields of avatar.synthetic.Views."""
+def write_views(folder: Path, views: TrueViews, betas: np.ndarray) -> None:
+    """Write pictures, masks, cameras, poses and depth of `views`, and the body's shape `betas` [10]."""
     names = tuple(f"{i:06d}" for i in range(len(views.images)))
     for kind, write, pictures in (("images", write_image, views.images), ("masks", write_mask, views.masks)):
         (folder / kind).mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl import Body, vertex_normals
 from stages.avatar.motion.formulas import MOTIONS
+from stages.records import BodyModel
 
 TURN = 4.6
 """How far the person turns during the clip, rad."""
@@ -31,10 +32,9 @@ SHOE = (0.75, 0.3, 0.12)
 class Outfit:
     """Colours of the free body's skin, hair and clothes as a function of where a point is in the rest pose (betas 0)."""
 
-    def __init__(self, model: Any):
-        """`model` has the fields of formats.body_model.BodyModel, with keypoints."""
-        places = model.keypoint_regressor @ model.v_template
-        self.at = dict(zip(model.keypoint_names, places.astype(np.float64)))
+    def __init__(self, model: BodyModel):
+        """`model` has keypoints."""
+        self.at = {name: place.astype(np.float64) for name, place in _keypoints(model).items()}
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """RGB [N,3] 0..1 of rest-pose `points` [N,3] in metres, y up, facing +z."""
@@ -146,12 +146,12 @@ def pose_body(
     return transl, vertices + transl[:, None], joints + transl[:, None]
 
 
-def swing(model: Any, faces: np.ndarray, vertices: np.ndarray, pose: np.ndarray, width: float) -> np.ndarray:
+def swing(model: BodyModel, faces: np.ndarray, vertices: np.ndarray, pose: np.ndarray, width: float) -> np.ndarray:
     """What loose clothes add to `vertices` [F,V,3] in m: a skirt and sleeves `width` m wide that swing with `pose` [F,69].
 
     The skirt stands off by half its width and flies forward and to the side with the thighs; sleeves hang from raised arms.
     """
-    places = dict(zip(model.keypoint_names, model.keypoint_regressor @ model.v_template))
+    places = _keypoints(model)
     x, y, _ = model.v_template.T
     hip, knee = places["left_hip"][1] + 0.05, places["left_knee"][1] + 0.02
     down = ((hip - y) / (hip - knee)).clip(0, 1)
@@ -171,6 +171,13 @@ def swing(model: Any, faces: np.ndarray, vertices: np.ndarray, pose: np.ndarray,
     return added
 
 
+def _keypoints(model: BodyModel) -> dict[str, np.ndarray]:
+    """Rest positions [3] m of the keypoints by name. Raises ValueError for a model without keypoints."""
+    if model.keypoint_regressor is None or model.keypoint_names is None:
+        raise ValueError(f"the body model {model.name!r} has no keypoints, which the clothes are placed by")
+    return dict(zip(model.keypoint_names, model.keypoint_regressor @ model.v_template))
+
+
 def _fade(edge: float, values: np.ndarray, width: float) -> np.ndarray:
     """0 below `edge`, 1 above, over that width."""
     return ((values - edge) / width + 0.5).clip(0, 1)
@@ -186,7 +193,12 @@ def _wave(t: np.ndarray, period: float) -> np.ndarray:
 
 
 def _paint_over(
-    below: np.ndarray, color, inside: np.ndarray, edge: float, where=True, strength: float = 1.0
+    below: np.ndarray,
+    color: Sequence[float] | np.ndarray,
+    inside: np.ndarray,
+    edge: float,
+    where: np.ndarray | bool = True,
+    strength: float = 1.0,
 ) -> np.ndarray:
     """Paint `color` where `inside` > 0, with an edge of that width, over the colours below."""
     cover = ((inside / edge + 0.5).clip(0, 1) * where * strength)[:, None]

@@ -35,7 +35,7 @@ ZENITH, HAZE, CLOUD, HILL = (0.42, 0.62, 0.9), (0.8, 0.88, 0.95), (0.95, 0.95, 0
 
 @dataclass(frozen=True)
 class Room:
-    """Boxes and textures as `mesh_render.cast` takes them."""
+    """Boxes and textures as `avatar.kernels.mesh.cast` takes them."""
 
     boxes: np.ndarray
     paint: np.ndarray
@@ -76,7 +76,7 @@ def sky(rays: np.ndarray) -> np.ndarray:
 
 def _noise(
     rng: np.random.Generator, slope: float = 1.0, finest: float = 0.04, coarsest: float = 1.5, stretch: float = 1
-):
+) -> np.ndarray:
     """Periodic noise [S,S] of unit variance: amplitude falls with frequency^slope between two wavelengths in metres.
 
     `stretch` > 1 makes it longer along x by that factor.

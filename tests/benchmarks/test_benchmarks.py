@@ -23,6 +23,7 @@ from tests.made.training import fit_of, make_clip, run
 clip = pytest.fixture(scope="module")(make_clip)
 
 
+@pytest.mark.slow
 def test_the_naive_kernel_draws_what_ours_draws():
     work = random_work(400, 70, 50, 15)
     ours, naive = Torch(work, rasterize.rasterize, rasterize.gaussian_axes), Naive(work, project(work))
@@ -83,6 +84,7 @@ def test_a_scene_takes_the_size_asked_for():
         np.testing.assert_allclose(other.scales.prod(1).mean() * count, scene.scales.prod(1).mean() * 50, rtol=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ideas.WITHOUT)
 def test_every_idea_can_be_left_out_and_is_back_afterwards(name, clip):
     idea = ideas.WITHOUT[name]

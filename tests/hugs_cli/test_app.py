@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+
+from hugs_cli import app, app_compare, app_show
+from hugs_cli.pipelines import UsageError
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"torch", "cv2", "pycolmap", "numpy", "scipy", "numba", "av", "OpenImageIO", "trimesh", "rich"}
@@ -33,6 +38,7 @@ def test_help_and_the_list_of_stages_load_nothing_heavy(tmp_path):
     assert not modules_after(tmp_path, "run", "--help") & HEAVY
 
 
+@pytest.mark.slow
 def test_a_run_with_nothing_to_do_is_quick_and_loads_nothing_heavy(flow):
     flow.hugs()
     args = ["run", "clip.mp4", "--pipelines-file", "pipelines.yaml"]
@@ -71,6 +77,7 @@ def test_missing_video_and_unknown_option(flow):
     assert "--wrok" in flow.hugs("--wrok", "x", code=2)[1]
 
 
+@pytest.mark.slow
 def test_two_clips_of_one_name_do_not_mix(flow):
     flow.hugs()
     (flow.folder / "b").mkdir()
@@ -91,7 +98,7 @@ def test_ctrl_c_while_the_command_is_loaded_is_no_error(tmp_path, module):
         (tmp_path / "typer.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
         code += f"sys.path.insert(0, {str(tmp_path)!r})\n"
     else:
-        code += "from hugs_cli import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        code += "from hugs_cli.cache import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
     done = subprocess.run([sys.executable, "-c", code + "main()"], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (130, "stopped; finished stages are kept\n")
 
@@ -119,3 +126,42 @@ def test_render_without_a_finished_run_says_what_to_run(flow):
 
 def test_gc_without_results_is_refused(flow):
     assert "error: no results of clip.mp4 in work" in flow.hugs(command="gc", code=2)[1]
+
+
+def test_help_of_all_commands_fits_80_columns(tmp_path):
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); from hugs_cli import main; main()"
+    env = {**os.environ, "COLUMNS": "80", "NO_COLOR": "1"}
+    command = [sys.executable, "-c", code, "--help"]
+    out = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=env, check=True).stdout
+    assert "..." not in out.replace("[ARGS]...", "") and max(map(len, out.splitlines())) <= 80
+    assert len(out.partition("Commands:")[2].splitlines()) == 13, "a line each"
+
+
+@pytest.mark.parametrize("command", ["run", "status", "why", "accept", "ablate", "costs"])
+def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
+    opened = []
+
+    def refuse(*args):
+        opened.append(args)
+        raise UsageError("enough")
+
+    for module in (app, app_compare, app_show):
+        monkeypatch.setattr(module, "open_session", refuse)
+    names = [
+        "pipeline",
+        "set",
+        "masks",
+        "person",
+        "cameras",
+        "smpl-fit",
+        "body-model",
+        "seed",
+        "work",
+        "pipelines-file",
+    ]
+    options = [f"--{name}={i if name == 'seed' else name}" for i, name in enumerate(names)]
+    CliRunner().invoke(app.app, [command, "clip.mp4", *options])
+    values = [[name] if name == "set" else i if name == "seed" else name for i, name in enumerate(names)]
+    paths = {"masks", "cameras", "smpl-fit", "body-model", "work", "pipelines-file"}
+    wanted = [Path(str(value)) if name in paths else value for name, value in zip(names, values, strict=True)]
+    assert opened == [(Path("clip.mp4"), *wanted)]

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from hugs_cli import pipelines
-from hugs_cli.options import judge_of
+from hugs_cli.options import open_session
 from hugs_cli.pipelines import SOURCES, UsageError, load
 
 REAL = yaml.safe_load(pipelines.FILE.read_text())
@@ -109,7 +109,10 @@ def test_stage_modules_are_light_and_know_no_other_stage(stage):
 
 def test_a_person_and_cameras_given_on_the_command_line_reach_their_stages(tmp_path):
     model = tmp_path / "sparse"
-    judge = judge_of(tmp_path / "clip.mp4", person="2", cameras=model, set_=["masks.invert=never"])
-    assert judge.pipeline.stages["masks"].params.person == 2 and judge.pipeline.stages["masks"].params.invert == "never"
-    assert judge.sources["cameras"] == model and "cameras" in judge.pipeline.stages["sfm"].needs
+    session = open_session(tmp_path / "clip.mp4", person="2", cameras=model, set_=["masks.invert=never"])
+    assert (
+        session.pipeline.stages["masks"].params.person == 2
+        and session.pipeline.stages["masks"].params.invert == "never"
+    )
+    assert session.sources["cameras"] == model and "cameras" in session.pipeline.stages["sfm"].needs
     assert "cameras" not in load("neuman").stages["sfm"].needs, "the data set brings its own"

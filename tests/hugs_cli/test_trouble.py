@@ -27,6 +27,7 @@ def kept(flow) -> dict[str, str]:
     return {name: stamp.content for name, stamp in stamps.items()}
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_a_stage_and_keeps_what_is_finished(flow):
     flow.edit("two", "from flow import helper", FULL + "from flow import helper")
     _, err = flow.hugs(code=1)
@@ -39,6 +40,7 @@ def test_a_full_disk_stops_a_stage_and_keeps_what_is_finished(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_the_run_itself_and_the_result_stands(flow):
     (flow.work / "clip").mkdir(parents=True)
     (flow.work / "clip" / "runs.jsonl").symlink_to("/dev/full")
@@ -51,15 +53,15 @@ def test_a_full_disk_stops_the_run_itself_and_the_result_stands(flow):
 
 def test_a_result_made_on_a_disk_that_is_full_now_is_not_believed(importable, monkeypatch):
     """Libraries in C cut files short there and report success."""
-    from hugs_cli.options import judge_of
+    from hugs_cli.options import open_session
 
     monkeypatch.chdir(importable.folder)
-    judge = judge_of(Path("clip.mp4"), pipelines_file=Path("pipelines.yaml"))
-    stage = judge.pipeline.stages["two"]
+    session = open_session(Path("clip.mp4"), pipelines_file=Path("pipelines.yaml"))
+    stage = session.pipeline.stages["two"]
     recipe = Recipe("two", 0, {}, {}, {"one": "its content"})
-    assert engine.doubtful(judge, stage, recipe, importable.folder) is None
+    assert engine.distrust(session, stage, recipe, importable.folder) is None
     monkeypatch.setattr(engine, "FULL_DISK", 1 << 62)
-    assert "the disk is full at" in engine.doubtful(judge, stage, recipe, importable.folder)["problem"]
+    assert "the disk is full at" in engine.distrust(session, stage, recipe, importable.folder)["problem"]
 
 
 def test_a_full_disk_behind_the_error_of_a_library_is_found():
@@ -71,7 +73,7 @@ def test_a_full_disk_behind_the_error_of_a_library_is_found():
 
     with pytest.raises(RuntimeError) as caught:
         wrapped()
-    assert child.failed(caught.value, "x.part")["problem"] == "the disk is full at x.part"
+    assert child.error_event(caught.value, "x.part")["problem"] == "the disk is full at x.part"
 
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS, errno.EPERM])
@@ -79,7 +81,9 @@ def test_a_folder_that_may_only_be_read(flow, number, monkeypatch, capsys):
     def forbidden(*_, **__):
         raise OSError(number, os.strerror(number), "work/clip/store/two.part")
 
-    assert child.failed(OSError(number, "no", "out/x"), "out")["problem"].startswith("cannot read or write out/x: ")
+    assert child.error_event(OSError(number, "no", "out/x"), "out")["problem"].startswith(
+        "cannot read or write out/x: "
+    )
     monkeypatch.chdir(flow.folder)
     monkeypatch.syspath_prepend(str(flow.folder))
     monkeypatch.setattr(engine, "make", forbidden)
@@ -101,6 +105,7 @@ def test_a_store_that_may_only_be_read(flow):
     assert "error: cannot read or write" in err and "Traceback" not in err and kept(flow)
 
 
+@pytest.mark.slow
 def test_a_video_that_vanishes_while_it_is_read(flow):
     run = flow.start("--set", "one.delay=2")
     flow.wait_for(lambda: list(flow.store.glob("one-*.part/step0")))
@@ -112,6 +117,7 @@ def test_a_video_that_vanishes_while_it_is_read(flow):
     assert flow.ran()["one"] == ["first run", "last run was cut short"]
 
 
+@pytest.mark.slow
 def test_a_video_that_changes_while_it_is_read_makes_no_result(flow):
     run = flow.start("--set", "one.delay=2")
     flow.wait_for(lambda: list(flow.store.glob("one-*.part/step0")))
@@ -131,6 +137,7 @@ def test_a_link_to_nothing_in_a_folder_of_pictures(flow):
     assert "error: clip.mp4/a.png is gone or cannot be read" in err and "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_clock_that_goes_back_changes_nothing(flow):
     flow.hugs()
     before, ahead = kept(flow), time.time() + 4e8
@@ -167,6 +174,7 @@ def test_stages_with_names_that_lead_elsewhere_are_refused(flow, name):
     assert {path for path in set(flow.folder.rglob("*")) - before if "__pycache__" not in str(path)} == set()
 
 
+@pytest.mark.slow
 def test_a_broken_memory_of_earlier_runs_costs_time_only(flow):
     flow.hugs()
     (flow.work / "clip" / "sources.json").write_text("[1")
@@ -174,6 +182,7 @@ def test_a_broken_memory_of_earlier_runs_costs_time_only(flow):
     assert flow.ran() == {}
 
 
+@pytest.mark.slow
 def test_all_names_are_those_of_the_pipeline(flow):
     flow.hugs()
     assert sorted(name.rpartition("-")[0] for name in kept(flow)) == sorted(ALL)

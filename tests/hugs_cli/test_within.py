@@ -8,6 +8,7 @@ import pytest
 
 from hugs_cli import within
 from hugs_cli.pipelines import UsageError
+from hugs_cli.studies.calibration import STAGE_START
 
 TRAIN = """
 '''Writes what it was told; fails while there is a file `stop` beside the video.'''
@@ -21,6 +22,9 @@ class Params(Base):
     seconds: float = 0
     reserve: float = 0
     size: int = 1
+
+def cost(params, folders):
+    return 30 + 10 * len(folders)
 
 def run(job, params, *, one):
     '''Write one file.'''
@@ -40,6 +44,11 @@ FIT_STEPS = """from stages.contract import Params as Base
 
 class Params(Base):
     fit_steps: int = 30
+
+SHORTER = {"fit_steps": 0}
+
+def cost(params, folders):
+    return 2 * params.fit_steps
 """
 
 
@@ -74,29 +83,32 @@ def test_what_is_no_time_is_refused(text):
         within.seconds_of(text)
 
 
+@pytest.mark.slow
 def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
     out, err = run(clip, "--within", "60s", "--json")
     result = json.loads(out)
     assert result["pipeline"] == "tiny.60s" and [row["state"] for row in result["stages"]] == ["done", "done", "done"]
     kept, given = result["within"], told(clip)
     assert kept["promised"] == 60 and 0 < kept["took"] < 30
-    least = 60 - kept["took"] - 2 * within.START
-    assert least <= given["seconds"] < 60 - 2 * within.START
+    least = 60 - kept["took"] - 2 * STAGE_START
+    assert least <= given["seconds"] < 60 - 2 * STAGE_START
     assert kept["settings"] == {"train": {name: given[name] for name in ("seconds", "reserve")}}
-    assert given["reserve"] == within.FINISH and given["size"] == 1
+    assert given["reserve"] == 40 and given["size"] == 1
     assert "promised 1m 00s, took" in err and "are left for training" in err
 
 
+@pytest.mark.slow
 def test_a_second_run_trains_no_more_unless_forced(clip):
     run(clip, "--within", "60s")
     before = told(clip)
     out, err = run(clip, "--within", "60s", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(clip) == before
-    assert "goes on with the training that was begun" in err
+    assert "continuing the training that was begun" in err
     out, err = run(clip, "--within", "60s", "--force", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"done"} and "are left for training" in err
 
 
+@pytest.mark.slow
 def test_results_of_the_pipeline_itself_are_left_alone(clip):
     run(clip)
     mine = (clip.work / "clip" / "tiny" / "train" / "out.json").read_text()
@@ -105,15 +117,17 @@ def test_results_of_the_pipeline_itself_are_left_alone(clip):
     assert json.loads(mine)["seconds"] == 0
 
 
+@pytest.mark.slow
 def test_a_training_cut_short_goes_on_with_what_it_was_given(clip):
     (clip.folder / "stop").write_text("")
     run(clip, "--within", "60s", code=1)
     given = json.loads((clip.work / "clip" / "tiny.60s" / within.CHOSEN).read_text())
     (clip.folder / "stop").unlink()
     _, err = run(clip, "--within", "60s")
-    assert told(clip) == given["train"] | {"size": 1} and "goes on with the training" in err
+    assert told(clip) == given["train"] | {"size": 1} and "continuing the training" in err
 
 
+@pytest.mark.slow
 def test_changed_settings_are_timed_anew(clip):
     run(clip, "--within", "60s")
     _, err = run(clip, "--within", "60s", "--set", "train.size=2")
@@ -127,6 +141,7 @@ def test_a_run_that_does_not_train_is_refused(clip):
     assert "--within is for runs that train" in err
 
 
+@pytest.mark.slow
 def test_its_results_have_a_name_for_other_commands(clip):
     run(clip, "--within", "60s")
     states = json.loads(clip.hugs("--pipeline", "tiny.60s", "--json", command="status")[0])
@@ -135,6 +150,7 @@ def test_its_results_have_a_name_for_other_commands(clip):
     assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
 
 
+@pytest.mark.slow
 def test_a_variant_within_a_time_has_a_name_too(clip):
     clip.edit("train", "    size: int = 1", "    size: int = 1\n    lbs_learning: bool = True")
     clip.hugs("--pipeline", "tiny.no_lbs", "--within", "60s")
@@ -150,14 +166,30 @@ def test_a_training_in_two_parts_is_refused_before_anything_runs(clip):
     assert "--within is for trainings of person and scene together" in err and "leave out train.joint" in err
 
 
+@pytest.mark.slow
 def test_where_time_is_short_measuring_takes_less_of_it(clip):
-    clip.edit("train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12")
+    clip.edit(
+        "train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12\nSHORTER = {'curve_points': 4}"
+    )
     clip.write("evaluate", AFTER.replace("from stages.contract import Params", FIT_STEPS))
     file = clip.folder / "pipelines.yaml"
     file.write_text(f"{file.read_text()}    evaluate: {{needs: [train], module: flow.evaluate}}\n")
     (clip.folder / "stop").write_text("")  # before anything asks for the clip's frames
     for time, points in (("60s", 4), ("20m", 12)):
-        run(clip, "train", "--within", time, code=1)
+        run(clip, "--within", time, code=1)
         chosen = json.loads((clip.work / "clip" / f"tiny.{time}" / within.CHOSEN).read_text())
         assert chosen["train"].get("curve_points", 12) == points
+        assert chosen["train"]["reserve"] == (40 if points == 4 else 100), "train, and evaluate after it"
         assert chosen.get("evaluate") == ({"fit_steps": 0} if points == 4 else None)
+
+
+def test_results_within_a_time_are_kept_when_only_code_changes(clip):
+    run(clip, "--within", "60s")
+    before = told(clip)
+    clip.edit("train", "    if Path(", "    more = 1\n    if Path(")
+    out, _ = clip.hugs("--pipeline", "tiny.60s", command="accept")
+    assert out.count("train accepted: ") == 1
+    out, _ = run(clip, "--within", "60s", "--json")
+    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(clip) == before
+    clip.edit("train", "more = 1", "more = 2")
+    assert "`hugs accept clip.mp4 --pipeline tiny.60s` (and" in run(clip, "--within", "60s")[1]

@@ -17,6 +17,7 @@ from stages.avatar.body.smpl import DA_POSE, Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
 from stages.avatar.rasterize import Camera
+from stages.contract import StageRecord
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.images import write_image, write_mask
@@ -127,7 +128,7 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
 
 
 def write_facts(folders: dict[str, Path], scene: bool) -> None:
-    """The JSON files and the stamps."""
+    """The JSON files."""
     video = {"path": "/clips/dance <1>.mp4", "width": WIDTH, "height": HEIGHT, "fps": 30, "frames": 24}
     measures = {"points": {"value": 63, "unit": "", "threshold": 100, "verdict": "few", "frames": []}}
     effect = {"value": 0.21, "unit": "of the light", "threshold": 0.08, "verdict": "darkens", "confidence": 0.5}
@@ -156,11 +157,10 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
     rows = ["step,seconds,psnr,ssim,psnr_person,ssim_person,human,scene,memory_bytes"]
     rows += [f"{s},{s * 3},{20 + s},0.9,{18 + s},0.8,1723,441,1000" for s in (1, 2, 4)]
     (folders["train"] / "curve.csv").write_text("\n".join(rows) + "\n")
-    for i, path in enumerate(folders.values()):
-        stamp(path, seconds=1.5 + i, warnings=["the camera <b>barely</b> moved"] if path.name == "sfm" else [])
 
 
-def stamp(folder: Path, seconds: float = 1.0, warnings: tuple[str, ...] | list[str] = ()) -> None:
-    """A stamp with what the last stages read of it."""
-    found = {"seconds": seconds, "peak_memory_bytes": 200 << 20, "warnings": list(warnings), "notes": ["8 frames"]}
-    (folder / "stamp.json").write_text(json.dumps(found))
+UPSTREAM = {
+    name: StageRecord(1.5 + i, 200 << 20, ("8 frames",), ("the camera <b>barely</b> moved",) if name == "sfm" else ())
+    for i, name in enumerate(STAGES)
+}
+"""The records of all stages up to train, as the engine hands them to a stage."""

@@ -119,6 +119,7 @@ def test_only_test_frames_are_measured_and_none_of_the_held_out_are_trained_on(b
     assert "HUGS" in clip.split.rule
 
 
+@pytest.mark.slow
 def test_split_files_of_the_data_set_win(tmp_path):
     made = datasets.neuman(tmp_path, frames=8, width=48, height=64)
     (made.folder / "test_split.txt").write_text("00001.png\n00006.png\n")
@@ -131,6 +132,7 @@ def test_split_files_of_the_data_set_win(tmp_path):
     assert "name the same pictures" in error.problem and "00002.png" in error.facts[0]
 
 
+@pytest.mark.slow
 def test_a25_smaller_pictures_a_lens_and_the_other_masks(tmp_path):
     made = datasets.neuman(tmp_path, frames=8, k=0.05)
     for path in (made.folder / "4d_humans" / "sam_segmentations").iterdir():
@@ -180,6 +182,7 @@ def renamed(cameras: Cameras, order: list[int]) -> Cameras:
     return Cameras(names, cameras.viewmats, cameras.Ks, cameras.width, cameras.height)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("subject", [377, 313])
 def test_zju_poses_are_the_true_ones(core, subject, tmp_path):
     made, done = core[:2]
@@ -210,6 +213,7 @@ def test_a_corner_of_every_layout_is_read():
     assert number("Camera (1)/CoreView_313_Camera_(1)_0013_2019-08-23_16-08-50.592.jpg") == 13
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "gone", "problem"),
     [
@@ -231,6 +235,7 @@ def test_what_is_missing_is_named(tmp_path, kind, gone, problem):
     assert problem in refused(made.folder, stage, tmp_path / "out").problem
 
 
+@pytest.mark.slow
 def test_a25_a26_what_does_not_fit_is_named(tmp_path):
     made = datasets.neuman(tmp_path, frames=8, width=48, height=64)
     cameras = made.folder / "sparse" / "cameras.txt"
@@ -248,6 +253,7 @@ class Runs:
         return print, ("code ran",)
 
 
+@pytest.mark.slow
 def test_no_code_of_a_pickle_is_run(tmp_path, capsys):
     made = datasets.zju(tmp_path, side=48)
     np.save(made.folder / "annots.npy", {"cams": Runs(), "ims": []})
@@ -257,6 +263,7 @@ def test_no_code_of_a_pickle_is_run(tmp_path, capsys):
     assert "annots.npy" in refused(made.folder, zju, tmp_path / "again").problem
 
 
+@pytest.mark.slow
 def test_a_folder_of_labels_that_are_not_zero_is_the_person(tmp_path):
     """One of the two mask folders is enough, whatever its labels are."""
     made = datasets.zju(tmp_path, side=48)

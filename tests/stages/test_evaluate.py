@@ -35,7 +35,9 @@ def run(clip, out, **params):
         raise AssertionError(f"{word} is no JSON")
 
     events = []
-    evaluate.run(Job(out, seed=5, emit=events.append), evaluate.Params(**params), **clip)
+    inputs = {name: clip[name] for name in ("sfm", "smpl", "train")}
+    job = Job(out, seed=5, emit=events.append, upstream=tiny_clip.UPSTREAM)
+    evaluate.run(job, evaluate.Params(**params), **inputs)
     return json.loads((out / "metrics.json").read_text(), parse_constant=no_constants), events
 
 

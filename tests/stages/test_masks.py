@@ -126,11 +126,13 @@ def test_g06_frames_without_a_person_are_named_and_none_at_all_is_refused(tmp_pa
         run(tmp_path, frames, given(tmp_path, {f"{i}.png": np.zeros(SIZE, np.uint8) for i in range(12)}))
 
 
+@pytest.mark.slow
 def test_an_empty_room_has_no_person(tmp_path, frames, blazepose):
     with pytest.raises(StageError, match="no person found in any of 4 frames"):
         run(tmp_path, frames, None)
 
 
+@pytest.mark.slow
 def test_the_kitchen_man_is_outlined(tmp_path, blazepose, kitchen):
     indices = [0, 60, 120, 180]
     frames = make_frames(tmp_path, indices, total=191)

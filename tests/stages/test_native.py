@@ -19,6 +19,7 @@ assert (read_image(Path(sys.argv[1])) == 90).all()
 OURS = ["stages.estimators.cameras.colmap", "stages.formats.images", "stages.avatar.cameras.lens"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", list(itertools.permutations(OURS, 2))[:3] + [("stages.sfm", OURS[0], "torch")])
 def test_i19_a_picture_is_written_whatever_was_imported_first(tmp_path, order):
     command = [sys.executable, "-c", WRITE, str(tmp_path / "a.png"), *order]

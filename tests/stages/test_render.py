@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stages import views
 from stages.avatar.motion.formulas import upright
-from stages.contract import StageError
+from stages.contract import Job, StageError
 from stages.formats.cameras import write_cameras
 from stages.formats.images import read_pixels
 from stages.formats.poses import write_poses
 from stages.formats.splats import write_splats
 from stages.records import Avatar, BodyPoses, Cameras, Scene
-from stages.render import render_views
 from tests.made.skeleton import PARENTS
 
 WIDTH, HEIGHT = 48, 40
@@ -65,10 +65,11 @@ def cameras(path, names):
 
 def drawn(train, tmp_path, names, only, body=None):
     out = tmp_path / "out"
-    count = render_views(
-        train=train, cameras=cameras(tmp_path / "c.npz", names), poses=body, only=only, out=out, device="cpu"
-    )
-    assert count == len(names)
+    notes = []
+    cameras(tmp_path / "c.npz", names)
+    job = Job(out, emit=lambda event: notes.append(event["text"]))
+    views.run(job, views.Params(only=only), train=train, cameras=tmp_path / "c.npz", poses=body)
+    assert notes == [f"{len(names)} picture{'s' * (len(names) > 1)} of {only}"]
     return [read_pixels(out / f"{name}.png") for name in names]
 
 

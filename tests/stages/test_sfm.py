@@ -74,6 +74,7 @@ def test_i01_a_turning_camera_is_named_and_keeps_its_rotations(tmp_path):
     assert facts["focal_px"] == pytest.approx(FOCAL, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a26_a_standing_camera_is_named_and_its_frames_are_left_alone(tmp_path):
     write_clip(tmp_path, np.tile(np.eye(4), (5, 1, 1)))
     facts, events = run(tmp_path, features=512)

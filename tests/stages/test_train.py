@@ -15,7 +15,7 @@ import torch
 
 from stages import evaluate, render, train
 from stages.avatar.drawing.avatar import load_avatar, pose_avatar
-from stages.avatar.drawing.draw import Learned, pose_of
+from stages.avatar.drawing.draw import Learned, load_learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
@@ -29,6 +29,7 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
+from stages.formats.trained import read_trained
 from stages.records import BodyPoses, Cameras
 from stages.training import losses
 from stages.training.checkpoint import Checkpoint
@@ -112,6 +113,7 @@ def contents(folder) -> dict:
     return {p.name: dict(np.load(p)) for p in folder.glob("*.npz")}
 
 
+@pytest.mark.slow
 def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, held):
     job, fit = fresh(tmp_path, "out"), trained(inputs).fit
     train.run(job, PARAMS, **inputs)
@@ -154,6 +156,7 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, held):
     ]
 
 
+@pytest.mark.slow
 def test_held_out_pictures_and_masks_change_nothing(tmp_path, inputs):
     first, second = fresh(tmp_path, "first"), fresh(tmp_path, "second")
     train.run(first, PARAMS, **inputs)
@@ -192,6 +195,7 @@ train.run(Job(out=root / "job"), PARAMS, **{name: root / name for name in ("sfm"
 """
 
 
+@pytest.mark.slow
 def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_path, inputs):
     straight, job = fresh(tmp_path, "straight"), fresh(tmp_path, "job")
     train.run(straight, PARAMS, **inputs)
@@ -240,6 +244,7 @@ def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_aga
     assert (told["step"], told["seed"], told["threads"]) == (1, 0, torch.get_num_threads())
 
 
+@pytest.mark.slow
 def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_before(tmp_path, inputs, monkeypatch):
     params, job = PARAMS.model_copy(update={"steps": 40}), fresh(tmp_path, "job")
     real = losses.photometric
@@ -258,6 +263,7 @@ def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_befor
         train.replay(tmp_path / "other.npz")
 
 
+@pytest.mark.slow
 def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted(tmp_path, inputs):
     said: list[str] = []
     job = fresh(tmp_path, "out")
@@ -275,6 +281,7 @@ def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted
     assert len(avatar) == sizes["human"] - 1 - facts["strays"] + facts["lining"]
 
 
+@pytest.mark.slow
 def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
     xyz, rgb = read_points(inputs["sfm"] / "points.ply")
     eye = np.array([[1.0, 0, -3], [0.0, 0.001, -3]])  # where cameras stand
@@ -286,6 +293,7 @@ def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
     assert "1 points left out that lie on a camera" in said
 
 
+@pytest.mark.slow
 def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkeypatch):
     job = stopping(tmp_path, "job", after=4)
     with pytest.raises(Stopped):
@@ -305,6 +313,7 @@ def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkey
     assert (job.out / "checkpoint.pt").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_fewer_frames_are_spread_evenly(tmp_path, inputs):
     job, params = fresh(tmp_path, "out"), PARAMS.model_copy(update={"steps": 2, "frames_used": 3})
     train.run(job, params, **inputs)
@@ -312,6 +321,7 @@ def test_fewer_frames_are_spread_evenly(tmp_path, inputs):
     assert facts["train_frames"] == ["000000", "000003", "000005"], "of 0, 1, 3, 4, 5, 6"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "halves"), [(0.0, 0), (0.5, 4)])
 def test_the_first_steps_look_at_half_the_size(tmp_path, inputs, monkeypatch, share, halves):
     seen, real = [], Fit._learn
@@ -322,6 +332,7 @@ def test_the_first_steps_look_at_half_the_size(tmp_path, inputs, monkeypatch, sh
     assert seen[:8] == [HEIGHT // 2] * halves + [HEIGHT] * (8 - halves)
 
 
+@pytest.mark.slow
 def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
     decide(inputs["survey"], scene=False)
     job = fresh(tmp_path, "out")
@@ -332,6 +343,7 @@ def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
 DRAWN = ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
 
 
+@pytest.mark.slow
 def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, held):
     decide(inputs["survey"], **dict.fromkeys(DRAWN, True))
     job, training = fresh(tmp_path, "out"), trained(inputs)
@@ -348,13 +360,13 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     held(np.abs(clip.viewmats - training.fit.cameras().numpy()).max(), 1e-6)
     moved = np.abs(clip.viewmats - given.viewmats)[clip.training].max((1, 2))
     assert (moved > 1e-5).all() and moved.max() < 0.05
-    learned, _ = render.read_trained(job.out, "cpu")
+    learned = load_learned(*read_trained(job.out))
     for i in (2, 7):  # held out: as evaluation draws it, and as the film has it
         shot = evaluate.Shot(clip, learned, i, None, "cpu")
         wanted = (shot.draw(shot.pose)[0].numpy() * 255).round()
         (film,) = render._beside_truth(clip, learned, [i])
         assert np.abs(film[:, WIDTH:] - wanted).max() <= 1
-        still, pose = Learned(*learned[:2], FrameEffects()), pose_of(clip, i)
+        still, pose = Learned(*learned[:2], FrameEffects()), pose_of(clip.body, i)
         sharp = evaluate.Shot(clip, still, i, None, "cpu").draw(pose)[0].numpy() * 255
         assert np.abs(sharp - wanted).max() > 3
     decide(inputs["survey"])
@@ -362,6 +374,7 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     assert not (off.out / "effects.npz").exists() and not (off.out / "cameras.npz").exists()
 
 
+@pytest.mark.slow
 def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs):
     job = fresh(tmp_path, "out")
     train.run(job, PARAMS, **inputs)
@@ -391,6 +404,7 @@ def test_importing_the_stage_loads_nothing_heavy():
 ABLATIONS = {"lbs_learning": False, "human_densify": False, "human_loss": False, "triplane": False, "joint": False}
 
 
+@pytest.mark.slow
 def test_every_ablation_reaches_what_is_trained(inputs):
     for there, params in ((True, PARAMS), (False, PARAMS.model_copy(update=ABLATIONS))):
         training = trained(inputs, params)
@@ -440,6 +454,7 @@ def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path
 LEARNED = ("view_dependence", "sky", "transients", "antialias", "clothing")
 
 
+@pytest.mark.slow
 def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_path, inputs):
     plain, off, on = (fresh(tmp_path, name) for name in ("plain", "off", "on"))
     train.run(plain, PARAMS, **inputs)
@@ -463,17 +478,19 @@ def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_pa
     assert still.means.isfinite().all()
 
 
+@pytest.mark.slow
 def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
     decide(inputs["survey"], **dict.fromkeys((*DRAWN, *LEARNED), True))
     job = fresh(tmp_path, "out")
     train.run(job, PARAMS, **inputs)
     assert json.loads((job.out / "train.json").read_text())["left_out"] == 0
-    clip, (learned, _) = load_clip(inputs["sfm"], inputs["smpl"], job.out), render.read_trained(job.out, "cpu")
-    drawn = evaluate.Shot(clip, learned, 2, None, "cpu").draw(pose_of(clip, 2))[0]
+    clip, learned = load_clip(inputs["sfm"], inputs["smpl"], job.out), load_learned(*read_trained(job.out))
+    drawn = evaluate.Shot(clip, learned, 2, None, "cpu").draw(pose_of(clip.body, 2))[0]
     (film,) = render._beside_truth(clip, learned, [2])
     assert np.abs(film[:, WIDTH:] - (drawn.numpy() * 255).round()).max() <= 1
 
 
+@pytest.mark.slow
 def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):
     """A made-up clock: a step takes a second, whatever this machine is doing."""
     now = [0.0]
@@ -512,6 +529,7 @@ def test_an_effect_that_the_clock_does_not_see_is_not_said_to_save_time(tmp_path
     assert said[1] == "exposure: +1.0 / +1.0 dB on held-out frames, 10 s of training"
 
 
+@pytest.mark.slow
 def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path, inputs, monkeypatch):
     def breaks(fit, frames):
         raise FloatingPointError("too many bad steps")
@@ -543,12 +561,14 @@ def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
         train.run(fresh(tmp_path, "out"), PARAMS, **inputs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("steps", "group"), [(1, 2), (3, 5)])
 def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, steps, group):
     fit = trained(inputs, PARAMS.model_copy(update={"steps": steps, "views_per_decode": group})).fit
     assert fit.person.color_grad_sum.sum() > 0
 
 
+@pytest.mark.slow
 def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs):
     job, said = fresh(tmp_path, "out"), []
     job.emit = lambda event: said.append(event.get("text", ""))
@@ -569,6 +589,7 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
         assert any(part in text for text in said), part
 
 
+@pytest.mark.slow
 def test_a_training_that_breaks_down_while_it_is_timed_says_so(tmp_path, inputs, monkeypatch):
     def broken(fit, timings):
         raise FloatingPointError("20 bad steps in a row")

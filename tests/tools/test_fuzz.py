@@ -13,6 +13,7 @@ from tests.tools.mutations import DAMAGE, mutated, with_checksums
 TRIES = 5  # of each kind
 
 
+@pytest.mark.slow
 def test_i14_i15_every_kind_of_damaged_file_is_read_or_refused(whole, tmp_path):
     """In this process, so that it is quick; a crash inside a library ends the whole test run."""
     root = tmp_path / "root"
@@ -28,6 +29,7 @@ def test_i14_i15_every_kind_of_damaged_file_is_read_or_refused(whole, tmp_path):
     assert found == []
 
 
+@pytest.mark.slow
 def test_the_fuzzer_finds_bugs_files_elsewhere_memory_aborts_and_hangs(whole, monkeypatch):
     monkeypatch.setattr(fuzz, "LONGEST", 2.0)
     for kind, last in zip(faulty.KINDS, ("crashed exit code -6", "hung for 2 s"), strict=True):

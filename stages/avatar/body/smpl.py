@@ -19,6 +19,13 @@ class Body(nn.Module):
     Joints come from all vertices, whatever `vertices` is kept.
     """
 
+    v_template: Tensor
+    shapedirs: Tensor
+    posedirs: Tensor
+    lbs_weights: Tensor
+    joint_template: Tensor
+    joint_dirs: Tensor
+
     def __init__(self, model: records.BodyModel, dtype: torch.dtype = torch.float32):
         super().__init__()
         f64 = {
@@ -49,19 +56,6 @@ class Body(nn.Module):
         joints = self.joint_template + torch.einsum("jcb,...b->...jc", self.joint_dirs, betas)
         return vertices, joints
 
-    def joint_transforms(self, joints: Tensor, global_orient: Tensor, body_pose: Tensor) -> Tensor:
-        """Transforms A [..., 24, 4, 4] that carry the rest pose to the posed body: x_posed = sum_k w_k A_k x_rest.
-
-        `joints` [24,3] or [...,24,3] at rest, `global_orient` [...,3] and `body_pose` [...,69] rad. The root turns
-        about the pelvis joint, which stays where it is.
-        """
-        rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (24, 3)))
-        return self.transforms_of_rotations(joints, rotations)
-
-    def transforms_of_rotations(self, joints: Tensor, rotations: Tensor) -> Tensor:
-        """As `joint_transforms`, from the local rotations [..., 24, 3, 3] of all joints, root first."""
-        return rest_relative_transforms(joints, rotations, self.parents)
-
     def forward(self, betas: Tensor, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Posed vertices [F,V,3] and joints [F,24,3] in metres, pose correctives included.
 
@@ -69,7 +63,7 @@ class Body(nn.Module):
         """
         vertices, joints = self.rest(betas)
         rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (24, 3)))
-        transforms = self.transforms_of_rotations(joints, rotations)
+        transforms = rest_relative_transforms(joints, rotations, self.parents)
         if self.posedirs.shape[-1]:
             feature = (rotations[..., 1:, :, :] - torch.eye(3).to(rotations)).flatten(-3)
             vertices = vertices + torch.einsum("vcp,...p->...vc", self.posedirs, feature)
@@ -85,6 +79,11 @@ class Landmarks(nn.Module):
     Skinning is linear in the vertices: sum_v r_v sum_k w_vk A_k x_v = sum_k A_k (sum_v r_v w_vk x_v), and the brackets
     are linear in betas and pose correctives, so they are summed once. Equals `regressor @ vertices` of the full body.
     """
+
+    template: Tensor
+    shape: Tensor
+    pose: Tensor
+    mass: Tensor
 
     def __init__(self, body: Body, regressor: Tensor):
         """`regressor` [K,V] over all vertices of `body`."""
@@ -106,7 +105,7 @@ class Landmarks(nn.Module):
         """Landmarks [F,K,3] and joints [F,24,3] in metres; arguments as for Body."""
         joints = self.body.rest(betas)[1]
         rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (24, 3)))
-        transforms = self.body.transforms_of_rotations(joints, rotations)
+        transforms = rest_relative_transforms(joints, rotations, self.body.parents)
         sums = self.template[..., 0] + torch.einsum("lkcb,...b->...lkc", self.shape, betas)
         if self.pose.shape[-1]:
             feature = (rotations[..., 1:, :, :] - torch.eye(3).to(rotations)).flatten(-3)
@@ -119,7 +118,11 @@ class Landmarks(nn.Module):
 
 
 def rest_relative_transforms(joints: Tensor, rotations: Tensor, parents: list[int]) -> Tensor:
-    """Transforms A [...,24,4,4] of each bone from rest `joints` [24,3] or [...,24,3], local `rotations` [...,24,3,3]."""
+    """Transforms A [...,24,4,4] that carry the rest pose to the posed body: x_posed = sum_k w_k A_k x_rest.
+
+    `joints` [24,3] or [...,24,3] at rest, local `rotations` [...,24,3,3], root first. The root turns about the pelvis
+    joint, which stays where it is.
+    """
     joints = joints.expand(*rotations.shape[:-3], 24, 3)
     world_r, world_t = [rotations[..., :1, :, :]], [joints[..., :1, :]]
     order = [0]

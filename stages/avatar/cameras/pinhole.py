@@ -6,12 +6,18 @@ otherwise takes numpy arrays and torch tensors alike and returns the same kind.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeVar
+
 import numpy as np
 
+if TYPE_CHECKING:  # numpy's users need no torch
+    from torch import Tensor
+
+Array = TypeVar("Array", "np.ndarray", "Tensor")
 TINY_DEPTH = 1e-9  # a point in the camera plane is divided by this: far outside every image, but finite
 
 
-def project(points, viewmat, K):
+def project(points: Array, viewmat: Array, K: Array) -> tuple[Array, Array]:
     """Project world `points` [...,N,3] by camera_from_world `viewmat` [...,4,4] and `K` [...,3,3].
 
     Returns pixels [...,N,2] and depths z [...,N] in world units. Pixels of points with z <= 0 mean nothing; ask z.
@@ -23,7 +29,7 @@ def project(points, viewmat, K):
     return homogeneous[..., :2], z
 
 
-def camera_centers(viewmats):
+def camera_centers(viewmats: Array) -> Array:
     """Positions [...,3] of cameras `viewmats` [...,4,4] in the world."""
     return -(viewmats[..., :3, :3].mT @ viewmats[..., :3, 3:])[..., 0]
 

@@ -49,18 +49,27 @@ def load_learned(
     return Learned(load_avatar(avatar, device), drawn, load_effects(effects).to(device))
 
 
-def pose_of(clip, i: int) -> Pose:
-    """The person's pose in frame `i` of a `formats.clip.Clip`."""
-    return clip.body.global_orient[i], clip.body.body_pose[i], clip.body.transl[i]
+def pose_of(body: records.BodyPoses, i: int) -> Pose:
+    """The person's pose in frame `i`."""
+    return body.global_orient[i], body.body_pose[i], body.transl[i]
 
 
-def motion_at(learned: Learned, clip, i: int, shows_person: bool) -> Motion | None:
-    """How everything moves at frame `i` of a `formats.clip.Clip`; None where its camera took it in no time."""
+def motion_at(
+    learned: Learned,
+    cameras: records.Cameras,
+    moments: np.ndarray,
+    body: records.BodyPoses,
+    i: int,
+    shows_person: bool,
+) -> Motion | None:
+    """How everything moves at frame `i` of F, taken by `cameras` in metres at `moments` int[F]; None without a shutter
+    or readout that takes time.
+    """
     if not learned.effects.takes_time:
         return None
-    Ks = torch.as_tensor(clip.Ks).to(learned.avatar.joints)
-    speeds = Speeds(clip.viewmats, Ks, clip.height, clip.split.moments, clip.body.confidence > 0)
-    return speeds.at(i, (lambda j: learned.person(pose_of(clip, j)).means) if shows_person else None)
+    Ks = torch.as_tensor(cameras.Ks).to(learned.avatar.joints)
+    speeds = Speeds(cameras.viewmats, Ks, cameras.height, moments, body.confidence > 0)
+    return speeds.at(i, (lambda j: learned.person(pose_of(body, j)).means) if shows_person else None)
 
 
 def draw(
@@ -75,7 +84,10 @@ def draw(
 
     Sharp, and all at one moment, unless the shutter of `effects` and a `motion` are given.
     """
-    like = (human or scene).means
+    first = human or scene
+    if first is None:
+        raise ValueError("there is neither a person nor a scene to draw")
+    like = first.means
     layer = Layer(background=torch.full((3,), background).to(like))
     with torch.no_grad():
         (drawn,) = (effects or FrameEffects()).draw(human, scene, motion, camera.to(like), [layer])

@@ -28,6 +28,12 @@ class Clothing(nn.Module):
     Nodes and offsets are in the rest pose of the skeleton, from which every pose starts.
     """
 
+    nodes: Tensor
+    mean: Tensor
+    axes: Tensor
+    low: Tensor
+    high: Tensor
+
     def __init__(self, nodes: Tensor, mean: Tensor, axes: Tensor, low: Tensor, high: Tensor, offsets: Tensor):
         super().__init__()
         for name, value in {"nodes": nodes, "mean": mean, "axes": axes, "low": low, "high": high}.items():

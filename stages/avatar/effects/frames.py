@@ -86,15 +86,15 @@ class FrameEffects(nn.Module):
         layers: Sequence[Layer],
     ) -> list[Rendering] | list[Exposed]:
         """As `compose`, over the time that the shutter takes; without a `motion` at one moment."""
+        if motion is None or not self.takes_time:
+            return compose(human, scene, camera, layers)
+        both = ((human, motion.person), (scene, None))
 
         def at(time: Tensor) -> list[Rendering]:
             person, rest = (None if s is None else self._at(s, own, motion, time, camera.viewmat) for s, own in both)
             return compose(person, rest, camera, layers)
 
-        if motion is None or not self.takes_time:
-            return compose(human, scene, camera, layers)
-        both = ((human, motion.person), (scene, None))
-        return exposed(at, self.shutter) if self.blurs else at(motion.field.new_zeros(1))
+        return at(motion.field.new_zeros(1)) if self.shutter is None else exposed(at, self.shutter)
 
     def _at(self, splats: Splats, own: Tensor | None, motion: Motion, time: Tensor, viewmat: Tensor) -> Splats:
         speeds, spin = motion.of(splats, own), motion.field[:, :3]
@@ -118,9 +118,9 @@ class FrameEffects(nn.Module):
 
 def load_effects(effects: records.Effects) -> FrameEffects:
     """The effects that training found; nothing more to learn."""
-    shadow = None
-    if effects.light is not None:
-        numbers = effects.darkness, effects.softness, effects.density, effects.size
-        body = Casters(torch.as_tensor(effects.middles), torch.as_tensor(effects.covariances))
-        shadow = Shadow(torch.as_tensor(effects.light).float(), body, *numbers)
+    shadow, known = None, effects.known()
+    if "light" in known:  # and with it the rest of a shadow
+        numbers = (float(known[name]) for name in ("darkness", "softness", "density", "size"))
+        body = Casters(torch.as_tensor(known["middles"]), torch.as_tensor(known["covariances"]))
+        shadow = Shadow(torch.as_tensor(known["light"]).float(), body, *numbers)
     return FrameEffects(shadow, effects.shutter, effects.readout).requires_grad_(False)

@@ -64,6 +64,10 @@ class Shadow(nn.Module):
     part the shadow is even and its edge is sharp.
     """
 
+    frame: Tensor
+    middles: Tensor
+    covariances: Tensor
+
     def __init__(
         self,
         first: Tensor,

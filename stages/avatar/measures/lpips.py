@@ -24,6 +24,8 @@ class Lpips(nn.Module):
     become buffers, so nothing here is trained.
     """
 
+    colours: Tensor
+
     def __init__(self, arrays: Mapping[str, np.ndarray], dtype: torch.dtype = torch.float32):
         super().__init__()
         convolutions = sum(key.startswith("conv") and key.endswith("_w") for key in arrays)
@@ -52,7 +54,7 @@ class Lpips(nn.Module):
         pair = torch.cat([a.reshape(-1, *a.shape[-3:]), b.reshape(-1, *b.shape[-3:])])
         shift, scale = self.colours
         taps = self.taps((((pair if legacy else 2 * pair - 1) - shift) / scale).permute(0, 3, 1, 2))
-        distance = 0
+        distance = pair.new_zeros(())
         for i, tap in enumerate(taps):
             one, two = _unit(tap).chunk(2)
             head = getattr(self, f"lin{i}")
@@ -75,7 +77,8 @@ class Lpips(nn.Module):
         return taps
 
     def _vgg(self, x: Tensor) -> list[Tensor]:
-        taps, i = [], 0
+        taps: list[Tensor] = []
+        i = 0
         for depth in (2, 2, 3, 3, 3):
             x = max_pool2d(x, 2, 2) if taps else x
             for _ in range(depth):

@@ -9,18 +9,9 @@ from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.ssim import ssim
 
 
-def psnr(image: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
-    """-10 log10 of the mean squared error over all pixels and channels, in dB; values in [0, 1], infinite if equal.
-
-    `mask` [H,W] weighs the pixels (soft is fine). Raises ValueError for a mask that is empty: there is nothing to rate.
-    """
-    squared = (image - truth).square()
-    if mask is None:
-        return -10 * squared.mean().log10()
-    weight = mask.to(squared).sum()
-    if not weight > 0:
-        raise ValueError("cannot rate an empty mask")
-    return -10 * ((squared * mask.to(squared)[..., None]).sum() / (3 * weight)).log10()
+def psnr(image: Tensor, truth: Tensor) -> Tensor:
+    """-10 log10 of the mean squared error over all pixels and channels, in dB; values in [0, 1], infinite if equal."""
+    return -10 * (image - truth).square().mean().log10()
 
 
 def psnr_per_channel(image: Tensor, truth: Tensor) -> Tensor:
@@ -33,14 +24,14 @@ def scores(image: Tensor, truth: Tensor, lpips: Lpips | None = None) -> dict[str
 
     That is LPIPS without weights, and for pictures under `lpips.smallest` px.
     """
-    perceptual = lpips is not None and min(image.shape[:2]) >= lpips.smallest
+    perceptual = lpips if lpips is not None and min(image.shape[:2]) >= lpips.smallest else None
     with torch.no_grad():
         return {
             "psnr": float(psnr(image, truth)),
             "psnr_per_channel": float(psnr_per_channel(image, truth)),
             "ssim": float(ssim(image, truth)),
-            "lpips": float(lpips(image, truth)) if perceptual else None,
-            "lpips_legacy": float(lpips(image, truth, legacy=True)) if perceptual else None,
+            "lpips": None if perceptual is None else float(perceptual(image, truth)),
+            "lpips_legacy": None if perceptual is None else float(perceptual(image, truth, legacy=True)),
         }
 
 

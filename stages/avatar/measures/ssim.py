@@ -6,6 +6,8 @@ Pictures are shifted by the target's mean before variances are formed, so a flat
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -172,7 +174,7 @@ def _backward(image, target, mean, parts, window, scale, grad):
 
 class _Ssim(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, image, target):
+    def forward(ctx: Any, image: Tensor, target: Tensor) -> Tensor:
         a, b = (np.ascontiguousarray(t.detach().numpy()) for t in (image, target))
         height, width, _ = a.shape
         pitch = -(-width // LANES) * LANES
@@ -188,7 +190,7 @@ class _Ssim(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, upstream):
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         grad = np.empty_like(ctx.kept[0])
         _backward(*ctx.kept, WINDOW, np.float32(upstream.item() / grad.size), grad)
         return torch.from_numpy(grad), None

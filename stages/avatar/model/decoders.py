@@ -20,18 +20,16 @@ FAST = bool({"avx512bf16", "amx-bf16"} & {n for n, has in llvmlite.binding.get_h
 
 
 def _network(width: int, hidden: tuple[int, ...], out: int, generator: torch.Generator) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for size in hidden:
-        layers += [nn.Linear(width, size), nn.GELU()]
-        width = size
-    layers.append(nn.Linear(width, out))
-    for layer in layers[::2]:
+    widths = (width, *hidden, out)
+    linear = [nn.Linear(before, after) for before, after in zip(widths, widths[1:])]
+    for layer in linear:
         bound = layer.in_features**-0.5
         nn.init.uniform_(layer.weight, -bound, bound, generator=generator)
         nn.init.uniform_(layer.bias, -bound, bound, generator=generator)
-    nn.init.zeros_(layers[-1].weight)
-    nn.init.zeros_(layers[-1].bias)
-    return nn.Sequential(*layers)
+    nn.init.zeros_(linear[-1].weight)
+    nn.init.zeros_(linear[-1].bias)
+    *inner, last = linear
+    return nn.Sequential(*(part for layer in inner for part in (layer, nn.GELU())), last)
 
 
 def _run(network: nn.Sequential, features: Tensor) -> Tensor:

@@ -29,6 +29,12 @@ class HumanModel(nn.Module):
     without `lbs_learning` the skinning weights stay as they began; without `triplane` there are no networks.
     """
 
+    frames: Tensor
+    log_sizes: Tensor
+    logits: Tensor
+    sh_starts: Tensor
+    skin_logits: Tensor
+    homes: Tensor
     ROWS = (
         "frames",
         "log_sizes",
@@ -55,7 +61,8 @@ class HumanModel(nn.Module):
         super().__init__()
         triangles, (points, skinning) = subdivide(faces, rounds, vertices, weights)
         self.coefficients, joints = bases(sh_degree), weights.shape[1] if lbs_learning else 0
-        self.triplane = self.decoders = None
+        self.triplane: Triplane | None = None
+        self.decoders: Decoders | None = None
         if triplane:
             size = vertices.amax(0) - vertices.amin(0)
             pad = MARGIN * torch.maximum(size, size.max() * 0.25)
@@ -85,7 +92,7 @@ class HumanModel(nn.Module):
         correction of scale (log), opacity (logit) and place (in units of OFFSET).
         """
         out = self.own()
-        shared = self.decoders(self.triplane(self.xyz)) if self.triplane else {}
+        shared = self.decoders(self.triplane(self.xyz)) if self.triplane and self.decoders else {}
         out |= {name: said + out[name] if name in out else said for name, said in shared.items()}
         stray = self.triplane.outside(self.xyz) if self.triplane else self.xyz.new_zeros(())
         skin_logits = self.skin_logits + out["skin"] if "skin" in out else self.skin_logits

@@ -102,7 +102,8 @@ class SceneModel(nn.Module):
     def __init__(self, points: Tensor, rgb: Tensor, sh_degree: int, extent: float, antialias: bool = False):
         """points[P,3] m, rgb[P,3] in 0..1; raises ValueError when there is none."""
         super().__init__()
-        self.antialias, self.extent, self.shell, self.middle = antialias, extent, math.inf, None
+        self.antialias, self.extent, self.shell = antialias, extent, math.inf
+        self.middle: Tensor | None = None
         if len(points) == 0:
             raise ValueError("a scene needs at least one point")
         n = len(points)
@@ -130,7 +131,7 @@ class SceneModel(nn.Module):
     def sizes(self) -> Tensor:
         """Scales [N,3] in m by which each Gaussian is judged; on the shell as if it stood one extent away."""
         scales = self.log_scales.exp()
-        if math.isinf(self.shell):
+        if self.middle is None:
             return scales
         away = (self.means - self.middle).norm(dim=1, keepdim=True)
         return torch.where(away > 0.5 * self.shell, scales * self.extent / away, scales)
@@ -141,6 +142,7 @@ class SceneModel(nn.Module):
 
         3DGS-MCMC, section 3.4 (https://arxiv.org/abs/2404.09591), which pulls all: what no picture shows would vanish.
         """
+        assert self.logit_opacities.grad is not None and self.log_scales.grad is not None, "after a backward pass"
         taught = self.logit_opacities.grad != 0
         opacities, share = self.logit_opacities.sigmoid(), weight * taught / len(self)
         self.logit_opacities.grad += share * opacities * (1 - opacities)

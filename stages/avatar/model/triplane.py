@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -85,7 +86,7 @@ class _Features(torch.autograd.Function):
     """`features_reference`, fused, for float32 on a CPU; the same to the bit for any number of threads."""
 
     @staticmethod
-    def forward(ctx, u, table, resolution):
+    def forward(ctx: Any, u: Tensor, table: Tensor, resolution: int) -> Tensor:
         arrays = [np.ascontiguousarray(t.detach().numpy()) for t in (u, table)]
         out = np.empty((len(u), 3 * table.shape[1]), np.float32)
         _read(*arrays, resolution, out)
@@ -94,10 +95,10 @@ class _Features(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, upstream):
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, Tensor, None]:
         u, table, resolution = ctx.kept
         parts, n = -(-table.shape[1] // PART), len(u)
-        d_table, d_along, d_across = np.empty_like(table), *np.empty((2, 3 * parts, n), np.float32)
+        d_table, (d_along, d_across) = np.empty_like(table), np.empty((2, 3 * parts, n), np.float32)
         grad = np.ascontiguousarray(upstream.numpy())
         _read_backward(u, table, resolution, grad, d_table, d_along, d_across)
         d_u = np.zeros((n, 3), np.float32)
@@ -110,6 +111,9 @@ class _Features(torch.autograd.Function):
 
 class Triplane(nn.Module):
     """Three planes (xy, xz, yz) of `channels` x `resolution`^2 features over the box lower[3]..upper[3] in metres."""
+
+    lower: Tensor
+    upper: Tensor
 
     def __init__(self, lower: Tensor, upper: Tensor, channels: int, resolution: int, generator: torch.Generator):
         super().__init__()

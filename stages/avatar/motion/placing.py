@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from scipy.ndimage import grey_opening
 from scipy.spatial.transform import Rotation
 
+from stages import records
 from stages.avatar.body.smpl import Body
 from stages.avatar.motion.retarget import ANKLES, FEET, HIPS, Performance, leg_of
 
@@ -61,8 +62,8 @@ def face_ahead(motion: Performance, up: str) -> Performance:
 class Soles:
     """The soles of a body of one shape, as points of its skin."""
 
-    def __init__(self, model: Any, betas: np.ndarray):
-        """`model` has the fields of formats.body_model.BodyModel; `betas` [10]."""
+    def __init__(self, model: records.BodyModel, betas: np.ndarray):
+        """`betas` [10] give the body its shape."""
         body = Body(model, torch.float64)
         self.betas = torch.as_tensor(betas, dtype=torch.float64)
         skin, joints = body.rest(self.betas)

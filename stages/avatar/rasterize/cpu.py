@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,7 +35,20 @@ class _Rasterize(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, means, axes, opacities, colors, viewmat, camera, layers, antialias, near, extras, *backgrounds):
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        axes: Tensor,
+        opacities: Tensor,
+        colors: Tensor,
+        viewmat: Tensor,
+        camera: Camera,
+        layers: Sequence[Layer],
+        antialias: bool,
+        near: float,
+        extras: dict[str, Any],
+        *backgrounds: Tensor | None,
+    ) -> tuple[Tensor, ...]:
         _, K, width, height = camera
         arrays = [_array(t) for t in (means, axes, opacities, colors)]
         view, intrinsics = _array(viewmat, np.float64), _array(K, np.float64)
@@ -46,11 +60,12 @@ class _Rasterize(torch.autograd.Function):
         order = kernels.depth_order(records, radii)
         kept, pictures = [], []
         for layer, background in zip(layers, backgrounds, strict=True):
-            window = tuple(map(int, layer.window or (0, 0, width, height)))
+            left, top, right, bottom = map(int, layer.window or (0, 0, width, height))
+            window = left, top, right, bottom
             some = order if layer.rows is None else order[layer.rows.numpy()[order]]
             starts, rows, masks = tile_lists(some, records.reshape(-1), window, CHUNKS)
             ground = np.zeros(3, np.float32) if background is None else _array(background)
-            shape = (window[3] - window[1], window[2] - window[0])
+            shape = bottom - top, right - left
             image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
             finals, stops = (np.empty((len(starts) - 1, blend.AREA), kind) for kind in (np.float32, np.int32))
             place = (starts, rows, masks, records.reshape(-1), window, ground, threads, blend.IN_X, blend.IN_Y)
@@ -66,7 +81,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, *upstream):
+    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
         parts, radii, kept = ctx.kept
         n, threads = len(radii), kept[0][0][6]
         sums = _rows(threads * n).reshape(threads, n * kernels.ROW)
@@ -85,11 +100,11 @@ class _Rasterize(torch.autograd.Function):
             d_backgrounds.append(d_background)
         grads = [np.empty(s, np.float32) for s in ((n, 3), (n, 3, 3), (n,), (n, 3))]
         screen = [ctx.extras[name].numpy() for name in ("screen_grad", "screen_grad_abs")]
-        sums = sums.reshape(threads, n, kernels.ROW)
+        by_thread = sums.reshape(threads, n, kernels.ROW)
         camera = ctx.needs_input_grad[4]
-        d_view = kernels.project_backward(*parts, CHUNKS, radii, sums, camera, (*grads, *screen))
-        grads = [torch.from_numpy(g) for g in (*grads, d_view.astype(np.float32))]
-        return (*grads, *[None] * 5, *d_backgrounds)
+        d_view = kernels.project_backward(*parts, CHUNKS, radii, by_thread, camera, (*grads, *screen))
+        slopes = [torch.from_numpy(g) for g in (*grads, d_view.astype(np.float32))]
+        return (*slopes, *[None] * 5, *d_backgrounds)
 
 
 def rasterize(
@@ -101,22 +116,22 @@ def rasterize(
     """
     if len(layers) > LAYERS:
         raise ValueError(f"{len(layers)} layers, a row of gradients has room for {LAYERS}")
-    extras: dict = {}
+    extras: dict[str, Any] = {}
     grounds = [layer.background for layer in layers]
     *parts, antialias = gaussians
     pictures = _Rasterize.apply(*parts, camera.viewmat, camera, layers, antialias, near, extras, *grounds)
     drawn = []
     for number, layer in enumerate(layers):
         radii = extras["radii"] if layer.rows is None else torch.where(layer.rows, extras["radii"], 0)
-        screen = extras["screen_grad"], extras["screen_grad_abs"][number]
-        picture = pictures[3 * number : 3 * number + 3]
-        drawn.append(Rendering(*picture, extras["means2d"], radii, *screen, extras["dropped"]))
+        image, alpha, depth = pictures[3 * number : 3 * number + 3]
+        screen = extras["means2d"], radii, extras["screen_grad"], extras["screen_grad_abs"][number]
+        drawn.append(Rendering(image, alpha, depth, *screen, extras["dropped"]))
     return drawn
 
 
 class _Axes(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, quats, scales):
+    def forward(ctx: Any, quats: Tensor, scales: Tensor) -> Tensor:
         arrays = _array(quats), _array(scales)
         axes = np.empty((len(quats), 3, 3), np.float32)
         kernels.axes_forward(*arrays, CHUNKS, axes)
@@ -125,7 +140,7 @@ class _Axes(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, d_axes):
+    def backward(ctx: Any, d_axes: Tensor) -> tuple[Tensor, Tensor]:
         quats, scales, axes = ctx.kept
         d_quats, d_scales = np.empty_like(quats), np.empty_like(scales)
         kernels.axes_backward(quats, scales, axes, _array(d_axes), CHUNKS, d_quats, d_scales)

@@ -118,7 +118,9 @@ def _walk(order, records, left, top, width, height, bands, counts, writing, rows
                     counts[chunk, tile] += 1
 
 
-def tile_lists(order: np.ndarray, records: np.ndarray, window: tuple[int, int, int, int], chunks: int):
+def tile_lists(
+    order: np.ndarray, records: np.ndarray, window: tuple[int, int, int, int], chunks: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What each tile of a window (left, top, right, bottom) px has to blend: (starts [tiles+1], rows, masks).
 
     `order` lists Gaussians, nearest first, and records [N*16] is flat. Bit `8 row + column` of a mask stands for a block.

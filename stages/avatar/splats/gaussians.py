@@ -31,7 +31,9 @@ class Splats(NamedTuple):
 
     def detach(self) -> Splats:
         """The same without gradients."""
-        return self._replace(**{n: t.detach() for n, t in self._asdict().items() if isinstance(t, Tensor)})
+        turns = None if self.turns is None else self.turns.detach()
+        means, axes, opacities, sh = (part.detach() for part in self[:4])
+        return Splats(means, axes, opacities, sh, turns, self.antialias)
 
     def colors(self, camera_centre: Tensor) -> Tensor:
         """Colours [N,3] seen from `camera_centre`[3] in the world; a Gaussian at the centre itself gets degree 0."""

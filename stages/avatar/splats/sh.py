@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -45,23 +46,23 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
 class _NotBelowBlack(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, colors: Tensor) -> Tensor:
+    def forward(ctx: Any, colors: Tensor) -> Tensor:
         ctx.save_for_backward(colors)
         return colors.clamp_min(0)
 
     @staticmethod
-    def backward(ctx, slope: Tensor) -> Tensor:
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
         (colors,) = ctx.saved_tensors
         return torch.where((colors < 0) & (slope > 0), 0, slope)
 
 
 def sh_colors(sh: Tensor, directions: Tensor | None) -> Tensor:
-    """Colours [N,3], not below 0, of coefficients `sh`[N,K,3] seen along unit `directions`[N,3] (unused for K = 1).
+    """Colours [N,3], not below 0, of coefficients `sh`[N,K,3] seen along unit `directions`[N,3], or None for K = 1.
 
     The gradient passes through the clamp at 0 where it brightens, so that a colour that became too dark can return. One
     that darkens ends there: black that is wanted darker still would sink for ever, and the person's networks with it.
     """
-    if sh.shape[1] == 1:
+    if directions is None or sh.shape[1] == 1:
         colors = 0.5 + SH_C0 * sh[:, 0]
     else:
         basis = sh_basis(directions, math.isqrt(sh.shape[1]) - 1)

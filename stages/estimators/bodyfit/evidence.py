@@ -1,4 +1,4 @@
-"""What the body fit believes about each frame: BlazePose landmarks under the body model's names, sides and people voted."""
+"""BlazePose landmarks as evidence for the body fit: under the body model's names, of the right person, sides voted."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STAND_INS = {
 }
 """Model landmarks that BlazePose knows under another name, or as the middle of two (the knuckles)."""
 ARMS, LEGS = ("elbow", "wrist", "hand"), ("knee", "ankle", "heel", "big_toe", "foot")
-SWAP_COST = 1.0  # what believing in one wrong side costs, in units of a body height moved by the landmarks that swap
+SWAP_COST = 1.0  # cost of exchanging the sides of one frame, in units of a body height moved by the landmarks that swap
 STRANGER_JUMP = 0.75  # body heights from the middle of the neighbours to another person
 WINDOW = 4  # neighbours on each side for that middle
 # BlazePose draws people flat. Five synthetic clips: joints 4.16 cm off as it says, 3.99 with depths 1.3 times as large (3.96
@@ -58,7 +58,7 @@ def model_landmarks(model: BodyModel) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def gather(tracks: Sequence[Pose | None], names: tuple[str, ...]) -> LandmarkEvidence:
-    """BlazePose's answers (None: nobody) under the model's `names`."""
+    """BlazePose's poses (None: nobody was found) as evidence under the model's `names`."""
     sources = [[NAMES.index(s) for s in STAND_INS.get(name, (name,))] for name in names]
     count, points = len(tracks), len(names)
     xy, world, weight = np.zeros((count, points, 2)), np.zeros((count, points, 3)), np.zeros((count, points))
@@ -88,9 +88,9 @@ def _heights(xy: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray
 
 
 def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -> tuple[LandmarkEvidence, np.ndarray]:
-    """Forget frames whose landmarks lie on somebody else: away from the neighbours, or off the person's mask.
+    """Drop frames whose landmarks lie on somebody else: away from the neighbours, or off the person's mask.
 
-    Returns the evidence and which frames [F] were forgotten.
+    Returns the evidence and which frames [F] were dropped.
     """
     torso = [k for k, name in enumerate(evidence.names) if name.partition("_")[2] in ("shoulder", "hip")]
     middle = evidence.xy[:, torso].mean(1)
@@ -122,10 +122,10 @@ def mirrored_columns(names: tuple[str, ...], parts: tuple[str, ...] | None = Non
 
 
 def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray]:
-    """Exchange left and right (all, arms or legs) in the frames where the neighbours say so.
+    """Exchange left and right (of all, arms or legs) in the frames that contradict their neighbours.
 
-    A shortest path over the seen frames: a step costs how far the landmarks move, in picture and space, and each
-    exchange costs SWAP_COST, so that the sides BlazePose gives most often win. Returns which frames [F] were changed.
+    A shortest path over the seen frames (Viterbi): a step costs how far the landmarks move, in picture and space; an
+    exchange costs SWAP_COST, so the sides that BlazePose gives most often win. Returns which frames [F] were changed.
     """
     orders = [mirrored_columns(evidence.names, parts) for parts in ((), None, ARMS, LEGS)]
     frames = np.flatnonzero(evidence.seen)

@@ -12,11 +12,11 @@ import torch
 
 from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import Body
-from stages.estimators.bodyfit import scale as scales
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
+from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
 from stages.estimators.bodyfit.solve import Solver, State, World
-from stages.estimators.bodyfit.start import fill_limbs, fill_poses, place, start_pose, unwrap_rotations
+from stages.estimators.bodyfit.start import fill_limbs, fill_poses, solve_places, start_pose, unwrap_rotations
 from stages.records import BodyModel, BodyPoses, Cameras
 
 FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, then feet and scale as well
@@ -31,12 +31,25 @@ class BodyFit:
     scale: dict[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class _Inputs:
+    """What is known of all frames before the fit; as `fit_body` takes it."""
+
+    body: Body
+    model: BodyModel
+    regressor: np.ndarray
+    evidence: LandmarkEvidence
+    cameras: Cameras
+    times: np.ndarray
+    moving: bool
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Let torch compute on one thread.
 
-    Frames share vertices, and torch adds their gradients up in whatever order its threads come by: two runs on two threads
-    differed by up to 0.1 rad. On one thread they are bit for bit the same, and no slower: 21 s, on two 22 to 24 s (40 frames).
+    All frames index the same vertices. On several threads torch adds the gradients of such an index in whatever order the
+    threads come by, and two fits differed by up to 0.1 rad. One thread is not slower: 21 s for 40 frames, two take 22 to 24 s.
     """
     count = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -66,13 +79,14 @@ def fit_body(
     seen = np.flatnonzero(evidence.seen)
     body = Body(model)
     joints = body.rest(torch.zeros(10))[1].numpy().astype(np.float64)
-    solver = _make_solver(body, model, regressor, evidence, cameras, times, moving, seen)
+    inputs = _Inputs(body, model, regressor, evidence, cameras, times, moving)
+    solver = _make_solver(inputs, seen)
     root, local = start_pose(solver.evidence, joints)
     local = fill_limbs(rotvec_from_matrix(torch.tensor(local)).numpy(), solver.evidence, times[seen])
     pose = torch.tensor(unwrap_rotations(local), dtype=torch.float32)
     state = State(torch.tensor(root, dtype=torch.float32), torch.zeros(len(seen), 3), pose.flatten(1), torch.zeros(10))
-    start, _ = solver.posed(state)
-    shift = place(start.numpy().astype(np.float64), solver.evidence.xy, solver.evidence.weight, cameras.Ks[seen])
+    start, _ = solver.pose(state)
+    shift = solve_places(start.numpy().astype(np.float64), solver.evidence.xy, solver.evidence.weight, cameras.Ks[seen])
     state.place = torch.tensor(shift, dtype=torch.float32)
     total, borders, near = FIRST + OUTLINED + LAST, None, None
     if masks is not None:
@@ -80,64 +94,70 @@ def fit_body(
     state = solver.minimise(state, FIRST, None, False, lambda i, cost: progress(i, total, cost))
     state = solver.minimise(state, OUTLINED, near, False, lambda i, cost: progress(FIRST + i, total, cost))
 
-    found, floor = _find_scale(solver, state, cameras, points, seen, moving)
+    found, floor = _find_scale(solver, state, inputs, points, seen)
     state.scale = found["initial"]
-    solver, state = _all_frames(solver, state, body, model, regressor, evidence, cameras, times, seen, floor)
+    solver, state = _extend_to_all_frames(solver, state, inputs, seen, floor)
     state = solver.minimise(state, LAST, borders, True, lambda i, cost: progress(total - LAST + i, total, cost))
     with torch.no_grad():
-        pixels = solver.pixels(solver.posed(state)[0]).numpy()
+        pixels = solver.pixels(solver.pose(state)[0]).numpy()
     found["world_from_sfm"] = state.scale
-    return BodyFit(_poses(solver, state, cameras, evidence.seen.astype(np.float64)), pixels, found)
+    return BodyFit(_body_poses(solver, state, cameras, evidence.seen.astype(np.float64)), pixels, found)
 
 
-def _make_solver(body, model, regressor, evidence, cameras, times, moving, frames, floor=None) -> Solver:
-    """The solver of some frames. Camera centres are taken about their mean, so that float32 keeps what differs."""
+def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None) -> Solver:
+    """The solver of the frames `rows`. Camera centres are taken about their mean, so that float32 keeps what differs."""
+    evidence, cameras, times = inputs.evidence, inputs.cameras, inputs.times
     part = LandmarkEvidence(
         evidence.names,
-        *(getattr(evidence, key)[frames] for key in ("xy", "weight", "world", "seen", "height")),
+        *(getattr(evidence, key)[rows] for key in ("xy", "weight", "world", "seen", "height")),
     )
     middle = cameras.centers.mean(0)
     world = World(
-        torch.tensor(cameras.viewmats[frames, :3, :3], dtype=torch.float32),
-        torch.tensor(cameras.centers[frames] - middle, dtype=torch.float32),
-        torch.tensor(times[frames] - times[0], dtype=torch.float32),
-        moving,
+        torch.tensor(cameras.viewmats[rows, :3, :3], dtype=torch.float32),
+        torch.tensor(cameras.centers[rows] - middle, dtype=torch.float32),
+        torch.tensor(times[rows] - times[0], dtype=torch.float32),
+        inputs.moving,
         None if floor is None else torch.tensor(floor.normal, dtype=torch.float32),
         0.0 if floor is None else float(floor.height(middle)),
     )
-    faces = torch.tensor(model.faces.astype(np.int64))
-    return Solver(body, torch.tensor(regressor), faces, part, cameras.Ks[frames], world)
+    faces = torch.tensor(inputs.model.faces.astype(np.int64))
+    return Solver(inputs.body, torch.tensor(inputs.regressor), faces, part, cameras.Ks[rows], world)
 
 
-def _find_scale(solver, state, cameras, points, seen, moving):
+def _find_scale(
+    solver: Solver, state: State, inputs: _Inputs, points: np.ndarray | None, seen: np.ndarray
+) -> tuple[dict[str, Any], Floor | None]:
     """Metres per SfM unit before the joint solve, how it was found, and the floor."""
-    turn = solver.world.turn.double().numpy()
+    cameras, turn = inputs.cameras, solver.world.turn.double().numpy()
     with torch.no_grad():
         soles = solver.surface(state, solver.soles.flatten())[0]
         pixels = solver.pixels(soles).numpy()
         up = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
-    soles = (soles.double().numpy() @ turn).reshape(len(seen), 2, -1, 3)
+    feet = (soles.double().numpy() @ turn).reshape(len(seen), 2, -1, 3)
     times = solver.world.times.double().numpy()
-    views = scales.TimedCameras(cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times)
-    return scales.find_scale(views if moving else None, points, soles, pixels, solver.evidence.height, up)
+    path = TimedCameras(cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times)
+    return find_scale(path if inputs.moving else None, points, feet, pixels, solver.evidence.height, up)
 
 
-def _all_frames(solver, state, body, model, regressor, evidence, cameras, times, seen, floor):
+def _extend_to_all_frames(
+    solver: Solver, state: State, inputs: _Inputs, seen: np.ndarray, floor: Floor | None
+) -> tuple[Solver, State]:
     """Solver and state of all frames, from those of the seen ones; the others filled in between, in the world."""
-    every = np.arange(len(times))
-    whole = _make_solver(body, model, regressor, evidence, cameras, times, solver.world.moving, every, floor)
+    times = inputs.times
+    whole = _make_solver(inputs, np.arange(len(times)), floor)
     if len(seen) == len(times):
         return whole, state
     spot = solver.to_world(state, state.place[:, None], state.scale)[:, 0]
     orient = rotvec_from_matrix(solver.world.turn.mT @ state.root)
-    filled = fill_poses(*(np.asarray(a, np.float64) for a in (orient, spot, state.pose)), times[seen], times)
-    orient, spot, pose = (torch.tensor(a, dtype=torch.float32) for a in filled)
+    known = [np.asarray(part, np.float64) for part in (orient, spot, state.pose)]
+    filled = fill_poses(known[0], known[1], known[2], times[seen], times)
+    orient, spot, pose = (torch.tensor(part, dtype=torch.float32) for part in filled)
     turn = whole.world.turn
     place = (turn @ (spot - state.scale * whole.world.center)[..., None])[..., 0]
     return whole, replace(state, root=turn @ matrix_from_rotvec(orient), place=place, pose=pose)
 
 
-def _poses(solver: Solver, state: State, cameras: Cameras, confidence: np.ndarray) -> BodyPoses:
+def _body_poses(solver: Solver, state: State, cameras: Cameras, confidence: np.ndarray) -> BodyPoses:
     """The state as SMPL parameters in the world: X = R^T X_camera + s C; the root turns about the rest pelvis J0."""
     turn = torch.tensor(cameras.viewmats[:, :3, :3])
     pelvis = solver.body.rest(state.betas)[1][0].double()

@@ -1,4 +1,4 @@
-"""Which frame each pose of a fit belongs to: by picture name, by frame number or by time, never by place in a list."""
+"""Joins the poses of a fit to frames: by picture name, by frame number or by time, never by place in a list."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stages.contract import StageError
 from stages.formats.frame_names import number
 from stages.formats.given_fits.record import SmplFit
 
-GAP = 0.25  # s between poses over which nothing is made up
+GAP = 0.25  # s; poses farther apart are not interpolated
 HINT = "add `names` [N] to the file: the frame of each row, as in frames.json (the frame's number in the video)"
 _ROTATIONS = ("global_orient", "body_pose", "turns")
 _NUMBERS = ("betas", "transl", "scale")
@@ -30,7 +30,7 @@ def join_frames(
     a row, or two rows of a fit of one person claim one frame.
     """
     if fit.times is not None:
-        return _resample(fit, names, times)
+        return _resample(fit, fit.times, names, times)
     keys, wanted, sure = _keys(fit, names, sources)
     place = {key: i for i, key in enumerate(wanted)}
     pairs = [(place[key], row) for row, key in enumerate(keys) if key is not None and key in place]
@@ -44,7 +44,7 @@ def join_frames(
 
 
 def _keys(fit: SmplFit, names: Sequence[str], sources: Sequence[str]) -> tuple[list, list, bool]:
-    """What the rows and the frames are called where they are called alike; and whether that is more than a count."""
+    """Keys of the rows and of the frames that match each other; and whether they are names, not mere counts."""
     if fit.names is not None:
         stems = [Path(name).stem for name in fit.names]
         both = [list(names), [Path(name).stem for name in sources]]
@@ -81,20 +81,21 @@ def _check_once(keys: list, path: str) -> None:
         raise StageError(f"two rows of {path} name the same frame", HINT, [f"{', '.join(twice[:5])}"])
 
 
-def _resample(fit: SmplFit, names: Sequence[str], times: np.ndarray) -> tuple[SmplFit, np.ndarray]:
-    """Poses at the frames' times: rotations along the shortest turn, the rest along straight lines."""
-    step = float(np.median(np.diff(fit.times))) if len(fit) > 1 else 0.0
+def _resample(fit: SmplFit, taken: np.ndarray, names: Sequence[str], times: np.ndarray) -> tuple[SmplFit, np.ndarray]:
+    """The poses `taken` at times [N] s as they are at the frames' `times` [F] s.
+
+    Rotations take the shortest turn, the rest goes along straight lines.
+    """
+    step = float(np.median(np.diff(taken))) if len(fit) > 1 else 0.0
     times = np.asarray(times, np.float64)
     after = (
-        np.clip(np.searchsorted(fit.times, times), 1, max(len(fit) - 1, 1))
-        if len(fit) > 1
-        else np.zeros(len(times), int)
+        np.clip(np.searchsorted(taken, times), 1, max(len(fit) - 1, 1)) if len(fit) > 1 else np.zeros(len(times), int)
     )
     before = np.maximum(after - 1, 0)
-    width = fit.times[after] - fit.times[before]
-    share = np.clip((times - fit.times[before]) / np.where(width > 0, width, 1), 0, 1)
-    near = np.minimum(abs(times - fit.times[before]), abs(times - fit.times[after])) <= step / 2 + 1e-6
-    inside = (times >= fit.times[0]) & (times <= fit.times[-1]) & (width <= max(GAP, 3 * step))
+    width = taken[after] - taken[before]
+    share = np.clip((times - taken[before]) / np.where(width > 0, width, 1), 0, 1)
+    near = np.minimum(abs(times - taken[before]), abs(times - taken[after])) <= step / 2 + 1e-6
+    inside = (times >= taken[0]) & (times <= taken[-1]) & (width <= max(GAP, 3 * step))
     frames = np.flatnonzero(near | inside)
     if len(frames) < max(1, len(names) / 2):
         _refuse(fit, names, len(frames))

@@ -32,7 +32,7 @@ def import_fit(
     moving: bool,
     sources: tuple[str, ...] = (),
 ) -> tuple[BodyPoses, dict[str, Any]]:
-    """The fit as poses of all `cameras` (SfM units), and what was found: person, scale, notes.
+    """The fit as poses of all `cameras` (SfM units), and facts for smpl.json: person, scale, notes.
 
     `masks` [H,W] of each camera choose among several people; `sources` are the names of the pictures, if the clip came
     as pictures. A fit in SfM units brings its scale; for one in camera frames it is found from floor and feet. Frames
@@ -45,46 +45,48 @@ def import_fit(
     if fit.scale is not None:
         found: dict[str, Any] = {"how": "given by the imported fit"}
     else:
-        views = TimedCameras(cameras.viewmats[rows], cameras.Ks[rows], cameras.centers[rows], times[rows])
-        found = _scale(poses, model, views, points, moving)
+        path = TimedCameras(cameras.viewmats[rows], cameras.Ks[rows], cameras.centers[rows], times[rows])
+        found = _find_scale(poses, model, path, points, moving)
         scale = found["initial"]
-        moved = poses.transl + (scale - 1) * cameras.centers[rows]
-        poses = replace(poses, transl=moved, world_from_sfm=scale)
+        transl = poses.transl + (scale - 1) * cameras.centers[rows]
+        poses = replace(poses, transl=transl, world_from_sfm=scale)
     found["world_from_sfm"] = poses.world_from_sfm
     facts = {"scale": found, **person, "notes": [*fit.notes, *median_shape(fit)[1]]}
     if fit.joints2d is not None:
-        facts["tool_joints_off"] = _distance_from_tool_joints(fit, poses, cameras, rows, model)
-    return _complete(poses, rows, cameras.names, times), facts
+        facts["tool_joints_off"] = _distance_from_tool_joints(fit.joints2d, poses, cameras, rows, model)
+    return _fill_gaps(poses, rows, cameras.names, times), facts
 
 
 def _distance_from_tool_joints(
-    fit: SmplFit, poses: BodyPoses, cameras: Cameras, rows: np.ndarray, model: BodyModel
+    joints2d: np.ndarray, poses: BodyPoses, cameras: Cameras, rows: np.ndarray, model: BodyModel
 ) -> float | None:
-    """Median distance of the placed body's joints from where the tool drew them, as a share of the person's height."""
+    """Median distance of the placed body's joints from the tool's own `joints2d` [N,24,2] px, as share of the height."""
     zero = np.zeros((len(poses), 3))
     parts = (torch.tensor(a, dtype=torch.float32) for a in (poses.betas, poses.global_orient, poses.body_pose, zero))
     joints = Body(model)(*parts)[1].double().numpy() + poses.transl[:, None]
     pixels, _ = project(joints, rescale_viewmats(cameras.viewmats[rows], poses.world_from_sfm), cameras.Ks[rows])
     height = np.ptp(pixels[..., 1], axis=1)[:, None]
-    off = np.linalg.norm(pixels - fit.joints2d, axis=-1) / np.maximum(height, 1)
+    off = np.linalg.norm(pixels - joints2d, axis=-1) / np.maximum(height, 1)
     return None if np.isnan(off).all() else round(float(np.nanmedian(off)), 4)
 
 
-def _scale(poses, model, views, points, moving):
-    """The scale of `poses` that were placed with 1 m per SfM unit."""
+def _find_scale(
+    poses: BodyPoses, model: BodyModel, path: TimedCameras, points: np.ndarray | None, moving: bool
+) -> dict[str, Any]:
+    """The scale of `poses` that were placed with 1 m per SfM unit, and how it was found."""
     soles = sole_vertices(Body(model))
     vertices = np.stack(list(posed_vertices(model, poses)))
-    pixels, _ = project(vertices, views.viewmats, views.Ks)
+    pixels, _ = project(vertices, path.viewmats, path.Ks)
     extent = np.ptp(pixels, axis=1)
-    feet = vertices[:, soles.numpy()] - views.centers[:, None, None]
+    feet = vertices[:, soles.numpy()] - path.centers[:, None, None]
     up = matrix_from_rotvec(torch.tensor(poses.global_orient))[:, :, 1].mean(0).numpy()
     at_feet = pixels[:, soles.flatten().numpy()]
     height = np.hypot(extent[:, 0], extent[:, 1])
-    return find_scale(views if moving else None, points, feet, at_feet, height, up)[0]
+    return find_scale(path if moving else None, points, feet, at_feet, height, up)[0]
 
 
-def _complete(poses: BodyPoses, rows: np.ndarray, names: tuple[str, ...], times: np.ndarray) -> BodyPoses:
-    """`poses` of frames `rows` as poses of all `names`."""
+def _fill_gaps(poses: BodyPoses, rows: np.ndarray, names: tuple[str, ...], times: np.ndarray) -> BodyPoses:
+    """`poses` of the frames `rows` as poses of all `names`, the others filled in between with confidence 0."""
     orient, transl, pose = fill_poses(poses.global_orient, poses.transl, poses.body_pose, times[rows], times)
     confidence = np.zeros(len(names))
     confidence[rows] = poses.confidence

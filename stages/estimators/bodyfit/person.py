@@ -1,4 +1,4 @@
-"""Which of the people that a tool found is the masked one: the person whose outline lies on the masks."""
+"""Picks the masked person among the people that a tool found: the one whose outline lies on the masks."""
 
 from __future__ import annotations
 
@@ -24,25 +24,26 @@ NOWHERE = 0.1  # mean overlap under which a fit is of something else
 def choose_person(
     fit: SmplFit, frames: np.ndarray, cameras: Cameras, masks: list[np.ndarray], model: BodyModel
 ) -> tuple[SmplFit, np.ndarray, dict[str, Any]]:
-    """One row a frame, of the track that lies best on the masks: (fit, frames [M], what was found).
+    """The fit with one row a frame, of the track that lies best on the masks; its frames [M]; facts for smpl.json.
 
-    `frames` [N] says which camera each row belongs to. A track's say is the sum over its frames, so a person who is
-    followed for long wins over one who passes. StageError if nobody is where the masks are.
+    `frames` [N] is the camera of each row. A track scores the sum over its frames, so a person who is followed for long
+    wins over a passer-by. StageError if nobody is where the masks are.
     """
     overlap = overlaps(fit, frames, cameras, masks, model)
     tracks = np.array(fit.tracks if fit.tracks is not None else [""] * len(fit))
     best: dict[str, dict[int, int]] = {}
     for row in np.argsort(np.nan_to_num(overlap, nan=-1.0), kind="stable"):
         best.setdefault(str(tracks[row]), {})[int(frames[row])] = int(row)  # the best row of a frame comes last
-    say = {track: float(np.nansum(overlap[list(rows.values())])) for track, rows in best.items()}
-    chosen = max(sorted(say), key=lambda track: (say[track], len(best[track])))
+    score = {track: float(np.nansum(overlap[list(rows.values())])) for track, rows in best.items()}
+    chosen = max(sorted(score), key=lambda track: (score[track], len(best[track])))
     rows = [best[chosen][frame] for frame in sorted(best[chosen])]
     mean = {track: _mean(overlap[list(kept.values())]) for track, kept in best.items()}
-    if mean[chosen] is not None and mean[chosen] < NOWHERE:
-        facts = [f"the best of {len(best)} overlaps the masks by {100 * mean[chosen]:.0f} %, in {len(rows)} frames"]
+    most = mean[chosen]
+    if most is not None and most < NOWHERE:
+        facts = [f"the best of {len(best)} overlaps the masks by {100 * most:.0f} %, in {len(rows)} frames"]
         hint = "is it of this video, frame by frame, and in the camera's axes (x right, y down, z forward)?"
         raise StageError(f"{fit.path} shows nobody where the masks do", hint, facts)
-    found = {"tool": fit.tool, "person": chosen, "overlap": mean[chosen], "people": mean}
+    found = {"tool": fit.tool, "person": chosen, "overlap": most, "people": mean}
     return fit.rows(rows), frames[rows], found
 
 
@@ -53,9 +54,9 @@ def overlaps(
     names = tuple(cameras.names[i] for i in frames)
     poses = place_in_world(fit, names, cameras.viewmats[frames], cameras.Ks[frames], model, 1.0)
     body = Body(model).subset(torch.arange(0, len(model.v_template), EVERY))
-    f32 = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
-    zero = torch.zeros(len(fit), 3)
-    vertices = body(f32(poses.betas), f32(poses.global_orient), f32(poses.body_pose), zero)[0].double().numpy()
+    zero = np.zeros((len(fit), 3))
+    parts = (poses.betas, poses.global_orient, poses.body_pose, zero)
+    vertices = body(*(torch.tensor(part, dtype=torch.float32) for part in parts))[0].double().numpy()
     vertices = vertices + poses.transl[:, None]
     pixels, z = project(vertices, rescale_viewmats(cameras.viewmats[frames], poses.world_from_sfm), cameras.Ks[frames])
     ratio = min(1.0, SIDE / max(cameras.width, cameras.height))

@@ -1,4 +1,4 @@
-"""From the camera of the tool that fitted a body into the clip's cameras and its world."""
+"""Moves a body from the camera of the tool that fitted it into the clip's cameras and world."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ VARIES, EXTREME = 1e-3, 5.0
 
 
 def median_shape(fit: SmplFit) -> tuple[np.ndarray, tuple[str, ...]]:
-    """One shape for all rows, their median [10], and what there is to say of it."""
-    shape, notes = np.median(fit.betas, 0), ()
+    """One shape for all rows, their median [10], and notes on it."""
+    shape, notes = np.median(fit.betas, 0), []
     spread = np.ptp(fit.betas, axis=0).max()
     if spread > VARIES:
-        notes += (f"betas vary by up to {spread:.2g} over the frames; their median is kept",)
+        notes.append(f"betas vary by up to {spread:.2g} over the frames; their median is kept")
     if np.abs(shape).max() > EXTREME:
-        notes += (f"betas reach {np.abs(shape).max():.1f}: an extreme shape",)
-    return shape, notes
+        notes.append(f"betas reach {np.abs(shape).max():.1f}: an extreme shape")
+    return shape, tuple(notes)
 
 
 def place_in_world(
@@ -39,7 +39,7 @@ def place_in_world(
     transl = R^T (J0 + t) - J0 - w R^T T.
     """
     back = Rotation.from_matrix(viewmats[:, :3, :3]).inv()
-    centers = -back.apply(viewmats[:, :3, 3])
+    centers = -back.apply(viewmats[:, :3, 3])  # by scipy's exact rotation; `camera_centers` differs in the last bits
     regressor = model.J_regressor[0].astype(np.float64)
     rest = regressor @ model.v_template + fit.betas @ np.einsum("v,vcb->bc", regressor, model.shapedirs)
     rest = rest if fit.pelvis is None else np.tile(fit.pelvis, (len(fit), 1))
@@ -53,8 +53,8 @@ def place_in_world(
             raise ValueError("a fit in camera frames needs world_from_sfm")
         seen = pelvis + fit.transl
         _check_in_front(fit, names, seen)
-        if fit.focal is not None:
-            seen, turned = _through(seen, fit.focal, fit.center, Ks)
+        if fit.focal is not None and fit.center is not None:
+            seen, turned = _change_camera(seen, fit.focal, fit.center, Ks)
             orient = turned * orient
         away, orient = back.apply(seen), back * orient
     shape = median_shape(fit)[0]
@@ -63,7 +63,9 @@ def place_in_world(
     return BodyPoses(names, shape, orient.as_rotvec(), fit.body_pose, transl, np.ones(len(fit)), float(world_from_sfm))
 
 
-def _through(seen: np.ndarray, focal: np.ndarray, center: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, Rotation]:
+def _change_camera(
+    seen: np.ndarray, focal: np.ndarray, center: np.ndarray, Ks: np.ndarray
+) -> tuple[np.ndarray, Rotation]:
     """Points `seen` [N,3] m by cameras of `focal` [N] and `center` [N,2] px, where cameras `Ks` see them as large and
     on the same pixel; and how bodies there must turn to be seen from the same side.
 

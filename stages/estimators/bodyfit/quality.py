@@ -1,4 +1,4 @@
-"""How well a fitted body lies on the frames: outlines compared, landmarks compared, joints that jump."""
+"""Measures how well a fitted body lies on the frames: overlap of outlines, distance of landmarks, joints that jump."""
 
 from __future__ import annotations
 
@@ -51,7 +51,9 @@ def measure_quality(
             sure = evidence.weight[i] > 0.5
             if sure.any():
                 error[i] = off[i, sure].mean()
-                share[i] = np.median(off[i, sure]) / evidence.height[i]  # one wild landmark is no bad pose
+                share[i] = (
+                    np.median(off[i, sure]) / evidence.height[i]
+                )  # a median: one wrong landmark does not make a bad pose
     if masks is not None:
         views = rescale_viewmats(cameras.viewmats, poses.world_from_sfm)
         for i, vertices in enumerate(posed_vertices(model, poses)):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.avatar.cameras.pinhole import project
+from stages.avatar.cameras.pinhole import camera_centers, project
 
 NEAR_FEET = 0.5  # body heights in the picture within which a point may belong to the floor
 ENOUGH = 25  # points that make a floor
@@ -43,7 +43,7 @@ class TimedCameras:
 
 
 def find_scale(
-    views: TimedCameras | None,
+    path: TimedCameras | None,
     points: np.ndarray | None,
     soles: np.ndarray,
     pixels: np.ndarray,
@@ -52,19 +52,19 @@ def find_scale(
 ) -> tuple[dict[str, Any], Floor | None]:
     """Metres per SfM unit (`initial`), `how` it was found with numbers, and the floor if there is one.
 
-    `views` None: one fixed camera. `soles` [F,2,S,3] m of both feet from the camera, world axes, seen at `pixels`
+    `path` None: one fixed camera. `soles` [F,2,S,3] m of both feet from the camera, world axes, seen at `pixels`
     [F,2S,2]; `height` [F] px and mean `up` axis [3] of the person.
     """
-    if views is None:
+    if path is None:
         return {"initial": 1.0, "how": "one fixed camera: the world is its frame, in metres"}, None
     found: dict[str, Any] = {}
-    still = still_scale(soles.mean(2), views.centers, views.times)
+    still = still_scale(soles.mean(2), path.centers, path.times)
     if still is not None:
         found |= {"from_still_feet": still[0], "still_feet_error": still[1]}
     floor = None
     if points is not None:
-        floor = find_floor(points, views.viewmats, views.Ks, pixels, height, up)
-    on_floor = None if floor is None else floor_scale(floor, soles.reshape(len(soles), -1, 3), views.centers)
+        floor = find_floor(points, path.viewmats, path.Ks, pixels, height, up)
+    on_floor = None if floor is None else floor_scale(floor, soles.reshape(len(soles), -1, 3), path.centers)
     if floor is not None and on_floor is not None:
         found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
         return found | {"how": "the feet stand on the floor's SfM points"}, floor
@@ -92,7 +92,7 @@ def find_floor(
     if len(near) < ENOUGH:
         return None
     trust = np.exp(-((closest[closest < NEAR_FEET] / (NEAR_FEET / 2)) ** 2))
-    centers = -(viewmats[:, :3, :3].mT @ viewmats[:, :3, 3:])[..., 0]
+    centers = camera_centers(viewmats)
     limit = INLIER * np.median(np.linalg.norm(near[:, None] - centers[None, :: max(1, len(centers) // 8)], axis=-1))
     rng = np.random.default_rng(0)
     triples = near[np.stack([rng.choice(len(near), 3, replace=False) for _ in range(TRIALS)])]

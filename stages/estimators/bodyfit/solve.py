@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.smpl import Body, Landmarks, vertex_normals
+from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, vertex_normals
 from stages.avatar.splats.neighbours import spread_out
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
@@ -60,7 +60,7 @@ class State:
 
 @dataclass(frozen=True)
 class World:
-    """What ties camera frames together: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s, and
+    """The world of the camera frames: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s, and
     the floor's normal [3] and offset (None: no floor known). `moving` False: one camera, its frame is the world."""
 
     turn: Tensor
@@ -100,9 +100,9 @@ class Solver:
         self.coarse = self.dense[:COARSE]
         self.soles = sole_vertices(body)
         self.normals = vertex_normals(body.v_template, faces)
-        self.rim: Tensor | None = None
+        self.rim = torch.zeros(len(evidence.seen), 0, dtype=torch.long)  # until `match_outlines`
 
-    def posed(self, state: State) -> tuple[Tensor, Tensor]:
+    def pose(self, state: State) -> tuple[Tensor, Tensor]:
         """Landmarks [F,K,3] and joints [F,24,3] in camera axes, metres."""
         zero = state.pose.new_zeros(len(state.pose), 3)
         points, joints = self.landmarks(state.betas, zero, state.pose, zero)
@@ -118,7 +118,7 @@ class Solver:
         rest, joints = body.rest(state.betas)
         local = state.pose.unflatten(-1, (23, 3))
         turns = matrix_from_rotvec(torch.cat([local.new_zeros(len(local), 1, 3), local], 1))
-        transforms = body.transforms_of_rotations(joints, turns)
+        transforms = rest_relative_transforms(joints, turns, body.parents)
         points = rest[vertices]
         if body.posedirs.shape[-1]:
             feature = (turns[:, 1:] - torch.eye(3)).flatten(-3)
@@ -193,8 +193,8 @@ class Solver:
         soles = self.surface(state, self.soles.flatten())[0]
         return self.to_world(state, soles, scale).unflatten(1, self.soles.shape)
 
-    def standing(self, feet: Tensor, scale: float) -> Tensor:
-        """How much each foot stands [F,2], 0..1: it hardly moves, and is on the floor where the floor is known."""
+    def stance(self, feet: Tensor, scale: float) -> Tensor:
+        """Weight [F,2] in 0..1 of each foot as standing: it hardly moves, and is on the floor if the floor is known."""
         middle = feet.mean(2)
         if len(middle) < 2:
             return middle.new_zeros(middle.shape[:2])
@@ -238,16 +238,20 @@ class Solver:
         if in_world and self.world.moving and self.world.normal is None:
             groups.append((log_scale, 0.004))  # on a floor the robust first scale is the better one (by 2 % once)
         adam = torch.optim.Adam([{"params": [p], "lr": lr} for p, lr in groups], betas=(0.9, 0.98))
-        warm = lambda i: min(1.0, (i + 1) / 10) * (0.02 + 0.98 * 0.5 * (1 + np.cos(np.pi * i / steps)))  # noqa: E731
-        schedule = torch.optim.lr_scheduler.LambdaLR(adam, warm)
-        root, stands = state.root, None
+
+        def rate(i: int) -> float:
+            """Share of the learning rates at step `i`: ten steps up, then a cosine down."""
+            return min(1.0, (i + 1) / 10) * (0.02 + 0.98 * 0.5 * (1 + np.cos(np.pi * i / steps)))
+
+        schedule = torch.optim.lr_scheduler.LambdaLR(adam, rate)
+        root, stands = state.root, torch.zeros(len(state.pose), 2)
         for i in range(steps):
             z = ray[:, 2:].exp()
             scale = log_scale.exp()
             now = State(matrix_from_rotvec(turn) @ root, torch.cat([ray[:, :2] * z, z], 1), pose, betas)
             if i % 25 == 0 and outlines is not None:
                 self.match_outlines(now, outlines)
-            points, joints = self.posed(now)
+            points, joints = self.pose(now)
             cost = self.picture_cost(now, points)
             if outlines is not None:
                 cost = cost + self.outline_cost(now, outlines)
@@ -258,7 +262,7 @@ class Solver:
             if in_world:
                 feet = self.feet(now, scale)
                 if i % 25 == 0:
-                    stands = self.standing(feet.detach(), float(scale.detach()))
+                    stands = self.stance(feet.detach(), float(scale.detach()))
                 total = total + self.feet_cost(now, feet, stands, scale)
             adam.zero_grad()
             total.backward()

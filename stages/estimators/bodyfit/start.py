@@ -26,25 +26,27 @@ def start_pose(evidence: LandmarkEvidence, joints: np.ndarray) -> tuple[np.ndarr
     count = len(evidence.seen)
     at = {name: evidence.world[:, k] for k, name in enumerate(evidence.names)}
     rest = {name: joints[i] for i, name in enumerate(JOINT_NAMES)}
-    across = unit(unit(at["left_hip"] - at["right_hip"]) + unit(at["left_shoulder"] - at["right_shoulder"]))
-    up = unit(at["left_shoulder"] + at["right_shoulder"] - at["left_hip"] - at["right_hip"])
+    across = normalize(
+        normalize(at["left_hip"] - at["right_hip"]) + normalize(at["left_shoulder"] - at["right_shoulder"])
+    )
+    up = normalize(at["left_shoulder"] + at["right_shoulder"] - at["left_hip"] - at["right_hip"])
     root = rotations_of_axes(up, across) @ rotations_of_axes(np.array([0.0, 1, 0]), np.array([1.0, 0, 0])).T
     local = np.tile(np.eye(3), (count, 23, 1, 1))
     for start, middle, end, axis in LIMBS:
-        upper, lower = unit(at[middle] - at[start]), unit(at[end] - at[middle])
-        rest_upper = unit(rest[middle] - rest[start])
-        rest_axis = unit(np.array(axis) - (np.array(axis) @ rest_upper) * rest_upper)
+        upper, lower = normalize(at[middle] - at[start]), normalize(at[end] - at[middle])
+        rest_upper = normalize(rest[middle] - rest[start])
+        rest_axis = normalize(np.array(axis) - (np.array(axis) @ rest_upper) * rest_upper)
         plain = root @ rest_axis
         bent = np.cross(upper, lower)
         trusted = np.clip(np.linalg.norm(bent, axis=-1, keepdims=True) / STRAIGHT, 0, 1)
         if middle.endswith("knee"):  # a knee that bends forward is noise
             trusted = trusted * ((bent * plain).sum(-1, keepdims=True) > 0)
-        hinge = unit(trusted * unit(bent) + (1 - trusted) * plain)
-        hinge = np.where(np.abs((hinge * upper).sum(-1, keepdims=True)) > 0.98, unit(np.cross(upper, up)), hinge)
+        hinge = normalize(trusted * normalize(bent) + (1 - trusted) * plain)
+        hinge = np.where(np.abs((hinge * upper).sum(-1, keepdims=True)) > 0.98, normalize(np.cross(upper, up)), hinge)
         whole = rotations_of_axes(upper, hinge) @ rotations_of_axes(rest_upper, rest_axis).T
         local[:, JOINT_NAMES.index(start) - 1] = root.transpose(0, 2, 1) @ whole
         angle = np.arctan2(np.linalg.norm(bent, axis=-1), (upper * lower).sum(-1)) * trusted[:, 0]
-        local[:, JOINT_NAMES.index(middle) - 1] = turns(rest_axis, angle)
+        local[:, JOINT_NAMES.index(middle) - 1] = rotations_about(rest_axis, angle)
     root[~evidence.seen], local[~evidence.seen] = np.eye(3), np.eye(3)
     return root, local
 
@@ -67,7 +69,7 @@ def fill_limbs(pose: np.ndarray, evidence: LandmarkEvidence, times: np.ndarray) 
     return filled
 
 
-def place(points: np.ndarray, xy: np.ndarray, weight: np.ndarray, K: np.ndarray) -> np.ndarray:
+def solve_places(points: np.ndarray, xy: np.ndarray, weight: np.ndarray, K: np.ndarray) -> np.ndarray:
     """Translations [F,3] m that bring camera-axes `points` [F,K,3] onto pixels `xy` [F,K,2], by weighted least squares.
 
     Three rounds, each trusting a point less the further off it was; never nearer than half a metre.
@@ -115,18 +117,18 @@ def unwrap_rotations(rotvecs: np.ndarray) -> np.ndarray:
     return out
 
 
-def unit(v: np.ndarray) -> np.ndarray:
-    """Vectors [...,3] of length one; a zero vector stays zero."""
+def normalize(v: np.ndarray) -> np.ndarray:
+    """Vectors [...,3] scaled to length 1; a zero vector stays zero."""
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
 
 
 def rotations_of_axes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Rotations [...,3,3] whose first column is `first` and whose second is `second` made square to it."""
-    second = unit(second - (first * second).sum(-1, keepdims=True) * first)
+    second = normalize(second - (first * second).sum(-1, keepdims=True) * first)
     return np.stack(np.broadcast_arrays(first, second, np.cross(first, second)), -1)
 
 
-def turns(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def rotations_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Rotations [F,3,3] about one unit `axis` [3] by `angle` [F] rad."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -1,4 +1,4 @@
-"""What makes a body pose likely: joints that bend as joints do, steady motion, an outline that lies on the mask's."""
+"""Costs of the body fit: joints that bend as joints do, steady motion, an outline that lies on the mask's."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FIELD_SIDE = 256  # px of the longer side of the distance fields
 
 
 def geman_mcclure(squared: Tensor, reach: float) -> Tensor:
-    """Geman-McClure: like `squared` (in standard deviations) near zero, never above reach**2."""
+    """Geman and McClure's robust cost (1987): like `squared` (in standard deviations) near zero, never above reach**2."""
     return squared / (1 + squared / reach**2)
 
 
@@ -113,9 +113,15 @@ def outlines(masks: list[np.ndarray]) -> Outlines:
         points[i], normals[i] = line[pick] + 0.5, outward[pick]
         inner = (points[i] > 4).all(1) & (points[i] < np.array([columns, rows]) - 4).all(1)
         weight[i] = inner
-    tensors = [torch.tensor(a, dtype=torch.float32) for a in (points, normals, weight, field)]
     known = torch.tensor(weight.sum(1) > CONTOUR_POINTS // 4)
-    return Outlines(*tensors, torch.tensor([columns, rows], dtype=torch.float32), known)
+    return Outlines(
+        points=torch.tensor(points, dtype=torch.float32),
+        normals=torch.tensor(normals, dtype=torch.float32),
+        weight=torch.tensor(weight, dtype=torch.float32),
+        field=torch.tensor(field, dtype=torch.float32),
+        size=torch.tensor([columns, rows], dtype=torch.float32),
+        known=known,
+    )
 
 
 def _smooth_contour(piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

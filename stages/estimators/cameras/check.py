@@ -1,4 +1,4 @@
-"""Do the cameras of another program fit the frames? Asked of feature matches, or of the points that came along."""
+"""Checks whether the cameras of another program fit the frames: by feature matches, or by the colours of given points."""
 
 from __future__ import annotations
 
@@ -9,17 +9,22 @@ import numpy as np
 from stages.avatar.cameras.pinhole import project
 from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap
+from stages.estimators.cameras.colmap import Cloud
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
 from stages.formats.images import read_image
 
-MATCHES_OFF = 0.01  # of the longer side: verified matches that lie farther from their epipolar lines deny the cameras
-COLORS_FIT = 0.5  # correlation of the points' colours with the frames' below which cameras are doubted; true ones: 0.9
+MATCHES_OFF = (
+    0.01  # of the longer side: verified matches that lie farther from their epipolar lines contradict the cameras
+)
+COLORS_FIT = (
+    0.5  # correlation of the points' colours with the frames' below which cameras are doubtful; true ones have 0.9
+)
 LOOKED_AT = 12  # frames in which the points' colours are compared
 
 
 def triangulate(job: Job, found: Pinholes, size: tuple[int, int], features: int, scratch: Path) -> None:
-    """Fill in the model of given cameras without points; StageError if the frames' matches deny the cameras.
+    """Triangulate points for given cameras without points; StageError if the frames' matches contradict the cameras.
 
     Takes about `features` SIFT features a frame from the undistorted images/ and masks/ in `job.out`.
     """
@@ -36,7 +41,7 @@ def triangulate(job: Job, found: Pinholes, size: tuple[int, int], features: int,
     error = match_error(pairs, found.viewmats, found.Ks)
     found.facts |= {"verified_pairs": len(pairs), "epipolar_px": error}
     if error is None:
-        job.warn("no two frames show the same thing outside the person, so the given cameras could not be checked")
+        job.warn("no two frames match outside the person, so the given cameras could not be checked")
         return
     if error > MATCHES_OFF * side:
         raise StageError(
@@ -44,12 +49,12 @@ def triangulate(job: Job, found: Pinholes, size: tuple[int, int], features: int,
             "check that they belong to this clip, that frame numbers count from the same frame (`--set "
             "sfm.cameras_from=0` or `=1`), and the axes: OpenGL's in transforms.json, OpenCV's in COLMAP and cameras.npz",
             [
-                f"matched points lie {error:.1f} px from where the cameras put them (median), at most {MATCHES_OFF * side:.1f} px",
+                f"matched points lie {error:.1f} px off their epipolar lines (median); the limit is {MATCHES_OFF * side:.1f} px",
                 f"{len(pairs)} pairs of frames were matched",
             ],
         )
     found.model = colmap.triangulate(database, images, scratch / "model", files, found.viewmats, found.Ks, size)
-    job.note(f"points by COLMAP from the given cameras; matches lie {error:.2f} px from where these put them (median)")
+    job.note(f"points by COLMAP from the given cameras; matches lie {error:.2f} px off their epipolar lines (median)")
 
 
 def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray) -> float | None:
@@ -70,27 +75,27 @@ def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray) -> floa
     return float(np.median(np.concatenate(found))) if found else None
 
 
-def compare_colors(job: Job, found: Pinholes) -> None:
-    """Say whether the points that came with given cameras have the colours of the frames where they fall."""
-    alike = color_agreement(job.out / "images", found)
+def compare_colors(job: Job, found: Pinholes, cloud: Cloud) -> None:
+    """Compare the colours of given points with the frames where they project; a note or a warning gives the result."""
+    alike = color_agreement(job.out / "images", found, cloud)
     found.facts["colour_correlation"] = alike
     if alike is None:
         job.warn("the given points have no colours, so the given cameras could not be checked")
     elif alike < COLORS_FIT:
         job.warn(
-            f"the given points have other colours than the frames where they fall (correlation {alike:.2f}, usual is "
+            f"the given points have other colours than the frames where they project (correlation {alike:.2f}, usual is "
             "0.9): the cameras may belong to another clip, or their frame numbers may count from another frame"
         )
     else:
-        job.note(f"{len(found.cloud.ids)} points as given; they have the frames' colours (correlation {alike:.2f})")
+        job.note(f"{len(cloud.ids)} points as given; they have the frames' colours (correlation {alike:.2f})")
 
 
-def color_agreement(images: Path, found: Pinholes) -> float | None:
-    """Correlation between the brightness of given points and of the pixels they fall on; None if it means nothing.
+def color_agreement(images: Path, found: Pinholes, cloud: Cloud) -> float | None:
+    """Correlation of the brightness of given points with the pixels they project to; None with too few or without contrast.
 
-    Each point is looked up where its track says that it was seen, in a few frames of `images`.
+    Each point is compared in those of a few frames of `images` that its track lists.
     """
-    cloud, seen_at = found.cloud, []
+    seen_at = []
     point = np.repeat(np.arange(len(cloud.tracks)), [len(track) for track in cloud.tracks])
     frame = np.concatenate([*cloud.tracks, np.zeros(0, np.int64)])
     for i in np.unique(np.linspace(0, len(found.names) - 1, LOOKED_AT).round().astype(int)):

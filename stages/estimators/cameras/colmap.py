@@ -27,7 +27,7 @@ CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 
 
 @dataclass(frozen=True)
 class Model:
-    """One reconstruction, and the numbers that tell whether to believe it."""
+    """One reconstruction, and the numbers by which its quality is judged."""
 
     reconstruction: pycolmap.Reconstruction
 
@@ -52,15 +52,15 @@ class Model:
         return self.reconstruction.compute_mean_reprojection_error()
 
     @property
-    def posed(self) -> dict[str, np.ndarray]:
+    def poses(self) -> dict[str, np.ndarray]:
         """Camera from world [3,4] of each frame with a pose, by the frame's name."""
         images = (image for image in self.reconstruction.images.values() if image.has_pose)
         return {image.name.removesuffix(".png"): image.cam_from_world().matrix() for image in images}
 
     def placed_frames(self, names: list[str]) -> np.ndarray:
         """Which of the frames have a pose [C] bool."""
-        posed = self.posed
-        return np.array([name in posed for name in names])
+        poses = self.poses
+        return np.array([name in poses for name in names])
 
     def facts(self) -> dict:
         """What sfm.json says of every model that was made."""
@@ -173,7 +173,7 @@ def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal:
     adjustment = options.mapper.bundle_adjustment
     adjustment.refine_focal_length = not fixed_focal
     if count <= DENSE:
-        adjustment.ceres.solver_options.linear_solver_type = "DENSE_SCHUR"
+        adjustment.ceres.solver_options.linear_solver_type = "DENSE_SCHUR"  # type: ignore[assignment]  # takes names
     out.mkdir()
     models = pycolmap.global_mapping(database, images, out, options)
     return [Model(model) for model in models.values()]

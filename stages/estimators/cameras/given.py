@@ -1,4 +1,4 @@
-"""Cameras of another program joined to a clip's frames: which is whose, and the pinhole in place of its lens."""
+"""Joins cameras of another program to a clip's frames, and replaces their lenses by pinholes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 
 from stages.avatar.cameras import lens as lenses
-from stages.avatar.cameras.pinhole import camera_centers
+from stages.avatar.cameras.pinhole import camera_centers, pinhole
 from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap
 from stages.estimators.cameras.sparse_model import Pinholes
 from stages.formats.datasets.undistorted import Grid
 from stages.formats.facts import Listing
-from stages.formats.frame_names import count_from_one, join, named, number, stem
+from stages.formats.frame_names import count_from_one, has_sources, join, number, stem
 from stages.formats.given_cameras.recognize import read_camera_files
 from stages.formats.given_cameras.record import GivenCameras, Lens, widest_angles
 from stages.formats.images import same_shape
@@ -24,7 +24,7 @@ STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that mo
 
 
 def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, first: Literal["auto", 0, 1]) -> Pinholes:
-    """The cameras in `path` of the frames in `listing` (frames.json); StageError where they cannot be the frames' own.
+    """The cameras in `path` of the frames in `listing` (frames.json); StageError if they cannot belong to these frames.
 
     At least `min_share` of the frames need a camera. `first` is the number of the video's first frame in the names.
     """
@@ -33,9 +33,9 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
     rows = match_frames(given, listing, min_share, first)
     own = given.lenses[0]
     if not same_shape((own.width, own.height), (width, height)):
-        facts = [f"cameras for {own.width}x{own.height}, frames {width}x{height}"]
         hint = "give cameras of the same pictures; their size may differ, their shape not"
-        raise StageError("the given cameras are not for these frames", hint, facts)
+        fact = f"cameras for {own.width}x{own.height}, frames {width}x{height}"
+        raise StageError("the given cameras are not for these frames", hint, [fact])
     order = list(rows.values())
     made = {lens: straighten(lens, *size) for lens in {given.lenses[i] for i in order}}
     Ks, grids, shifts = zip(*(made[given.lenses[i]] for i in order), strict=True)
@@ -67,16 +67,15 @@ def match_frames(
     names, total = [frame.name for frame in listing.frames], listing.video.frames
     numbers = {number(name) for name in stems}
     picked = len(names) < total and set(stems) <= set(names)  # the frames of an earlier run
-    if first == "auto":
-        first = int(count_from_one(listing, stems))
-        if not (named(listing) or first or 0 in numbers or picked or numbers == {None}):
-            facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
-            hint = (
-                "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "
-                "every few frames of the video, give their folder in place of the video"
-            )
-            raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
-    rows = join(listing, stems, first, "cameras")
+    start = int(count_from_one(listing, stems)) if first == "auto" else first
+    if first == "auto" and not (has_sources(listing) or start or 0 in numbers or picked or numbers == {None}):
+        facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
+        hint = (
+            "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "
+            "every few frames of the video, give their folder in place of the video"
+        )
+        raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
+    rows = join(listing, stems, start, "cameras")
     missing = [name for name in names if name not in rows]
     if len(rows) < math.ceil(min_share * len(names)):
         facts = [
@@ -130,7 +129,7 @@ def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, Grid | 
         raise StageError(
             str(error), "undistort the pictures in the program that found the cameras, and give both"
         ) from error
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    K = pinhole(focal, width, height)
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(x - width / 2) / focal, (y - height / 2) / focal, np.ones_like(x)], -1).reshape(-1, 3)
     source = (camera.img_from_cam(rays) * scale - 0.5).astype(np.float32).reshape(height, width, 2)

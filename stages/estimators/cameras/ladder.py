@@ -17,7 +17,7 @@ from stages.contract import Job
 from stages.estimators.cameras import colmap
 from stages.estimators.cameras.colmap import Model
 
-GOOD_SHARE = 0.9  # of the frames: a model with fewer is not good enough to stop at
+GOOD_SHARE = 0.9  # of the frames: a model with fewer is not good enough to stop
 MAX_ERROR = 2.0  # px: a model that is off by more on average is not believed
 FEW_POINTS = 100  # with fewer, poses hang in the air and are no model: a turn mapped as a walk had 0, at 0 px error
 SANE_FOCAL = (0.3, 3.0)  # of the longer side; a phone has 0.75 to 2
@@ -42,7 +42,7 @@ class Matched:
     fixed_focal: bool
 
     def doubts(self, model: Model) -> list[str]:
-        """What is hard to believe about a model, in words."""
+        """What makes a model look unreliable, in words."""
         found = []
         if not self.fixed_focal and not SANE_FOCAL[0] < model.focal / self.side < SANE_FOCAL[1]:
             found.append(f"a focal length of {model.focal:.0f} px for frames of {self.side} px")
@@ -51,11 +51,11 @@ class Matched:
         return found
 
     def usable(self, model: Model) -> bool:
-        """Whether enough frames have a pose, and poses that can be believed."""
+        """Whether enough frames have a pose, and nothing makes the model look unreliable."""
         return model.registered >= self.need and not self.doubts(model)
 
     def good(self, model: Model) -> bool:
-        """Whether there is no point in trying another way."""
+        """Whether the model is so good that no other rung is tried."""
         return model.registered >= GOOD_SHARE * self.count and self.usable(model)
 
     def rank(self, model: Model) -> tuple:
@@ -75,14 +75,14 @@ class Rung:
         """What sfm.json says of it; no seconds, so that the same clip gives the same bytes."""
         return {"how": self.how, "models": [model.facts() for model in self.models]}
 
-    def said(self, matched: Matched) -> str:
+    def describe(self, matched: Matched) -> str:
         """In a few words: the best model's frames, and what is wrong with it if they do not say it."""
         if not self.models:
             return f"{self.how}: no model of {FEW_POINTS} points in {self.seconds:.0f} s"
         best = self.models[0]
         words = f"{self.how}: {best.registered} of {matched.count} frames in {self.seconds:.0f} s"
         doubts = matched.doubts(best)
-        return f"{words}, hard to believe ({', '.join(doubts)})" if doubts else words
+        return f"{words}, looks unreliable ({', '.join(doubts)})" if doubts else words
 
 
 Mapping = Callable[[Matched, Path, Callable[[], None]], list[Model]]
@@ -114,11 +114,11 @@ RUNGS: dict[str, Mapping] = {
 
 
 def climb(job: Job, matched: Matched) -> list[Rung]:
-    """Try RUNGS in order until a model is good enough; every one tried is said as a note unless the first does."""
+    """Try RUNGS in order until a model is good enough; each is noted, unless the first is good enough."""
     tried: list[Rung] = []
     for how, mapping in RUNGS.items():
         if tried:
-            job.note(f"{tried[-1].said(matched)}; trying the {how}")
+            job.note(f"{tried[-1].describe(matched)}; trying the {how}")
         placed = _counter(job, len(tried), matched.count)
         began = perf_counter()
         made = mapping(matched, matched.scratch / f"rung{len(tried)}", placed)
@@ -128,7 +128,7 @@ def climb(job: Job, matched: Matched) -> list[Rung]:
         if any(matched.good(model) for model in models):
             break
     if len(tried) > 1:
-        job.note(tried[-1].said(matched))
+        job.note(tried[-1].describe(matched))
     return tried
 
 

@@ -1,7 +1,7 @@
-"""Does the camera move, turn only, or stand still? Asked of feature matches alone, before any mapping.
+"""Tells from feature matches alone whether the camera moves, only turns, or stands still, before any mapping.
 
-Mapping cannot answer: it turns a pure rotation into a complete model with an invented baseline and a small
-reprojection error (COLMAP: colmap/colmap#1411, #2858).
+Mapping cannot tell: of a pure rotation it makes a complete model with an invented baseline and a small reprojection
+error (COLMAP: colmap/colmap#1411, #2858).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """What the matches say: verdict "moving", "rotation only" or "static camera", and the numbers behind it.
+    """The camera's motion by the matches: verdict "moving", "rotation only" or "static camera", and the numbers behind it.
 
     `nearly_turns`: a rotation leaves less than ROTATION_PX or NEARLY times its limit; it may stand in where mapping fails.
     """
@@ -73,7 +73,7 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
     focal, k, residuals = fit_rotation_camera([pairs[i] for i in far], width, height, known)
     residual, displacement = float(np.median(residuals)), float(np.median(moved[far]))
     limit = min(ROTATION_PX * side, ROTATION_SHARE * displacement)
-    # A flat wall seen by a sliding camera looks like a turn with ever longer focal length: do not believe the limit.
+    # A flat wall seen by a sliding camera looks like a turn with ever longer focal length: one at the limit is not believed.
     believable = known is not None or focal < 0.95 * MAX_FOCAL * side
     verdict = "rotation only" if believable and residual < limit else "moving"
     inside = known is not None or focal > 1.05 * MIN_FOCAL * side
@@ -144,8 +144,8 @@ def camera_rotations(
     center = np.array([width / 2, height / 2])
     edges = []
     for pair in pairs:
-        rays = [_rays((points - center) / focal, k)[None] for points in (pair.a, pair.b)]
-        edges.append((pair.first, pair.second, rotations_between(*rays, 2 / focal)[0], len(pair.a)))
+        a, b = (_rays((points - center) / focal, k)[None] for points in (pair.a, pair.b))
+        edges.append((pair.first, pair.second, rotations_between(a, b, 2 / focal)[0], len(pair.a)))
     turns, known = np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, dtype=bool)
     if edges:
         known[max(edges, key=lambda edge: edge[3])[0]] = True

@@ -1,4 +1,4 @@
-"""What the sfm stage leaves of its cameras and points: points.ply and sparse/, without what is weak or the person's."""
+"""Writes points.ply and sparse/ of the sfm stage, without weak points and without points on the person."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ FLAT = 0.02  # thickness over width of the points: below it focal length and dep
 
 @dataclass
 class Pinholes:
-    """The cameras of `names` with their lens taken out, whoever found them, and numbers for sfm.json.
+    """The cameras of `names` with their lens distortion removed, whoever found them, and facts for sfm.json.
 
-    `viewmats` [C,4,4]; `Ks` [C,3,3] px at the frames' size; `grids` say where to sample each frame, None where nothing
-    is to be done; `model` has the points that COLMAP made, `cloud` those that a file brought.
+    `viewmats` [C,4,4]; `Ks` [C,3,3] px at the frames' size; `grids` say where to sample each frame, None where it stays
+    as it is; `model` has the points that COLMAP made, `cloud` those of a given file.
     """
 
     verdict: str
@@ -59,7 +59,7 @@ def write_model(job: Job, found: Pinholes, size: tuple[int, int]) -> dict:
 
 
 def write_points(job: Job, found: Pinholes, cloud: Cloud) -> tuple[np.ndarray, dict]:
-    """Write points.ply without weak points: bool [P] of those kept, and how many went and how the rest lie."""
+    """Write points.ply without weak points: returns bool [P] of those kept, and facts for sfm.json."""
     on_person, in_view = np.zeros(len(cloud.ids)), np.zeros(len(cloud.ids))
     for name, viewmat, K in zip(found.names, found.viewmats, found.Ks, strict=True) if len(cloud.ids) else ():
         mask = read_mask(job.out / "masks" / f"{name}.png")

@@ -28,7 +28,7 @@ ALONE = "go on with the person alone: `--pipeline human_only --set sfm.camera=fi
 
 @dataclass(frozen=True)
 class CameraVerdict:
-    """Why frames have no pose: `name`, or None where nothing was found out; facts with numbers; what helps."""
+    """Why frames have no pose: the `name` of the cause, or None if none was found; facts with numbers; a hint."""
 
     name: str | None
     facts: list[str]
@@ -54,7 +54,7 @@ class Footage:
         if have == count:
             return None
         if have >= max(self.need, GOOD_SHARE * count):
-            job.note(f"left out, because nothing tells where they were taken: {said(self.names, ~posed[0])}")
+            job.note(f"left out, because their cameras could not be found: {name_frames(self.names, ~posed[0])}")
             return None
         files = [f"{name}.png" for name in self.names]
         pairs, features = colmap.read_pairs(self.database, files)
@@ -67,7 +67,7 @@ class Footage:
         if not posed:
             problem = "no model could be made from the matches"
         if not pairs:
-            problem = "no two frames show the same thing outside the person"
+            problem = "no two frames match outside the person"
         found = [
             f"{count} frames, verified pairs: {len(pairs)}",
             f"features a frame: {features.min()} at least, {np.median(features):.0f} median",
@@ -78,7 +78,7 @@ class Footage:
 def judge_cameras(
     names: list[str], posed: list[np.ndarray], features: np.ndarray, sharpness: np.ndarray, pairs: list[Pair]
 ) -> CameraVerdict:
-    """Name what keeps frames from being placed.
+    """Name the cause that keeps frames from being placed.
 
     `posed` [C] bool says of each model, the best first, which frames it placed; `features` [C] and `sharpness` [C]
     describe the frames, `pairs` are the verified matches. A cause is named if it holds for half of the frames that
@@ -90,16 +90,16 @@ def judge_cameras(
     few, blurred = features < FEW, sharpness < BLURRED
     facts = [f"longest run: {longest_run(names, placed)}" if placed.any() else "no frame was placed"]
     if few.any():
-        facts.append(f"fewer than {FEW} features: {said(names, few)}")
+        facts.append(f"fewer than {FEW} features: {name_frames(names, few)}")
     if blurred.any():
-        facts.append(f"blurred: {said(names, blurred)}")
+        facts.append(f"blurred: {name_frames(names, blurred)}")
 
     def explains(cause: np.ndarray) -> bool:
         return bool((cause & lacking).sum() >= max(EXPLAINS * lacking.sum(), 1))
 
     if others and explains(np.any(others, axis=0)):
-        facts[:1] = [f"a model of {said(names, model)}" for model in [placed, *others][:SHOWN]]
-        facts.append(cut(names, placed, others[0], pairs))
+        facts[:1] = [f"a model of {name_frames(names, model)}" for model in [placed, *others][:SHOWN]]
+        facts.append(describe_cut(names, placed, others[0], pairs))
         return CameraVerdict(
             f"{'two' if len(others) == 1 else 1 + len(others)} separate models",
             facts,
@@ -112,7 +112,7 @@ def judge_cameras(
         return CameraVerdict(
             "too little texture",
             facts,
-            f"blank walls and floors give nothing to hold on to: film with more things in view around the person; or {ALONE}",
+            f"blank walls and floors have no texture to match: film with more objects in view around the person; or {ALONE}",
         )
     return CameraVerdict(
         None,
@@ -123,7 +123,7 @@ def judge_cameras(
 
 
 def sharpness(images: Path, ignored: Path, files: list[str]) -> np.ndarray:
-    """How much finer detail than coarse each frame has outside the person, in the direction that has least [C].
+    """How sharp each frame is outside the person [C]: fine against coarse detail, in the direction that has least.
 
     The smallest ratio of gradient energies at 0.7 and 1.4 px over all directions (structure tensors: Foerstner and
     Guelch 1987). 1 = nothing finer than the coarse; NaN where nothing can be seen. Unlike the variance of the
@@ -157,14 +157,14 @@ def longest_run(names: list[str], chosen: np.ndarray) -> str:
     return f"frames {names[start]} to {names[end]}"
 
 
-def said(names: list[str], chosen: np.ndarray) -> str:
+def name_frames(names: list[str], chosen: np.ndarray) -> str:
     """Which frames are chosen, in words: their number and the first runs of their names."""
     parts = [names[a] if a == b else f"{names[a]} to {names[b]}" for a, b in runs(chosen)]
     more = f" and {len(parts) - SHOWN} more" if len(parts) > SHOWN else ""
     return f"{chosen.sum()} of {len(names)} frames ({', '.join(parts[:SHOWN])}{more})"
 
 
-def cut(names: list[str], first: np.ndarray, second: np.ndarray, pairs: list[Pair]) -> str:
+def describe_cut(names: list[str], first: np.ndarray, second: np.ndarray, pairs: list[Pair]) -> str:
     """Where the clip changes from one model's frames to the other's, and how many matches join the two."""
     owner = np.flatnonzero(first | second)
     changes = [(a, b) for a, b in zip(owner, owner[1:]) if first[a] != first[b]]

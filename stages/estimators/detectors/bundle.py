@@ -1,7 +1,7 @@
-"""What the tracks still say against the cameras: errors of their poses, a rolling shutter, a lens.
+"""Residuals of the tracks against the cameras: errors of camera poses, a rolling shutter, a lens.
 
-One linearised bundle adjustment. Each frame may move a little, each point freely; one number for the clip says how long the
-picture takes to be read, another how the lens bends. All are solved for at once, so none takes the blame of another.
+One linearised bundle adjustment (Triggs et al. 2000). Each camera may move a little, each point freely; one number for the
+clip says how long a frame takes to be read, another how the lens bends. All are solved at once, so none passes for another.
 """
 
 from __future__ import annotations
@@ -85,33 +85,40 @@ def _by_camera(points: np.ndarray, viewmats: np.ndarray, by_point: np.ndarray) -
     return np.concatenate([by_local @ turned, by_local], -1)
 
 
-def _solve(errors, weights, by_point, by_camera, shared, prior):
+def _solve(
+    errors: np.ndarray,
+    weights: np.ndarray,
+    by_point: np.ndarray,
+    by_camera: np.ndarray,
+    shared: np.ndarray,
+    prior: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least squares with the points eliminated (Schur complement): parameters, their covariance, errors left [F,T,2]."""
     frames, count = weights.shape
-    own, both = 6 * frames, 6 * frames + shared.shape[-1]
+    poses, both = 6 * frames, 6 * frames + shared.shape[-1]
     V = np.einsum("ft,ftki,ftkj->tij", weights, by_point, by_point)
     V += np.trace(V, axis1=1, axis2=2)[:, None, None] * 1e-9 * np.eye(3)
     W = np.zeros((both, count, 3))
-    W[:own] = np.einsum("ft,ftki,ftkj->fitj", weights, by_camera, by_point).reshape(own, count, 3)
-    W[own:] = np.einsum("ft,ftki,ftkj->itj", weights, shared, by_point)
+    W[:poses] = np.einsum("ft,ftki,ftkj->fitj", weights, by_camera, by_point).reshape(poses, count, 3)
+    W[poses:] = np.einsum("ft,ftki,ftkj->itj", weights, shared, by_point)
     N, g = np.zeros((both, both)), np.zeros(both)
     blocks = np.einsum("ft,ftki,ftkj->fij", weights, by_camera, by_camera)
     for f, block in enumerate(blocks):
         N[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] = block
-    N[:own, own:] = np.einsum("ft,ftki,ftkj->fij", weights, by_camera, shared).reshape(own, -1)
-    N[own:, :own] = N[:own, own:].T
-    N[own:, own:] = np.einsum("ft,ftki,ftkj->ij", weights, shared, shared)
-    g[:own] = np.einsum("ft,ftki,ftk->fi", weights, by_camera, errors).ravel()
-    g[own:] = np.einsum("ft,ftki,ftk->i", weights, shared, errors)
+    N[:poses, poses:] = np.einsum("ft,ftki,ftkj->fij", weights, by_camera, shared).reshape(poses, -1)
+    N[poses:, :poses] = N[:poses, poses:].T
+    N[poses:, poses:] = np.einsum("ft,ftki,ftkj->ij", weights, shared, shared)
+    g[:poses] = np.einsum("ft,ftki,ftk->fi", weights, by_camera, errors).ravel()
+    g[poses:] = np.einsum("ft,ftki,ftk->i", weights, shared, errors)
     b = np.einsum("ft,ftki,ftk->ti", weights, by_point, errors)
     inverse = np.linalg.inv(V)
     N -= np.einsum("atj,tjk->atk", W, inverse).reshape(both, -1) @ W.reshape(both, -1).T
     g -= np.einsum("atj,tj->a", W, (inverse @ b[..., None])[..., 0])
-    N[np.arange(own), np.arange(own)] += np.tile((NOISE_PX / prior) ** 2, frames)
+    N[np.arange(poses), np.arange(poses)] += np.tile((NOISE_PX / prior) ** 2, frames)
     covariance = np.linalg.inv(N)
     found = covariance @ g
     moved = (inverse @ (b - np.einsum("atj,a->tj", W, found))[..., None])[..., 0]
-    rest = errors - np.einsum("ftki,ti->ftk", by_point, moved) - shared @ found[own:]
-    rest = rest - np.einsum("ftki,fi->ftk", by_camera, found[:own].reshape(frames, 6))
+    rest = errors - np.einsum("ftki,ti->ftk", by_point, moved) - shared @ found[poses:]
+    rest = rest - np.einsum("ftki,fi->ftk", by_camera, found[:poses].reshape(frames, 6))
     spread = (weights[..., None] * rest**2).sum() / max(2 * (weights > 0).sum() - both - 3 * count, 1)
     return found, covariance * spread, rest

@@ -1,4 +1,4 @@
-"""What the detectors look at: the clip, points followed through it, and what is already known of cameras and exposure."""
+"""The evidence of all detectors: the clip, points followed through it, residuals of the cameras, and exposure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FRAMES = 30  # enough for a median or a share; detectors that look at pictures t
 
 @dataclass(frozen=True)
 class ClipEvidence:
-    """A clip before training, and what `sfm.json` says of it; what several detectors need is worked out once."""
+    """A clip before training, with the facts of sfm.json; what several detectors need is computed once."""
 
     clip: Clip
     facts: Sfm
@@ -39,7 +39,7 @@ class ClipEvidence:
 
     @cached_property
     def residuals(self) -> BundleResiduals | None:
-        """What the tracks say against the cameras; None where too few can be placed."""
+        """How far the tracks contradict the cameras; None if too few points can be placed."""
         return adjust_bundle(self.tracks, self.clip.viewmats, self.clip.Ks, self.clip.height) if self.moving else None
 
     @cached_property

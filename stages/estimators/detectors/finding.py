@@ -1,7 +1,8 @@
-"""What a detector answers."""
+"""The answer of a detector."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -27,18 +28,20 @@ class Finding:
     start: tuple[float, ...] = ()
 
     def entry(self) -> dict:
-        """As survey.json has it, without what the settings make of it."""
+        """The finding as survey.json has it, before the settings decide."""
         known = {key: value for key, value in asdict(self).items() if key not in ("called_for", "start")}
         return known | {"frames": list(self.frames)}
 
 
 def unmeasured(unit: str, threshold: float, why: str) -> Finding:
-    """Nothing could be measured: off, and said so."""
+    """Nothing could be measured, so the effect stays off; `why` says the reason."""
     return Finding(None, unit, threshold, f"unknown: {why}", False, 0.0)
 
 
-def compare(value: float, unit: str, threshold: float, words: tuple[str, str], frames=(), also: bool = True) -> Finding:
-    """Called for if `value` > `threshold`, and if what else is asked for holds (`also`); `words` for yes and no."""
+def compare(
+    value: float, unit: str, threshold: float, words: tuple[str, str], frames: Sequence[str] = (), also: bool = True
+) -> Finding:
+    """Called for if `value` > `threshold` and `also` holds; `words` are the verdicts for yes and no."""
     called = bool(value > threshold and also)
     doubt = 0.25 ** abs(np.log2(max(value, 1e-9) / threshold)) if called or value <= threshold else 0.5
     return Finding(

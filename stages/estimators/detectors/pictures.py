@@ -1,4 +1,4 @@
-"""Small questions to single pictures that several detectors ask."""
+"""Brightness, samples and the background of single frames, for several detectors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def soften(image: np.ndarray) -> np.ndarray:
 
 
 def background_mask(mask: np.ndarray) -> np.ndarray:
-    """bool [H,W]: surely not the person."""
+    """bool [H,W]: pixels that are surely not the person's."""
     reach = max(5, max(mask.shape) // 60) | 1
     return cv2.dilate(mask, np.ones((reach, reach), np.uint8)) <= 64
 

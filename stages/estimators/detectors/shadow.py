@@ -31,7 +31,7 @@ def detect(evidence: ClipEvidence) -> Finding:
     Spots of the floor are compared with themselves in other frames only, so its pattern does not matter. Tried are lamps
     in all directions; the shadow of each is the body laid down on the floor along its light.
     """
-    floor = _Floor(evidence)
+    floor = _FloorPatch(evidence)
     logs = np.stack([floor.logs(evidence, i) for i in evidence.sampled])
     spots = np.isfinite(logs).sum(0) >= LEAST
     if spots.sum() < 100:
@@ -40,7 +40,7 @@ def detect(evidence: ClipEvidence) -> Finding:
     light = (logs - np.nanmedian(logs, 0)).clip(-LARGEST, LARGEST)
     bodies = evidence.bodies[:, ::EVERY]
 
-    def try_lamp(tilt: float, turn: float):
+    def try_lamp(tilt: float, turn: float) -> tuple[float, float, np.ndarray, tuple[float, float]]:
         shadow = np.stack([floor.shadow(body, tilt, turn)[spots] for body in bodies])
         return *_correlate(light, shadow), (tilt, turn)
 
@@ -52,9 +52,10 @@ def detect(evidence: ClipEvidence) -> Finding:
     likeness, slope, seen, lamp = best
     strength = np.full(len(evidence.clip.names), np.nan)
     strength[evidence.sampled] = seen
-    found = compare(max(1 - np.exp(slope), 0.0), UNIT, DARKNESS, ("darkens the floor", "none"),
+    taken = max(float(1 - np.exp(slope)), 0.0)
+    found = compare(taken, UNIT, DARKNESS, ("darkens the floor", "none"),
                   strongest_frames(evidence.clip.names, strength), -likeness > LIKENESS)  # fmt: skip
-    return replace(found, start=(*floor.direction_to(*lamp).tolist(), found.value))
+    return replace(found, start=(*floor.direction_to(*lamp).tolist(), taken))
 
 
 def _correlate(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.ndarray]:
@@ -73,7 +74,7 @@ def _correlate(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.
     return float((x * y).sum() / np.sqrt(spread * (y**2).sum() + 1e-12)), float((x * y).sum() / spread), -(x * y).sum(1)
 
 
-class _Floor:
+class _FloorPatch:
     """A patch of the floor around the person: spots on a grid, and axes `right`, `ahead`, `up`."""
 
     def __init__(self, evidence: ClipEvidence):

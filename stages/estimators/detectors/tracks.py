@@ -1,12 +1,14 @@
 """Points of the background followed through the clip, and where they are in the world.
 
-Kanade-Lucas-Tomasi: corners of one frame are found again in the next, and back; who does not come home is dropped.
+Kanade-Lucas-Tomasi: corners of one frame are found again in the next, and back; one that misses its start is dropped.
 Source: Shi and Tomasi 1994; Bouguet 2000 for the pyramid.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -19,12 +21,13 @@ if TYPE_CHECKING:
 
 SIDE = 640  # px of the longer side; larger frames are followed at this size
 ALIVE = 500  # points followed at a time
-RETURN_PX = 0.3  # how far from its start a point may come home
+RETURN_PX = 0.3  # how far from its start a point may come back
 BORDER = 3.0  # px: corners nearer to the frame's edge are half outside the window
 WINDOW, LEVELS = 13, 4
 PERSON = 20  # mask value from which a pixel may be the person's
 LEAST = 6  # frames in which a point must be seen before it is placed
 ROUNDS = 4  # of Gauss-Newton
+Flow = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ def follow(clip: Clip) -> Tracks:
     """Follow the background of all frames of `clip` and place what is followed long enough."""
     pixels = _follow(clip)
     pixels = pixels[:, np.isfinite(pixels[..., 0]).sum(0) >= LEAST]
-    points, angles = place(pixels, clip.viewmats, clip.Ks)
+    points, angles = triangulate(pixels, clip.viewmats, clip.Ks)
     return Tracks(pixels, points, pixels - project_with_slopes(points, clip.viewmats, clip.Ks)[0], angles)
 
 
@@ -80,14 +83,17 @@ def _follow(clip: Clip) -> np.ndarray:
     return pixels
 
 
-def _step(before: np.ndarray, after: np.ndarray, places: np.ndarray, allowed: np.ndarray):
+def _step(
+    before: np.ndarray, after: np.ndarray, places: np.ndarray, allowed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Where `places` [N,2] of one frame are in the next, and which of them are believed [N]."""
     if not len(places):
         return places, np.zeros(0, bool)
-    settings = {"winSize": (WINDOW, WINDOW), "maxLevel": LEVELS}
-    there, ok, _ = cv2.calcOpticalFlowPyrLK(before, after, places, None, **settings)
-    home, back, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **settings)
-    inside = ((there > BORDER) & (there < np.array(allowed.shape[::-1]) - 1 - BORDER)).all(1)
+    flow: Flow = partial(cv2.calcOpticalFlowPyrLK, winSize=(WINDOW, WINDOW), maxLevel=LEVELS)
+    there, ok, _ = flow(before, after, places, None)
+    home, back, _ = flow(after, before, there, None)
+    far = np.array(allowed.shape[::-1]) - 1 - BORDER
+    inside = np.asarray(((there > BORDER) & (there < far)).all(1))
     x, y = np.where(inside[:, None], np.rint(there), 0).astype(int).T
     kept = (ok[:, 0] & back[:, 0]).astype(bool) & inside & (np.linalg.norm(home - places, axis=1) < RETURN_PX)
     kept &= allowed[y, x]
@@ -105,7 +111,7 @@ def _corners(grey: np.ndarray, allowed: np.ndarray, alive: np.ndarray) -> np.nda
     return np.zeros((0, 2), np.float32) if found is None else found[:, 0]
 
 
-def place(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def triangulate(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points [T,3] that `pixels` [F,T,2] show best, in least squares of pixels, and their widest angle [T] in rad.
 
     NaN for points seen fewer than LEAST times or behind a camera.
@@ -142,7 +148,10 @@ def bearings(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> np.nda
 def project_with_slopes(
     points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels [F,T,2] of `points` [T,3], their depths [F,T], and the pixels' slopes [F,T,2,3] by the points."""
+    """Pixels [F,T,2] of `points` [T,3], their depths [F,T], and the pixels' slopes [F,T,2,3] by the points.
+
+    Apart from `pinhole.project`, whose pixels differ in their last bits, because the slopes need its steps.
+    """
     local = points @ viewmats[:, :3, :3].mT + viewmats[:, None, :3, 3]
     z = local[..., 2]
     safe = np.where(z > 1e-6, z, np.nan)

@@ -40,7 +40,7 @@ def detect(evidence: ClipEvidence) -> Finding:
 
 
 def unexplained_share(evidence: ClipEvidence, i: int) -> float:
-    """The share of frame `i` that both neighbours lack; NaN where they cannot be brought over it."""
+    """The share of frame `i` that both neighbours lack; NaN if they cannot be warped onto it."""
     here, free = _picture(evidence, i)
     lacking = free
     for j in (i - 1, i + 1):

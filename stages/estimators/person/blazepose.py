@@ -1,13 +1,14 @@
-"""BlazePose on LiteRT: finds one person in each frame of a clip and gives joints, joints in metres and an outline.
+"""BlazePose on LiteRT: finds one person in each frame of a clip and gives joints in px and in metres, and an outline.
 
-The two networks are Google's (Bazarevsky et al. 2020, "BlazePose: On-device Real-time Body Pose Tracking"); what
-stands around them here is our own. Pixel coordinates have the first pixel's centre at (0.5, 0.5).
+The two networks are Google's (Bazarevsky et al. 2020, "BlazePose: On-device Real-time Body Pose Tracking",
+arXiv:2006.10204); the code around them is our own. Pixel coordinates have the first pixel's centre at (0.5, 0.5).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -21,8 +22,8 @@ ROI_MARGIN = 1.25  # the person's circle is enlarged by this to make a crop
 SURE = 0.5  # probability from which a detection, a tracked person or a heat map counts
 NEIGHBOURHOOD = 3  # heat map cells on each side of the peak that take part in its mean
 PAINTED = 0.1  # of a person's height: how far beyond the joints a person is painted over
-APART = 0.3  # of a crop's side: people whose crops' middles are nearer are one
-SEEDS = 9  # frames looked at to choose whom to follow
+APART = 0.3  # of a crop's side: people whose crops' centres are nearer are the same
+SEEDS = 9  # frames in which the person to follow is looked for
 # Looks at the person that are averaged: (side as a share of the fitting crop, turn in degrees, mirrored). Measured on the
 # kitchen clip, five looks halve the jitter of one (second difference 2.4 -> 1.2 px, 19 -> 10 mm).
 LOOKS = ((1.0, 0, False), (0.9, 8, False), (0.9, -8, True), (1.1, 4, True), (1.1, -4, False))
@@ -42,6 +43,14 @@ MIRRORED = [
     NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")) for name in NAMES
 ] + list(range(LANDMARKS, LANDMARKS + 6))
 """The network's rows with left and right exchanged; its last six are about the whole person."""
+
+
+class Images(Protocol):
+    """Frames uint8 [H,W,3] in order of time: a list, or what reads each one when it is needed."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, i: int, /) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -65,12 +74,12 @@ class Roi:
         return Roi(x, y, self.side * side, self.angle + np.radians(turn))
 
     def covers(self, other: Roi) -> bool:
-        """True if the other crop's middle is so near that it is of the same person."""
+        """True if the other crop's centre is so near that it shows the same person."""
         return bool(np.hypot(self.x - other.x, self.y - other.y) <= APART * self.side)
 
     @staticmethod
     def around(center: np.ndarray, top: np.ndarray) -> Roi:
-        """The crop of a person whose circle has this centre and reaches to `top`, which shall point up."""
+        """The crop of a person whose circle has this centre and reaches to `top`; `top` points up in the crop."""
         dx, dy = top - center
         side = 2 * float(np.hypot(dx, dy)) * ROI_MARGIN
         return Roi(float(center[0]), float(center[1]), side, float(np.arctan2(dx, -dy)))
@@ -78,12 +87,12 @@ class Roi:
 
 @dataclass(frozen=True)
 class Pose:
-    """What was seen of the person in one frame."""
+    """The person as seen in one frame."""
 
     xy: np.ndarray
     """[33,2] px."""
     z: np.ndarray
-    """[33] depth against the hips, in px, smaller is nearer; weak."""
+    """[33] depth against the hips, in px, smaller is nearer; not accurate."""
     visibility: np.ndarray
     """[33] probability that the joint is in the picture and not hidden."""
     world: np.ndarray
@@ -151,7 +160,7 @@ class BlazePose:
         height, width = image.shape[:2]
         window = window or Roi(width / 2, height / 2, float(max(width, height)), 0.0)
         pixels = crop(image, window, DETECTOR_SIDE, cv2.BORDER_CONSTANT).astype(np.float32)
-        boxes, logits = run(self.detector, pixels / 127.5 - 1)
+        boxes, logits = infer(self.detector, pixels / 127.5 - 1)
         scores = sigmoid(logits.reshape(-1))
         found: list[tuple[float, Roi]] = []
         for i in np.argsort(-scores):
@@ -185,10 +194,10 @@ class BlazePose:
     def look(self, image: np.ndarray, roi: Roi, mirrored: bool = False) -> tuple[Pose, np.ndarray]:
         """Read the person in a crop: the pose, and the outline's logits [256,256] in the crop.
 
-        `mirrored`: show the network the crop's mirror image; the answer is told for the crop as it is.
+        `mirrored`: show the network the crop's mirror image; the answer is for the crop as it is.
         """
         pixels = crop(image, roi, CROP_SIDE, cv2.BORDER_REPLICATE).astype(np.float32)
-        points, presence, mask, heat, world = run(self.landmarker, (pixels[:, ::-1] if mirrored else pixels) / 255)
+        points, presence, mask, heat, world = infer(self.landmarker, (pixels[:, ::-1] if mirrored else pixels) / 255)
         points = points.reshape(-1, 5)
         spots = refine(points[:, :2] / CROP_SIDE, sigmoid(heat.reshape(HEATMAP_SIDE, HEATMAP_SIDE, -1)))
         world, mask = world.reshape(-1, 3), mask.reshape(CROP_SIDE, CROP_SIDE)
@@ -211,7 +220,7 @@ class BlazePose:
         return pose, mask
 
     def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
-        """The mean of several looks, leaving out what strays (sides swapped, say); None if most see nobody."""
+        """The mean of several looks, leaving out outliers (swapped sides, say); None if most looks see nobody."""
         poses = [self.look(image, roi.reframe(side, turn), mirrored)[0] for side, turn, mirrored in LOOKS]
         poses = [pose for pose in poses if pose.presence >= SURE]
         if 2 * len(poses) <= len(LOOKS):
@@ -225,7 +234,8 @@ class BlazePose:
         }
         circles = np.stack([[pose.next_roi.x, pose.next_roi.y, pose.next_roi.side] for pose in poses])
         up = np.mean([np.exp(1j * pose.next_roi.angle) for pose in poses])
-        next_roi = Roi(*(float(v) for v in np.median(circles, 0)), float(np.angle(up)))
+        x, y, side = np.median(circles, 0).tolist()
+        next_roi = Roi(x, y, side, float(np.angle(up)))
         return Pose(**mean, presence=float(np.mean([p.presence for p in poses])), roi=roi, next_roi=next_roi)
 
     def follow(self, image: np.ndarray, last: Roi | None) -> Pose | None:
@@ -244,11 +254,12 @@ class BlazePose:
                     return pose
         return None
 
-    def sightings(self, images: Sequence[np.ndarray]) -> list[Sighting]:
+    def sightings(self, images: Images) -> list[Sighting]:
         """Everybody who is surely seen in a few frames spread over the clip, each frame's people from large to small."""
         found = []
         for i in np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)):
-            image, here = images[i], []
+            image = images[i]
+            here: list[Sighting] = []
             hits = self.search(image)
             while hits:
                 known = len(here)
@@ -256,16 +267,16 @@ class BlazePose:
                     pose, _ = self.look(images[i], roi)
                     if pose.presence >= SURE and not any(one.pose.next_roi.covers(pose.next_roi) for one in here):
                         here.append(Sighting(int(i), score, roi, pose))
-                image = without(image, here[known:])
+                image = paint_over(image, here[known:])
                 hits = self.detect(image) if len(here) > known else []
             found += sorted(here, key=lambda one: -one.pose.next_roi.side)
         return found
 
-    def track(self, images: Sequence[np.ndarray], start: Sighting | None = None) -> list[Pose | None]:
+    def track(self, images: Images, start: Sighting | None = None) -> list[Pose | None]:
         """Follow one person through a clip's frames (uint8 [H,W,3] in order of time), both ways from `start`.
 
         Without a `start` it is the largest who is surely seen. A frame where the person cannot be found gives None; after
-        it he is looked for again, nearest to where he was.
+        it they are looked for again, nearest to where they were.
         """
         count = len(images)
         poses: list[Pose | None] = [None] * count
@@ -273,15 +284,16 @@ class BlazePose:
         if start is None:
             return poses
         for order in (range(start.frame, count), range(start.frame - 1, -1, -1)):
-            last = poses[start.frame].next_roi if poses[start.frame] else start.roi
+            first = poses[start.frame]
+            last = first.next_roi if first else start.roi
             for i in order:
-                poses[i] = self.follow(images[i], last)
-                last = poses[i].next_roi if poses[i] else last
+                pose = poses[i] = self.follow(images[i], last)
+                last = pose.next_roi if pose else last
         return poses
 
 
-def without(image: np.ndarray, people: list[Sighting]) -> np.ndarray:
-    """The picture with people painted over: the detector, made for one, tells of others once that one is gone."""
+def paint_over(image: np.ndarray, people: list[Sighting]) -> np.ndarray:
+    """The picture with `people` painted over: the detector is made for one person and finds others once that one is gone."""
     painted = image.copy()
     for one in people:
         (left, top), (right, bottom) = one.pose.xy.min(0), one.pose.xy.max(0)
@@ -297,7 +309,7 @@ def pick_clearest(sightings: list[Sighting]) -> Sighting | None:
 
 
 def pick_masked(sightings: list[Sighting], masks: Sequence[np.ndarray]) -> Sighting | None:
-    """The same among those whose torso the `masks` (uint8 [H,W], 255 = person) of their frames cover, or of all."""
+    """The largest of those whose torso the `masks` (uint8 [H,W], 255 = person) of their frames cover, or of all."""
     covered = [one for one in sightings if torso_share(one.pose, masks[one.frame]) > 0.5]
     return pick_clearest(covered or sightings)
 
@@ -309,7 +321,7 @@ def torso_share(pose: Pose, mask: np.ndarray) -> float:
     return float((mask[y[inside], x[inside]] > 127).sum() / len(TORSO))
 
 
-def run(network: Interpreter, pixels: np.ndarray) -> Iterator[np.ndarray]:
+def infer(network: Interpreter, pixels: np.ndarray) -> list[np.ndarray]:
     """Run one picture [H,W,3] through a network and give its outputs in the order of their names."""
     network.set_tensor(network.get_input_details()[0]["index"], np.ascontiguousarray(pixels[None], np.float32))
     network.invoke()

@@ -1,4 +1,4 @@
-"""Masks of another program joined to a clip's frames: which is whose, which object is the person, black or white."""
+"""Joins masks of another program to a clip's frames: by name, with the right object as the person, and the right polarity."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 
 from stages.contract import Job, StageError
+from stages.estimators.words import listed
 from stages.formats.facts import Listing
 from stages.formats.frame_names import count_from_one, join
 from stages.formats.given_masks.mask_set import MaskSet
-from stages.formats.given_masks.objects import Object, labelled, pick, ranked
+from stages.formats.given_masks.objects import Object, labeled_objects, pick, ranked
 from stages.formats.given_masks.recognize import read_mask_files
 from stages.formats.given_masks.values import ForeignMasks
 from stages.formats.images import same_shape
@@ -23,7 +24,7 @@ from stages.formats.images import same_shape
 
 @dataclass(frozen=True)
 class MaskedPerson:
-    """The masks of one person: `masks` reads those of `rows`, of label masks only `labels` (None: all)."""
+    """The masks of one person: `masks` reads those in `rows`; of label masks only `labels` count (None: all)."""
 
     id: str
     masks: ForeignMasks
@@ -34,9 +35,9 @@ class MaskedPerson:
 def import_masks(
     job: Job, path: Path, listing: Listing, invert: Literal["auto", "always", "never"], person: int | str | None
 ) -> tuple[dict[str, Any], Iterator[np.ndarray]]:
-    """What was decided, and a mask uint8 [H,W], 255 = person, for each frame in `listing` (frames.json).
+    """Facts for masks.json, and a mask uint8 [H,W], 255 = person, for each frame in `listing` (frames.json).
 
-    Raises StageError where frames have no mask, where the masks are those of another picture, and for an unknown person.
+    Raises StageError if frames have no mask, if masks have the shape of other pictures, or if `person` is unknown.
     """
     total, names = listing.video.frames, [frame.name for frame in listing.frames]
     given = read_mask_files(path, total)
@@ -46,7 +47,7 @@ def import_masks(
         raise StageError(
             f"masks are missing for {len(missing)} of {len(names)} frames",
             "name each mask by its frame's number in the video (or its picture's name), or leave out --masks",
-            [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(list(given.names or ()))}"],
+            [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
         )
     rows = [joined[name] for name in names]
     chosen = pick_masks(job, given, rows, person)
@@ -62,7 +63,7 @@ def import_masks(
 def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dict[str, int]:
     """Frame name -> row of its mask: by the same stem, else by the frame's number in the video; by order without names.
 
-    Files numbered from 1 to the number of the video's frames, with no 0, are taken as counted from 1, and that is said.
+    Files numbered from 1 to the number of the video's frames, with no 0, count from 1; a warning says so.
     """
     if names is None:
         return {frame.name: frame.index for frame in listing.frames}
@@ -73,15 +74,15 @@ def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dic
 
 
 def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | None) -> MaskedPerson:
-    """The person's masks; where there are several objects, they are named with numbers, and which is followed."""
+    """The masks of the person; several objects are listed with numbers, and a warning names the one that is followed."""
     if given.objects == ("",):
         masks = ForeignMasks(rows, partial(given.read, ""))
-        objects = labelled(masks)
+        objects = labeled_objects(masks)
         if not objects and person is not None:
             facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
             raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
         chosen = pick(objects, person) if objects else Object("", 0, 0.0)
-        say(job, objects, chosen)
+        report_objects(job, objects, chosen)
         return MaskedPerson(chosen.id, masks, frozenset(rows), chosen.labels or None)
     people = {one: ForeignMasks(rows, partial(given.read, one)) for one in given.objects}
     objects = []
@@ -92,22 +93,22 @@ def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | No
     if not objects:
         raise StageError("no object in the given masks is in any frame", "check the masks", [f"{len(people)} objects"])
     chosen = pick(objects, person)
-    say(job, objects, chosen)
+    report_objects(job, objects, chosen)
     return MaskedPerson(chosen.id, people[chosen.id], frozenset(people[chosen.id].keys))
 
 
-def say(job: Job, objects: list[Object], chosen: Object) -> None:
-    """Name the objects if there are several, and which is followed."""
+def report_objects(job: Job, objects: list[Object], chosen: Object) -> None:
+    """List the objects if there are several, and name the one that is followed."""
     if len(objects) > 1:
         more = f" and {len(objects) - 8} more" if len(objects) > 8 else ""
         job.note(f"{len(objects)} objects in the given masks: {'; '.join(map(str, objects[:8]))}{more}")
-        job.warn(f"following object {chosen.id} of {len(objects)}; `--person ID` takes another")
+        job.warn(f"following object {chosen.id} of {len(objects)}; `--person ID` picks another")
     elif chosen.labels and len(chosen.labels) > 1:
         job.note(f"labels {', '.join(map(str, sorted(chosen.labels)))} touch nearly always: parts of one person")
 
 
 def polarity(job: Job, person: MaskedPerson, invert: Literal["auto", "always", "never"]) -> bool:
-    """Whether the masks mark the background; said with numbers."""
+    """Whether the masks mark the background instead of the person; a note gives the numbers."""
     areas, borders = [], []
     for i in person.rows:
         mask = person.masks.read(i, person.labels)
@@ -139,7 +140,7 @@ def resize_mask(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool
     if not same_shape((width, height), size):
         raise StageError(
             f"the mask of frame {name} is not a mask of these frames",
-            "make masks from the same video, turned as it is shown",
+            "make masks from the same video, upright as a player shows it",
             [f"mask {width}x{height}, frames {size[0]}x{size[1]}"],
         )
     if (width, height) != size:
@@ -150,9 +151,3 @@ def resize_mask(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool
 def border_share(mask: np.ndarray) -> float:
     """Share of the picture's outermost pixels that are marked."""
     return float((np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]) > 127).mean())
-
-
-def listed(names: list[str], most: int = 8) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more

@@ -1,4 +1,4 @@
-"""The outline of the person BlazePose follows: looks averaged, halves looked at closely, edges set by colour."""
+"""The outline of the person whom BlazePose follows: the mean of several looks, close looks at both halves, edges by colour."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ WHOLE = ((1.0, 0), (0.9, 8), (0.9, -8))
 # Closer looks at the upper and the lower half: (side, turn in degrees, shift along the body), as shares of the crop.
 HALVES = tuple((0.65, turn, shift) for shift in (-0.2, 0.2) for turn in (0, 8, -8))
 BAND = 2  # px of the whole person's mask: closer looks only move an edge that far
-CLOSE_SHARE = 0.5  # their say there; alone they err at the halves' ends (IoU 0.903, with both 0.907)
+CLOSE_SHARE = 0.5  # their weight there; alone they err at the halves' ends (IoU 0.903, with both 0.907)
 FADE = 0.12  # share of a close look's side over which it fades out towards its rim
 GUIDE_RADIUS = 1.5  # px of the whole person's mask over which edges are set by colour
-GUIDE_EPS = 2e-4 * 255**2  # colour variance below which a guided filter takes a patch for flat
+GUIDE_EPS = 2e-4 * 255**2  # colour variance below which the guided filter (He et al. 2013) smooths a patch
 ISLAND = 0.01  # a part smaller than this share of the person is no part of the person
 
 
@@ -24,15 +24,15 @@ def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
     """Probability [H,W] float32 that a pixel of the image uint8 [H,W,3] shows the person of the crop `roi`."""
     whole = np.zeros(image.shape[:2], np.float32)
     mirror = np.ascontiguousarray(image[:, ::-1])
-    for change in WHOLE:
-        part = roi.reframe(*change)
+    for side, turn in WHOLE:
+        part = roi.reframe(side, turn)
         mirrored = Roi(image.shape[1] - part.x, part.y, part.side, -part.angle)
         whole += look(network, image, part)[0] + look(network, mirror, mirrored)[0][:, ::-1]
     whole /= 2 * len(WHOLE)
     edge = near_edge(whole, BAND * roi.side / CROP_SIDE)
     close, weights = np.zeros_like(whole), np.zeros_like(whole)
-    for change in HALVES:
-        part = roi.reframe(*change)
+    for side, turn, shift in HALVES:
+        part = roi.reframe(side, turn, shift)
         mask, presence = look(network, image, part)
         if presence >= SURE:
             share = paste(rim_fade(), part, image.shape)
@@ -59,7 +59,7 @@ def paste(mask: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def rim_fade() -> np.ndarray:
-    """Trust [S,S] in a close look: 1 inside, falling to 0 at its rim, where a body cut off is guessed at."""
+    """Weight [S,S] of a close look: 1 inside, falling to 0 at its rim, where the network guesses at a body that is cut off."""
     x = (np.arange(CROP_SIDE) + 0.5) / CROP_SIDE
     ramp = np.minimum(np.minimum(x, 1 - x) / FADE, 1).astype(np.float32)
     return np.minimum.outer(ramp, ramp)

@@ -1,4 +1,4 @@
-"""Several people before the built-in segmenter: how many are seen, who is followed, and where the outline holds two."""
+"""Several people in view of the built-in segmenter: how many there are, who is followed, and which masks cover two."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from stages.contract import Job, StageError
 from stages.estimators.person.blazepose import Pose, Sighting, pick_clearest, torso_share
 
-JUMP = 0.5  # of the crop's side between neighbouring frames: a person does not move that far, the follower changed
+JUMP = 0.5  # of the crop's side between neighbouring frames: a person does not move that far, so it is somebody else
 
 
 class Company:
@@ -19,53 +19,54 @@ class Company:
         count = {one.frame: sum(other.frame == one.frame for other in sightings) for one in sightings}
         fullest = max(count, key=lambda frame: (count[frame], -frame), default=None)
         people = [one for one in sightings if one.frame == fullest]
-        self.start = pick_clearest(sightings) if person is None else chosen(people, person, names)
-        if len(people) > 1:
-            told = "; ".join(f"{i} {where(one)}" for i, one in enumerate(people, 1))
+        self.start = pick_clearest(sightings) if person is None else pick_person(people, person, names)
+        if fullest is not None and len(people) > 1:
+            people_list = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1))
             frames = sum(n > 1 for n in count.values())
             job.note(
-                f"{len(people)} people in frame {names[fullest]}, several in {frames} of {len(count)} frames looked at: {told}"
+                f"{len(people)} people in frame {names[fullest]}, several in {frames} of {len(count)} frames checked: {people_list}"
             )
             whom = "the largest" if person is None else f"person {person}"
-            job.warn(f"{len(people)} people are in view: following {whom}; `--person N` takes another of those named")
+            job.warn(f"{len(people)} people are in view: following {whom}; `--person N` picks another from the list")
 
     def look(self, i: int, pose: Pose, mask: np.ndarray) -> None:
-        """Remember whether the mask of frame `i` holds somebody else than `pose`."""
+        """Remember whether the mask of frame `i` also covers somebody else than `pose`."""
         others = [one for one in self.sightings if one.frame == i and not pose.next_roi.covers(one.pose.next_roi)]
         if others:
             self.seen[self.names[i]] = any(torso_share(one.pose, mask) > 0.5 for one in others)
 
     def warn_of_jumps(self, poses: list[Pose | None]) -> None:
-        """Name the frames at which the person followed may have become another."""
+        """Warn of frames at which the followed person may have become somebody else."""
         jumps = []
         for i in range(1, len(poses)):
-            if poses[i] is not None and poses[i - 1] is not None:
-                a, b = poses[i - 1].next_roi, poses[i].next_roi
+            before, pose = poses[i - 1], poses[i]
+            if before is not None and pose is not None:
+                a, b = before.next_roi, pose.next_roi
                 jumps += [self.names[i]] if np.hypot(a.x - b.x, a.y - b.y) > JUMP * max(a.side, b.side) else []
         if jumps:
             self.job.warn(
-                f"the person followed jumps in {len(jumps)} of {len(poses)} frames, first {jumps[0]}: may be another"
+                f"the followed person jumps in {len(jumps)} of {len(poses)} frames, first {jumps[0]}: it may be somebody else"
             )
 
     def close(self) -> None:
-        """Say how often the outline held two people, where others were seen."""
+        """Warn of masks that cover two people, counted where others were seen."""
         both = [name for name, held in self.seen.items() if held]
         if both:
             self.job.warn(
-                f"the outline holds somebody else too in {len(both)} of {len(self.seen)} frames looked at, first {both[0]}: "
-                "the built-in segmenter cannot part people who overlap; give masks with `--masks`"
+                f"the mask also covers somebody else in {len(both)} of {len(self.seen)} frames checked, first {both[0]}: "
+                "the built-in segmenter cannot separate people who overlap; give masks with `--masks`"
             )
 
 
-def chosen(people: list[Sighting], person: int | str, names: list[str]) -> Sighting:
+def pick_person(people: list[Sighting], person: int | str, names: list[str]) -> Sighting:
     """The `person`-th of those in the frame with the most, from the largest on; StageError if there are not as many."""
     if str(person).isdigit() and 1 <= int(person) <= len(people):
         return people[int(person) - 1]
-    told = "; ".join(f"{i} {where(one)}" for i, one in enumerate(people, 1)) or "nobody"
-    facts = [f"{len(people)} seen" + (f" in frame {names[people[0].frame]}: {told}" if people else "")]
-    raise StageError(f"no person {person!r} in view", "choose one of those with `--person N`", facts)
+    listing = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1)) or "nobody"
+    facts = [f"{len(people)} seen" + (f" in frame {names[people[0].frame]}: {listing}" if people else "")]
+    raise StageError(f"no person {person!r} in view", "choose one from the list with `--person N`", facts)
 
 
-def where(one: Sighting) -> str:
-    """Where somebody is, in words: the middle of the hips in px, and how large."""
+def describe_place(one: Sighting) -> str:
+    """Where a person stands, in words: the middle of the hips and the size, in px."""
     return f"at x {one.pose.next_roi.x:.0f}, y {one.pose.next_roi.y:.0f} px, {one.pose.next_roi.side:.0f} px across"

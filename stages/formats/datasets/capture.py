@@ -4,7 +4,7 @@ images/%06d.png, frames.json    as the frames stage writes them; each frame also
 given/masks/<source>.png        255 = person, in the data set's own size
 given/cameras.npz, lenses.npz   cameras at the frames' size; `distortion` [C,5] k1 k2 p1 p2 k3 of each (OpenCV's model)
 given/points.ply, sfm.json      sparse points in the cameras' units, and what is known of them
-given/smpl_fit.npz              body poses, as formats.smpl_fits reads them
+given/smpl_fit.npz              body poses, as formats.given_fits reads them
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from typing import Any, Literal
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, read_npz, take
+from stages.formats.arrays import checked, read_npz, take, write_npz
 from stages.formats.cameras import write_cameras
 from stages.formats.images import read_image, shrink, write_image, write_mask
 from stages.formats.points import write_points
 from stages.records import Cameras
 
+Purpose = Literal["train", "heldout", "unused"]
 GIVEN = "given"
 LEAST_TRAINING = 4
 
@@ -37,7 +38,7 @@ class Shot:
     masks: tuple[Path, ...]
     moment: int
     """Pictures of one moment show one pose."""
-    split: Literal["train", "heldout", "unused"]
+    split: Purpose
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Capture:
     """S pictures, with cameras for pictures of `width` x `height` in the data set's own units.
 
     `viewmats` [S,4,4] camera_from_world; `Ks` [S,3,3] px, first pixel centre at (0.5, 0.5); `lenses` [S,5] OpenCV
-    distortion; `points` [P,3], `colors` [P,3] uint8; `fit` a family of formats.smpl_fits, one row a shot; `rule` says
+    distortion; `points` [P,3], `colors` [P,3] uint8; `fit` a family of formats.given_fits, one row a shot; `rule` says
     in words how the pictures were split; `person` gives the mask uint8 [H,W] of a shot; `facts` go into sfm.json.
     """
 
@@ -68,13 +69,15 @@ class Capture:
 def write_capture(out: Path, capture: Capture, max_side: int) -> Iterator[int]:
     """Write the files named above, the longer side of the pictures at most `max_side` px; yields how many are done.
 
-    Raises StageError for a picture that has not the size of its camera, and for too few to train on.
+    Raises StageError for a picture whose size is not its camera's, and for too few to train on.
     """
     training = sum(shot.split == "train" for shot in capture.shots)
     if training < LEAST_TRAINING:
         fact = f"{len(capture.shots)} pictures, {training} of them to train on; at least {LEAST_TRAINING} are needed"
         raise StageError(f"too few pictures in {capture.sequence}", "give a whole sequence of the data set", [fact])
-    given, rows = out / GIVEN, []
+    given = out / GIVEN
+    names: list[str] = []
+    rows: list[dict[str, Any]] = []
     for folder in (out / "images", given / "masks"):
         folder.mkdir(parents=True, exist_ok=True)
     for i, shot in enumerate(capture.shots):
@@ -82,21 +85,21 @@ def write_capture(out: Path, capture: Capture, max_side: int) -> Iterator[int]:
         if image.shape[:2] != (capture.height, capture.width):
             fact = f"picture {image.shape[1]}x{image.shape[0]}, camera {capture.width}x{capture.height}"
             hint = "cameras and pictures must belong together: unpack the data set again"
-            raise StageError(f"{shot.image} has not the size of its camera", hint, [fact])
+            raise StageError(f"{shot.image} does not have the size of its camera", hint, [fact])
         small = shrink(image, max_side)
         name = f"{i:06d}"
+        names.append(name)
         write_image(out / "images" / f"{name}.png", small)
         write_mask(given / "masks" / f"{shot.source}.png", capture.person(shot))
         rows.append({"name": name, "index": i, "time_s": float(shot.moment), "source": shot.source}
                     | {"moment": shot.moment, "split": shot.split})  # fmt: skip
         yield i + 1
     height, width = small.shape[:2]
-    names = tuple(row["name"] for row in rows)
     Ks = capture.Ks * np.array([[width / capture.width], [height / capture.height], [1.0]])
-    write_cameras(given / "cameras.npz", Cameras(names, capture.viewmats, Ks, width, height))
+    write_cameras(given / "cameras.npz", Cameras(tuple(names), capture.viewmats, Ks, width, height))
     np.savez(given / "lenses.npz", distortion=np.asarray(capture.lenses, np.float64))
     write_points(given / "points.ply", capture.points, capture.colors)
-    np.savez(given / "smpl_fit.npz", names=np.array(names, np.str_), **capture.fit)
+    write_npz(given / "smpl_fit.npz", {"names": np.array(names, np.str_)} | capture.fit)
     (given / "sfm.json").write_text(json.dumps(capture.facts, indent=1) + "\n")
     moments = len({shot.moment for shot in capture.shots})
     video = {"path": capture.sequence, "width": capture.width, "height": capture.height, "fps": 1.0,

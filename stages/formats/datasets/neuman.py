@@ -11,21 +11,23 @@ train_split.txt val_split.txt test_split.txt     names of pictures, a line each;
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import read_npz
-from stages.formats.datasets.capture import Capture, Shot, require
+from stages.formats.datasets.capture import Capture, Purpose, Shot, require
 from stages.formats.frame_names import stem
 from stages.formats.given_cameras.colmap_model import read_colmap
 from stages.formats.given_cameras.record import GivenCameras
 from stages.formats.given_masks.values import mask_files, read_values
-from stages.formats.video import pictures
+from stages.formats.video import picture_files
 
 FIT = "4d_humans/smpl_optimized_aligned_scale.npz"
 SAM, DETECTED = "4d_humans/sam_segmentations", "segmentations"
 FIT_KEYS = ("global_orient", "body_pose", "betas", "transl", "scale")
+Row = TypeVar("Row", Path, int)
 HINT = "unpack the sequence again, with the 4d_humans folder of HUGS's archive"
 PAPER_RULE = "The split of HUGS: every 5th frame is held out, of these the first half is measured."
 FILE_RULE = "The split of the data set's own files: test_split.txt is measured, train_split.txt trained on."
@@ -35,7 +37,7 @@ def read_neuman(folder: Path) -> Capture:
     """Read a sequence; StageError for what is missing, and where masks or poses do not belong to the pictures."""
     require(folder, ("images", "sparse", FIT), "a NeuMan sequence", "neuman")
     model = read_colmap(folder / "sparse")
-    files = pictures(folder / "images")
+    files = picture_files(folder / "images")
     have = {file.name: file for file in files}
     gone = [name for name in model.files if name not in have]
     if gone:
@@ -79,21 +81,23 @@ def paper_split(count: int) -> tuple[list[int], list[int]]:
     return apart[: len(apart) // 2], apart[len(apart) // 2 :]
 
 
-def _split(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, str], str]:
+def _split(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, Purpose], str]:
     """File name -> train, heldout or unused, and the rule in words."""
     if not (folder / "test_split.txt").is_file():
         test, unused = paper_split(len(names))
-        apart = dict.fromkeys((names[i] for i in test), "heldout") | dict.fromkeys((names[i] for i in unused), "unused")
+        apart: dict[str, Purpose] = {names[i]: "heldout" for i in test}
+        apart |= {names[i]: "unused" for i in unused}
         return {name: apart.get(name, "train") for name in names}, PAPER_RULE
     by_stem = {Path(name).stem: name for name in names}
     listed = {kind: _listed(folder / f"{kind}_split.txt", by_stem) for kind in ("train", "val", "test")}
-    both = sorted(set(listed["train"] or ()) & set(listed["test"]))
+    both = sorted(set(listed["train"] or ()) & set(listed["test"] or ()))
     if both:
         facts = [f"{len(both)} pictures, first {both[0]}"]
         raise StageError(f"train_split.txt and test_split.txt in {folder} name the same pictures", HINT, facts)
-    others = "train" if listed["train"] is None else "unused"
+    others: Purpose = "train" if listed["train"] is None else "unused"
     found = dict.fromkeys(names, others)
-    for kind, goal in (("train", "train"), ("val", "unused"), ("test", "heldout")):
+    goals: dict[str, Purpose] = {"train": "train", "val": "unused", "test": "heldout"}
+    for kind, goal in goals.items():
         found |= dict.fromkeys(listed[kind] or (), goal)
     return found, FILE_RULE
 
@@ -140,7 +144,7 @@ def _fit(path: Path, model: GivenCameras, files: list[Path]) -> dict[str, np.nda
     return {key: arrays[key] if key == "betas" and whole else arrays[key][order] for key in FIT_KEYS}
 
 
-def _in_order(rows: list, model: GivenCameras, files: list[Path], what: str) -> dict[str, object]:
+def _in_order(rows: list[Row], model: GivenCameras, files: list[Path], what: str) -> dict[str, Row]:
     """Registered picture -> its row, where the i-th row belongs to the i-th picture of images/, or to the i-th of sparse/."""
     for names in ([file.name for file in files], list(model.files)):
         if len(rows) == len(names):

@@ -38,7 +38,7 @@ class Bytes:
         """Pass over `count` bytes; where they began."""
         if count > len(self.data) - self.at:
             facts = [f"{count} bytes are wanted from byte {self.at} on, the file has {len(self.data)}"]
-            raise StageError(f"{self.path} is cut short or no COLMAP file", HINT, facts)
+            raise StageError(f"{self.path} is cut short or not a COLMAP file", HINT, facts)
         self.at += count
         return self.at - count
 
@@ -50,7 +50,7 @@ class Bytes:
             return self.data[start : self.at - 1].decode()
         except UnicodeDecodeError as error:
             fact = f"from byte {start} on: {self.data[start : start + 40]!r}"
-            raise StageError(f"{self.path} has a picture name that is no text", HINT, [fact]) from error
+            raise StageError(f"{self.path} has a picture name that is not text", HINT, [fact]) from error
 
     def rows(self) -> Iterator[int]:
         """The numbers of the rows that the next count announces; StageError if bytes are left after the last."""
@@ -58,10 +58,10 @@ class Bytes:
         yield from range(count)
         if self.at != len(self.data):
             fact = f"{len(self.data) - self.at} bytes follow the {count} rows that it announces"
-            raise StageError(f"{self.path} is no COLMAP file", HINT, [fact])
+            raise StageError(f"{self.path} is not a COLMAP file", HINT, [fact])
 
 
-def read_lenses(path: Path) -> dict[int, Lens]:
+def lens_rows(path: Path) -> dict[int, Lens]:
     """cameras.bin: camera id -> lens."""
     file, lenses = Bytes(path), {}
     for _ in file.rows():
@@ -76,7 +76,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
     return lenses
 
 
-def read_images(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
+def picture_rows(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
     """images.bin: (image id, quaternion w x y z and translation [7], camera id, file name) of each picture."""
     file = Bytes(path)
     for _ in file.rows():
@@ -86,7 +86,7 @@ def read_images(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
         yield key, np.array(pose), camera, name
 
 
-def read_points(path: Path) -> Iterator[tuple[list[float], list[int]]]:
+def point_rows(path: Path) -> Iterator[tuple[list[float], list[int]]]:
     """points3D.bin: (x y z r g b error, ids of the pictures that see it) of each point."""
     file = Bytes(path)
     for _ in file.rows():

@@ -32,8 +32,8 @@ def read_colmap(folder: Path) -> GivenCameras:
     if missing:
         found = ", ".join(sorted(path.name for path in folder.iterdir())[:12]) if folder.is_dir() else "no such folder"
         raise StageError(f"the COLMAP model in {folder} lacks {', '.join(missing)}", HINT, [f"found: {found}"])
-    lenses = reader.read_lenses(paths[0])
-    images = sorted(reader.read_images(paths[1]), key=lambda image: image[3])
+    lenses = reader.lens_rows(paths[0])
+    images = sorted(reader.picture_rows(paths[1]), key=lambda image: image[3])
     if not images:
         raise StageError(f"no picture has a camera in {paths[1]}", HINT, ["it lists 0 pictures"])
     lost = [image for image in images if image[2] not in lenses]
@@ -43,7 +43,7 @@ def read_colmap(folder: Path) -> GivenCameras:
     used = [lenses[image[2]] for image in images]
     one_size(used, folder)
     row = {image[0]: i for i, image in enumerate(images)}
-    points = list(reader.read_points(paths[2]))
+    points = list(reader.point_rows(paths[2]))
     values = np.array([numbers for numbers, _ in points], np.float64).reshape(-1, 7)
     if not np.isfinite(values).all():
         bad = np.flatnonzero(~np.isfinite(values).all(1))

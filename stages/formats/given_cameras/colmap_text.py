@@ -16,7 +16,7 @@ from stages.formats.given_cameras.record import Lens, checked_lens
 HINT = "a COLMAP model is cameras, images and points3D of one run, all .bin or all .txt"
 
 
-def read_lenses(path: Path) -> dict[int, Lens]:
+def lens_rows(path: Path) -> dict[int, Lens]:
     """cameras.txt: camera id -> lens; StageError with the line that cannot be read."""
     lenses = {}
     for number, line in _lines(path):
@@ -33,7 +33,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
     return lenses
 
 
-def read_images(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
+def picture_rows(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
     """images.txt: (image id, quaternion w x y z and translation [7], camera id, file name) of each picture."""
     lines = _lines(path)
     for number, line in lines:
@@ -51,7 +51,7 @@ def read_images(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
         yield found
 
 
-def read_points(path: Path) -> Iterator[tuple[list[float], list[int]]]:
+def point_rows(path: Path) -> Iterator[tuple[list[float], list[int]]]:
     """points3D.txt: (x y z r g b error, ids of the pictures that see it) of each point."""
     for number, line in _lines(path):
         if not line:

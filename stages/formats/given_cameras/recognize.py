@@ -1,4 +1,4 @@
-"""Which program a camera file or folder is from, told by its content."""
+"""Camera files and folders of other programs: recognizes the program by the content and reads its cameras."""
 
 from __future__ import annotations
 
@@ -54,4 +54,4 @@ def _ours(path: Path) -> GivenCameras:
         )
         for name, K in zip(cameras.names, cameras.Ks, strict=True)
     ]
-    return without_points("cameras.npz", cameras.names, cameras.viewmats, lenses)
+    return without_points("cameras.npz", cameras.names, list(cameras.viewmats), lenses)

@@ -1,4 +1,4 @@
-"""Cameras that another program found: the form that every reader of them gives, and the checks they share."""
+"""The record that every reader of given cameras returns, COLMAP's lens models, and the checks that readers share."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ class GivenCameras:
 
     def median_triangulation_deg(self) -> float | None:
         """Median over the points of the largest angle between two rays to them, None without points."""
-        centres = -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
-        angles = widest_angles(self.points, self.tracks, centres)
+        centers = -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
+        angles = widest_angles(self.points, self.tracks, centers)
         return float(np.median(angles)) if len(angles) else None
 
 
@@ -97,11 +97,11 @@ def without_points(
     )
 
 
-def widest_angles(points: np.ndarray, tracks: Sequence[np.ndarray], centres: np.ndarray) -> np.ndarray:
-    """The widest angle in degrees [P] at which cameras at `centres` [C,3] see each of `points` [P,3]."""
+def widest_angles(points: np.ndarray, tracks: Sequence[np.ndarray], centers: np.ndarray) -> np.ndarray:
+    """The widest angle in degrees [P] at which cameras at `centers` [C,3] see each of `points` [P,3]."""
     widest = []
     for point, track in zip(points, tracks, strict=True):
-        rays = centres[track] - point
+        rays = centers[track] - point
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)  # a point may lie in a camera
         chords = np.linalg.norm(rays[:, None] - rays[None], axis=-1)
         widest.append(np.degrees(2 * np.arcsin(np.clip(chords.max(initial=0) / 2, 0, 1))))

@@ -11,6 +11,7 @@ cx and cy from COLMAP, so the first pixel's centre is at (0.5, 0.5); the synthet
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ HINT = "transforms.json needs frames with file_path and transform_matrix [4,4], 
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 FISHEYE = "OPENCV_FISHEYE"
 SAME_FOCAL = 0.01  # relative difference up to which fl_x and camera_angle_x say the same
-HUGE = 1e9  # px and coefficients beyond are no numbers of a lens
+HUGE = 1e9  # px and coefficients beyond are not those of a lens
 OPENGL = np.diag([1.0, -1, -1, 1])  # OpenCV's camera axes in OpenGL's
 
 
@@ -82,13 +83,17 @@ def _undo(applied: Any, path: Path) -> np.ndarray:
 def _lens(given: dict[str, Any], what: str, width: int, height: int) -> Lens:
     """The lens of one frame, from its own keys and those at the top."""
 
-    def number(key: str, default: float | None = None) -> float | None:
-        value = given.get(key, default)
+    def number(key: str) -> float | None:
+        value = given.get(key)
         if value is not None and (
             isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < HUGE
         ):
             raise StageError(f"{key} of {what} is not a number", HINT, [f"it is {str(value)[:60]!r}"])
         return value
+
+    def number_or(key: str, default: float) -> float:
+        value = number(key)
+        return default if value is None else value
 
     w, h, fx, angle = number("w"), number("h"), number("fl_x"), number("camera_angle_x")
     if fx is None and angle is None:
@@ -102,7 +107,7 @@ def _lens(given: dict[str, Any], what: str, width: int, height: int) -> Lens:
     if angle is not None:
         if not 0 < angle < np.pi:
             raise StageError(
-                f"camera_angle_x of {what} is no field of view", HINT, [f"{angle:g}, wanted 0 to 3.14 rad"]
+                f"camera_angle_x of {what} is not a field of view", HINT, [f"{angle:g}, wanted 0 to 3.14 rad"]
             )
         wide = 0.5 * w / np.tan(0.5 * angle)
         if fx is not None and abs(fx / wide - 1) > SAME_FOCAL and not given.get("is_fisheye"):
@@ -110,13 +115,14 @@ def _lens(given: dict[str, Any], what: str, width: int, height: int) -> Lens:
             raise StageError(f"the focal length of {what} belongs to a picture of another size", HINT, facts)
         fx = wide if fx is None else fx
     tall = number("camera_angle_y") if number("fl_x") is None else None
-    fy = number("fl_y", 0.5 * h / np.tan(0.5 * tall) if tall else fx)
-    base = [fx, fy, number("cx", 0.5 * w), number("cy", 0.5 * h)]
-    model, bent = _distortion(given, number, what)
+    assert fx is not None  # given, or from the angle
+    fy = number_or("fl_y", 0.5 * h / np.tan(0.5 * tall) if tall else fx)
+    base = [fx, fy, number_or("cx", 0.5 * w), number_or("cy", 0.5 * h)]
+    model, bent = _distortion(given, number_or, what)
     return checked_lens(model, base + bent, round(w), round(h), what, HINT)
 
 
-def _distortion(given: dict[str, Any], number: Any, what: str) -> tuple[str, list[float]]:
+def _distortion(given: dict[str, Any], number: Callable[[str, float], float], what: str) -> tuple[str, list[float]]:
     """COLMAP's name of the lens model, and its numbers after the principal point."""
     model = given.get("camera_model", FISHEYE if given.get("is_fisheye") else "OPENCV")
     if model not in (*PERSPECTIVE, FISHEYE):

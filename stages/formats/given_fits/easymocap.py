@@ -13,14 +13,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.given_fits.record import Fields, SmplFit, joined
+from stages.formats.given_fits.record import Fields, SmplFit, join_fits
 
 HINT = "give the folder output/smpl of EasyMocap, with 000000.json and so on: id, Rh, Th, poses, shapes"
 
 
 def read_easymocap(files: list[Path], path: str) -> SmplFit:
     """All frames: lists of people with id, Rh [1,3], Th [1,3], poses [1,72] or [1,69] and shapes [1,10]."""
-    return joined([fit for file in files for fit in _frame(file, path)], path)
+    return join_fits([fit for file in files for fit in _frame(file, path)], path)
 
 
 def _frame(file: Path, path: str) -> list[SmplFit]:

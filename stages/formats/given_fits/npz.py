@@ -59,9 +59,19 @@ def read_plain(content: dict[str, Any], path: str) -> SmplFit:
         more["notes"] = (*more.get("notes", ()), varies)
     names = _names(file, count)
     times = None if names else _times(file, count)
-    parts = {"betas": file.betas("betas", count), "transl": transl, "scale": scale, "turns": turns}
-    orient = {"global_orient": pose[:, :3], "body_pose": pose[:, 3:]}
-    return SmplFit(path, "npz", **parts, **orient, names=names, times=times, **more)
+    return SmplFit(
+        path,
+        "npz",
+        betas=file.betas("betas", count),
+        global_orient=pose[:, :3],
+        body_pose=pose[:, 3:],
+        transl=transl,
+        scale=scale,
+        turns=turns,
+        names=names,
+        times=times,
+        **more,
+    )
 
 
 def _pose(file: Fields, count: int) -> tuple[np.ndarray, dict[str, Any]]:
@@ -73,7 +83,7 @@ def _pose(file: Fields, count: int) -> tuple[np.ndarray, dict[str, Any]]:
             if array.shape[:1] != (count,) or size not in _HANDS:
                 return file.rotations(key, count, 24), {}
             every = file.rotations(key, count, size // 3).reshape(count, -1, 3)
-            more = {"notes": (OTHER_SHAPE.format("SMPL-H" if size == 156 else "SMPL-X"),)}
+            more: dict[str, Any] = {"notes": (OTHER_SHAPE.format("SMPL-H" if size == 156 else "SMPL-X"),)}
             more |= {"pelvis": SMPLX_PELVIS} if size == 165 else {}
             return every[:, [*range(22), *_HANDS[size]]].reshape(count, 72), more
     orient = file.rotations("global_orient", count, 1)
@@ -98,12 +108,12 @@ def _times(file: Fields, count: int) -> np.ndarray | None:
         if (np.diff(times) <= 0).any():
             row = int(np.flatnonzero(np.diff(times) <= 0)[0]) + 1
             facts = [f"row {row} is at {times[row]:g} s, the row before at {times[row - 1]:g} s"]
-            raise StageError(f"times in {file.where} do not grow", HINT, facts)
+            raise StageError(f"times in {file.where} do not increase", HINT, facts)
         return times
     key = next((key for key in _RATES if key in file), None)
     if key is None:
         return None
     rate = float(checked(file.array(key).reshape(-1), (1,), key, file.where, HINT)[0])
     if not rate > 0:
-        raise StageError(f"{key} in {file.where} is no frame rate", HINT, [f"it is {rate:g}"])
+        raise StageError(f"{key} in {file.where} is not a frame rate", HINT, [f"it is {rate:g}"])
     return np.arange(count) / rate

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.given_fits.record import FAR, Fields, SmplFit, joined, same_picture
+from stages.formats.given_fits.record import FAR, Fields, SmplFit, join_fits, same_picture
 
 PHALP_HINT = "give results/demo_VIDEO.pkl, as track.py of 4D-Humans writes it"
 PHALP_FOCAL = 5000 / 256
@@ -49,7 +49,7 @@ def read_phalp(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smp
             else:
                 fits.append(_phalp_person(one, path, str(name), number, str(tid), size))
     notes = (f"{ghosts} poses that the tracker only predicted are left out",) if ghosts else ()
-    whole = joined(fits, path)
+    whole = join_fits(fits, path)
     return replace(whole, notes=whole.notes + notes)
 
 
@@ -94,6 +94,7 @@ def read_romp(content: dict[str, Any], path: str, size: tuple[int, int], name: s
     """
     results = content["results"]
     tracks, several = content.get("sequence_results"), isinstance(results, Mapping) and "cam" not in results
+    people: list[tuple[Any, str | None, Any]]
     if isinstance(tracks, Mapping) and tracks:
         people = list(_tracked(tracks, results, path))
     elif several and all(isinstance(v, Mapping) and "cam" not in v and "poses" not in v for v in results.values()):
@@ -103,7 +104,7 @@ def read_romp(content: dict[str, Any], path: str, size: tuple[int, int], name: s
     else:
         people = [(name, None, one) for one in _apart(results, path)]
     fits = [_romp_person(one, path, str(frame), track, size) for frame, track, one in people]
-    return joined(fits, path)
+    return join_fits(fits, path)
 
 
 def _tracked(tracks: Mapping[Any, Any], results: Any, path: str) -> Iterator[tuple[str, str, Any]]:

@@ -1,4 +1,4 @@
-"""SMPL fits made by other programs: says whose file it is, and reads it.
+"""SMPL fits of other programs: recognizes the program by the content and reads its poses.
 
 | tool              | what to give                                             | poses of  | read by          |
 |-------------------|----------------------------------------------------------|-----------|------------------|
@@ -21,7 +21,7 @@ from stages.contract import StageError
 from stages.formats.given_fits.easymocap import read_easymocap
 from stages.formats.given_fits.npz import TRANSL, read_plain
 from stages.formats.given_fits.people import read_phalp, read_romp
-from stages.formats.given_fits.record import SmplFit, joined
+from stages.formats.given_fits.record import SmplFit, join_fits
 from stages.formats.given_fits.tool_pickles import read_tool_file
 from stages.formats.given_fits.video import read_gvhmr, read_tram, read_wham
 
@@ -59,9 +59,9 @@ def _read_folder(folder: Path, size: tuple[int, int]) -> SmplFit:
         return read_easymocap(kinds[".json"], str(folder))
     fits = [_recognised(read_tool_file(file, HINT), file, size) for file in kinds[".npz"]]
     if fits and {fit.tool for fit in fits} == {"ROMP"}:
-        return joined(fits, str(folder))
+        return join_fits(fits, str(folder))
     found = ", ".join(sorted(file.name for file in folder.iterdir())[:8]) or "nothing"
-    raise StageError(f"{folder} holds no fit that is known", HINT, [f"found {found}"])
+    raise StageError(f"{folder} holds no known SMPL fit", HINT, [f"found {found}"])
 
 
 def _recognised(content: Any, path: Path, size: tuple[int, int]) -> SmplFit:
@@ -83,4 +83,4 @@ def _recognised(content: Any, path: Path, size: tuple[int, int]) -> SmplFit:
     facts = [
         f"it holds {', '.join(map(str, list(content)[:8]))}" if isinstance(content, Mapping) else "no named values"
     ]
-    raise StageError(f"{path} is no fit that is known", HINT, facts)
+    raise StageError(f"{path} is not a known SMPL fit", HINT, facts)

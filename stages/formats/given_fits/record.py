@@ -1,4 +1,4 @@
-"""What every importer of body fits comes to: SMPL poses as their file means them, and the checks they share."""
+"""The record that every reader of SMPL fits returns, and the checks that readers share."""
 
 from __future__ import annotations
 
@@ -18,8 +18,18 @@ SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
 FAR = 1e9
 """Focal length in px that stands for weak perspective: a camera so far away that depth does not matter."""
 OTHER_SHAPE = "the shape numbers are those of {}, which SMPL reads as nearly the same shape"
-_PER_ROW = ("betas", "global_orient", "body_pose", "transl", "scale", "turns", "numbers", "times")
-_PER_ROW += ("focal", "center", "joints2d")
+_PER_ROW = (
+    "betas",
+    "global_orient",
+    "body_pose",
+    "transl",
+    "scale",
+    "turns",
+    "numbers",
+    "times",
+    "focal",
+    "center",
+) + ("joints2d",)
 
 
 @dataclass(frozen=True)
@@ -66,7 +76,7 @@ class SmplFit:
         return replace(self, **parts)
 
 
-def joined(fits: Sequence[SmplFit], path: str) -> SmplFit:
+def join_fits(fits: Sequence[SmplFit], path: str) -> SmplFit:
     """The rows of all `fits` of one tool in one; StageError naming `path` if there are none."""
     if not fits:
         raise StageError(f"{path} holds no poses", "let the tool run again: it found nobody")

@@ -1,4 +1,4 @@
-"""What other programs pickled: joblib's and torch's files, object arrays of numpy. Nothing of them is run.
+"""Pickled files of other programs: joblib, torch.save, object arrays of numpy. Nothing of them is run.
 
 | file begins with | what it is                                                                    |
 |------------------|-------------------------------------------------------------------------------|

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.given_fits.record import OTHER_SHAPE, SMPLX_PELVIS, Fields, SmplFit, joined, same_picture
+from stages.formats.given_fits.record import OTHER_SHAPE, SMPLX_PELVIS, Fields, SmplFit, join_fits, same_picture
 from stages.formats.given_fits.tool_pickles import read_tool_file
 
 WHAM_HINT = "give wham_output.pkl, as `python demo.py --save_pkl` of WHAM writes it"
@@ -45,7 +45,7 @@ def read_wham(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smpl
                 center=np.tile(np.array(size) / 2, (count, 1)),
             )
         )
-    return joined(fits, path)
+    return join_fits(fits, path)
 
 
 def read_gvhmr(content: dict[str, Any], path: str, size: tuple[int, int]) -> SmplFit:
@@ -101,7 +101,7 @@ def read_tram(folder: Path, size: tuple[int, int]) -> SmplFit:
                 center=np.tile(center * ratio, (count, 1)),
             )
         )
-    return joined(fits, str(folder))
+    return join_fits(fits, str(folder))
 
 
 def _numbers(person: Fields, key: str, count: int) -> np.ndarray:

@@ -128,7 +128,7 @@ def decode(segmentation: Any, height: int, width: int, what: str) -> np.ndarray:
     runs = run_lengths(counts, what) if isinstance(counts, str) else counts
     if not isinstance(runs, list) or not all(isinstance(run, int) and run >= 0 for run in runs):
         found = [run for run in runs if not isinstance(run, int) or run < 0][:1] if isinstance(runs, list) else runs
-        raise StageError(f"the counts of {what} are no run lengths", HINT, [f"found {str(found)[:60]}"])
+        raise StageError(f"the counts of {what} are not run lengths", HINT, [f"found {str(found)[:60]}"])
     if sum(runs) != height * width:
         facts = [f"they come to {sum(runs)} pixels, wanted {height} x {width} = {height * width}"]
         raise StageError(f"the counts of {what} do not fill its image", HINT, facts)
@@ -162,9 +162,9 @@ def polygons(parts: list, height: int, width: int, what: str) -> np.ndarray:
         try:
             corners = np.array(part, np.float64).reshape(-1, 2)
         except (TypeError, ValueError) as error:
-            raise StageError(f"{what} has a polygon that is no list of x and y", HINT, [str(error)]) from error
+            raise StageError(f"{what} has a polygon that is not a list of x and y", HINT, [str(error)]) from error
         if len(corners) < 3 or not np.isfinite(corners).all():
-            raise StageError(f"{what} has a polygon that is none", HINT, [f"{len(corners)} corners: {str(part)[:60]}"])
+            raise StageError(f"{what} has an invalid polygon", HINT, [f"{len(corners)} corners: {str(part)[:60]}"])
         crossings = np.zeros((height, width + 1), np.int64)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             rows = np.arange(*np.clip(np.ceil(np.sort([y0, y1]) - 0.5), 0, height).astype(int))

@@ -27,7 +27,7 @@ class MaskSet:
     read: Callable[[str, int], Values | None]
 
 
-def in_order(count: int, frames: int, what: str) -> None:
+def check_one_per_frame(count: int, frames: int, what: str) -> None:
     """StageError unless masks without names are as many as the video's frames."""
     if count != frames:
         hint = "masks without names belong to frames by their order: give one for each frame of the video, or name them"

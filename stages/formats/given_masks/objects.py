@@ -1,4 +1,4 @@
-"""Which of several objects in given masks is the person: the largest that is most often there, or the one asked for."""
+"""The objects in given masks, and which of them is the person: the largest and most frequent, or the one of `--person`."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ def pick(objects: list[Object], person: str | int | None) -> Object:
     """The object of that id, or the first of the ranked `objects` if none is asked for; StageError for an unknown id."""
     if person is None:
         return objects[0]
-    found = [one for one in objects if same(one.id, str(person))]
+    found = [one for one in objects if same_id(one.id, str(person))]
     if not found:
         facts = [f"there are: {'; '.join(map(str, objects[:12]))}"]
         raise StageError(f"no person {person!r} in the given masks", "choose with `--person ID`", facts)
     return found[0]
 
 
-def same(a: str, b: str) -> bool:
+def same_id(a: str, b: str) -> bool:
     """True for equal ids; numbers are compared as such, so that 1 picks the folder 001."""
     return a == b or (a.isdigit() and b.isdigit() and int(a) == int(b))
 
 
-def labelled(given: ForeignMasks) -> list[Object]:
+def labeled_objects(given: ForeignMasks) -> list[Object]:
     """The objects in label masks; labels that touch nearly always are parts of one, like the clothes of a person."""
     objects = []
     for kind, levels in given.kinds.items():
-        if not given.is_labels(kind) or len(levels.few) <= 2:
+        if levels.few is None or not given.is_labels(kind) or len(levels.few) <= 2:
             continue
         ground = given.background(kind)
         labels = [int(label) for label in levels.few if label != ground]

@@ -21,10 +21,10 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.frame_names import ENDINGS, stem
 from stages.formats.given_masks.coco import read_coco
-from stages.formats.given_masks.mask_set import MaskSet, Values, in_order
+from stages.formats.given_masks.mask_set import MaskSet, Values, check_one_per_frame
 from stages.formats.given_masks.stacks import read_stack
 from stages.formats.given_masks.values import mask_files, read_values
-from stages.formats.video import decode, natural, probe
+from stages.formats.video import decode, natural_order, probe
 
 HINT = (
     "`--masks` takes a folder of masks (or of a folder for each object), a .npy or .npz stack, a COCO .json, or a video"
@@ -42,12 +42,12 @@ def read_mask_files(path: Path, frames: int) -> MaskSet:
         return read_coco(path)
     if suffix in ENDINGS:
         raise StageError(f"{path} is one mask", "give the folder that holds one mask per frame", [f"a {suffix} file"])
-    return film(path, frames)
+    return mask_video(path, frames)
 
 
 def folder_of_masks(folder: Path) -> MaskSet:
     """Files in a folder, or in its folders, each of which is an object; a single inner folder is looked into."""
-    inner = sorted((p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")), key=natural)
+    inner = sorted((p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")), key=natural_order)
     if any(p.suffix.lower() in ENDINGS and not p.name.startswith(".") for p in folder.iterdir()) or not inner:
         files = mask_files(folder)
         names = tuple(stem(file) for file in files)
@@ -64,11 +64,11 @@ def folder_of_masks(folder: Path) -> MaskSet:
     return MaskSet(f"folder for each of {len(inner)} objects", names, tuple(found), read)
 
 
-def film(path: Path, frames: int) -> MaskSet:
+def mask_video(path: Path, frames: int) -> MaskSet:
     """A video of masks, frame by frame those of the clip; StageError if it has another number of frames."""
     count = sum(1 for _ in decode(path))
     info = probe(path)
-    in_order(count, frames, f"{path} ({info.duration_s:.2f} s at {info.fps:.2f} frames/s)")
+    check_one_per_frame(count, frames, f"{path} ({info.duration_s:.2f} s at {info.fps:.2f} frames/s)")
     frames_left, at, values = decode(path), -1, np.zeros((0, 0), np.uint8)
 
     def read(_: str, i: int) -> Values:

@@ -9,7 +9,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import BROKEN, read_npz
 from stages.formats.frame_names import stem
-from stages.formats.given_masks.mask_set import MaskSet, Values, in_order
+from stages.formats.given_masks.mask_set import MaskSet, Values, check_one_per_frame
 from stages.formats.given_masks.values import checked_values
 
 HINT = "a stack is one array [N,H,W], with `names` [N] or as many masks as the video has frames; or an array a frame"
@@ -57,7 +57,7 @@ def one_stack(path: Path, key: str, stack: np.ndarray, arrays: dict[str, np.ndar
     found = next((name for name in NAMES if name in arrays and name != key), None)
     names = None
     if found is None:
-        in_order(len(stack), frames, f"{key} in {path}")
+        check_one_per_frame(len(stack), frames, f"{key} in {path}")
     else:
         given = arrays[found]
         if given.shape != (len(stack),) or given.dtype.kind not in "USiu":

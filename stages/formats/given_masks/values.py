@@ -1,4 +1,4 @@
-"""Values of masks made by other programs: pictures and .npy files in many encodings, and what their values mean."""
+"""Reads mask files of other programs, pictures and .npy, and finds out what their values mean."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stages.contract import StageError
 from stages.formats.arrays import read_npy
 from stages.formats.frame_names import ENDINGS
 from stages.formats.images import read_pixels
-from stages.formats.video import natural
+from stages.formats.video import natural_order
 
 LABELS = 32
 """Integer masks whose largest value is at most this are labels; pictures with more colours than this are no masks."""
@@ -30,7 +30,7 @@ def mask_files(folder: Path) -> list[Path]:
     if not found:
         inside = ", ".join(sorted(path.name for path in folder.iterdir())[:8]) or "nothing"
         raise StageError(f"no masks in {folder}", f"masks are {', '.join(ENDINGS)} files, one per frame", [inside])
-    return sorted(found, key=natural)
+    return sorted(found, key=natural_order)
 
 
 def read_values(path: Path) -> tuple[np.ndarray, str]:
@@ -51,11 +51,11 @@ def read_values(path: Path) -> tuple[np.ndarray, str]:
     if channels <= 2:
         return pixels[..., 0], f"{kind} {pixels.dtype}"
     if pixels.dtype == np.uint8 and (np.ptp(pixels[..., :3], axis=2) > COLOURED).any():
-        return colour_ids(pixels[..., :3], path), f"{kind} colour ids"
+        return color_ids(pixels[..., :3], path), f"{kind} colour ids"
     return pixels[..., :3].max(2), f"{kind} colour {pixels.dtype}"
 
 
-def colour_ids(pixels: np.ndarray, path: Path) -> np.ndarray:
+def color_ids(pixels: np.ndarray, path: Path) -> np.ndarray:
     """An integer for each colour of uint8 [H,W,3]: its place in the file's palette, else red green blue as one number."""
     table = palette(path)
     packed = pixels.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
@@ -163,6 +163,12 @@ class ForeignMasks:
                 self.keys.append(key)
                 self.kinds.setdefault(found[1], Levels(found[0].dtype, found[0][:0, 0])).add(found[0])
 
+    def _found(self, key: Hashable) -> tuple[np.ndarray, str]:
+        found = self.values_of(key)
+        if found is None:
+            raise KeyError(key)
+        return found
+
     def is_labels(self, kind: str) -> bool:
         """True if masks of this kind hold labels."""
         levels = self.kinds[kind]
@@ -181,11 +187,11 @@ class ForeignMasks:
     def background(self, kind: str) -> float:
         """The label of the background."""
         levels = self.kinds[kind]
-        return levels.few[0] if len(levels.few) == 2 else min(0, levels.lowest)
+        return levels.few[0] if levels.few is not None and len(levels.few) == 2 else min(0, levels.lowest)
 
     def read(self, key: Hashable, labels: frozenset[int] | None = None) -> np.ndarray:
         """The mask as uint8 [H,W], 255 = marked; of label masks only `labels`, or all but the background."""
-        values, kind = self.values_of(key)
+        values, kind = self._found(key)
         if self.is_labels(kind):
             marked = values > self.background(kind) if labels is None else np.isin(values, list(labels))
             return np.where(marked, np.uint8(255), np.uint8(0))

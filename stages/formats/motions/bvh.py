@@ -59,7 +59,8 @@ class _Lines:
     """The words of a file line by line, braces on lines of their own; remembers where it is."""
 
     def __init__(self, path: Path, text: str):
-        self.path, self.number, self.words = path, 0, []
+        self.path, self.number = path, 0
+        self.words: list[str] = []
         self._rest = self._split(text)
 
     def _split(self, text: str) -> Iterator[tuple[int, list[str]]]:
@@ -179,7 +180,7 @@ def _motion(lines: _Lines, width: int) -> tuple[float, np.ndarray]:
     (seconds,) = lines.numbers(lines.keyword("Frame", "Time:"), 1, "seconds from frame to frame")
     if seconds <= 0:
         raise lines.refuse("a time above 0 s from frame to frame")
-    rows = []
+    rows: list[list[float]] = []
     while lines.more():
         if len(rows) == count:
             raise lines.refuse(f"the end of the file after {count} frames")

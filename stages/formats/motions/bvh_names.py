@@ -46,7 +46,8 @@ class BodyMap:
 def map_body(bvh: Bvh, path: Path) -> BodyMap:
     """Find the body in a skeleton; StageError with the names found where a leg or an arm is missing."""
     words = {_words(name): i for i, name in reversed(list(enumerate(bvh.names))) if name}
-    limbs, missing = {}, []
+    limbs: dict[int, int] = {}
+    missing: list[str] = []
     for side in ("left", "right"):
         for part, names in SYNONYMS.items():
             found = [

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from hugs_cli.cache.child import failed, processors
+from hugs_cli.cache.child import error_event, processors
 from stages.contract import StageError
 
 
@@ -19,7 +19,7 @@ def raised(error: Exception) -> dict:
     try:
         raise error
     except Exception as caught:
-        return failed(caught, "store/train.part")
+        return error_event(caught, "store/train.part")
 
 
 @pytest.mark.parametrize(

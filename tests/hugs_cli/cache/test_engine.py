@@ -11,6 +11,7 @@ import pytest
 
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import UsageError
+from hugs_cli.cache.fingerprint import digest
 from tests.made.flow import ALL, WHOLE
 
 
@@ -27,6 +28,7 @@ def alive(pid: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 def test_first_run_makes_all_and_the_second_nothing(flow):
     out, err = flow.hugs()
     assert out == "work/clip/default/four\n"
@@ -37,6 +39,7 @@ def test_first_run_makes_all_and_the_second_nothing(flow):
     assert [line.split()[:3] for line in err.splitlines()[1:]] == [[name, "cached", "saved"] for name in ALL]
 
 
+@pytest.mark.slow
 def test_run_of_one_stage_runs_what_it_needs_and_no_more(flow):
     assert list(flow.ran("two")) == ["one", "two"]
     assert list(flow.ran("two", "three")) == ["three"]
@@ -44,6 +47,7 @@ def test_run_of_one_stage_runs_what_it_needs_and_no_more(flow):
     assert out == "work/clip/default/two\n"
 
 
+@pytest.mark.slow
 def test_comments_and_docstrings_make_nothing_stale(flow):
     flow.hugs()
     flow.edit("helper", "# with a comment", "# with another comment, and a line\n")
@@ -53,6 +57,7 @@ def test_comments_and_docstrings_make_nothing_stale(flow):
     assert flow.ran() == {}
 
 
+@pytest.mark.slow
 def test_edited_helper_reruns_all_that_import_it_and_same_bytes_stop_the_wave(flow):
     flow.hugs()
     flow.edit("helper", "count = len(", "count = 0 + len(")
@@ -66,6 +71,7 @@ def test_edited_helper_reruns_all_that_import_it_and_same_bytes_stop_the_wave(fl
     assert ran["four"] == ["inputs.three changed", "inputs.two changed"]
 
 
+@pytest.mark.slow
 def test_a_changed_input_tells_what_its_stage_decides_otherwise(flow):
     note = '; (job.out / \'one.json\').write_text(\'{"decisions": {"shadow": true, "sky": false}}\')'
     flow.edit("one", "[video])", "[video])" + note)
@@ -77,6 +83,7 @@ def test_a_changed_input_tells_what_its_stage_decides_otherwise(flow):
     assert flow.ran("two")["two"] == ["inputs.one changed (shadow on -> off)"]
 
 
+@pytest.mark.slow
 def test_edited_code_and_settings_are_named_together(flow):
     flow.hugs()
     flow.edit("two", "helper.work(", "helper.x = 1; helper.work(")
@@ -84,6 +91,7 @@ def test_edited_code_and_settings_are_named_together(flow):
     assert ran == {"two": ["params.word: a -> b", "code flow.two edited"], "four": ["inputs.two changed"]}
 
 
+@pytest.mark.slow
 def test_settings_that_only_change_speed_make_nothing_stale(flow):
     flow.hugs()
     assert flow.ran("--set", "four.delay=0.1") == {}
@@ -92,6 +100,7 @@ def test_settings_that_only_change_speed_make_nothing_stale(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_h20_edited_video_and_masks(flow):
     flow.hugs()
     flow.video.write_text("other pixels")
@@ -109,6 +118,7 @@ def test_h20_edited_video_and_masks(flow):
     assert flow.ran("--masks", "masks.txt") == {}  # touched, not changed
 
 
+@pytest.mark.slow
 def test_seed_is_in_the_key_and_force_is_not(flow):
     flow.hugs()
     assert flow.ran("one", "--seed", "1") == {"one": ["seed: 0 -> 1"]}
@@ -118,6 +128,7 @@ def test_seed_is_in_the_key_and_force_is_not(flow):
     assert not list(flow.store.glob("*.old"))
 
 
+@pytest.mark.slow
 def test_pipelines_share_results(flow):
     flow.hugs()
     assert flow.ran("--pipeline", "other") == {"four": ["first run"]}
@@ -125,6 +136,7 @@ def test_pipelines_share_results(flow):
     assert (flow.work / "clip/other/one").resolve() == (flow.work / "clip/default/one").resolve()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ALL)
 def test_killed_inside_each_stage_and_run_again(flow, stage):
     slow = f"{stage}.delay=30"
@@ -147,6 +159,7 @@ def test_killed_inside_each_stage_and_run_again(flow, stage):
     assert not list(flow.store.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_what_a_stage_says_twice_is_kept_once(flow):
     flow.edit(
         "helper", "# with a comment", "[say(text) for say in (job.note, job.warn) for text in ('again', 'again')]"
@@ -167,6 +180,7 @@ def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
     assert [(line["stage"], line["result"]) for line in lines] == [("one", "done"), ("two", "killed")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "stage"), [(signal.SIGTERM, "two"), (signal.SIGINT, "three")])
 def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, stage):
     run = flow.start("--set", f"{stage}.delay=30")
@@ -181,6 +195,7 @@ def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, s
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
     first = flow.start("--set", "two.delay=1.5")
     flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
@@ -193,6 +208,7 @@ def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
     assert [line["stage"] for line in lines] == ALL
 
 
+@pytest.mark.slow
 def test_damaged_results_are_made_again(flow):
     flow.hugs()
     folder = (flow.work / "clip/default/two").resolve()
@@ -208,6 +224,7 @@ def test_damaged_results_are_made_again(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_half_written_part_is_emptied_unless_the_stage_resumes(flow):
     flow.hugs()
     for stage in ("two", "three"):
@@ -221,6 +238,7 @@ def test_half_written_part_is_emptied_unless_the_stage_resumes(flow):
     assert (flow.work / "clip/default/three/rubbish").exists()
 
 
+@pytest.mark.slow
 def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
     flow.edit("two", "from flow import helper", "from stages.contract import StageError\n    raise StageError("
               "'only 41 of 300 frames placed', 'try `--set two.word=b`', ['median 38 matches'])")  # fmt: skip
@@ -235,6 +253,7 @@ def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
     assert (flow.work / "clip/default/one").is_dir()
 
 
+@pytest.mark.slow
 def test_a_stage_that_writes_nothing_or_dies_early_is_an_error(flow):
     flow.edit("two", "helper.work(", "return (")
     _, err = flow.hugs(code=1)
@@ -247,6 +266,7 @@ def test_a_stage_that_writes_nothing_or_dies_early_is_an_error(flow):
     assert "error: stage two was killed by SIGABRT" in err
 
 
+@pytest.mark.slow
 def test_a_worker_that_a_stage_leaves_behind_does_not_hold_the_run(flow):
     line = "import os, time\n    if os.fork() == 0:\n        time.sleep(60)\n        os._exit(0)\n    "
     flow.edit("four", "from flow import helper", line + "from flow import helper")
@@ -254,6 +274,7 @@ def test_a_worker_that_a_stage_leaves_behind_does_not_hold_the_run(flow):
     assert flow.text("four") == WHOLE
 
 
+@pytest.mark.slow
 def test_status_why_and_dry_run_say_what_would_run(flow):
     out, _ = flow.hugs(command="status")
     assert [line.split()[:2] for line in out.splitlines()] == [[name, "missing"] for name in ALL]
@@ -274,6 +295,7 @@ def test_status_why_and_dry_run_say_what_would_run(flow):
     assert [(row["stage"], row["state"]) for row in rows] == list(states.items())
 
 
+@pytest.mark.slow
 def test_accept_takes_code_changes_and_nothing_else(flow):
     flow.hugs()
     flow.hugs("--pipeline", "other")
@@ -290,6 +312,7 @@ def test_accept_takes_code_changes_and_nothing_else(flow):
     assert stamp["accepted"][0]["changes"] == ["code flow.helper edited"]
 
 
+@pytest.mark.slow
 def test_gc_removes_what_nothing_links_to(flow):
     flow.hugs()
     flow.hugs("--set", "four.word=b")
@@ -324,3 +347,68 @@ def test_a_gpu_counts_only_with_gsplat(monkeypatch):
     assert "gsplat" in error.value.problem and "hugs-avatar[gpu]" in error.value.hint
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: object())
     assert engine.device_of("auto") == engine.device_of("cuda") == "cuda"
+
+
+def written_by_older_code(flow) -> None:
+    """Rewrite all stamps as older code left them: other modules, and a stage that read one input more."""
+    for stage in ALL:
+        link = flow.work / "clip/default" / stage
+        stamp = json.loads((link / "stamp.json").read_text())
+        stamp["code"] = {"flow.long_gone": "0" * 64, f"flow.{stage}": "1" * 64}
+        if stage == "four":
+            stamp["inputs"]["one"] = "2" * 64
+        recipe = [stamp[name] for name in ("stage", "seed", "code", "params", "inputs")]
+        stamp["key"] = digest(recipe)
+        (link / "stamp.json").write_text(json.dumps(stamp))
+        folder = link.resolve()
+        link.unlink()
+        link.symlink_to(f"../store/{stage}-{stamp['key'][:8]}")
+        folder.rename(folder.with_name(f"{stage}-{stamp['key'][:8]}"))
+
+
+def test_results_of_older_code_are_kept_as_they_are(flow):
+    flow.hugs()
+    written_by_older_code(flow)
+    before = {path.name: path.stat().st_ino for path in flow.store.glob("*/out.txt")}
+    out, _ = flow.hugs(command="accept")
+    assert out.count(" accepted: ") == 4 and "four accepted" in out and "inputs.one no longer read" in out
+    assert flow.ran() == {} and flow.text("four") == WHOLE
+    assert before == {path.name: path.stat().st_ino for path in flow.store.glob("*/out.txt")}, "nothing was made again"
+    stamp = json.loads((flow.work / "clip/default/four/stamp.json").read_text())
+    assert list(stamp["inputs"]) == ["three", "two"]
+
+
+def test_an_input_that_was_given_and_is_not_any_more_is_no_change_of_code(flow):
+    (flow.folder / "masks.txt").write_text("m")
+    flow.hugs("--masks", "masks.txt")
+    out, _ = flow.hugs("three", command="accept")
+    assert out == "three not accepted, only changes of code can be: inputs.mask_files gone\n"
+
+
+def test_a_run_says_how_to_keep_results_where_only_code_changed(flow):
+    hint = "of results are made again; `hugs accept clip.mp4` (and --set ...) keeps them"
+    assert hint not in flow.hugs()[1]
+    flow.edit("helper", "count = len(", "count = 0 + len(")
+    err = flow.hugs()[1]
+    assert hint in err and err.index(hint) < err.index(" done ")
+    flow.edit("helper", "count = 0 + len(", "count = len(")
+    assert hint not in flow.hugs("--force")[1]
+    flow.edit("two", "helper.work(", "helper.x = 1; helper.work(")
+    assert hint not in flow.hugs("--set", "two.word=b")[1]
+    flow.hugs("--pipeline", "other")
+    flow.edit("four", "helper.work(", "helper.x = 1; helper.work(")
+    assert "`hugs accept clip.mp4 --pipeline other` (and" in flow.hugs("--pipeline", "other")[1]
+
+
+def test_a_stage_is_handed_the_records_of_all_stages_before_it(flow):
+    line = "import dataclasses, json; (job.out / 'up.json').write_text(json.dumps("
+    line += "{name: dataclasses.asdict(one) for name, one in job.upstream.items()})); helper.work("
+    flow.edit("four", "helper.work(", line)
+    flow.edit("one", "helper.work(", "job.warn('dark'); job.note('40 frames'); helper.work(")
+    for _ in range(2):  # the second time from the cache
+        flow.hugs("four")
+        found = json.loads((flow.work / "clip/default/four/up.json").read_text())
+        assert list(found) == ["one", "two", "three"]
+        assert found["one"]["warnings"] == ["dark"] and "40 frames" in found["one"]["notes"]
+        assert all(one["seconds"] > 0 and one["peak_memory_bytes"] > 1e6 for one in found.values())
+        flow.edit("four", "helper.work(", "helper.x = 1; helper.work(")

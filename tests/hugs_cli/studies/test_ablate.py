@@ -9,6 +9,7 @@ import pytest
 from hugs_cli.studies import ablate
 from hugs_cli.studies.comparison import cell
 from hugs_cli.studies.variants import ABLATIONS
+from stages.evaluate import published
 
 PARTS = ["", *(f".{part}" for part in ABLATIONS)]
 
@@ -25,6 +26,7 @@ def test_a_dry_run_lists_every_training_and_runs_none(clip):
     assert len(json.loads(ablate_(clip, "--dry-run", "--json")[0])) == 18
 
 
+@pytest.mark.slow
 def test_parts_can_be_chosen_or_none_for_the_spread_of_seeds_alone(clip):
     out, _ = ablate_(clip, "--dry-run", "--seeds", "1", "--part", "no_lbs", "--part", "no_joint")
     assert [row.split()[0] for row in out.splitlines()[1:]] == ["tiny", "tiny.no_lbs", "tiny.no_joint"]
@@ -36,6 +38,7 @@ def test_parts_can_be_chosen_or_none_for_the_spread_of_seeds_alone(clip):
     assert "no part 'no_lbz'" in ablate_(clip, "--part", "no_lbz", code=2)[1]
 
 
+@pytest.mark.slow
 def test_all_share_what_lies_before_training_and_are_cached(clip):
     clip.hugs("--pipeline", "tiny")
     out, err = ablate_(clip, "--seeds", "2")
@@ -48,15 +51,23 @@ def test_all_share_what_lies_before_training_and_are_cached(clip):
     assert clip.hugs(command="gc")[0] == "0 B freed\n"
 
 
+@pytest.mark.slow
 def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(clip):
     out, _ = ablate_(clip, "--part", "none", "--seeds", "2")
     assert "paper" not in out, "not its clip"
+    clip.edit(
+        "evaluate",
+        "from stages.contract import Params as Base\n",
+        "from stages.contract import Params as Base\nfrom stages.evaluate import published\n",
+    )
+    clip.edit("evaluate", '"lpips": 0.1}, dict', '"lpips": 0.1, "psnr_per_channel": psnr, "lpips_legacy": 0.2}, dict')
     listing = clip.work / "clip" / "tiny" / "frames" / "frames.json"
     listing.parent.mkdir()
     listing.write_text(json.dumps({"dataset": {"name": "neuman", "sequence": "bike"}}))
+    assert "beside the paper" in ablate_(clip, "--part", "none", "--seeds", "2")[0]
     numbers = {"psnr_per_channel": 25.0, "ssim": 0.9, "lpips_legacy": 0.1}
     found = {"": [{"full": numbers}, {"full": numbers | {"psnr_per_channel": 26.0}}]}
-    table = ablate.beside_the_paper(listing.parent, "tiny", found)
+    table = ablate.compare_with_paper("tiny", found, published("neuman", "bike"))
     assert table["full"]["tiny"]["psnr_per_channel"]["mean"] == 25.5
     blank = {metric: {"mean": None, "spread": None} for metric in ("psnr", "ssim", "lpips")}
     heldout = {"tiny": dict.fromkeys(("full", "person_crop", "person_white"), blank)}
@@ -68,6 +79,7 @@ def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(clip):
     assert block[7].split() == ["tiny", "-", "-", "-"], "the person's box was not measured"
 
 
+@pytest.mark.slow
 def test_a_variant_is_the_pipeline_with_one_setting_and_has_a_status(clip):
     ablate_(clip, "--seeds", "1")
     for part, setting in ABLATIONS.items():
@@ -78,6 +90,7 @@ def test_a_variant_is_the_pipeline_with_one_setting_and_has_a_status(clip):
     assert json.loads(clip.text("train", "tiny.no_joint")) == [0, ["joint"]]
 
 
+@pytest.mark.slow
 def test_the_table_has_mean_spread_and_difference(clip):
     out, _ = ablate_(clip, "--seed", "4", "--set", "one.word=b")
     lines = [line.split() for line in out.splitlines()]
@@ -92,6 +105,7 @@ def test_the_table_has_mean_spread_and_difference(clip):
     assert got == {"mean": 30.0, "spread": 1.0, "difference": -5.0, "values": [29.0, 30.0, 31.0]}
 
 
+@pytest.mark.slow
 def test_without_a_scene_the_person_over_white_is_compared(clip):
     out, err = ablate_(clip, "--seeds", "1", "--set", "evaluate.scene=false")
     for part in ablate.NEEDS_SCENE:
@@ -115,3 +129,14 @@ def test_one_seed_has_no_spread_and_what_was_not_measured_no_number():
 def test_pipelines_that_cannot_be_compared_are_refused(clip, pipeline, problem, hint):
     _, err = clip.hugs("--pipeline", pipeline, command="ablate", code=2)
     assert err.startswith(f"error: {problem}\n") and hint in err
+
+
+def test_trainings_of_every_seed_and_part_can_be_kept_when_only_code_changes(clip):
+    command = ("--seeds", "2", "--part", "no_lbs")
+    out, _ = ablate_(clip, *command)
+    clip.edit("train", "    told = params.model_dump()", "    more = 1\n    told = params.model_dump()")
+    for name in ("tiny", "tiny.no_lbs", "tiny.seed1", "tiny.no_lbs.seed1"):
+        said, _ = clip.hugs("--pipeline", name, command="accept")
+        assert "train accepted: " in said, name
+    again, err = ablate_(clip, *command)
+    assert again == out and err.startswith("4 trainings: 4 cached, 0 to do")

@@ -11,6 +11,7 @@ import pytest
 
 from hugs_cli.studies import costs, costs_page
 from hugs_cli.studies.comparison import METRICS, REGIONS
+from stages import costs_page as drawing
 from stages.formats.images import read_image
 from tests.made.browser import probe
 
@@ -96,14 +97,15 @@ def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
     found = [run_("a<b", 70, 28.0), run_("a<b", 75, 28.4, seed=1), run_("b", 130, 30.0), run_("c", 500, 30.1)]
     found[-1].scores["person_crop"]["lpips"] = None
     result = costs.compared(found)
-    panels, columns = costs_page.panels(result)
-    assert [panel.y_name for panel in panels] == ["PSNR dB, whole picture", "PSNR dB, person"] * 2 and columns == 2
+    panels = drawing.panels(result, {region: REGIONS[region] for region in ("full", "person_crop")})
+    assert [panel.y_name for panel in panels] == ["PSNR dB, whole picture", "PSNR dB, person"] * 2
     text = (page := costs_page.write(tmp_path, "costs", "<clip>", result)).read_text()
-    assert text.count("<polyline") == 2 and "<h1>&lt;clip&gt;</h1>" in text and "a<b" not in text
+    assert text.count(">Pareto front</text>") == 1 and "<h1>&lt;clip&gt;</h1>" in text and "a<b" not in text
     seen, logged = probe(page, tmp_path, width)
     assert logged == [] and not seen["wide"]
 
 
+@pytest.mark.slow
 def test_fewer_than_two_pipelines_are_nothing_to_compare(clip):
     _, err = clip.hugs("--axis", "sh", command="costs", code=2)
     assert err == "error: only a sweep has axes\n\nhint: add `--sweep`\n"
@@ -117,6 +119,7 @@ def test_fewer_than_two_pipelines_are_nothing_to_compare(clip):
     assert "finished: quick" in err and "not finished, or trained again since it was measured: tiny" in err
 
 
+@pytest.mark.slow
 def test_pipelines_that_were_run_are_compared_drawn_and_told_as_json(clip):
     clip.hugs("--pipeline", "tiny")
     clip.hugs("--pipeline", "quick")

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from hugs_cli.studies import costs_page
 from hugs_cli.studies import sweep as sweeps
+from stages import costs_page
 from stages.formats.plot import Dot
 from tests.made.studies import TRAIN
 
@@ -26,12 +26,13 @@ def sweep_(clip, *args: str, code: int = 0) -> tuple[str, str]:
 def test_a_dry_run_lists_every_case_and_runs_none(clip):
     out, err = sweep_(clip, "--dry-run", "--seeds", "2")
     first, *rows = out.splitlines()
-    assert first == "18 trainings: 0 cached, 18 to do, some 50m 32s on 2 cores; better known when the first is done"
+    assert first == "18 trainings: 0 cached, 18 to do, some 50m 32s on 2 cores; more precisely when the first is done"
     names = ["tiny", "tiny", *(f"tiny.{level}" for level in LEVELS * 2)]
     assert [row.split()[0] for row in rows] == names and not err and not clip.work.exists()
     assert [row.split()[2] for row in rows] == ["0", "1", *"0" * 8, *"1" * 8]
 
 
+@pytest.mark.slow
 def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     out, err = sweep_(clip, "--axis", "sh", "--seeds", "2", "--plot")
     drawn = (clip.work / "clip" / "sweep-tiny.svg").read_text()
@@ -51,6 +52,7 @@ def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     assert "8 trainings: 6 cached, 2 to do" in err and again.partition("note")[0] == out.partition("note")[0]
 
 
+@pytest.mark.slow
 def test_a_budget_is_spent_in_order_on_what_fits_and_the_next_one_goes_on(clip):
     _, err = sweep_(clip, "--seeds", "1", "--budget", "0", code=2)
     assert "error: nothing of this sweep has been run" in err and not list(clip.store.glob("*"))
@@ -82,6 +84,7 @@ def test_a_line_goes_through_the_levels_of_an_axis_in_their_order_whatever_the_c
     assert [dot.x for dot in line.dots] == [2.7, 3.0, 2.5] and middle.name == "tiny" and middle.dots[0].spread == 0.1
 
 
+@pytest.mark.slow
 def test_what_survey_finds_that_a_clip_does_not_call_for_is_not_varied(clip):
     clip.write("survey", "'''Looks for gloss.'''\nfrom stages.contract import Params\n" + SURVEY)
     clip.write("train", TRAIN.replace("*, one", "*, one, survey"))
@@ -108,7 +111,7 @@ def test_what_survey_finds_that_a_clip_does_not_call_for_is_not_varied(clip):
 )
 def test_a_difference_counts_from_two_standard_errors_on(seeds, means, spread, within):
     base, level = ({"mean": m, "spread": s, "values": [m] * n} for n, m, s in zip(seeds, means, spread, strict=True))
-    sweeps.set_beside(level, base)
+    sweeps.add_difference(level, base)
     assert level.get("within_noise") == within and level["difference"] == pytest.approx(means[1] - means[0])
 
 

@@ -105,7 +105,7 @@ def seen():
 def told(pixels, viewmats, Ks):
     """What the bundle says of noisy `pixels`."""
     pixels = pixels + np.random.default_rng(1).normal(0, 0.1, pixels.shape)
-    points, angles = tracks.place(pixels, viewmats, Ks)
+    points, angles = tracks.triangulate(pixels, viewmats, Ks)
     there = tracks.project_with_slopes(points, viewmats, Ks)[0]
     return adjust_bundle(tracks.Tracks(pixels, points, pixels - there, angles), viewmats, Ks, 320)
 
@@ -114,7 +114,7 @@ def test_points_are_placed_where_they_are_and_too_few_views_place_none(seen):
     viewmats, Ks, points, pixels = seen
     few = pixels.copy()
     few[5:, 0] = np.nan
-    found, angles = tracks.place(few, viewmats, Ks)
+    found, angles = tracks.triangulate(few, viewmats, Ks)
     assert np.isnan(found[0]).all()
     assert np.abs(found[1:] - points[1:]).max() < 1e-6
     assert (angles[1:] > 0.2).all()
@@ -162,7 +162,7 @@ def test_wrong_cameras_are_found_and_blamed_on_nothing_else(seen):
 def test_too_few_points_are_unknown(seen):
     viewmats, Ks, _, pixels = seen
     assert told(pixels[:, :30], viewmats, Ks) is None
-    evidence = SimpleNamespace(residuals=None, facts={"distortion": {"max_shift_px": 0.0}})
+    evidence = SimpleNamespace(residuals=None, facts=Sfm(verdict="moving", distortion=Distortion(max_shift_px=0.0)))
     for name in ("lens", "rolling_shutter", "camera_refinement"):
         found = DETECTORS[name](evidence)
         assert found.value is None and not found.called_for and found.verdict.startswith("unknown")
@@ -173,7 +173,7 @@ def test_a_lens_that_sfm_took_out_is_told_with_its_shift():
     pixels[1], pixels[2, 0], pixels[4, 1] = np.nan, 2.0, 30.0
     clip = SimpleNamespace(Ks=pinhole(300.0, 240, 320)[None], names=tuple("abcde"))
     points = tracks.Tracks(pixels, np.zeros((2, 3)), np.zeros_like(pixels), np.ones(2))
-    facts = {"distortion": {"max_shift_px": 4.7}}
+    facts = Sfm(verdict="moving", distortion=Distortion(max_shift_px=4.7))
     found = DETECTORS["lens"](SimpleNamespace(residuals=None, facts=facts, clip=clip, tracks=points))
     assert found.called_for and found.value == 4.7 and "sfm" in found.verdict
     assert found.frames == ("a", "c", "e"), "with points near the corners, not the one that shows none"
@@ -246,12 +246,14 @@ def filmed():
     return film
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DETECTORS)
 def test_a_clip_without_effects_calls_for_none(filmed, name):
     found = DETECTORS[name](filmed())
     assert not found.called_for and found.value is not None, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "strength"),
     [("shadow", 0.6), ("sky", 1.0), ("clothing", 0.1), ("view_dependence", 0.4), ("transients", 0)],

@@ -1,55 +1,64 @@
-"""Pieces of a page: nothing a user names becomes markup, and a chart's points lie where its ticks say."""
+"""Pages from templates: no text from outside becomes markup, and an edit of a template makes reports stale."""
 
 import re
 
 import numpy as np
 import pytest
+from jinja2 import UndefinedError
 
-from stages.formats import page, plot
+from hugs_cli.cache.fingerprint import Code
+from stages.formats import page
 from stages.formats.video import write_video
 
 EVIL = "<script>\"&'"
 
 
+def report(figures=(), **values):
+    """A report with evil text wherever there is text."""
+    row, texts = [EVIL] * 9, dict.fromkeys(("title", "video", "protocol", "compared", "costs", "mapper"), EVIL)
+    rows = {name: [row] for name in ("accuracy", "beside_paper", "effects", "measures")}
+    pairs = {name: [(EVIL, EVIL)] for name in ("headline", "warnings", "notes")}
+    pictures = dict.fromkeys(("films", "comparisons", "overlays"), figures)
+    times = {name: ([row], (0,), [0.25]) for name in ("times", "parts")}
+    rest = {"size": (1, 2, 3, 4000, 5), "curve": "", "scene": True, "rungs": [EVIL, EVIL]}
+    return page.fill("report.html", **(texts | rows | pairs | pictures | times | rest | values))
+
+
 def test_text_never_becomes_markup(tmp_path):
     write_video(tmp_path / "a.mp4", [np.zeros((20, 40, 3), np.uint8)] * 2, 4)
-    chart = page.chart({EVIL: ([0, 1], [1, 2])}, EVIL, EVIL)
-    parts = [page.picture(np.zeros((4, 8, 3), np.uint8), EVIL), page.film(tmp_path / "a.mp4", EVIL), chart]
-    parts += [page.warning(EVIL), page.facts([(EVIL, EVIL)]), page.section(EVIL, note=EVIL)]
-    parts += [page.table([EVIL], [[EVIL]])]
-    whole = page.page(EVIL, parts)
-    assert "<script" not in whole and whole.count("&lt;script&gt;") >= 12
-    assert not re.search(r'(src|href)="(?!data:)', whole)
+    figures = [page.picture(np.zeros((4, 8, 3), np.uint8), EVIL), page.film(tmp_path / "a.mp4", EVIL)]
+    for text, places in (
+        (report(figures), 80),
+        (page.fill("costs.html", title=EVIL, plot=EVIL, lines=[EVIL]), 4),
+    ):
+        assert "<script" not in text and text.count("&lt;script&gt;&#34;&amp;&#39;") >= places
+        assert not re.search(r'(src|href)="(?!data:|&lt;script)', text)
+
+
+def test_a_cell_that_looks_like_a_bar_is_text_and_bars_have_the_width_of_their_share():
+    text = report(accuracy=[['<div class="bar" onclick="x">', "b", "1", "2", "3"]])
+    assert '<div class="bar" onclick' not in text and "<td>&lt;div class=&#34;bar&#34;" in text
+    assert text.count('<div class="bar" style="width:25.0%"></div>') == 2
+
+
+def test_a_name_that_no_value_has_is_an_error():
+    with pytest.raises(UndefinedError):
+        page.fill("costs.html", title="")
 
 
 def test_figures_of_a_row_keep_their_shape(tmp_path):
     write_video(tmp_path / "a.mp4", [np.zeros((20, 40, 3), np.uint8)], 4)
-    assert "--shape:2.000" in page.film(tmp_path / "a.mp4", "")
-    assert "--shape:0.500" in page.picture(np.zeros((8, 4, 3), np.uint8), "")
+    figures = [page.film(tmp_path / "a.mp4", ""), page.picture(np.zeros((8, 4, 3), np.uint8), "")]
+    assert [figure.shape for figure in figures] == [2.0, 0.5] and "--shape:2.000" in report(figures)
 
 
-def test_a_bar_is_the_only_markup_a_table_takes():
-    made = page.table(["a", "b"], [["<i>", page.bar(0.25)]], numeric=(0,))
-    assert "<td class=n>&lt;i&gt;</td>" in made and 'style="width:25.0%"' in made
-    assert 'width:100.0%"' in page.bar(7.0) and 'width:0.0%"' in page.bar(-1.0)
-
-
-def test_a_charts_points_lie_where_its_ticks_say():
-    svg = page.chart({"a": ([1.0, 2.0, 4.0], [20.0, 24.0, 30.0])}, "x", "y")
-    points = [tuple(map(float, p.split(","))) for p in re.search(r'points="([^"]+)"', svg)[1].split()]
-    across = {
-        float(v): float(x) for x, v in re.findall(r'<text x="([\d.]+)" y="276" text-anchor="middle">([^<]+)', svg)
+def test_an_edit_of_a_template_makes_reports_stale():
+    read = set(Code().digests("stages.report"))
+    room = "stages/formats/page"
+    assert {f"{room}/{name}" for name in ("report.html", *page.SHARED)} <= read
+    assert f"{room}/costs.html" not in read, "the page of costs is another"
+    assert {path.name for path in page.ROOM.iterdir() if path.suffix in (".html", ".css")} == {
+        *page.SHARED,
+        "report.html",
+        "costs.html",
     }
-    up = {float(v): float(y) - 4 for y, v in re.findall(r'y="([\d.]+)" text-anchor="end">([^<]+)', svg)}
-    np.testing.assert_allclose(points, [(across[1], up[20]), (across[2], up[24]), (across[4], up[30])], atol=0.11)
-    assert 0 in across, "time begins at 0"
-
-
-@pytest.mark.parametrize(("low", "high"), [(0, 0.27), (19.2, 22.4), (25, 25), (-3e-9, 4e-9), (0, 1234), (99.9, 100)])
-def test_ticks_are_few_and_hold_what_they_must(low, high):
-    ticks = plot.ticks(low, high)
-    assert ticks[0] <= low + 1e-9 and ticks[-1] >= high - 1e-9 and 2 <= len(ticks) <= 8 and (np.diff(ticks) > 0).all()
-
-
-def test_one_point_makes_no_chart():
-    assert page.chart({"a": ([1.0], [2.0]), "b": ((), ())}, "x", "y") == ""

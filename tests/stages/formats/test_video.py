@@ -9,7 +9,7 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.images import write_image
-from stages.formats.video import decode, natural, probe, write_video
+from stages.formats.video import decode, natural_order, probe, write_video
 
 COS_SIN = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}  # clockwise turn a player is told to make
 
@@ -149,7 +149,7 @@ def test_a_folder_of_pictures_is_a_video(tmp_path):
 
 def test_i22_natural_order(tmp_path):
     names = ["b2.png", "b10.png", "b1.png", "a10b2.png", "a9b30.png", "é.png", "²1.png"]
-    ordered = [p.name for p in sorted((tmp_path / n for n in names), key=natural)]
+    ordered = [p.name for p in sorted((tmp_path / n for n in names), key=natural_order)]
     assert ordered.index("a9b30.png") < ordered.index("a10b2.png") < ordered.index("b1.png")
     assert ordered.index("b1.png") < ordered.index("b2.png") < ordered.index("b10.png")
 

@@ -109,6 +109,7 @@ def test_novel_poses_are_far_from_every_pose_of_the_clip(long_clip):
     assert gap.min() > 0.3
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_clip(clip):
     again, other = (make_clip(read_body_model(), seed=seed, **SIZE) for seed in (3, 4))
     for part in ("frames", "novel"):

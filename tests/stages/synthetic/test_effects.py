@@ -47,6 +47,7 @@ def shown(setting):
     return show
 
 
+@pytest.mark.slow
 def test_without_effects_the_bytes_are_those_of_before_there_were_any():
     clip = synthetic.make_clip(read_body_model(), seed=3, width=48, height=64, frames=3)
     found = hashlib.sha256()
@@ -107,6 +108,7 @@ def test_a_rolling_shutter_reads_each_row_at_its_own_time(shown, setting):
     assert np.abs(picture - middle)[[3, 100]].mean() > 5 * np.abs(picture - middle)[[59, 60]].mean()
 
 
+@pytest.mark.slow
 def test_blur_is_the_mean_of_moments_in_linear_light(shown, setting):
     effects = ClipEffects(motion_blur=0.9)
     times = open_times(effects)

@@ -33,12 +33,14 @@ def test_without_lbs_learning_each_gaussian_keeps_the_weights_it_began_with(clip
     assert named and not [name for name in named if "deformation" in name or "skin" in name]
 
 
+@pytest.mark.slow
 def test_without_densification_the_person_keeps_its_rows_and_the_scene_grows(clip):
     fit = fit_of(clip, human_densify=False)
     run(fit, 40)
     assert len(fit.human) == len(ellipsoid()[0]) and len(fit.scene) > 150
 
 
+@pytest.mark.slow
 def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch):
     monkeypatch.setattr(losses, "person_only", lambda *a: pytest.fail("the person was compared alone"))
     monkeypatch.setattr(losses, "outside_person", lambda *a: pytest.fail("person pixels were taken out"))
@@ -52,6 +54,7 @@ def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch
     )
 
 
+@pytest.mark.slow
 def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
     free, decoded = fit_of(clip, 80, triplane=False), fit_of(clip, 80)
     for a, b in zip(free.human()[0], decoded.human()[0], strict=True):
@@ -88,6 +91,7 @@ def test_a_person_who_grows_stays_as_opaque(clip):
     assert light[1] == pytest.approx(light[0], rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("triplane", [True, False])
 def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
     fit = fit_of(clip, 80, triplane=triplane)
@@ -100,6 +104,7 @@ def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
     assert (moments["exp_avg_sq"][:10] > 0).any(), "rows that stay keep theirs"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [{"triplane": False}, {"joint": False}, {"human_loss": False, "lbs_learning": False}])
 def test_resumed_equals_uninterrupted_bit_for_bit(clip, case):
     straight, first = fit_of(clip, **case), fit_of(clip, **case)

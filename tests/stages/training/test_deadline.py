@@ -46,6 +46,7 @@ def test_what_was_slow_is_believed_to_stay_slow():
     assert pace.slow == pytest.approx(1.5), "no steps teach nothing"
 
 
+@pytest.mark.slow
 def test_a_rehearsal_leaves_no_trace(clip):
     fit, other = fit_of(clip), fit_of(clip)
     pace = rehearse(fit)
@@ -55,6 +56,7 @@ def test_a_rehearsal_leaves_no_trace(clip):
     assert all(seconds > 0 for seconds in (*pace.half, *pace.full))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("group", "lpips", "timed"), [(6, 0, 6), (3, 0, 6), (4, 0, 4), (4, 3, 12), (5, 7, 5), (30, 0, 30)]
 )
@@ -83,6 +85,7 @@ def test_filled_up_sets_are_at_their_caps(clip):
     assert fit.sizes()["scene"] == 20 * 260, "more than four doublings away"
 
 
+@pytest.mark.slow
 def test_a_run_with_other_steps_goes_through_the_whole_schedule(clip):
     fit = fit_of(clip, steps=40)
     run(fit, 10)

@@ -45,6 +45,7 @@ def test_defect_2_the_scene_has_view_dependent_colours_whatever_the_person_has(c
     assert (looks[0] - looks[1]).abs().max() > 1e-3
 
 
+@pytest.mark.slow
 def test_defect_3_the_place_of_the_person_is_refined(clip):
     views, person = clip
     shift = 0.05 * torch.randn(FRAMES, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1, 0])
@@ -136,6 +137,7 @@ def test_defect_13_lpips_takes_the_range_it_was_made_for_and_the_other_by_name()
     assert abs(lpips(a, b, legacy=True) - lpips(a, b)) > 0.1 * lpips(a, b)
 
 
+@pytest.mark.slow
 def test_defect_14_training_settles(clip, monkeypatch):
     grown = []
     for name in ("grow_human", "grow_scene"):

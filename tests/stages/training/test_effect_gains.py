@@ -46,6 +46,7 @@ def test_every_effect_that_survey_looks_for_can_be_taken_out_but_two():
     assert set(DETECTORS) - {*OPTIONS, *PARTS, "view_dependence"} == {"lens", "sky"}
 
 
+@pytest.mark.slow
 def test_it_leaves_no_trace(clip):
     fit, other = everything(clip), everything(clip)
     run(fit, 9), run(other, 9)
@@ -59,6 +60,7 @@ def test_it_leaves_no_trace(clip):
     assert same(fit, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", [*OPTIONS, *PARTS, "view_dependence"])
 def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
     fit = changing(clip)
@@ -71,6 +73,7 @@ def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
     assert (drawn["psnr"] == whole["psnr"]) == (effect in ONLY_TAUGHT), "else this test says nothing"
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
     """A made-up clock: three pictures take three times as long as one."""
     fit = changing(clip)
@@ -91,6 +94,7 @@ def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
     assert effects_of(fit) == [] and effect_gains(fit, HELD_OUT) == {}
 
 
+@pytest.mark.slow
 def test_without_held_out_frames_there_is_only_a_cost(clip):
     fit = everything(clip, 6)
     run(fit, 6)

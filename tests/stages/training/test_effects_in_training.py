@@ -37,6 +37,7 @@ def everything(clip, steps: int = 24) -> Fit:
     )
 
 
+@pytest.mark.slow
 def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
     straight, first, second = (everything(clip) for _ in range(3))
     run(straight, 24)
@@ -48,6 +49,7 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
     assert (straight.scene.means.norm(dim=1) > 200).sum() >= 3, "the sky stays where it is"
 
 
+@pytest.mark.slow
 def test_what_is_off_changes_no_bit(clip):
     plain, off, on = fit_of(clip, steps=12), fit_of(clip, steps=12), fit_of(clip, steps=12)
     off.effects = FrameEffects()

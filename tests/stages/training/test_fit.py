@@ -20,6 +20,7 @@ from tests.made.training import FRAMES, HEIGHT, WIDTH, fit_of, make_clip, models
 clip = pytest.fixture(scope="module")(make_clip)
 
 
+@pytest.mark.slow
 def test_it_learns_and_both_sets_grow_to_their_caps(clip):
     fit = fit_of(clip, steps=80)
     numbers = run(fit, 80)
@@ -28,6 +29,7 @@ def test_it_learns_and_both_sets_grow_to_their_caps(clip):
     assert len(fit.human) > 162 and len(fit.scene) > 150 and fit.guard.left_out == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken_at", [14, 17])
 def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip, broken_at):
     straight, first, second = fit_of(clip), fit_of(clip), fit_of(clip)
@@ -42,6 +44,7 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip, broken_at):
     assert same(straight, second)
 
 
+@pytest.mark.slow
 def test_h12_the_same_seed_gives_the_same_bits_and_another_gives_others(clip):
     first, second, other = fit_of(clip), fit_of(clip), fit_of(clip)
     other.generator.manual_seed(7)
@@ -51,6 +54,7 @@ def test_h12_the_same_seed_gives_the_same_bits_and_another_gives_others(clip):
     assert same(first, second) and not same(first, other)
 
 
+@pytest.mark.slow
 def test_what_no_frame_shows_is_kept_as_it_began(clip):
     fit = fit_of(clip, steps=80)
     run(fit, 10)
@@ -114,6 +118,7 @@ def poisoned(fit: Fit, tensor: torch.Tensor, row: int, by: float) -> None:
     hook.remove()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("by", "begun"), [(float("nan"), 5), (float("inf"), 5), (1e12, 0), (1e12, 1), (1e12, 5), (1e12, 21)]
 )
@@ -242,6 +247,7 @@ def test_b10_g04_pictures_of_a_few_pixels_train(clip, size):
     assert not torch.equal(before, fit.human.xyz) and fit.guard.left_out == 0
 
 
+@pytest.mark.slow
 def test_h19_one_frame_trains(clip):
     views, person = clip
     one = Views(*(part[:1] for part in views[:4]))
@@ -267,6 +273,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024 / (im
 """
 
 
+@pytest.mark.slow
 def test_a_clip_of_1300_frames_is_halved_frame_by_frame_and_trains(clip, held):
     done = subprocess.run([sys.executable, "-c", HALVED], capture_output=True, text=True, check=True)
     held(float(done.stdout), 0.75, "memory over that of the pictures")
@@ -324,6 +331,7 @@ def test_person_box_is_always_a_window_of_the_picture():
         assert 0 <= left < right <= WIDTH and 0 <= top < bottom <= HEIGHT
 
 
+@pytest.mark.slow
 def test_the_exposure_of_a_frame_is_met_by_its_gain_in_a_few_looks(clip):
     views, person = clip
     images = views.images.clone()

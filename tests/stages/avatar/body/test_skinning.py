@@ -10,12 +10,13 @@ import torch
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.skinning import WEIGHT_GAP, knn_weights, skin
 from stages.avatar.body.smpl import DA_POSE, Body
+from stages.avatar.model.person import bone_transforms
 
 F64 = torch.float64
 
 
 def da_transforms(body: Body, joints: torch.Tensor) -> torch.Tensor:
-    return body.joint_transforms(joints, joints.new_zeros(3), DA_POSE.to(joints))
+    return bone_transforms(joints, body.parents, joints.new_zeros(3), DA_POSE.to(joints))
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def test_canonical_vertices_go_where_the_body_goes(small_body):
     betas, orient, pose = (torch.randn(n, dtype=F64, generator=g) * 0.5 for n in (10, 3, 69))
     vertices, joints = body.rest(betas)
     da = da_transforms(body, joints)
-    bones = body.joint_transforms(joints, orient, pose) @ torch.linalg.inv(da)
+    bones = bone_transforms(joints, body.parents, orient, pose) @ torch.linalg.inv(da)
     moved = skin(skin(vertices, body.lbs_weights, da)[0], body.lbs_weights, bones)[0]
     assert torch.allclose(moved, body(betas, orient[None], pose[None], torch.zeros(1, 3).double())[0][0], atol=1e-12)
 
@@ -116,7 +117,7 @@ def test_c01_gradients(posed):
     inputs = [x.clone().requires_grad_() for x in (canonical[:2], body.lbs_weights[:2], orient, pose)]
 
     def run(points, weights, orient, pose):
-        return skin(points, weights, body.joint_transforms(joints, orient, pose) @ torch.linalg.inv(da))
+        return skin(points, weights, bone_transforms(joints, body.parents, orient, pose) @ torch.linalg.inv(da))
 
     assert torch.autograd.gradcheck(run, inputs, eps=1e-6, atol=1e-7, fast_mode=True)
 

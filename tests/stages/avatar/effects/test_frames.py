@@ -55,6 +55,7 @@ def test_off_is_bit_identical_and_draws_through_nothing(clip, monkeypatch):
     assert len(seen) == 1 and seen[0][1] is scene and FrameEffects().lit(scene, stance) is scene
 
 
+@pytest.mark.slow
 def test_a_training_with_all_effects_goes_on_from_a_checkpoint_to_the_bit(clip):
     whole, first = (fit_with(clip, everything(), refine_camera=True) for _ in range(2))
     run(whole, 12), run(first, 7)
@@ -163,6 +164,7 @@ def test_cameras_not_trained_on_follow_errors_that_drift_and_not_those_of_each_f
     assert agreement(torch.zeros(80, 3)) == 0 and agreement(torch.zeros(1, 3)) == 0
 
 
+@pytest.mark.slow
 def test_wrong_cameras_are_corrected(clip):
     views, person = clip
     wrong = views.viewmats.clone()

@@ -85,6 +85,7 @@ def read_rows(splats: Splats, readout: float) -> torch.Tensor:
     return pixels
 
 
+@pytest.mark.slow
 def test_a_rolling_shutter_is_met_to_second_order(held):
     splats, field = cloud(40), field_of()
     view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
@@ -138,6 +139,7 @@ def draw(splats: Splats, view: np.ndarray, bend=lambda s, t: s):
     return at
 
 
+@pytest.mark.slow
 def test_blur_is_the_mean_light_of_what_passes(held):
     splats, field = cloud(60), field_of()
     view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]

@@ -47,6 +47,7 @@ def test_fill_refuses_what_is_behind_the_camera():
         fill(np.array([[0, 0, -1.0], [1, 0, 2], [0, 1, 2]]), np.array([[0, 1, 2]]), K, 40, 30)
 
 
+@pytest.mark.slow
 def test_cast_sees_the_wall_through_the_room_and_the_box_before_it():
     boxes = np.array([[0, 0, 0, 3, 2, 4, 1, 0], [0, 0, 2, 0.2, 5, 0.1, np.cos(0.3), np.sin(0.3)]], dtype=float)
     mips = tuple(np.full((1, s, s, 3), 0.5, np.float32) for s in (8, 4))
@@ -60,6 +61,7 @@ def test_cast_sees_the_wall_through_the_room_and_the_box_before_it():
     assert depth[15, 2] == 4.0
 
 
+@pytest.mark.slow
 def test_a_point_of_the_texture_is_one_colour_near_and_far():
     """Finer or coarser, looked at straight: the mean over a whole tile is the texture's mean."""
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""PSNR, SSIM and LPIPS of whole pictures, of masked ones and of the person's crop."""
+"""PSNR, SSIM and LPIPS of whole pictures and of the person's crop."""
 
 import math
 
@@ -22,19 +22,6 @@ def test_g14_psnr_of_known_errors():
     uneven = truth + torch.tensor([0.1, 0.1, 0.001])
     assert float(psnr(uneven, truth)) == pytest.approx(-10 * math.log10((0.01 + 0.01 + 1e-6) / 3), abs=1e-3)
     assert float(psnr_per_channel(uneven, truth)) == pytest.approx((20 + 20 + 60) / 3, abs=1e-2)
-
-
-def test_masked_psnr_sees_the_mask_only():
-    image, truth = pictures()
-    mask = torch.zeros(40, 50)
-    mask[10:20, 5:25] = 1
-    inside = psnr(image[10:20, 5:25], truth[10:20, 5:25])
-    assert float(psnr(image, truth, mask)) == pytest.approx(float(inside), abs=1e-4)
-    assert float(psnr(image, truth, torch.ones(40, 50))) == pytest.approx(float(psnr(image, truth)), abs=1e-4)
-    assert float(psnr(image, truth, mask * 0.3)) == pytest.approx(float(inside), abs=1e-4)
-    assert float(psnr(image, truth, mask > 0.5)) == pytest.approx(float(inside), abs=1e-4)
-    with pytest.raises(ValueError, match="empty mask"):
-        psnr(image, truth, torch.zeros(40, 50))
 
 
 def test_crop_holds_the_person_and_no_more():

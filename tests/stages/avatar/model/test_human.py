@@ -220,6 +220,7 @@ def test_f01_the_box_fits_bodies_of_every_size(person, height):
     assert stray > 0 and model.xyz.grad.isfinite().all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.0, 1.0])
 def test_e02_a_joint_at_weight_0_can_come_back(person, gap):
     """Also against a logit that is larger by 1, which leaves the others 4.5e-5. float32 is flat from 10 on."""

@@ -110,6 +110,7 @@ for bad in (float("nan"), float("inf"), -float("inf"), 3e38, -3e38):
 """
 
 
+@pytest.mark.slow
 def test_f02_no_coordinate_crashes_the_process():
     done = subprocess.run([sys.executable, "-c", CRASHES], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -11,8 +11,21 @@ from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, gaussian_axes
 from stages.avatar.rasterize.rendering import ALPHA_MAX, BLUR
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
-from tests.stages.avatar.rasterize.test_projection import MAKERS, STRAIGHT, ball, both, cast, largest, show, worst
-from tests.stages.avatar.rasterize.test_rasterize import NAMES, apart, camera, draw, gaussians
+from tests.made.rasterized import (
+    MAKERS,
+    NAMES,
+    STRAIGHT,
+    apart,
+    ball,
+    both,
+    camera,
+    cast,
+    draw,
+    gaussians,
+    largest,
+    show,
+    worst,
+)
 
 
 @both

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from stages.avatar.rasterize import Camera, Gaussians, Layer, cuda, reference
-from tests.stages.avatar.rasterize.test_rasterize import NAMES, apart, camera, draw, gaussians
+from tests.made.rasterized import NAMES, apart, camera, draw, gaussians
 
 READY = torch.cuda.is_available() and importlib.util.find_spec("gsplat") is not None
 # gsplat projects in float32: the bounds of hard-cases.md, section "Tolerances"

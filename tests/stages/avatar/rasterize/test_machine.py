@@ -12,8 +12,7 @@ import torch
 
 from stages.avatar.kernels import cache
 from stages.avatar.rasterize import Camera, Gaussians, cpu, gaussian_axes, rasterize
-from tests.stages.avatar.rasterize.test_projection import PICTURE, cast
-from tests.stages.avatar.rasterize.test_rasterize import apart, camera, draw, gaussians
+from tests.made.rasterized import PICTURE, apart, camera, cast, draw, gaussians
 
 
 def test_the_number_of_threads_changes_no_pixel():
@@ -50,7 +49,7 @@ def test_the_front_door_sends_each_dtype_to_its_maker():
 SAME = """
 import sys, torch
 sys.path[:0] = {path!r}
-from tests.stages.avatar.rasterize.test_rasterize import camera, draw, gaussians
+from tests.made.rasterized import camera, draw, gaussians
 from stages.avatar.rasterize import cpu
 drawn, grads = draw(cpu, gaussians(), *camera())
 torch.save([drawn.image, drawn.alpha, *grads[:5]], sys.argv[1])

@@ -10,42 +10,24 @@ import torch
 from stages.avatar.rasterize import Camera, Gaussians, cpu, gaussian_axes, reference
 from stages.avatar.rasterize import projection as kernels
 from stages.avatar.rasterize.rendering import ALPHA_MIN, BLUR, COMPENSATION_MIN, FRUSTUM_MARGIN
-from tests.stages.avatar.rasterize.test_rasterize import NAMES, apart, camera, draw, gaussians
+from tests.made.rasterized import (
+    MAKERS,
+    NAMES,
+    PICTURE,
+    STRAIGHT,
+    apart,
+    ball,
+    both,
+    camera,
+    cast,
+    draw,
+    gaussians,
+    largest,
+    show,
+    worst,
+)
 
-PICTURE = ("image", "alpha", "depth")
-STRAIGHT = torch.eye(4)
 LONG = torch.tensor([[1000.0, 0, 32], [0, 1000.0, 32], [0, 0, 1]])  # a long lens on 64x64 px
-MAKERS = [(cpu, torch.float32), (reference, torch.float64)]
-both = pytest.mark.parametrize("maker, dtype", MAKERS, ids=["cpu", "reference"])
-
-
-def ball(n=1, z=3.0, sigma=0.2, opacity=0.5):
-    """n equal round Gaussians on the axis: means, quats, scales, opacities, colors."""
-    colors = torch.rand(n, 3, generator=torch.Generator().manual_seed(1))
-    quats = torch.tensor([1.0, 0, 0, 0]).repeat(n, 1)
-    return [torch.tensor([0.0, 0, z]).repeat(n, 1), quats, torch.full((n, 3), sigma), torch.full((n,), opacity), colors]
-
-
-def show(maker, parts, view, K, width, height, antialias=False, **options):
-    """The picture of `parts` (means, quats, scales, opacities, colors) over black, without gradients."""
-    means, quats, scales, opacities, colors = parts
-    axes = maker.gaussian_axes(quats, scales)
-    gaussians = Gaussians(means, axes, opacities, colors, antialias)
-    (drawn,) = maker.rasterize(gaussians, Camera(view, K, width, height).to(means), **options)
-    return drawn
-
-
-def cast(parts, dtype=torch.float64):
-    return [p.to(dtype) for p in parts]
-
-
-def largest(a, b):
-    return (a.double() - b.double()).detach().abs().max().item()
-
-
-def worst(values):
-    """The largest; unlike Python's max, not-a-number if one is."""
-    return torch.tensor(list(values), dtype=torch.float64).max().item()
 
 
 @pytest.mark.parametrize("length", [10.0, 100.0])

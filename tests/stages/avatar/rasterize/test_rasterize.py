@@ -1,75 +1,11 @@
 """The fast rasterizer against its specification, in value and gradient, where it is easy and where it is not."""
 
-import math
-
 import pytest
 import torch
 
 from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, cuda, reference
+from tests.made.rasterized import HEIGHT, NAMES, WIDTH, apart, camera, draw, gaussians
 
-WIDTH, HEIGHT = 61, 45
-BACKGROUND = torch.tensor([0.2, 0.5, 0.7])
-
-
-def camera(width=WIDTH, height=HEIGHT, focal=60.0, cx=None, cy=None):
-    view = torch.eye(4)
-    angle = 0.2
-    view[:3, :3] = torch.tensor(
-        [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
-    )
-    view[:3, 3] = torch.tensor([0.1, -0.05, 0.3])
-    cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
-    return view, torch.tensor([[focal, 0, cx], [0, 1.1 * focal, cy], [0, 0, 1]])
-
-
-def gaussians(n=300, kind="mixed", seed=0):
-    """means, quats, scales, opacities, colors in front of `camera`."""
-    g = torch.Generator().manual_seed(seed)
-
-    def u(*shape):
-        return torch.rand(*shape, generator=g)
-
-    means = torch.cat([4 * (u(n, 2) - 0.5), 2 + 3 * u(n, 1)], 1)
-    quats = torch.randn(n, 4, generator=g)
-    scales = {
-        "mixed": 0.02 + 0.2 * u(n, 3) ** 2,
-        "needles": torch.tensor([0.5, 0.004, 0.004]) * (0.5 + u(n, 3)),
-        "huge": 2 + 3 * u(n, 3),
-        "tiny": 0.002 + 0.004 * u(n, 3),
-        "deep": 0.4 + 0.4 * u(n, 3),
-        "opaque": 0.05 + 0.2 * u(n, 3),
-        "beside": 0.3 + 0.5 * u(n, 3),
-    }[kind if kind not in ("tied", "kilometres") else "mixed"]
-    if kind == "tied":  # each place twice: the order of rows decides
-        means = means[::2].repeat_interleave(2, 0)
-    elif kind == "beside":  # most lie outside the picture and reach in: their Jacobian is clamped
-        means = means * torch.tensor([3.0, 3, 1])
-    elif kind == "kilometres":
-        means, scales = 1000 * means, 1000 * scales
-    low, high = {"deep": (0.02, 0.12), "opaque": (0.97, 0.99999), "tiny": (0.5, 0.99)}.get(kind, (0.05, 0.99))
-    return means, quats, scales, low + (high - low) * u(n), u(n, 3)
-
-
-def draw(maker, parts, view, K, width=WIDTH, height=HEIGHT, dtype=torch.float32, background=BACKGROUND, **options):
-    """The picture of `parts` and all gradients of a fixed random function of colour, coverage and depth."""
-    leaves = [p.detach().to(dtype).requires_grad_() for p in (*parts, view, background)]
-    means, quats, scales, opacities, colors, view, background = leaves
-    axes = maker.gaussian_axes(quats, scales)
-    gaussians = Gaussians(means, axes, opacities, colors, options.get("antialias", False))
-    (drawn,) = maker.rasterize(gaussians, Camera(view, K.to(dtype), width, height), [Layer(background=background)])
-    g = torch.Generator().manual_seed(5)
-    weights = [torch.rand(t.shape, generator=g).to(dtype) for t in (drawn.image, drawn.alpha, drawn.depth)]
-    loss = sum((w * t).sum() for w, t in zip(weights, (drawn.image, drawn.alpha, 0.1 * drawn.depth)))
-    loss.backward()
-    return drawn, [leaf.grad for leaf in leaves]
-
-
-def apart(a, b):
-    """Relative L2 distance."""
-    return ((a.double() - b.double()).norm() / b.double().norm().clamp_min(1e-12)).item()
-
-
-NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmat", "background")
 # 6 to 11 times the worst gradient measured: mixed 7e-7, needles 7.1e-6, huge 1.7e-6, tiny 3.9e-6, deep 3.3e-7, opaque 4.7e-7
 BOUNDS = {"mixed": 5e-6, "needles": 5e-5, "huge": 1e-5, "tiny": 3e-5, "deep": 3e-6, "opaque": 4e-6}
 # tied 7e-7, beside 3.3e-7, kilometres 8e-7

@@ -66,6 +66,7 @@ def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
     assert (verdict.confidence[[13, 14]] == 0).all() and np.delete(verdict.confidence, [13, 14]).min() > 0.5
 
 
+@pytest.mark.slow
 def test_two_threads_fit_the_same_body_bit_for_bit(monkeypatch):
     """30 frames are enough for torch to share out the sum of the vertices' gradients among its threads."""
     for steps in ("FIRST", "OUTLINED", "LAST"):

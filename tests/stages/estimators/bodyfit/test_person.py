@@ -10,7 +10,7 @@ import pytest
 from stages.contract import StageError
 from stages.estimators.bodyfit.person import choose_person, overlaps
 from stages.formats.body_model import read_body_model
-from stages.formats.given_fits.record import SmplFit, joined
+from stages.formats.given_fits.record import SmplFit, join_fits
 from tests.made import bodyfit_clips
 
 MODEL = read_body_model()
@@ -38,7 +38,7 @@ def walk(clip, aside=0.0, rows=range(FRAMES), track="0"):
 
 
 def both(*fits):
-    fit = joined(fits, "f")
+    fit = join_fits(fits, "f")
     return fit, fit.numbers
 
 

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from stages import sfm
 from stages.contract import Job, StageError
-from stages.estimators.cameras import colmap
-from stages.estimators.cameras import given as camera_import
+from stages.estimators.cameras import colmap, given
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.facts import Listing, parse
@@ -84,7 +83,7 @@ def read(path: Path, truth: Cameras, **settings):
     said: list[str] = []
     job = Job(path.parent, emit=lambda event: said.append(event.get("text", "")))
     listed = parse(json.dumps(settings.pop("listing", listing(truth))), Listing)
-    found = camera_import.import_cameras(job, path, listed, **{"min_share": 0.5, "first": "auto"} | settings)
+    found = given.import_cameras(job, path, listed, **{"min_share": 0.5, "first": "auto"} | settings)
     return found, Cameras(tuple(found.names), found.viewmats, found.Ks, truth.width, truth.height), said
 
 
@@ -180,7 +179,7 @@ def test_cameras_without_points_get_them_by_triangulation(tmp_path, monkeypatch)
     )
     with pytest.raises(StageError, match="the given cameras do not fit the frames") as error:
         run("again", files.nerfstudio(tmp_path / "wrong.json", wrong))
-    assert "px from where the cameras put them" in error.value.facts[0]
+    assert "px off their epipolar lines" in error.value.facts[0]
 
 
 @pytest.mark.parametrize(
@@ -192,7 +191,7 @@ def test_a_dot_seen_through_every_lens_lands_where_the_pinhole_sees_it(truth, mo
         lens = Lens("OPENCV_FISHEYE", (260.0, 262, 152, 118, 0, 0, 0, 0), 300, 240)
     else:
         lens = Lens(model, tuple(files.intrinsics(big, model, scale)), round(300 * scale), round(240 * scale))
-    K, grid, shift = camera_import.straighten(lens, 300, 240)
+    K, grid, shift = given.straighten(lens, 300, 240)
     assert shift > 0.5 and grid is not None
     y, x = np.mgrid[:240, :300] + 0.5
     for ray in np.array([[0.0, 0.0, 1], [0.25, 0.2, 1], [-0.28, 0.11, 1], [0.1, -0.22, 1]]):
@@ -206,7 +205,7 @@ def test_a_dot_seen_through_every_lens_lands_where_the_pinhole_sees_it(truth, mo
 
 def test_a_lens_that_sees_sideways_is_refused(truth):
     with pytest.raises(StageError, match="cannot be turned into a pinhole") as error:
-        camera_import.straighten(Lens("OPENCV_FISHEYE", (20, 20, 48, 64, 0, 0, 0, 0), 96, 128), 96, 128)
+        given.straighten(Lens("OPENCV_FISHEYE", (20, 20, 48, 64, 0, 0, 0, 0), 96, 128), 96, 128)
     assert "OPENCV_FISHEYE 20" in error.value.facts[0]
 
 
@@ -303,7 +302,7 @@ MALFORMED_JSON = {
     "centre of another size": (put("cx", 240.0), "belong to a picture of another size", r"\(240, 64\) px.*96x128"),
     "focal 0": (lambda path: [put("camera_angle_x", None)(path), put("fl_x", 0)(path)], "no usable focal", "0, 121.6"),
     "focal NaN": (put("fl_y", float("nan")), "fl_y of .* is not a number", "nan"),
-    "field of view in degrees": (put("camera_angle_x", 43.0), "no field of view", "43, wanted 0 to 3.14"),
+    "field of view in degrees": (put("camera_angle_x", 43.0), "not a field of view", "43, wanted 0 to 3.14"),
     "unknown lens": (put("camera_model", "EQUIRECTANGULAR"), "is not supported", "it is EQUIRECTANGULAR"),
     "k4 of a perspective lens": (put("k4", 0.1), "no meaning for a perspective lens", "k4 is 0.1"),
     "another shape": (lambda path: [put("w", 128)(path), put("cx", 64)(path), put("camera_angle_x", None)(path)],
@@ -380,7 +379,7 @@ MALFORMED_BINARY = {
     "name cut short": (cut("images.bin", 75), "images.bin is cut short", "the file has 75"),
     "points3D.bin cut short": (cut("points3D.bin", 99), "points3D.bin is cut short", "the file has 99"),
     "too many announced": (patch("images.bin", 0, "Q", 1 << 60), "images.bin is cut short", "are wanted from byte"),
-    "too few announced": (patch("images.bin", 0, "Q", 4), "images.bin is no COLMAP file", "follow the 4 rows"),
+    "too few announced": (patch("images.bin", 0, "Q", 4), "images.bin is not a COLMAP file", "follow the 4 rows"),
     "no pictures": (lambda folder: (folder / "images.bin").write_bytes(bytes(8)), "no picture has a camera", "0"),
     "unknown lens": (patch("cameras.bin", 12, "i", 17), "camera 7 of .* is not supported", "number 17, known are 0 SI"),
     "no size": (patch("cameras.bin", 16, "Q", 0), "camera 7 of .* no picture size", "0x128"),

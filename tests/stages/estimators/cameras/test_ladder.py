@@ -12,12 +12,11 @@ from scipy.spatial.transform import Rotation
 from stages import report
 from stages.avatar.cameras import pinhole as cameras
 from stages.contract import Job, StageError
-from stages.estimators.cameras import colmap
-from stages.estimators.cameras import ladder as sfm_ladder
-from stages.estimators.cameras import verdict as sfm_verdict
+from stages.estimators.cameras import colmap, ladder
 from stages.estimators.cameras.ladder import Matched, Rung, best_rung, climb
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import write_ignored
+from stages.estimators.cameras.verdict import Footage, components, judge_cameras, name_frames, sharpness
 from stages.formats.cameras import read_cameras
 from stages.formats.facts import Sfm, parse
 from stages.formats.images import read_image, write_image
@@ -67,7 +66,7 @@ def climbed(monkeypatch, tmp_path, *models_by_rung, **settings):
         return models
 
     rungs = {f"way {i}": partial(rung, models) for i, models in enumerate(models_by_rung)}
-    monkeypatch.setattr(sfm_ladder, "RUNGS", rungs)
+    monkeypatch.setattr(ladder, "RUNGS", rungs)
     matched = matched_of(tmp_path, **settings)
     found = climb(Job(tmp_path, emit=events.append), matched)
     assert len(set(tries)) == len(tries) == len(found)
@@ -122,10 +121,11 @@ def close(tmp_path_factory):
     return extracted(tmp_path_factory.mktemp("close"), walk(4, 0.4, 2.0))
 
 
+@pytest.mark.slow
 def test_colmap_maps_with_a_small_first_angle_what_it_cannot_by_itself(close, monkeypatch):
-    for how in list(sfm_ladder.RUNGS):
+    for how in list(ladder.RUNGS):
         if how.startswith("global"):
-            monkeypatch.delitem(sfm_ladder.RUNGS, how)
+            monkeypatch.delitem(ladder.RUNGS, how)
     rungs = climb(Job(close.scratch), close)
     assert [(rung.how, len(rung.models)) for rung in rungs] == [
         ("incremental mapper", 0),
@@ -140,16 +140,17 @@ def test_more_pairs_are_matched_and_i17_the_same_clip_gives_the_same_model(close
     assert len(colmap.read_pairs(close.database, files)[0]) == 5
     made = []
     for i in range(2):
-        models = sfm_ladder.RUNGS["global mapper, more pairs"](close, tmp_path / f"{i}", lambda: None)
-        made.append([(model.facts(), {name: pose.tolist() for name, pose in model.posed.items()}) for model in models])
+        models = ladder.RUNGS["global mapper, more pairs"](close, tmp_path / f"{i}", lambda: None)
+        made.append([(model.facts(), {name: pose.tolist() for name, pose in model.poses.items()}) for model in models])
     assert len(colmap.read_pairs(close.database, files)[0]) == 6
     assert made[0] == made[1] and made[0][0][0]["registered"] == 4
 
 
+@pytest.mark.slow
 def test_i01_a_camera_that_does_little_more_than_turn_goes_on_turning_where_nothing_can_be_mapped(
     monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(sfm_ladder, "RUNGS", {"incremental mapper": sfm_ladder.by_incremental})
+    monkeypatch.setattr(ladder, "RUNGS", {"incremental mapper": ladder.by_incremental})
     views = walk(3, 0.3, 2.0)
     write_clip(tmp_path, views, person=False)
     facts, events = run(tmp_path, features=1024)
@@ -171,7 +172,7 @@ def test_i02_frames_without_texture_are_named(tmp_path):
         write_image(path, np.full((room.HEIGHT, room.WIDTH, 3), 80, np.uint8))
     with pytest.raises(StageError) as error:
         run(tmp_path)
-    assert str(error.value) == "no two frames show the same thing outside the person: too little texture"
+    assert str(error.value) == "no two frames match outside the person: too little texture"
     facts = "; ".join(error.value.facts)
     assert "fewer than 100 features: 3 of 3 frames (000000 to 000006)" in facts and "verified pairs: 0" in facts
     assert "features a frame: 0 at least, 0 median" in facts and "sfm.camera=fixed" in error.value.hint
@@ -191,24 +192,24 @@ SHARP, RICH = np.full(10, 2.0), np.full(10, 900)
 def test_i06_two_models_are_named_with_the_cut():
     pairs = [matches(i, i + 1, 300) for i in range(9) if i != 5] + [matches(5, 6, 21), matches(4, 6, 16)]
     posed = [chosen(0, 1, 2, 3, 4, 5), chosen(5, 6, 7, 8), chosen(1, 2)]
-    verdict = sfm_verdict.judge_cameras(NAMES, posed, RICH, SHARP, pairs)
+    verdict = judge_cameras(NAMES, posed, RICH, SHARP, pairs)
     assert verdict.name == "two separate models" and "min_share" in verdict.hint
     assert verdict.facts == [
         "a model of 6 of 10 frames (000000 to 000015)",
         "a model of 3 of 10 frames (000018 to 000024)",
         "cut between 000015 and 000018: 37 matches join the two sides; a pair of frames on one side has 300",
     ]
-    later = sfm_verdict.judge_cameras(NAMES, [chosen(5, 6, 7, 8, 9), chosen(0, 1, 2, 3, 4)], RICH, SHARP, pairs)
+    later = judge_cameras(NAMES, [chosen(5, 6, 7, 8, 9), chosen(0, 1, 2, 3, 4)], RICH, SHARP, pairs)
     assert later.facts[2].startswith("cut between 000012 and 000015: 316 matches"), "the larger may come later"
-    third = sfm_verdict.judge_cameras(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5, 6), chosen(7, 8, 9)], RICH, SHARP, pairs)
+    third = judge_cameras(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5, 6), chosen(7, 8, 9)], RICH, SHARP, pairs)
     assert third.name == "3 separate models" and len(third.facts) == 4
-    small = sfm_verdict.judge_cameras(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5)], RICH, SHARP, pairs)
+    small = judge_cameras(NAMES, [chosen(0, 1, 2, 3), chosen(4, 5)], RICH, SHARP, pairs)
     assert small.name is None, "a second model of a third of the frames that lack a pose explains too little"
 
 
 @pytest.mark.slow
 def test_i06_two_rooms_in_one_clip_go_on_with_the_larger_or_fail(monkeypatch, tmp_path):
-    monkeypatch.setattr(sfm_ladder, "RUNGS", {"global mapper": sfm_ladder.by_global})
+    monkeypatch.setattr(ladder, "RUNGS", {"global mapper": ladder.by_global})
     write_clip(tmp_path, walk(7, 1.2), person=False)
     other = [(normal, offset, room.texture(20 + i)) for i, (normal, offset, _) in enumerate(room.WALLS)]
     monkeypatch.setattr(room, "WALLS", other)
@@ -228,8 +229,9 @@ def test_i06_two_rooms_in_one_clip_go_on_with_the_larger_or_fail(monkeypatch, tm
     assert any(fact.startswith("global mapper: 4 of 7 frames in") for fact in error.value.facts)
 
 
+@pytest.mark.slow
 def test_i07_a_frame_without_a_pose_is_dropped_by_name(monkeypatch, tmp_path):
-    monkeypatch.setattr(sfm_ladder, "RUNGS", {"global mapper": sfm_ladder.by_global})
+    monkeypatch.setattr(ladder, "RUNGS", {"global mapper": ladder.by_global})
     views = walk(6, 1.2)
     write_clip(tmp_path, views, person=False)
     write_image(tmp_path / f"frames/images/{NAMES[2]}.png", np.full((room.HEIGHT, room.WIDTH, 3), 80, np.uint8))
@@ -256,36 +258,34 @@ def test_i08_blurred_frames_are_found_whatever_their_texture(tmp_path):
     change(2, lambda image: cv2.blur(image, (15, 1)))  # a shake to the side
     change(3, lambda image: (100 + image / 16).astype(np.uint8))  # hardly any texture, but sharp
     change(4, lambda image: np.full_like(image, 80))
-    sharp = sfm_verdict.sharpness(folder, tmp_path / "ignored", [f"{name}.png" for name in NAMES[:6]])
+    sharp = sharpness(folder, tmp_path / "ignored", [f"{name}.png" for name in NAMES[:6]])
     assert (sharp[[1, 2]] < 1.25).all() and (sharp[[0, 3, 5]] > 1.7).all() and np.isnan(sharp[4])
 
 
 def test_i08_blur_is_named_where_it_keeps_frames_from_being_placed(tmp_path):
     blurred, few = np.where(chosen(2, 3, 8), 1.1, SHARP), np.where(chosen(2, 3, 4), 20, RICH)
-    verdict = sfm_verdict.judge_cameras(NAMES, [~chosen(2, 3, 4)], few, blurred, [])
+    verdict = judge_cameras(NAMES, [~chosen(2, 3, 4)], few, blurred, [])
     assert verdict.name == "too blurred" and "light" in verdict.hint
     assert verdict.facts == [
         "longest run: frames 000015 to 000027",
         "fewer than 100 features: 3 of 10 frames (000006 to 000012)",
         "blurred: 3 of 10 frames (000006 to 000009, 000024)",
     ]
-    assert sfm_verdict.judge_cameras(NAMES, [~chosen(2, 3, 4)], few, SHARP, []).name == "too little texture"
-    assert sfm_verdict.judge_cameras(NAMES, [~chosen(0, 9)], few, blurred, []).name is None, (
-        "only of frames without a pose"
-    )
+    assert judge_cameras(NAMES, [~chosen(2, 3, 4)], few, SHARP, []).name == "too little texture"
+    assert judge_cameras(NAMES, [~chosen(0, 9)], few, blurred, []).name is None, "only of frames without a pose"
 
 
 def test_frames_missing_without_a_cause_are_told_with_the_longest_run():
     posed = chosen(0, 1, 3, 4, 5)
-    verdict = sfm_verdict.judge_cameras(NAMES, [posed], RICH, SHARP, [])
+    verdict = judge_cameras(NAMES, [posed], RICH, SHARP, [])
     assert verdict.name is None and verdict.facts == ["longest run: frames 000009 to 000015"]
-    assert sfm_verdict.judge_cameras(NAMES, [], RICH, SHARP, []).facts == ["no frame was placed"]
-    assert sfm_verdict.said(NAMES, chosen(0, 2, 4, 6, 7)) == ("5 of 10 frames (000000, 000006, 000012 and 1 more)")
+    assert judge_cameras(NAMES, [], RICH, SHARP, []).facts == ["no frame was placed"]
+    assert name_frames(NAMES, chosen(0, 2, 4, 6, 7)) == ("5 of 10 frames (000000, 000006, 000012 and 1 more)")
 
 
 def test_a_few_frames_left_out_are_a_note(tmp_path):
     events = []
-    footage = sfm_verdict.Footage(NAMES, tmp_path, tmp_path, tmp_path / "database.db", 5)
+    footage = Footage(NAMES, tmp_path, tmp_path, tmp_path / "database.db", 5)
     assert footage.require(Job(tmp_path, emit=events.append), [~chosen(4)], []) is None
     (note,) = events
     assert note["event"] == "note" and "1 of 10 frames (000012)" in note["text"]
@@ -294,9 +294,9 @@ def test_a_few_frames_left_out_are_a_note(tmp_path):
 
 def test_parts_of_a_turning_clip_that_nothing_joins():
     pairs = [matches(0, 1, 50), matches(4, 2, 50), matches(4, 7, 50), matches(8, 7, 50)]
-    parts = sfm_verdict.components(pairs, 10)
+    parts = components(pairs, 10)
     assert [np.flatnonzero(part).tolist() for part in parts] == [[2, 4, 7, 8], [0, 1]]
-    assert sfm_verdict.components([], 10) == []
+    assert components([], 10) == []
 
 
 def test_the_report_says_how_the_cameras_were_found():

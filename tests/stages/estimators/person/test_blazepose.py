@@ -83,6 +83,7 @@ def test_nobody_is_seen_in_an_empty_room(blazepose):
     assert blazepose.track(empty) == [None, None] and blazepose.track([]) == []
 
 
+@pytest.mark.slow
 def test_the_kitchen_man_is_followed(blazepose, kitchen):
     images = list(kitchen.values())
     poses = blazepose.track(images)
@@ -123,6 +124,7 @@ def test_a_mirrored_look_says_the_same_about_the_picture_as_it_is(blazepose, kit
     assert plain.xy[side[0], 0] > plain.xy[side[1], 0] and mirrored.xy[side[0], 0] > mirrored.xy[side[1], 0]
 
 
+@pytest.mark.slow
 def test_a_turned_small_or_late_person_is_found(blazepose, kitchen):
     image = kitchen[0]
     upright = blazepose.track([image])[0]
@@ -141,6 +143,7 @@ def rotation(matrix):
     return full
 
 
+@pytest.mark.slow
 def test_he_is_found_again_after_a_gap(blazepose, kitchen):
     image = kitchen[0]
     gone = np.full_like(image, 100)

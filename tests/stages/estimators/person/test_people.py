@@ -37,7 +37,7 @@ def test_the_largest_is_followed_and_the_others_are_named_with_numbers():
     one, said = company(TWO)
     assert one.start is TWO[3]
     assert said[0].startswith(
-        "2 people in frame 000006, several in 1 of 3 frames looked at: 1 at x 52, y 100 px, 90 px across; 2 at"
+        "2 people in frame 000006, several in 1 of 3 frames checked: 1 at x 52, y 100 px, 90 px across; 2 at"
     )
     assert "following the largest" in said[1] and "--person" in said[1]
 
@@ -64,7 +64,7 @@ def test_an_outline_that_holds_two_and_a_jump_are_said():
     mask = np.full((200, 300), 255, np.uint8)
     one.look(2, TWO[1].pose, mask)
     one.close()
-    assert "holds somebody else too in 1 of 1 frames looked at, first 000006" in said[-1]
+    assert "also covers somebody else in 1 of 1 frames checked, first 000006" in said[-1]
     alone, said = company(TWO)
     mask[:, 150:] = 0
     alone.look(2, TWO[1].pose, mask)

@@ -1,0 +1,126 @@
+"""The commands that show and change nothing: status, why, stages."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from hugs_cli import options, pipelines
+from hugs_cli.cache import child
+from hugs_cli.cache.freshness import Verdict
+from hugs_cli.cache.workspace import Stamp
+from hugs_cli.console import Console
+from hugs_cli.options import (
+    AsJson,
+    BodyModel,
+    Cameras,
+    Masks,
+    Person,
+    PipelineName,
+    PipelinesFile,
+    Seed,
+    Settings,
+    SmplFit,
+    Stages,
+    Work,
+    open_session,
+)
+
+STAMP_FACTS = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
+
+
+def status(
+    video: options.Video,
+    as_json: AsJson = False,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    masks: Masks = None,
+    person: Person = None,
+    cameras: Cameras = None,
+    smpl_fit: SmplFit = None,
+    body_model: BodyModel = None,
+    seed: Seed = 0,
+    work: Work = Path("work"),
+    pipelines_file: PipelinesFile = pipelines.FILE,
+) -> None:
+    """Show which results are fresh, and why others are not."""
+    session = open_session(
+        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
+    )
+    show(Console(), session.verdicts(list(session.pipeline.stages)), as_json)
+
+
+def why(
+    video: options.Video,
+    stages: Stages = None,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    masks: Masks = None,
+    person: Person = None,
+    cameras: Cameras = None,
+    smpl_fit: SmplFit = None,
+    body_model: BodyModel = None,
+    seed: Seed = 0,
+    work: Work = Path("work"),
+    pipelines_file: PipelinesFile = pipelines.FILE,
+) -> None:
+    """Show what a result was made of and what has changed."""
+    session = open_session(
+        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
+    )
+    wanted = stages or list(session.pipeline.stages)
+    verdicts, console, now = (
+        session.verdicts(session.pipeline.upstream(wanted)),
+        Console(),
+        child.versions(lambda module: True),
+    )
+    for i, name in enumerate(wanted):
+        if i:
+            console.result()
+        console.why(verdicts[name], now)
+
+
+def list_stages(
+    stages: Stages = None,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    as_json: AsJson = False,
+    pipelines_file: PipelinesFile = pipelines.FILE,
+) -> None:
+    """List the pipelines, and the stages and settings of one."""
+    loaded, console = pipelines.load(pipeline, set_ or (), pipelines_file), Console()
+    loaded.upstream(stages or [])  # refuses unknown names
+    chosen = [loaded.stages[name] for name in stages or loaded.stages]
+    if as_json:
+        rows = [
+            {"stage": s.name, "needs": s.needs, "doc": s.doc, "params": s.params.model_dump(mode="json")}
+            for s in chosen
+        ]
+        console.result(json.dumps({"pipeline": pipeline, "doc": loaded.doc, "stages": rows}, indent=1))
+        return
+    for name, doc in pipelines.names(pipelines_file).items():
+        console.result(f"{'*' if name == pipeline else ' '} {name:<12}{doc}")
+    for stage in chosen:
+        console.result(f"\n{stage.name}  <- {', '.join(stage.needs)}\n  {stage.doc}".rstrip())
+        for name, info in type(stage.params).model_fields.items():
+            doc = " ".join((info.description or "").split())
+            console.result(f"    {name} = {getattr(stage.params, name)}{'   ' + doc if doc else ''}")
+
+
+def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:
+    """Print verdicts as rows or as JSON."""
+    if not as_json:
+        console.verdicts(verdicts)
+        return
+    rows = [
+        {"stage": name, "state": verdict.state, "reasons": list(map(str, verdict.reasons))}
+        | stamp_facts(verdict.stamp or verdict.last)
+        for name, verdict in verdicts.items()
+    ]
+    console.result(json.dumps(rows, indent=1))
+
+
+def stamp_facts(stamp: Stamp | None) -> dict[str, Any]:
+    """The part of a stamp that `--json` shows."""
+    return {name: getattr(stamp, name) for name in STAMP_FACTS} if stamp else {}

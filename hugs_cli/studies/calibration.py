@@ -1,0 +1,27 @@
+"""Measured times that plans are built on. Only forecasts depend on them, never a result.
+
+Stages give their own cost after training, see `cost` in stages/train.py, stages/render.py and stages/evaluate.py.
+"""
+
+STAGE_START = 2.5
+"""Seconds from the end of a stage to the start of the next, libraries loaded. The kitchen clip, 2 cores, November 2026."""
+
+BEFORE, STEP, AFTER = 1.6, 0.2, 1.0
+"""Seconds per frame before training, per training step, and per frame to measure. The phone clip, 2 cores, November 2026."""
+
+FRAMES = 80
+"""Frames of a pipeline that has no setting for their number."""
+
+LEVEL_TIMES: dict[str, dict[tuple[object, ...], float]] = {
+    "steps": {(0.25,): 0.25, (0.5,): 0.5, (2,): 2.0},
+    "half": {(0.0,): 1.1, (0.4,): 1.0, (1.0,): 0.8},
+    "frames": {(8,): 1.0, (16,): 1.0, (32,): 1.0, (0,): 1.0},
+    "points": {(0,): 0.6, (1,): 1.0, (2,): 2.7},
+    "caps": {(0.5, 0.5): 0.8, (2, 2): 1.4},
+    "sh": {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2},
+    "stop": {(1e-6,): 1.1, (1e-4,): 1.0, (1e-3,): 1.0, (1e-2,): 0.95},
+    "perceptual": {("alex", 0): 1.0, ("alex", 4): 1.1, ("alex", 1): 1.3, ("vgg", 4): 1.5, ("vgg", 1): 3.2},
+    "features": {(1024,): 0.5, (2048,): 1.0, (4096,): 3.0},
+    "overlap": {(2,): 1.0, (5,): 1.8},
+}
+"""Axis of a sweep -> level -> time of its stage, relative. The phone clip, 2 cores, November 2026."""

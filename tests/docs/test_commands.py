@@ -1,0 +1,139 @@
+"""Every command in the documents is one that exists: its options, its stages, settings, pipelines, axes and modules.
+
+Cheap commands are run. The long ones (run, demo, and what reads their results) are run by tests/test_end_to_end.py and
+tests/hugs_cli; here they are parsed by the real command line.
+"""
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from hugs_cli import app, pipelines, within
+from hugs_cli.studies import variants
+from tests.docs.documents import ROOT, documents
+
+CHEAP = {"hugs stages", "hugs doctor", "hugs --help"}
+CODES = {"hugs doctor": (0, 1)}  # 1 where models are missing
+PREFIXES = ("hugs ", "make ", "pip ", "python -m ")
+HUGS = typer.main.get_command(app.app)
+SETTING = re.compile(r"([a-z]+)\.([a-z_0-9]+)(=\S+)?")
+STAGES = pipelines.load("default").stages
+
+
+def block_lines() -> list[tuple[str, str]]:
+    """(document, command) of each line of the blocks `console`, without comments."""
+    lines = [
+        (d.name, line.split(" #")[0].strip())
+        for d in documents()
+        for b in d.blocks("console")
+        for line in b.splitlines()
+    ]
+    return [(name, line) for name, line in lines if line]
+
+
+def span_commands() -> list[tuple[str, str]]:
+    """(document, command) of each command in running text."""
+    return [(d.name, span) for d in documents() for span in d.spans() if span.startswith(PREFIXES)]
+
+
+COMMANDS = list(dict.fromkeys([*block_lines(), *span_commands()]))
+
+
+def parsed(words: list[str], example: bool) -> tuple[str, dict]:
+    """The command and its values, as the command line reads them; running text may leave arguments out."""
+    group = HUGS.make_context("hugs", list(words))
+    name, command, rest = HUGS.resolve_command(group, list(words))
+    try:
+        return name, command.make_context(name, rest, parent=group).params
+    except Exception as error:
+        if example or type(error).__name__ != "MissingParameter":  # of click, or of typer's own copy of it
+            raise
+        return name, {}
+
+
+def check_hugs(words: list[str], example: bool) -> None:
+    if words[0].isupper() or words == ["--help"]:
+        return
+    command, values = parsed(words, example)
+    pipeline_name = values.get("pipeline") or "default"
+    base, _, last = pipeline_name.rpartition(".")
+    pipeline = pipelines.load(base if base and within.is_time(last) else pipeline_name, values.get("set_") or ())
+    pipeline.upstream(values.get("stages") or [])  # refuses unknown stages
+    if values.get("within") and values["within"] != "TIME":
+        assert within.is_time(values["within"])
+    if command == "costs":
+        assert set(values.get("axis") or ()) <= set(variants.AXES)
+    if command == "ablate":
+        assert set(values.get("part") or ()) <= {*variants.ABLATIONS, "none"}
+
+
+def check_make(words: list[str], example: bool) -> None:
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert {word for word in words if "=" not in word} <= targets
+
+
+def check_pip(words: list[str], example: bool) -> None:
+    """Options are pip's; only the checkout is installed, with extras that it has."""
+    assert words[0] == "install"
+    (target,) = [word for word in words[1:] if not word.startswith("-")]
+    extra = re.fullmatch(r"\.(?:\[(\w+)\])?", target)
+    assert extra
+    assert not extra[1] or re.search(rf"^{extra[1]} = \[", (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+
+
+def check_python(words: list[str], example: bool) -> None:
+    assert words[0] == "-m"
+    spec = importlib.util.find_spec(words[1])
+    assert spec and spec.origin
+    source = Path(spec.origin).read_text(encoding="utf-8")
+    assert "__main__" in source
+    for option in (word for word in words[2:] if word.startswith("--")):
+        assert f'"{option}"' in source, f"{words[1]} has no {option}"
+
+
+CHECKS = {"hugs": check_hugs, "make": check_make, "pip": check_pip, "python": check_python}
+
+
+@pytest.mark.parametrize(("document", "command"), COMMANDS)
+def test_commands_exist(document, command):
+    program, *words = shlex.split(command)
+    CHECKS[program](words, (document, command) in set(block_lines()))
+
+
+@pytest.mark.parametrize(
+    ("command", "problem"),
+    [
+        ("hugs walk dance.mp4", "No such command"),
+        ("hugs run dance.mp4 --fast", "No such option"),
+        ("hugs run dance.mp4 paint", "no stage 'paint'"),
+        ("hugs run dance.mp4 --set train.no=1", "no setting 'no'"),
+    ],
+)
+def test_a_command_that_does_not_exist_is_noticed(command, problem):
+    with pytest.raises(Exception, match=problem):
+        check_hugs(shlex.split(command)[1:], True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", sorted(CHEAP))
+def test_cheap_commands_run(command):
+    start = [sys.executable, "-c", "from hugs_cli import main; main()", *shlex.split(command)[1:]]
+    done = subprocess.run(start, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode in CODES.get(command, (0,)), done.stderr
+    assert done.stdout
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda d: d.name)
+def test_settings_exist(document):
+    """`train.steps` and `survey.shadow=always` are settings, and the value is one that the setting takes."""
+    for span in document.spans():
+        found = SETTING.fullmatch(span)
+        if found and found[1] in STAGES and found[2] not in ("json", "npz", "html", "py"):
+            value = found[3] or f"={getattr(STAGES[found[1]].params, found[2])}"
+            pipelines.load("default", [f"{found[1]}.{found[2]}{value}"])

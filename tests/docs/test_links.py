@@ -1,0 +1,49 @@
+"""Links between documents lead somewhere, files that they name exist, and the front door stays small."""
+
+import re
+
+import pytest
+
+from tests.docs.documents import ROOT, documents
+
+DOCUMENTS = documents()
+IDS = [document.name for document in DOCUMENTS]
+PATH = re.compile(r"(?:stages|hugs_cli|tests|docs)/[\w./*-]*|[A-Za-z]+\.(?:toml|yaml)|NOTICE|CHANGELOG\.md")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=IDS)
+def test_links_lead_somewhere(document):
+    folder = (ROOT / document.name).parent
+    known = {(ROOT / one.name).resolve(): one for one in DOCUMENTS}
+    for link in document.links():
+        if link.startswith("https://"):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (folder / path).resolve() if path else (ROOT / document.name).resolve()
+        assert target.exists(), link
+        assert not anchor or anchor in known[target].anchors(), link
+
+
+@pytest.mark.parametrize("document", [d for d in DOCUMENTS if d.name != "CHANGELOG.md"], ids=lambda d: d.name)
+def test_files_that_are_named_exist(document):
+    new = "stages/sheet.py", "tests/stages/test_sheet.py"  # the stage that architecture.md adds
+    for span in document.spans():
+        if PATH.fullmatch(span) and span not in new:
+            assert list(ROOT.glob(span.rstrip("/"))), span
+
+
+def test_every_document_is_listed():
+    index = next(document for document in DOCUMENTS if document.name == "docs/README.md")
+    benchmarks = next(document for document in DOCUMENTS if document.name == "docs/benchmarks/README.md")
+    for document in DOCUMENTS:
+        place, _, name = document.name.rpartition("/")
+        if place == "docs" and name != "README.md":
+            assert name in index.links()
+        if place == "docs/benchmarks" and name != "README.md":
+            assert name in benchmarks.links()
+
+
+def test_the_front_door_is_small():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
+    assert (ROOT / "docs" / "pictures" / "strip.webp").stat().st_size < 2e6
+    assert (ROOT / "docs" / "pictures" / "report.webp").stat().st_size < 4e5

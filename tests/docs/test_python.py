@@ -1,0 +1,74 @@
+"""Every line of Python in the documents is run, on a small avatar; so is the stage that architecture.md adds."""
+
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from hugs_cli import pipelines
+from stages.contract import Job
+from stages.formats.images import read_image
+from tests.docs.documents import documents
+from tests.made import tiny
+
+DOCUMENTS = {document.name: document for document in documents()}
+LINES = 8  # of the example in README, without its imports
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch):
+    """A folder in which work/dance/default has the stages up to train."""
+    monkeypatch.chdir(tmp_path)
+    tiny.make(tmp_path / "work" / "dance" / "default")
+    return tmp_path
+
+
+def test_all_documents_with_python_are_run_here():
+    found = {name for name, document in DOCUMENTS.items() if document.blocks("python")}
+    assert found == {"README.md", "docs/python.md", "docs/architecture.md"}
+
+
+def test_readme(work):
+    (block,) = DOCUMENTS["README.md"].blocks("python")
+    assert len(block.partition("\n\n")[2].splitlines()) == LINES
+    names: dict = {}
+    exec(block, names)
+    assert names["means"].shape == names["colors"].shape == (len(names["opacities"]), 3)
+    image = read_image(work / "pose.png")
+    assert image.shape == (512, 512, 3)
+    assert_in_the_middle(names["coverage"])
+
+
+def assert_in_the_middle(coverage):
+    """The whole person is in the picture, and not small."""
+    rows, columns = (np.flatnonzero(coverage.max(axis) > 0.5) for axis in (1, 0))
+    assert rows[0] > 0 and rows[-1] < 511 and columns[0] > 0 and columns[-1] < 511
+    assert len(rows) > 256
+
+
+def test_python_md(work):
+    names: dict = {}
+    for block in DOCUMENTS["docs/python.md"].blocks("python"):
+        exec(block, names)
+    assert_in_the_middle(names["coverage"])
+    drawn = read_image(work / "frame.png").astype(float)
+    truth = read_image(work / "work" / "dance" / "default" / "sfm" / "images" / f"{tiny.NAMES[0]}.png")
+    assert np.abs(drawn - truth).max() <= 2
+
+
+def test_the_stage_that_architecture_md_adds(work, monkeypatch):
+    """The stage is found, its settings are checked, and it does what it says."""
+    (code,) = DOCUMENTS["docs/architecture.md"].blocks("python")
+    (entry,) = DOCUMENTS["docs/architecture.md"].blocks("yaml")
+    module = ModuleType("stages.sheet")
+    monkeypatch.setitem(sys.modules, "stages.sheet", module)
+    exec(code, module.__dict__)
+    (work / "mine.yaml").write_text(entry)
+    stage = pipelines.load("sheet", file=work / "mine.yaml").stages["sheet"]
+    assert stage.params.columns == 4
+    said = []
+    frames = work / "work" / "dance" / "default" / "sfm"  # tiny keeps its pictures there, in images/ as frames does
+    module.run(Job(work, emit=said.append), stage.params, frames=frames)
+    assert read_image(work / "sheet.png").shape == (2 * tiny.HEIGHT, 4 * tiny.WIDTH, 3)
+    assert "2 rows of 4" in said[-1]["text"]
