@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import matrix_from_rotvec
+from stages.avatar.cameras.pinhole import camera_centers
 
 
 def corrected(viewmats: Tensor, turns: Tensor, shifts: Tensor) -> Tensor:
@@ -14,5 +15,5 @@ def corrected(viewmats: Tensor, turns: Tensor, shifts: Tensor) -> Tensor:
     Corrections whose mean over the clip is 0 cannot turn or move the world as a whole.
     """
     rotation = viewmats[..., :3, :3] @ matrix_from_rotvec(turns).mT
-    centre = -(viewmats[..., :3, :3].mT @ viewmats[..., :3, 3:]) + shifts[..., None]
-    return torch.cat([torch.cat([rotation, -rotation @ centre], -1), viewmats[..., 3:, :]], -2)
+    centre = camera_centers(viewmats) + shifts
+    return torch.cat([torch.cat([rotation, -rotation @ centre[..., None]], -1), viewmats[..., 3:, :]], -2)

@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
 from stages import records
+from stages.avatar.cameras.pinhole import camera_centers, project
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.splats.gaussians import Splats, spacing
 from stages.avatar.splats.neighbours import nearest
@@ -28,7 +29,7 @@ def scene_extent(viewmats: Tensor, points: Tensor) -> float:
     viewmats[C,4,4], points[P,3]. The floor keeps a tripod or a pure turn from making every length 0 (hard case H05).
     """
     rotations, shifts = viewmats[:, :3, :3].double(), viewmats[:, :3, 3].double()
-    centres = -(rotations.transpose(1, 2) @ shifts[..., None])[..., 0]
+    centres = camera_centers(viewmats.double())
     spread = 1.1 * (centres - centres.mean(0)).norm(dim=1).max().item()
     if len(points) == 0:
         return max(spread, 1.0)
@@ -44,8 +45,7 @@ def clear_of_cameras(points: Tensor, viewmats: Tensor, extent: float) -> Tensor:
     """
     if len(points) == 0:
         return torch.zeros(0, dtype=torch.bool, device=points.device)
-    centres = -(viewmats[:, :3, :3].mT @ viewmats[:, :3, 3:])[..., 0]
-    return nearest(centres, points, 1)[0][:, 0] > NEAREST * extent
+    return nearest(camera_centers(viewmats), points, 1)[0][:, 0] > NEAREST * extent
 
 
 def fill_points(
@@ -71,11 +71,9 @@ def fill_points(
     skies = skies or [np.zeros_like(mask, bool) for mask in masks]
     for image, mask, viewmat, K, place, sky in zip(images, masks, viewmats, Ks, person, skies, strict=True):
         height, width = mask.shape
-        local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-        local = local[local[:, 2] > 1e-6]
-        pixels = local[:, :2] / local[:, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
-        seen = (pixels > 0).all(1) & (pixels < [width, height]).all(1)
-        pixels, inverse = pixels[seen], 1 / local[seen, 2]
+        pixels, depths = project(points, viewmat, K)
+        seen = (depths > 1e-6) & (pixels > 0).all(1) & (pixels < [width, height]).all(1)
+        pixels, inverse = pixels[seen], 1 / depths[seen]
         if len(pixels) < 8 or (mask >= 128).all():
             continue
         at = rng.random((share, 2)) * [width, height]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from stages.avatar.cameras.pinhole import camera_centers
 from stages.avatar.rasterize import Camera, Gaussians, Layer, Rendering, rasterize
 from stages.avatar.splats.gaussians import Splats
 
@@ -37,7 +38,7 @@ def compose(
     if not sets:
         raise ValueError("compose needs a person or a scene")
     antialias = any(s.antialias for s in sets)
-    centre = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
+    centre = camera_centers(camera.viewmat)
     colors = [s.colors(centre) for s in sets]
     if len(sets) == 1:
         (only,) = sets
