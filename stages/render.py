@@ -92,7 +92,7 @@ def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np
     for i in order:
         pose = pose_of(clip.body, i) if clip.shows_person(i) else None
         human = None if pose is None else learned.person(pose)
-        scene = learned.lit(learned.scene, pose)
+        scene = learned.shade(learned.scene, pose)
         motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, human is not None)
         camera = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
         drawn, _ = draw(human, scene, camera, 0.0 if learned.scene else 1.0, learned.effects, motion)
@@ -187,7 +187,7 @@ def render_views(
     out.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(path.names):
         human = learned.person(chosen[i]) if only != "scene" else None
-        scene = learned.lit(learned.scene, None if human is None else chosen[i]) if only != "human" else None
+        scene = learned.shade(learned.scene, None if human is None else chosen[i]) if only != "human" else None
         image, alpha = draw(human, scene, Camera.of(path.viewmats[i], path.Ks[i], path.width, path.height))
         colour = image / np.maximum(alpha, 1 / 255)[..., None]
         write_image(out / f"{name}.png", to_uint8(np.concatenate([colour, alpha[..., None]], 2)))

@@ -91,7 +91,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     """Fit person and scene Gaussians to the frames, jointly."""
     from stages.avatar.kernels.cache import compiled
     from stages.avatar.rasterize.rendering import T_STOP
-    from stages.avatar.splats.neighbours import evenly
+    from stages.avatar.splats.neighbours import spread_evenly
     from stages.training.checkpoint import save
     from stages.training.effect_gains import worth
 
@@ -110,7 +110,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
     job.note(f"{len(fit.train)} training frames; starts with {sizes}")
     judged = [i for i in range(len(clip.names)) if clip.heldout[i] and (clip.mask(i) > 127).any()]
-    judged = evenly(judged, JUDGED)
+    judged = spread_evenly(judged, JUDGED)
     mark, saved = time.perf_counter(), time.perf_counter()
     while fit.step < fit.total:
         try:
@@ -229,14 +229,14 @@ def _timed(
 
 
 def _start(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> tuple[Fit, Clip]:
-    from stages.avatar.splats.neighbours import evenly
+    from stages.avatar.splats.neighbours import spread_evenly
     from stages.formats.clip import load_clip
     from stages.formats.facts import Survey, read_facts
 
     facts = read_facts(survey / "survey.json", Survey)
     clip = load_clip(sfm, smpl)
     train = [i for i in range(len(clip.names)) if clip.training[i]]
-    train = evenly(train, params.frames_used or len(train))
+    train = spread_evenly(train, params.frames_used or len(train))
     if not train:
         raise StageError(
             "no frame is left to train on",
@@ -433,7 +433,7 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
 
     baked, _ = fit.baked()
     seen = fit.full._replace(viewmats=fit.cameras())
-    kept = finished(baked, fit.human.defectors(baked.weights), person, seen, fit.train)
+    kept = finished(baked, fit.human.skinning_outliers(baked.weights), person, seen, fit.train)
     if kept.strays:
         job.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
     if kept.leant:
@@ -444,7 +444,7 @@ def _write_person(fit: Fit, clip: Clip, job: Job, person: Person) -> Finished:
     c, clothes, worn = kept.person, None, person.clothing
     if worn is not None:
         clothes = Clothes(**{f.name: _array(getattr(worn, f.name)) for f in fields(Clothes)})
-    parts = (c.means, quat_from_matrix(c.frames), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])
+    parts = (c.means, quat_from_matrix(c.rotations), c.scales, c.opacities, c.sh[:, 0], c.sh[:, 1:])
     avatar = Avatar(
         *map(_array, parts),
         lbs_weights=_array(c.weights),

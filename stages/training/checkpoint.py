@@ -47,7 +47,7 @@ def restore(fit: Fit, state: dict[str, Any]) -> None:
         saved = state["models"][name]
         owned = [(module, row) for row in getattr(module, "ROWS", ())] + (module.rows() if name == "human" else [])
         for owner, row in owned:
-            old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"own.{row}"])
+            old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"residuals.{row}"])
             setattr(owner, row, torch.nn.Parameter(like) if isinstance(old, torch.nn.Parameter) else like)
         module.load_state_dict(saved)
     fit.adam = optimizers(fit.frames, fit.human, fit.scene, fit.options.extent, fit.effects)

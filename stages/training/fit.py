@@ -13,7 +13,7 @@ from torch import Tensor
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import Stance
-from stages.avatar.effects.speeds import Motion, Speeds
+from stages.avatar.effects.speeds import FrameMotion, Speeds
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
@@ -160,7 +160,7 @@ class Fit:
 
     def _decode(self) -> tuple[Canonical, Resting, Tensor]:
         canonical, stray, shy = self.human()
-        rough = losses.roughness(canonical.means, self._neighbours(), self.human.frames[:, :, 2])
+        rough = losses.roughness(canonical.means, self._neighbours(), self.human.rotations[:, :, 2])
         prior = losses.STRAY * stray + losses.SHY * shy + losses.SMOOTH * rough
         return canonical, rest(canonical, self.canonical_bones), prior
 
@@ -174,7 +174,7 @@ class Fit:
     def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
         """The person in the world at one pose."""
         p = self.person
-        dressed = self.effects.dressed(resting, body_pose)
+        dressed = self.effects.clothe(resting, body_pose)
         splats = pose(dressed, bone_transforms(p.joints, p.parents, global_orient, body_pose), transl)
         return splats._replace(antialias=self.options.antialias)
 
@@ -205,7 +205,7 @@ class Fit:
         if not layers:
             return numbers
         motion = self.motion(frame, None if human is None else self.resting())
-        lit = self.effects.lit(scene, stance)
+        lit = self.effects.shade(scene, stance)
         pictures = self.effects.draw(human, lit, motion, Camera(viewmat, K, width, height), list(layers.values()))
         drawn = dict(zip(layers, pictures))
         self.clock.lap("drawing")
@@ -255,9 +255,9 @@ class Fit:
             if self.behind is not None:
                 for colors in self.scene.colors():
                     colors.grad[self.behind] = 0
-            self.scene.be_frugal(losses.FRUGAL)
+            self.scene.add_sparsity_gradient(losses.FRUGAL)
             self._apply("scene")
-            self.scene.keep_movable()
+            self.scene.clamp_opacities()
         if "person" in layers:
             self.growth["human"].add(only.screen_grad_abs[:rows], only.radii[:rows], right - left, bottom - top)
         elif human is not None:
@@ -271,7 +271,7 @@ class Fit:
         viewmat = self.full.viewmats[frame]
         return self.frames.camera(frame, viewmat, self.trained) if self.options.refine_camera else viewmat
 
-    def motion(self, frame: int, resting: Resting | None) -> Motion | None:
+    def motion(self, frame: int, resting: Resting | None) -> FrameMotion | None:
         """How everything moves at a frame, where an effect needs to know it; None for `resting`: nobody is drawn."""
         if self.speeds is None:
             return None
@@ -288,7 +288,7 @@ class Fit:
             grads = [p.grad for p in self.effects.parameters() if p.grad is not None]
             if grads and self.guard.clip("effects", grads):
                 self.adam["effects"].step()
-                self.effects.keep_possible()
+                self.effects.clamp_times()
             self.adam["effects"].zero_grad(set_to_none=True)
 
     def _apply(self, name: str) -> None:
@@ -392,10 +392,10 @@ class Fit:
             self.adam["scene"].state[colors]["exp_avg"][self.behind] = 0
 
     def _dark(self, frame: int) -> Tensor:
-        """How deep each Gaussian of the scene is in the person's shadow at a frame, see `FrameEffects.dark`."""
+        """How deep each Gaussian of the scene is in the person's shadow at a frame, see `FrameEffects.shadow_depth`."""
         p, there = self.person, self._drawn(frame, self.full.masks[frame] / 255)
         stance = Stance(p.joints, p.parents, *self.body(frame)) if there else None
-        return self.effects.dark(self.scene.means.detach(), stance)
+        return self.effects.shadow_depth(self.scene.means.detach(), stance)
 
     def _left(self, every: int) -> int:
         """Densifications still to come, this one included: the room up to the cap is shared out among them."""
@@ -407,7 +407,7 @@ class Fit:
     @torch.no_grad()
     def baked(self) -> tuple[Canonical, Resting]:
         """The person to keep as of now, in the canonical and in the rest pose, without gradients; `bake` finishes it."""
-        canonical = as_body_where_unseen(self._decode()[0], self.human.untaught(), self.taught)
+        canonical = as_body_where_unseen(self._decode()[0], self.human.initial(), self.taught)
         return canonical, rest(canonical, self.canonical_bones)
 
     def bodies(self) -> tuple[Tensor, Tensor, Tensor]:

@@ -20,7 +20,7 @@ def changing(clip):
     """A training in which all that frames can do is on, and learned to something that shows."""
     fit = everything(clip, 24)
     run(fit, 24)
-    body = casters(fit.person.vertices, fit.person.weights).moved(torch.linalg.inv(fit.canonical_bones))
+    body = casters(fit.person.vertices, fit.person.weights).posed(torch.linalg.inv(fit.canonical_bones))
     effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)
     effects.clothing = fit.effects.clothing
     fit.effects, fit.speeds = effects, fit._speeds()
