@@ -1,7 +1,7 @@
 """Sky and all that is too far away for parallax: a shell of Gaussians around the scene, where SfM has no points.
 
-Without it pixels of the sky get the depth of the nearest thing that SfM saw, and stand before it in every other view.
-On the shell they are Gaussians of the scene as all others, but for one thing: their size counts as an angle.
+Without the shell, sky pixels get the depth of the nearest SfM point and hide it in every other view. Gaussians on the
+shell are like all others of the scene, but their size counts as an angle.
 """
 
 from __future__ import annotations
