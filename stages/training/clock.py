@@ -6,10 +6,10 @@ import time
 
 
 class Clock:
-    """Seconds by part of what was done, each moment counted once: a part ends where its lap is told.
+    """Seconds by part of a step, each moment counted once.
 
-    One reading of the system's clock a lap. On a GPU, which works while the program goes on, a part holds the time in
-    which results were waited for.
+    One reading of the system's clock a lap. A GPU works while the program goes on: there a part holds the time spent
+    waiting for its results.
     """
 
     def __init__(self) -> None:
@@ -17,11 +17,11 @@ class Clock:
         self.mark = time.perf_counter()
 
     def start(self) -> None:
-        """What was done up to now belongs to no part."""
+        """Count the time up to now for no part."""
         self.mark = time.perf_counter()
 
     def lap(self, part: str) -> None:
-        """What was done since the last lap, or `start`, was `part`."""
+        """Count the time since the last lap, or `start`, for `part`."""
         now = time.perf_counter()
         self.seconds[part] = self.seconds.get(part, 0.0) + now - self.mark
         self.mark = now

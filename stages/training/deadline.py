@@ -1,4 +1,4 @@
-"""How many steps fit into a time: a few real ones are timed first, and what has been taken corrects what is to come."""
+"""How many steps fit into a time: a few real ones are timed first, and the steps taken correct the estimate."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ class Pace:
         return max(1, int(seconds / self.mean(done)))
 
     def learn(self, seconds: float, steps: int, start: float, end: float) -> None:
-        """What `steps` steps took between two shares of the schedule: what comes is believed to be as slow."""
+        """Correct the pace by the seconds of `steps` steps between two shares of the schedule."""
         if steps > 0 and end > start:
             self.slow *= seconds / (steps * self.mean(start, end))
 
 
 class Deadline:
-    """The time that a training may take. Its steps are fitted into it before the first, and again and again on the way.
+    """The time that a training may take. Its steps are fitted into it before the first one, and again on the way.
 
     `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over. `pauses`
     are still to come, in which accuracy is measured.
@@ -97,7 +97,7 @@ class Deadline:
         self.pause, self.pauses, self.paused = pause, self.pauses - 1, self.paused + pause
 
     def mark(self, fit: Fit) -> None:
-        """If the last time was long ago, learn from the steps since then how long those to come will take; fit them in."""
+        """If the last time was long ago, correct the pace by the steps since then and fit the remaining steps in."""
         spent, step, done = self.leg
         stepping = self.spent - spent - self.paused
         if stepping < OFTEN * self.seconds:

@@ -1,4 +1,4 @@
-"""What keeps one bad gradient from all that remembers: rows are masked, networks clipped, each counted (H01, H02).
+"""Keeps a bad gradient out of Adam's moments: rows are masked, networks clipped, and each is counted (H01, H02).
 
 Adam never forgets a gradient that is not finite, and one of 1e12 times the usual size takes 47,000 steps to forget.
 """
@@ -22,7 +22,7 @@ LARGEST = torch.finfo(torch.float32).max
 
 
 class Guard:
-    """Judges all gradients of a training.
+    """Checks all gradients of a training.
 
     `usual` are running means by name; `compared` comparisons and `streaks` bad steps in a row, both by owner.
     """
@@ -65,9 +65,9 @@ class Guard:
     def _limits(self, owner: str, grads: Mapping[str, Tensor]) -> list[float]:
         """The largest entry that is let through, of each tensor: ABSURD times what its largest used to be.
 
-        A tensor that slept, as turns of Gaussians do that begin as spheres, is taken for QUIET times as loud as the
-        loudest of its owner. While the owner is young, up to ABSURD^2 times what is common in this very step passes as
-        well: real clips have 120 times, and the first frame may be a faint one.
+        A tensor that was 0 so far (the turns of Gaussians that begin as spheres) counts as QUIET times the loudest of its
+        owner. While the owner is young, up to ABSURD^2 times the common entry of this step passes, too: real clips have
+        120 times, and the first frame may be a faint one.
         """
         known = [usual for name, usual in self.usual.items() if name.startswith(f"{owner}.")]
         floor = QUIET * max(known, default=0.0)

@@ -1,4 +1,4 @@
-"""First colours of the person, read off the pictures through the fitted body, so that training starts from a likeness."""
+"""First colours of the person, read off the frames through the fitted body."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one training step draws: everything, the person alone, and what of the scene is before the person."""
+"""What one training step draws: everything, the person alone, and the scene in front of the person."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class DrawnFrame(NamedTuple):
 
 @torch.no_grad()
 def foreground_occluders(scene: Splats, person: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int) -> Tensor:
-    """Which Gaussians of the scene are nearer to a camera than the person's means[N,3] in the same part of the picture.
+    """Which Gaussians of the scene are nearer to a camera than the person's means[N,3] in the same cell of the picture.
 
-    Where the person is seen nothing can be there, and as person pixels teach the scene nothing, it must be told. Beside
-    the person they count that are nearer than all of them. The floor under a foot is farther than the foot, and stays:
-    if a depth of the whole person decides, it goes, and shadows fall into the hole.
+    Where the person is seen nothing can be in front of them. Person pixels teach the scene nothing, so a loss must remove
+    it. In cells without the person, a Gaussian counts if it is nearer than the whole person. One depth for the whole
+    person would also remove the floor under their feet, and shadows fall into the hole.
     """
     size = max(width, height) / CELLS
     columns, rows = math.ceil(width / size), math.ceil(height / size)

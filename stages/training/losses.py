@@ -30,10 +30,10 @@ def photometric(image: Tensor, target: Tensor) -> Tensor:
 
 
 def outside_person(image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
-    """The image [H,W,3] with its person pixels (mask[H,W] 0..1) taken for right: the scene learns nothing from them.
+    """The image [H,W,3] with person pixels (mask[H,W] 0..1) replaced by the target, so they carry no gradient.
 
     Otherwise the scene explains what the body model does not, and keeps a ghost of the person (issue 21 of ml-hugs).
-    The same goes for a seam around the person: no mask ends at the very edge, and colours bleed over it.
+    A seam around the person is replaced, too: no mask ends at the very edge, and colours bleed over it.
     """
     return target + (1 - dilated(mask, SEAM))[..., None] * (image - target)
 
@@ -55,9 +55,9 @@ def over_background(image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
 
 
 def unmixed(rendered: Tensor, image: Tensor, mask: Tensor, background: Tensor) -> Tensor:
-    """A person-only render [H,W,3] with the pixels that person and scene share taken for right; the rest as `person_only`.
+    """A person-only render [H,W,3] with pixels that person and scene share replaced by the target; arguments as `person_only`.
 
-    Where motion has blurred an edge, the image has the colour of both there: such a pixel teaches coverage only.
+    Where motion has blurred an edge, the image has the colour of both: such a pixel teaches coverage only.
     """
     return torch.where((mask - 0.5).abs()[..., None] > WHOLE - 0.5, rendered, over_background(image, mask, background))
 
@@ -80,8 +80,8 @@ def skinning(weights: Tensor, reference: Tensor) -> Tensor:
 def roughness(means: Tensor, near: Tensor, normals: Tensor) -> Tensor:
     """Mean squared distance, in units of ROUGH, of means[N,3] from the mean of neighbours near[N,K], along normals[N,3].
 
-    The neighbours stand still: gradients that many rows add to one would come in another order each time.
-    A camera that looks at a surface cannot tell how deep a Gaussian is in it; from the side it is a dot off the outline.
+    The neighbours carry no gradient: sums of many rows into one would come in another order each time. A camera in front
+    of a surface cannot tell how deep a Gaussian is in it; from the side it is a dot off the outline.
     """
     out = ((means - means.detach()[near].mean(1)) * normals).sum(1)
     return (out / ROUGH).square().mean()

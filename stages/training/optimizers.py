@@ -1,4 +1,4 @@
-"""Who moves what: one Adam for the person, one for the scene, one for effects, one for what is learned per frame."""
+"""The optimisers: one Adam each for the person, the scene, effects, and the corrections of frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is learned per frame: small corrections of the person's pose and place, and of the camera and its exposure."""
+"""Small corrections learned per frame: of the person's pose and place, and of the camera and its exposure."""
 
 from __future__ import annotations
 

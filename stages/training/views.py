@@ -16,7 +16,7 @@ from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
 
 CROP = 12  # pixels left around the person in the person-only render
-LOOKS = 32  # training frames that are asked what they show
+LOOKS = 32  # training frames, at most, that finishing looks at
 NEAR = 0.05  # metres: points of the person nearer to the camera do not widen the window
 
 

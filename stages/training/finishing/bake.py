@@ -1,4 +1,4 @@
-"""From what was trained to the person that is kept: what frames have not taught is filled in, and nobody is seen through."""
+"""Finishes a trained person: fills in what no frame has shown, and makes them opaque."""
 
 from __future__ import annotations
 
@@ -154,10 +154,10 @@ def _lining(person: Canonical, body: Person) -> Canonical:
 
 
 def _count_pixels(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
-    """How many pixels each Gaussian paints [N,3], well inside the person's masks, elsewhere, and beside them; and the
-    masks' pixels: sums over those of `frames` that are asked.
+    """How many pixels each Gaussian paints [N,3]: well inside the person's masks, elsewhere, and beside them; and how
+    many the masks have: sums over the `person_frames`.
 
-    The first two only count where the skin under a Gaussian faces the camera: the far side shines through the near one.
+    The first two count only where the skin under a Gaussian faces the camera: the far side shines through the near one.
     """
     bones = body.canonical_bones()
     _, under = nearest(body.vertices, person.means, 1)

@@ -1,4 +1,4 @@
-"""What of a scene the person always hides or shades: it takes the colours of what is seen around, and keeps them."""
+"""Inpaints the scene where the person always hides or shades it."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ NEIGHBOURS = 24  # that are asked
 def inpaint_occluded(
     scene: SceneModel, views: Views, frames: list[int], shadow_depth: Callable[[int], Tensor]
 ) -> Tensor:
-    """Give Gaussians that `frames` of `views` show in one way only the colours around; returns them, bool[N].
+    """Give Gaussians that `frames` of `views` always hide or shade the colours around; returns which, bool[N].
 
-    Behind the person: only a fringe about them has taught these, and Adam takes steps as large for a fringe; unchecked they
-    turn into a bright ghost. In the person's shadow, `shadow_depth(frame)` [N] 0..1: how bright they are without it and how dark
-    it is, no picture tells apart. A colour is the median of the nearest that are seen well; places and sizes stay.
+    Behind the person, only a fringe around them has gradients, and Adam takes steps as large for a fringe: unchecked, a
+    bright ghost. In the person's shadow (`shadow_depth(frame)` [N] 0..1), no picture tells a dark surface from a dark
+    shadow. A colour becomes the median of the nearest that are seen well; places and sizes stay.
     """
     splats = scene.splats().detach()
     beside, behind, shaded = torch.zeros(3, len(scene)).to(splats.means)

@@ -1,4 +1,4 @@
-"""Where frames look from one side only, they cannot tell how deep in the surface a Gaussian is: its neighbours can."""
+"""Puts Gaussians back into the surface where frames look from one side only and cannot tell their depth."""
 
 from __future__ import annotations
 
