@@ -45,5 +45,5 @@ def test_clothes_move_the_person_that_is_drawn_and_judged(clip):
     shift = 0.02 * fit.effects.clothing.features(body[1])[0].abs()
     torch.testing.assert_close((moved.means - before).norm(dim=1).max(), shift * 3**0.5, rtol=0.05, atol=0)
     assert moved.antialias and fit.scene.splats().antialias
-    dressed = fit.person._replace(clothing=fit.effects.clothing)
+    dressed = fit.person.body._replace(clothing=fit.effects.clothing)
     torch.testing.assert_close(dressed.posed(resting, 1).means, moved.means, rtol=0, atol=1e-6)
