@@ -78,7 +78,7 @@ def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
         for own in human.residuals().values():
             own[3] += 0.1
     after = human()[0]
-    for name in ("opacities", "sh", "frames", "scales"):
+    for name in ("opacities", "sh", "rotations", "scales"):
         changed = (getattr(after, name) != getattr(before, name)).reshape(len(human), -1).any(1)
         assert changed.nonzero().flatten().tolist() == [3], name
 

@@ -80,7 +80,7 @@ def test_vertices_follow_the_body(person, small_body):
     exact = canonical._replace(
         means=canonical_vertices[0],
         weights=body.lbs_weights,
-        **{k: getattr(canonical, k)[:n] for k in ("frames", "scales", "opacities", "sh")},
+        **{k: getattr(canonical, k)[:n] for k in ("rotations", "scales", "opacities", "sh")},
     )
     bones = bone_transforms(body.rest(betas)[1], body.parents, orient, body_pose)
     assert torch.allclose(pose(at_rest(body, body.rest(betas)[1], exact), bones, transl).means, posed[0], atol=1e-4)
