@@ -7,7 +7,10 @@ import io
 import numpy as np
 import torch
 import trimesh
+from torch.nn.functional import avg_pool2d
 
+from stages.avatar.effects.clothing import Clothing
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
@@ -16,6 +19,7 @@ from stages.avatar.splats.compose import compose
 from stages.training.fit import Fit
 from stages.training.schedule import Options
 from stages.training.settings import Params
+from stages.training.transients import Transients
 from stages.training.views import Person, Views
 from tests.made.skeleton import PARENTS
 
@@ -111,3 +115,25 @@ def same(one: Fit, other: Fit) -> bool:
 def states(fit: Fit) -> dict[str, torch.Tensor]:
     """Copies of all tensors of a training's models, by name."""
     return {f"{n}.{k}": v.clone() for n, m in fit.modules().items() for k, v in m.state_dict().items()}
+
+
+def everything(clip, steps: int = 24) -> Fit:
+    """A training with a sky, antialiasing, clothes and transients."""
+    views, person = clip
+    blurred = avg_pool2d(views.images.permute(0, 3, 1, 2).float(), 7, 1, 3, count_include_pad=False)
+    views = views._replace(images=blurred.permute(0, 2, 3, 1).round().byte())  # of noise others know nothing
+    human, _, generator = models()
+    wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
+    scene = SceneModel(wall, torch.full((150, 3), 0.5), 3, 1.0, antialias=True)
+    scene.surround(
+        torch.tensor([[0.0, 0, 300], [5, 0, 300], [0, 5, 300]]),
+        torch.rand(3, 3, generator=generator),
+        torch.zeros(3),
+        300.0,
+    )
+    effects = FrameEffects()
+    effects.clothing = Clothing.start(rest(human.untaught(), person.canonical_bones()).means, person.body_pose[TRAIN])
+    how = settings(steps, exposure=True, antialias=True)
+    return Fit(
+        views, TRAIN, person, human, scene, *how, generator, effects=effects, transients=Transients(views, TRAIN)
+    )

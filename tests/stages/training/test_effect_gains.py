@@ -10,8 +10,7 @@ from stages.training.accuracy import heldout_accuracy
 from stages.training.effect_gains import ONLY_TAUGHT, OPTIONS, PARTS, effect_gains, effects_of, without
 from stages.training.optimizers import optimizers
 from stages.training.views import frame_speeds
-from tests.made.training import fit_of, make_clip, run, same
-from tests.stages.training.test_effects_in_training import everything
+from tests.made.training import everything, fit_of, make_clip, run, same
 
 clip = pytest.fixture(scope="module")(make_clip)
 HELD_OUT = [2]

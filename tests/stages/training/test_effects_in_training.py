@@ -2,39 +2,12 @@
 
 import pytest
 import torch
-from torch.nn.functional import avg_pool2d
 
-from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.model.person import rest
-from stages.avatar.model.scene import SceneModel
-from stages.training.fit import Fit
 from stages.training.transients import Transients
-from tests.made.training import TRAIN, fit_of, make_clip, models, run, same, settings, stored
+from tests.made.training import TRAIN, everything, fit_of, make_clip, run, same, stored
 
 clip = pytest.fixture(scope="module")(make_clip)
-
-
-def everything(clip, steps: int = 24) -> Fit:
-    """A training with a sky, antialiasing, clothes and transients."""
-    views, person = clip
-    blurred = avg_pool2d(views.images.permute(0, 3, 1, 2).float(), 7, 1, 3, count_include_pad=False)
-    views = views._replace(images=blurred.permute(0, 2, 3, 1).round().byte())  # of noise others know nothing
-    human, _, generator = models()
-    wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
-    scene = SceneModel(wall, torch.full((150, 3), 0.5), 3, 1.0, antialias=True)
-    scene.surround(
-        torch.tensor([[0.0, 0, 300], [5, 0, 300], [0, 5, 300]]),
-        torch.rand(3, 3, generator=generator),
-        torch.zeros(3),
-        300.0,
-    )
-    effects = FrameEffects()
-    effects.clothing = Clothing.start(rest(human.untaught(), person.canonical_bones()).means, person.body_pose[TRAIN])
-    how = settings(steps, exposure=True, antialias=True)
-    return Fit(
-        views, TRAIN, person, human, scene, *how, generator, effects=effects, transients=Transients(views, TRAIN)
-    )
 
 
 @pytest.mark.slow
