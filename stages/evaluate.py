@@ -141,7 +141,7 @@ class Shot:
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
         self.box = person_crop(self.mask)
         self.pose: Pose = pose_of(clip.body, i)
-        self.scene = learned.lit(learned.scene, self.pose if self.box else None)  # its shadow is not fitted
+        self.scene = learned.shade(learned.scene, self.pose if self.box else None)  # its shadow is not fitted
         self.motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, self.box is not None)
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:

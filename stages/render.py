@@ -86,7 +86,7 @@ def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np
     for i in order:
         pose = pose_of(clip.body, i) if clip.shows_person(i) else None
         human = None if pose is None else learned.person(pose)
-        scene = learned.lit(learned.scene, pose)
+        scene = learned.shade(learned.scene, pose)
         motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, human is not None)
         camera = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
         drawn, _ = draw(human, scene, camera, 0.0 if learned.scene else 1.0, learned.effects, motion)

@@ -49,7 +49,7 @@ def run(job: Job, params: Params, *, train: Path, cameras: Path, poses: Path | N
     job.out.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(path.names):
         human = learned.person(chosen[i]) if only != "scene" else None
-        scene = learned.lit(learned.scene, None if human is None else chosen[i]) if only != "human" else None
+        scene = learned.shade(learned.scene, None if human is None else chosen[i]) if only != "human" else None
         image, alpha = draw(human, scene, Camera.of(path.viewmats[i], path.Ks[i], path.width, path.height))
         color = image / np.maximum(alpha, 1 / 255)[..., None]
         write_image(job.out / f"{name}.png", to_uint8(np.concatenate([color, alpha[..., None]], 2)))

@@ -154,7 +154,11 @@ def test_letters_that_unicode_has_not_are_refused(whole, put, code):
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"facts": "{"}, "no JSON"), ({"facts": "{}"}, "not what training leaves"), ({"state": 1.0}, "not what training")],
+    [
+        ({"facts": "{"}, "not JSON"),
+        ({"facts": "{}"}, "not what training leaves"),
+        ({"state": 1.0}, "not what training"),
+    ],
 )
 def test_a_failure_that_is_none_is_refused(whole, put, change, said):
     with np.load(whole / "failure.npz") as arrays:

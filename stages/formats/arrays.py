@@ -101,7 +101,7 @@ def take(arrays: Mapping[str, np.ndarray], key: str, path: Path | str, hint: str
     return arrays[key]
 
 
-def checked(value: Any, shape: tuple[int | None, ...], key: str, path: Path | str, hint: str = "") -> np.ndarray:
+def checked(value: object, shape: tuple[int | None, ...], key: str, path: Path | str, hint: str = "") -> np.ndarray:
     """The array if it has `shape` (None: any length) and finite numbers, else StageError with key, shape, index."""
     array = as_array(value, key, path, hint)
     found = array.shape
@@ -121,7 +121,7 @@ def checked(value: Any, shape: tuple[int | None, ...], key: str, path: Path | st
     return array
 
 
-def as_array(value: Any, key: str, path: Path | str, hint: str = "") -> np.ndarray:
+def as_array(value: object, key: str, path: Path | str, hint: str = "") -> np.ndarray:
     """An array, or nested lists made one; StageError for lists of unequal length."""
     try:
         return np.asarray(value)

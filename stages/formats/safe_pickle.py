@@ -91,7 +91,7 @@ def _load(data: bytes) -> Any:
     return content
 
 
-def plain(value: Any, name: str) -> Any:
+def plain(value: object, name: str) -> Any:
     """`value` with stand-ins turned into the arrays they hold; StageError naming `name` if that is not possible."""
     if isinstance(value, _Array):
         return value.view(np.ndarray)
@@ -132,7 +132,7 @@ def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
 class Type:
     """What stands in for numpy.dtype: plain numbers, texts and objects, in either byte order."""
 
-    def __init__(self, code: str, *_: Any):
+    def __init__(self, code: str, *_: object):
         self.code, self.order = str(code), "="
 
     def __setstate__(self, state: Any) -> None:
@@ -159,7 +159,7 @@ class _Array(np.ndarray):
         check_letters(self)
 
 
-def _empty_array(*_: Any) -> _Array:
+def _empty_array(*_: object) -> _Array:
     """What pickles call numpy's _reconstruct for: an array whose content follows."""
     return _Array(0, np.uint8)
 
@@ -169,7 +169,9 @@ def _scalar(kind: Type, content: bytes | str) -> Any:
     return np.frombuffer(content.encode("latin1") if isinstance(content, str) else content, kind.dtype())[0]
 
 
-def _from_buffer(content: bytes, kind: Type, shape: tuple[int, ...], order: Literal["C", "F"], *_: Any) -> np.ndarray:
+def _from_buffer(
+    content: bytes, kind: Type, shape: tuple[int, ...], order: Literal["C", "F"], *_: object
+) -> np.ndarray:
     return np.frombuffer(content, kind.dtype()).reshape(shape, order=order)
 
 

@@ -26,7 +26,7 @@ def heldout_accuracy(fit: Fit, frames: list[int], lpips: Lpips | None = None) ->
         body = orient[i], body_pose[i], transl[i]
         human, lit, motion = (
             fit.posed(resting, *body),
-            fit.effects.lit(scene, fit.stance(*body)),
+            fit.effects.shade(scene, fit.stance(*body)),
             fit.motion(i, resting),
         )
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])

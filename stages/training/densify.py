@@ -152,7 +152,7 @@ def grow_human(
     lost = far_from_body(person.means, body)
     room = _room(human, rules, rounds_left)
     rows = plan(growth, person.scales.amax(1), person.opacities, rules, room, lost)
-    moved = displacement(person.frames * person.scales[:, None, :], rows, generator)
+    moved = displacement(person.rotations * person.scales[:, None, :], rows, generator)
     thinned = thinner(person.opacities, rows)
     for owner, name in human.rows():
         setattr(owner, name, _regrow(optimizer, getattr(owner, name), rows))

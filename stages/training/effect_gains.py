@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import torch
 
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.splats.neighbours import evenly
+from stages.avatar.splats.neighbours import spread_evenly
 from stages.training.accuracy import heldout_accuracy
 from stages.training.fit import Fit
 
@@ -104,7 +104,7 @@ def _seconds(fit: Fit) -> float:
     """Seconds of a group of steps on the same frames, whichever is asked; of the processor, if that does the drawing."""
     clock = time.process_time if fit.full.viewmats.device.type == "cpu" else time.perf_counter
     count = fit.params.views_per_decode
-    fit.order, began = torch.tensor(evenly(list(range(len(fit.train))), count)), clock()
+    fit.order, began = torch.tensor(spread_evenly(list(range(len(fit.train))), count)), clock()
     for _ in range(count):
         fit.advance()
     return clock() - began

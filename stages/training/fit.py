@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import Stance
-from stages.avatar.effects.speeds import Motion
+from stages.avatar.effects.speeds import FrameMotion
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Resting, bone_transforms, pose
@@ -173,7 +173,7 @@ class Fit:
         layers = layers_of(person, scene, mask, viewmat, K, self.params, self.generator)
         if not layers:
             return None
-        motion, lit = self.motion(frame, resting), self.effects.lit(scene, stance)
+        motion, lit = self.motion(frame, resting), self.effects.shade(scene, stance)
         pictures = self.effects.draw(person, lit, motion, Camera(viewmat, K, width, height), list(layers.values()))
         self.clock.lap("drawing")
         self.undrawn += pictures[0].dropped
@@ -223,9 +223,9 @@ class Fit:
             whole = shot.drawn["all"]
             statistics["scene"].add(whole.screen_grad_abs[rows:], whole.radii[rows:], width, height)
             self.densifier.keep_settled()
-            self.scene.be_frugal(losses.FRUGAL)
+            self.scene.add_sparsity_gradient(losses.FRUGAL)
             self._apply("scene")
-            self.scene.keep_movable()
+            self.scene.clamp_opacities()
         if shot.person is not None:
             layer = "person" if "person" in shot.drawn else "all"
             drawn, (height, width) = shot.drawn[layer], shot.mask[shot.window(layer)].shape
@@ -248,7 +248,7 @@ class Fit:
             grads = [p.grad for p in self.effects.parameters() if p.grad is not None]
             if grads and self.guard.clip("effects", grads):
                 self.adam["effects"].step()
-                self.effects.keep_possible()
+                self.effects.clamp_times()
             self.adam["effects"].zero_grad(set_to_none=True)
 
     def _inpaint(self, scene: SceneModel) -> Tensor:
@@ -258,13 +258,13 @@ class Fit:
 
     def _shadow_depth(self, frame: int, points: Tensor) -> Tensor:
         there = self._drawn_person(frame, self.full.masks[frame] / 255)
-        return self.effects.dark(points, self.stance(*self.body(frame)) if there else None)
+        return self.effects.shadow_depth(points, self.stance(*self.body(frame)) if there else None)
 
     # ---- what there is at a frame ----
 
     def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
         """The person in the world at one pose."""
-        body, dressed = self.person.body, self.effects.dressed(resting, body_pose)
+        body, dressed = self.person.body, self.effects.clothe(resting, body_pose)
         splats = pose(dressed, bone_transforms(body.joints, body.parents, global_orient, body_pose), transl)
         return splats._replace(antialias=self.options.antialias)
 
@@ -272,7 +272,7 @@ class Fit:
         """How the person's body stands, for the shadow."""
         return Stance(self.person.body.joints, self.person.body.parents, global_orient, body_pose, transl)
 
-    def motion(self, frame: int, resting: Resting | None) -> Motion | None:
+    def motion(self, frame: int, resting: Resting | None) -> FrameMotion | None:
         """How everything moves at a frame, where an effect needs to know it; None for `resting`: nobody is drawn."""
         if self.speeds is None:
             return None
@@ -333,7 +333,7 @@ class Fit:
             if isinstance(module, HumanModel):
                 owned += module.rows()
             for owner, row in owned:
-                old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"own.{row}"])
+                old, like = getattr(owner, row), torch.empty_like(saved[row if owner is module else f"residuals.{row}"])
                 setattr(owner, row, nn.Parameter(like) if isinstance(old, nn.Parameter) else like)
             module.load_state_dict(saved)
         self.adam = self._optimizers()

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from stages.avatar.effects.motion_blur import Exposed
+from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.rasterize import Layer, Rendering
 from stages.avatar.splats.gaussians import Splats
 from stages.training.settings import Params
@@ -27,7 +27,7 @@ class DrawnFrame(NamedTuple):
     person: Splats | None
     scene: Splats | None
     layers: dict[str, Layer]
-    drawn: dict[str, Rendering | Exposed]
+    drawn: dict[str, Rendering | BlurredRendering]
 
     def window(self, name: str) -> tuple[slice, slice]:
         """Rows and columns of the picture that a layer shows."""

@@ -19,7 +19,7 @@ OUTSIDE = 10.0  # per metre^2 outside the triplane's box
 REGULAR = 0.02  # on corrections of the initial body, see HumanModel.forward: holds what no frame shows
 ROUGH = 0.01  # metres; a usual depth of folds
 SMOOTH = 0.03  # on the roughness of the person's surface
-FRUGAL = 0.01  # on opacities and scales of the scene, see SceneModel.be_frugal
+FRUGAL = 0.01  # on opacities and scales of the scene, see SceneModel.add_sparsity_gradient
 PERCEPTUAL = 0.2  # of LPIPS on a patch
 PATCH = 128  # px
 

@@ -39,7 +39,7 @@ class PersonLearner:
 
     def _decode(self) -> tuple[Canonical, Resting, Tensor]:
         canonical, outside_box, regularizer = self.human()
-        rough = losses.roughness(canonical.means, self._neighbours(), self.human.frames[:, :, 2])
+        rough = losses.roughness(canonical.means, self._neighbours(), self.human.rotations[:, :, 2])
         prior = losses.OUTSIDE * outside_box + losses.REGULAR * regularizer + losses.SMOOTH * rough
         return canonical, rest(canonical, self.canonical_bones), prior
 
@@ -99,7 +99,7 @@ class PersonLearner:
     @torch.no_grad()
     def baked(self) -> tuple[Canonical, Resting]:
         """The person to keep as of now, in the canonical and in the rest pose, without gradients; `bake` finishes it."""
-        canonical = as_body_where_unseen(self._decode()[0], self.human.untaught(), self.color_grad_sum)
+        canonical = as_body_where_unseen(self._decode()[0], self.human.initial(), self.color_grad_sum)
         return canonical, rest(canonical, self.canonical_bones)
 
     def state(self) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.effects.camera_refinement import corrected
+from stages.avatar.effects.camera_refinement import correct_cameras
 from stages.training.views import Person
 
 
@@ -42,7 +42,7 @@ class FrameCorrections(nn.Module):
         """The corrected camera [4,4] of a frame; the mean correction of the frames trained[F] is taken off."""
         row = torch.tensor(frame, device=viewmat.device)
         tables = self.turn, self.shift
-        return corrected(viewmat, *(table(row) - table.weight.detach()[trained].mean(0) for table in tables))
+        return correct_cameras(viewmat, *(table(row) - table.weight.detach()[trained].mean(0) for table in tables))
 
     @torch.no_grad()
     def bodies(self, person: Person, trained: Tensor, moments: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
@@ -62,7 +62,7 @@ class FrameCorrections(nn.Module):
         tables = [table.weight - table.weight[trained].mean(0) for table in (self.turn, self.shift)]
         known = trained[:, None].to(viewmats.device)
         shares = (torch.where(known, 1.0, agreement(table[trained])) for table in tables)
-        return corrected(viewmats, *(share * spread(t, trained, moments) for share, t in zip(shares, tables)))
+        return correct_cameras(viewmats, *(share * spread(t, trained, moments) for share, t in zip(shares, tables)))
 
 
 def agreement(rows: Tensor) -> Tensor:

@@ -132,7 +132,7 @@ def _finished(fit: Fit, body: Person, say: Listener) -> Finished:
     baked, _ = fit.person.baked()
     seen = fit.full._replace(viewmats=fit.cameras())
     dressed = body._replace(clothing=fit.effects.clothing, antialias=fit.options.antialias)
-    kept = finish(baked, fit.person.human.defectors(baked.weights), dressed, seen, fit.train)
+    kept = finish(baked, fit.person.human.skinning_outliers(baked.weights), dressed, seen, fit.train)
     if kept.strays:
         say.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
     if kept.recolored:
@@ -152,7 +152,7 @@ def _avatar(kept: Finished, body: Person, betas: np.ndarray, clothing: Clothing 
         clothes = Clothes(*map(_array, parts))
     return Avatar(
         means=_array(person.means),
-        quats=_array(quat_from_matrix(person.frames)),
+        quats=_array(quat_from_matrix(person.rotations)),
         scales=_array(person.scales),
         opacities=_array(person.opacities),
         sh0=_array(person.sh[:, 0]),

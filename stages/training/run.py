@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import torch
 
-from stages.avatar.splats.neighbours import evenly
+from stages.avatar.splats.neighbours import spread_evenly
 from stages.contract import StageError, Stopped, peak_memory
 from stages.training.accuracy import heldout_accuracy
 from stages.training.budget import fit_into_time
@@ -61,7 +61,7 @@ class Training:
     def heldout(self) -> list[int]:
         """The held-out frames that show the person, at most MEASURED of them."""
         clip = self.task.clip
-        return evenly([i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)], MEASURED)
+        return spread_evenly([i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)], MEASURED)
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint, see SAVED."""

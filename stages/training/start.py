@@ -20,7 +20,7 @@ from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import rest
 from stages.avatar.model.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
 from stages.avatar.motion.formulas import upright
-from stages.avatar.splats.neighbours import evenly
+from stages.avatar.splats.neighbours import spread_evenly
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.contract import StageError
 from stages.formats.clip import Clip
@@ -60,7 +60,7 @@ class Task:
         """The frames to learn from; StageError where there is none, or none that shows a person with a body fit."""
         clip = self.clip
         train = [i for i in range(len(clip.names)) if clip.training[i]]
-        train = evenly(train, self.params.frames_used or len(train))
+        train = spread_evenly(train, self.params.frames_used or len(train))
         if not train:
             raise StageError(
                 "no frame is left to train on",
@@ -180,7 +180,7 @@ class _Start:
             triplane=params.triplane,
         )
         seen = [i for i in self.train if person.confidence[i] > 0]
-        colors, known = seen_colors(human, person, views, evenly(seen, PAINTED))
+        colors, known = seen_colors(human, person, views, spread_evenly(seen, PAINTED))
         human.sh_starts.copy_(sh_from_rgb(colors))
         share = (known == 1).float().mean().item()
         self.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
@@ -188,7 +188,7 @@ class _Start:
 
     def _scene(self, person: Person, extent: float) -> SceneModel | None:
         """None where all points lie on a camera."""
-        clip, on, chosen = self.clip, self.decisions, evenly(self.train, FILLED)
+        clip, on, chosen = self.clip, self.decisions, spread_evenly(self.train, FILLED)
         images, masks = [clip.images(i) for i in chosen], [clip.mask(i) for i in chosen]
         cameras, skies = (clip.viewmats[chosen], clip.Ks[chosen]), None
         if on.get("sky", False):
@@ -208,7 +208,7 @@ class _Start:
             far, tints, middle = shell(skies, images, *cameras, extent)
             self.note(f"{len(far):,} Gaussians of the sky, {RADIUS * extent:.0f} m away")
             if len(far):
-                scene.surround(self._tensor(far), self._tensor(tints), self._tensor(middle), RADIUS * extent)
+                scene.add_sky(self._tensor(far), self._tensor(tints), self._tensor(middle), RADIUS * extent)
         return scene
 
     def _effects(self, person: Person, human: HumanModel) -> FrameEffects:
@@ -216,10 +216,10 @@ class _Start:
         *lamp, darkness = self.starts.get("shadow", [*upright(orient, orient[0])[:, 1], DARKNESS])
         light = torch.as_tensor(lamp).to(person.joints)
         shadow = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
-        parts = casters(person.vertices, person.weights).moved(torch.linalg.inv(person.canonical_bones()))
+        parts = casters(person.vertices, person.weights).posed(torch.linalg.inv(person.canonical_bones()))
         times = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
         effects = FrameEffects.starting(light, parts, shadow, **times)
         if on.get("clothing", False):
-            bare = rest(human.untaught(), person.canonical_bones()).means
+            bare = rest(human.initial(), person.canonical_bones()).means
             effects.clothing = Clothing.start(bare, person.body_pose[self.train])
         return effects

@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from stages.avatar.effects.motion_blur import Exposed
+from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.rasterize import Rendering
 from stages.training.views import Views
 
@@ -65,7 +65,9 @@ class Transients(nn.Module):
         self.shares[frame] = pixels.float().mean()
         return pixels
 
-    def replace(self, rendered: Tensor, drawn: Rendering | Exposed, image: Tensor, frame: int, done: float) -> Tensor:
+    def replace(
+        self, rendered: Tensor, drawn: Rendering | BlurredRendering, image: Tensor, frame: int, done: float
+    ) -> Tensor:
         """`rendered`[H,W,3], the person left out, with `image`[H,W,3] where something passes by: such pixels teach nothing.
 
         `drawn` has the depth; `done` is the share of the phase's steps.

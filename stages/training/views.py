@@ -13,7 +13,7 @@ from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.speeds import Speeds
 from stages.avatar.model.person import Resting, bone_transforms, pose
 from stages.avatar.splats.gaussians import Splats
-from stages.avatar.splats.neighbours import evenly
+from stages.avatar.splats.neighbours import spread_evenly
 
 CROP = 12  # pixels left around the person in the person-only render
 LOOKS = 32  # training frames, at most, that finishing looks at
@@ -87,7 +87,7 @@ class Person(NamedTuple):
 
 def person_frames(body: Person, views: Views, frames: list[int]) -> list[int]:
     """At most LOOKS of those `frames` that show the person, spread evenly."""
-    return evenly([i for i in frames if body.confidence[i] > 0 and views.masks[i].max() > 0], LOOKS)
+    return spread_evenly([i for i in frames if body.confidence[i] > 0 and views.masks[i].max() > 0], LOOKS)
 
 
 def frame_speeds(views: Views, body: Person | None) -> Speeds:

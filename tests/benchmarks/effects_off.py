@@ -33,16 +33,16 @@ class Nothing(torch.nn.Module):
 
     takes_time = blurs = False
 
-    def dressed(self, person: Any, body_pose: Tensor) -> Any:
+    def clothe(self, person: Any, body_pose: Tensor) -> Any:
         return person
 
     def draw(self, human: Any, scene: Any, motion: None, *view: Any) -> list:
         return compose(human, scene, *view)
 
-    def lit(self, scene: Any, stance: Any) -> Any:
+    def shade(self, scene: Any, stance: Any) -> Any:
         return scene
 
-    def dark(self, points: Tensor, stance: Any) -> Tensor:
+    def shadow_depth(self, points: Tensor, stance: Any) -> Tensor:
         return torch.zeros_like(points[:, 0])
 
     def prior(self) -> float:

@@ -40,7 +40,7 @@ def measure(folder: Path, frames: int, device: str) -> list[dict]:
 
             def frame(i: int, scene=scene) -> None:
                 pose = poses[clip.names[i]]
-                lit = None if scene is None else learned.lit(scene, pose)
+                lit = None if scene is None else learned.shade(scene, pose)
                 draw(learned.person(pose), lit, Camera.of(clip.viewmats[i], Ks[i], *SIZE))
 
             frame(0)

@@ -125,14 +125,14 @@ def everything(clip, steps: int = 24) -> Fit:
     human, _, generator = models()
     wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
     scene = SceneModel(wall, torch.full((150, 3), 0.5), 3, 1.0, antialias=True)
-    scene.surround(
+    scene.add_sky(
         torch.tensor([[0.0, 0, 300], [5, 0, 300], [0, 5, 300]]),
         torch.rand(3, 3, generator=generator),
         torch.zeros(3),
         300.0,
     )
     effects = FrameEffects()
-    effects.clothing = Clothing.start(rest(human.untaught(), person.canonical_bones()).means, person.body_pose[TRAIN])
+    effects.clothing = Clothing.start(rest(human.initial(), person.canonical_bones()).means, person.body_pose[TRAIN])
     how = settings(steps, exposure=True, antialias=True)
     return Fit(
         views, TRAIN, person, human, scene, *how, generator, effects=effects, transients=Transients(views, TRAIN)

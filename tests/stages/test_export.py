@@ -43,5 +43,5 @@ def test_what_a_viewer_cannot_show_is_said(tiny, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     export.run(Job(out, emit=lambda e: said.append(e["text"])), export.Params(), train=tmp_path)
-    assert "up to 3.5 cm" in said[1] and "antialiasing" in said[2]
+    assert "up to 3.5 cm" in said[1] and "anti-aliasing" in said[2]
     assert read_avatar(out / "avatar.npz").clothes.largest == pytest.approx(clothes.largest)

@@ -237,8 +237,8 @@ MUTANTS = (
     Mutant(
         "A05 a scale that goes flat",
         "stages/avatar/model/human.py",
-        'scale = out["scale"] / torch.hypot(torch.ones_like(said), said)',
-        "scale = SCALE_RANGE * torch.tanh(said)",
+        'scale = out["scale"] / torch.hypot(torch.ones_like(ratio), ratio)',
+        "scale = SCALE_RANGE * torch.tanh(ratio)",
         "tests/stages/avatar/model/test_human.py::scales_are_positive_and_alive_whatever_the_network_says",
     ),
     Mutant(
@@ -251,7 +251,7 @@ MUTANTS = (
     Mutant(
         "C04 an opacity that freezes",
         "stages/training/fit.py",
-        "self.scene.keep_movable()",
+        "self.scene.clamp_opacities()",
         "pass",
         "tests/stages/training/test_training_hard.py::training_holds_opacities_where_they_move",
     ),

@@ -16,7 +16,7 @@ from stages.avatar.splats.gaussians import Splats
 
 
 class Baked(NamedTuple):
-    """A trained person without any network: the Gaussians at rest and the skeleton, and how clothes leave the body."""
+    """A trained avatar without any network: its Gaussians at rest, its skeleton and its clothes."""
 
     resting: Resting
     joints: Tensor

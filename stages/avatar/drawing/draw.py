@@ -1,4 +1,4 @@
-"""Drawing what training left, from arrays to arrays: no network, no gradient."""
+"""Draws a trained avatar and scene as arrays: no network, no gradient."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stages import records
 from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Stance
-from stages.avatar.effects.speeds import Motion, Speeds
+from stages.avatar.effects.speeds import FrameMotion, Speeds
 from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize import Camera, Layer
 from stages.avatar.splats.gaussians import Splats
@@ -22,7 +22,7 @@ Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose
 
 
 class Learned(NamedTuple):
-    """A trained person and its scene, or None where only the person was trained, and how the clip was taken."""
+    """A trained avatar, its scene (None where only the person was trained) and the effects of their clip."""
 
     avatar: Baked
     scene: Splats | None
@@ -33,12 +33,12 @@ class Learned(NamedTuple):
         like = self.avatar.joints
         return pose_avatar(self.avatar, *(torch.as_tensor(part).to(like) for part in pose))
 
-    def lit(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
-        """A scene, ours or another, in the shadow of the person at a pose; None for nobody."""
+    def shade(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
+        """A scene, ours or another, with the shadow of the person at a pose, None for nobody."""
         if pose is None:
             return scene
         joints, parents = self.avatar.joints, self.avatar.parents
-        return self.effects.lit(scene, Stance(joints, parents, *(torch.as_tensor(part).to(joints) for part in pose)))
+        return self.effects.shade(scene, Stance(joints, parents, *(torch.as_tensor(part).to(joints) for part in pose)))
 
 
 def load_learned(
@@ -61,7 +61,7 @@ def motion_at(
     body: records.BodyPoses,
     i: int,
     shows_person: bool,
-) -> Motion | None:
+) -> FrameMotion | None:
     """How everything moves at frame `i` of F, taken by `cameras` in metres at `moments` int[F]; None without a shutter
     or readout that takes time.
     """
@@ -78,7 +78,7 @@ def draw(
     camera: Camera,
     background: float = 0.0,
     effects: FrameEffects | None = None,
-    motion: Motion | None = None,
+    motion: FrameMotion | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours [H,W,3] over a grey `background` and coverage [H,W], float32.
 
@@ -110,7 +110,7 @@ def perform(
         turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
         there = turned, pose, transl + stand @ step
         human = learned.person(there)
-        yield to_uint8(draw(human, learned.lit(scene, there), camera, background=0.0 if scene else 1.0)[0])
+        yield to_uint8(draw(human, learned.shade(scene, there), camera, background=0.0 if scene else 1.0)[0])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
-"""Models of what only some clips call for, one file each; a model that is off costs nothing and changes no bit.
+"""Effects that only some clips need, one file each; an effect that is off costs nothing and changes no bit.
 
-`shadow`, `motion_blur`, `rolling_shutter` and `camera_refinement` change how a frame is drawn: `frames` applies them.
-`sky`, `transients` and `clothing` change what is learned; `antialias` and `view_dependence` need no more than a flag.
+`frames` applies `shadow`, `motion_blur` and `rolling_shutter` when a frame is drawn; training corrects cameras with
+`camera_refinement`, adds the `sky` and learns `clothing`. `antialias` and `view_dependence` are flags.
 """

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from stages import records
 from stages.avatar.model.person import Resting
-from stages.avatar.splats.neighbours import spread_out
+from stages.avatar.splats.neighbours import farthest_points
 
 NODES = 160  # about 0.1 m apart on a body
 REACH = 0.07  # m: the width of a node's bell
@@ -49,13 +49,13 @@ class Clothing(nn.Module):
         kept = (spread[:FEATURES] > 1e-3 * len(poses) ** 0.5).sum()
         axes = (axes[:kept] / spread[:kept, None] * len(poses) ** 0.5).T.to(poses)  # features of variance 1
         features = (poses - mean) @ axes
-        nodes = points[spread_out(points, NODES)]
+        nodes = points[farthest_points(points, NODES)]
         offsets = torch.zeros(len(nodes), 3, int(kept)).to(points)
         return cls(nodes, mean, axes, features.amin(0), features.amax(0), offsets)
 
     @classmethod
     def of(cls, clothes: records.Clothes) -> Clothing:
-        """Trained clothes, float32; nothing more to learn."""
+        """Trained clothes, float32, as constants."""
         arrays = (clothes.nodes, clothes.mean, clothes.axes, clothes.low, clothes.high, clothes.offsets)
         return cls(*(torch.as_tensor(array, dtype=torch.float32) for array in arrays)).requires_grad_(False)
 
@@ -65,7 +65,7 @@ class Clothing(nn.Module):
 
     @torch.no_grad()
     def weights(self, means: Tensor) -> Tensor:
-        """How much of each node's offset the rest-pose means[N,3] take: [N,M], rows sum to 1 at most; kept for the next call."""
+        """Weights [N,M] of the nodes' offsets for rest-pose means[N,3]; rows sum to 1 at most. Kept for the next call."""
         if self.known is None or self.known[0] is not means:
             away = torch.cdist(means, self.nodes, compute_mode="donot_use_mm_for_euclid_dist")
             bells = torch.exp(-0.5 * (away / REACH).square())
@@ -73,10 +73,10 @@ class Clothing(nn.Module):
         return self.known[1]
 
     def forward(self, person: Resting, body_pose: Tensor) -> Resting:
-        """The person at rest with what the clothes add in one pose [69]."""
+        """The person at rest with their clothes moved as in one pose [69]."""
         away = self.weights(person.means) @ (self.offsets @ self.features(body_pose))
         return person._replace(means=person.means + away)
 
     def prior(self) -> Tensor:
-        """PRIOR x mean squared offset in units of LOOSE, 0 without features: clothes are on the body unless pictures say so."""
+        """The regularizer PRIOR x mean squared offset in units of LOOSE, 0 without features: it pulls clothes to the body."""
         return PRIOR * (self.offsets / LOOSE).square().sum() / max(1, self.offsets.numel())

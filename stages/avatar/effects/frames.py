@@ -1,4 +1,4 @@
-"""How a frame of the clip is drawn where it calls for more than a sharp picture of everything at one moment."""
+"""Draws a frame of the clip with the clip's effects: shadow, motion blur, rolling shutter and clothes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 from stages import records
 from stages.avatar.effects.clothing import Clothing
-from stages.avatar.effects.motion_blur import START, Exposed, exposed
-from stages.avatar.effects.rolling_shutter import rolled
+from stages.avatar.effects.motion_blur import START, BlurredRendering, expose
+from stages.avatar.effects.rolling_shutter import roll_shutter
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
-from stages.avatar.effects.speeds import Motion, moved
+from stages.avatar.effects.speeds import FrameMotion, move
 from stages.avatar.model.person import Resting
 from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.avatar.splats.compose import compose
@@ -21,11 +21,11 @@ from stages.avatar.splats.gaussians import Splats
 
 
 class FrameEffects(nn.Module):
-    """The effects of one clip, each None where it is off; with none of them a frame is drawn as without this class.
+    """The effects of one clip, each None where it is off; without any a frame is drawn by `compose` alone.
 
-    `shadow`; `shutter` [1], the share of a moment for which the shutter is open (motion blur); `readout` [1], the share
-    in which the picture is read from top to bottom (rolling shutter). Moments are those of the clip's frames. `clothing`
-    moves the person before they are posed.
+    `shutter` [1] is the share of a moment for which the shutter is open (motion blur), `readout` [1] the share in which
+    the rows are read from top to bottom (rolling shutter). A moment is the time between two frames of the clip.
+    `clothing` moves the person's Gaussians before they are posed.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -39,53 +39,53 @@ class FrameEffects(nn.Module):
     def starting(
         cls, light: Tensor, body: Casters, shadow: float | None, motion_blur: bool, rolling_shutter: bool
     ) -> FrameEffects:
-        """Those that are on, before any is learned; `light`[3] points to where the lamp may be, `body` is at rest.
+        """The effects that are on, with their first values.
 
-        `shadow` is the share of light that the body takes.
+        `light`[3] points towards the lamp as far as known, `body` is at rest, `shadow` is the share of light it takes.
         """
         times = START if motion_blur else None, 0.0 if rolling_shutter else None
         return cls(None if shadow is None else Shadow(light, body, shadow), *times).to(light)
 
     @property
     def takes_time(self) -> bool:
-        """Whether a frame takes time, so that its `Motion` must be known."""
+        """Whether drawing a frame needs its `FrameMotion`."""
         return self.blurs or self.readout is not None
 
     @property
     def blurs(self) -> bool:
-        """Whether frames are the mean of what moves."""
+        """Whether frames have motion blur."""
         return self.shutter is not None
 
-    def dressed(self, person: Resting, body_pose: Tensor) -> Resting:
-        """The person at rest, with what their clothes do in the pose [69]."""
+    def clothe(self, person: Resting, body_pose: Tensor) -> Resting:
+        """The person at rest with their clothes moved as in the pose [69]."""
         return person if self.clothing is None else self.clothing(person, body_pose)
 
     def prior(self) -> Tensor | float:
-        """What speaks against effects that no picture calls for, to be added to a step's loss."""
+        """The regularizer of the effects, part of a step's loss."""
         return 0.0 if self.clothing is None else self.clothing.prior()
 
-    def lit(self, scene: Splats | None, stance: Stance | None) -> Splats | None:
-        """The scene as a person who stands so leaves it light; None for nobody."""
+    def shade(self, scene: Splats | None, stance: Stance | None) -> Splats | None:
+        """The scene with the shadow of a person who stands as `stance` says, None for nobody."""
         if self.shadow is None or scene is None or stance is None:
             return scene
         return self.shadow(scene, stance)
 
     @torch.no_grad()
-    def dark(self, points: Tensor, stance: Stance | None) -> Tensor:
-        """How deep each of points[N,3] is in the shadow of a person who stands so: 0 in the light, 1 where none deeper is."""
+    def shadow_depth(self, points: Tensor, stance: Stance | None) -> Tensor:
+        """Depth [N] of points[N,3] in the person's shadow: 0 in full light, 1 in full shadow."""
         if self.shadow is None or stance is None:
             return torch.zeros_like(points[:, 0])
-        return (1 - self.shadow.left(points, stance)) / self.shadow.darkness.sigmoid()
+        return (1 - self.shadow.light_left(points, stance)) / self.shadow.darkness.sigmoid()
 
     def draw(
         self,
         human: Splats | None,
         scene: Splats | None,
-        motion: Motion | None,
+        motion: FrameMotion | None,
         camera: Camera,
         layers: Sequence[Layer],
-    ) -> list[Rendering] | list[Exposed]:
-        """As `compose`, over the time that the shutter takes; without a `motion` at one moment."""
+    ) -> list[Rendering] | list[BlurredRendering]:
+        """As `compose`, with motion blur and rolling shutter; without a `motion` everything is drawn at one moment."""
         if motion is None or not self.takes_time:
             return compose(human, scene, camera, layers)
         both = ((human, motion.person), (scene, None))
@@ -94,30 +94,30 @@ class FrameEffects(nn.Module):
             person, rest = (None if s is None else self._at(s, own, motion, time, camera.viewmat) for s, own in both)
             return compose(person, rest, camera, layers)
 
-        return at(motion.field.new_zeros(1)) if self.shutter is None else exposed(at, self.shutter)
+        return at(motion.field.new_zeros(1)) if self.shutter is None else expose(at, self.shutter)
 
-    def _at(self, splats: Splats, own: Tensor | None, motion: Motion, time: Tensor, viewmat: Tensor) -> Splats:
+    def _at(self, splats: Splats, own: Tensor | None, motion: FrameMotion, time: Tensor, viewmat: Tensor) -> Splats:
         speeds, spin = motion.of(splats, own), motion.field[:, :3]
         if self.readout is None:
-            return moved(splats, speeds, spin, time)
-        return rolled(splats, speeds, spin, viewmat, motion.K, motion.height, self.readout, time)
+            return move(splats, speeds, spin, time)
+        return roll_shutter(splats, speeds, spin, viewmat, motion.K, motion.height, self.readout, time)
 
     @torch.no_grad()
-    def keep_possible(self) -> None:
-        """Hold times, in place, within one moment."""
+    def clamp_times(self) -> None:
+        """Clamp shutter and readout, in place, to one moment."""
         for value, low in ((self.shutter, 0.0), (self.readout, -1.0)):
             if value is not None:
                 value.clamp_(low, 1.0)
 
     def known(self) -> dict[str, Any]:
-        """What `formats.effects.Effects` says of those that are on."""
+        """The fields of `records.Effects` that are on."""
         times = {"shutter": self.shutter, "readout": self.readout}
         found = {name: value.item() for name, value in times.items() if value is not None}
         return found | ({} if self.shadow is None else self.shadow.known())
 
 
 def load_effects(effects: records.Effects) -> FrameEffects:
-    """The effects that training found; nothing more to learn."""
+    """Trained effects, as constants."""
     shadow, known = None, effects.known()
     if "light" in known:  # and with it the rest of a shadow
         numbers = (float(known[name]) for name in ("darkness", "softness", "density", "size"))

@@ -1,4 +1,4 @@
-"""Motion blur: a picture is the mean, in linear light, of what passes while the shutter is open."""
+"""Motion blur: a picture is the mean, in linear light, of several pictures taken while the shutter is open."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ MOMENTS = 3  # drawn while the shutter is open: within 50 dB of the mean of 16, 
 START = 0.5  # of the time between frames: the usual shutter of films (180 degrees)
 
 
-class Exposed:
-    """Several draws of one picture, over one exposure: as `Rendering`, as far as training asks."""
+class BlurredRendering:
+    """The mean of several renderings of one picture; has the fields of `Rendering` that training needs."""
 
     def __init__(self, draws: list[Rendering]):
         self.draws = draws
@@ -26,14 +26,14 @@ class Exposed:
 
     @property
     def screen_grad_abs(self) -> Tensor:
-        """Of all draws together, after the backward pass."""
+        """The sum over all draws, after the backward pass."""
         return torch.stack([one.screen_grad_abs for one in self.draws]).sum(0)
 
 
-def exposed(draw: Callable[[Tensor], list[Rendering]], shutter: Tensor) -> list[Exposed]:
-    """The layers that `draw` returns for a time, over the share `shutter` of a moment around time 0."""
+def expose(draw: Callable[[Tensor], list[Rendering]], shutter: Tensor) -> list[BlurredRendering]:
+    """The layers that `draw` returns for a time, averaged over the share `shutter` of a moment around time 0."""
     times = (torch.arange(MOMENTS, device=shutter.device) + 0.5) / MOMENTS - 0.5
-    return [Exposed(list(draws)) for draws in zip(*(draw(time) for time in times * shutter), strict=True)]
+    return [BlurredRendering(list(draws)) for draws in zip(*(draw(time) for time in times * shutter), strict=True)]
 
 
 def to_linear(value: Tensor) -> Tensor:

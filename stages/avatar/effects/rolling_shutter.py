@@ -5,14 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stages.avatar.effects.speeds import moved
+from stages.avatar.effects.speeds import move
 from stages.avatar.rasterize.rendering import FRUSTUM_MARGIN, NEAR
 from stages.avatar.splats.gaussians import Splats
 
 RUSH = 0.5  # how far the motion itself may change the time at which a point's row is read
 
 
-def rolled(
+def roll_shutter(
     splats: Splats,
     speeds: Tensor,
     spin: Tensor,
@@ -42,5 +42,5 @@ def rolled(
     share = readout / (1 - (readout * rush).clamp(-RUSH, RUSH))
     times = torch.where(ahead, share * (within - 0.5), 0.0)
     sheared = speeds[:, :, None] * ((share[:, None] * slope)[:, None] @ splats.axes)
-    there = moved(splats, speeds, spin, time + times)
+    there = move(splats, speeds, spin, time + times)
     return there._replace(axes=there.axes + sheared)

@@ -1,4 +1,4 @@
-"""Cast shadow: the body, as one soft ellipsoid for each bone, takes light from the scene's Gaussians behind it."""
+"""Cast shadow: one soft ellipsoid for each bone takes light from the scene's Gaussians behind it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ ABOVE = 0.05  # m over which a bone comes between a point and the light
 
 
 class Casters(NamedTuple):
-    """What shades: middles[J,3] m and covariances[J,3,3] m^2 of the parts of a body, 0 for a bone that has none."""
+    """The parts of a body that cast a shadow: middles[J,3] m and covariances[J,3,3] m^2, 0 for a bone without any."""
 
     middles: Tensor
     covariances: Tensor
 
-    def moved(self, bones: Tensor, transl: Tensor | float = 0.0) -> Casters:
+    def posed(self, bones: Tensor, transl: Tensor | float = 0.0) -> Casters:
         """Each part with its bone [J,4,4], then by transl[3] m."""
         turns = bones[:, :3, :3]
         middles = (turns @ self.middles[..., None])[..., 0] + bones[:, :3, 3] + transl
@@ -42,10 +42,10 @@ class Stance(NamedTuple):
 
 
 def casters(vertices: Tensor, weights: Tensor) -> Casters:
-    """The parts of a body with vertices[V,3] m that go with the bones by weights[V,J].
+    """The parts of a body with vertices[V,3] m and skinning weights[V,J].
 
-    Those of the body model, not of the person's Gaussians: these stand dense where there is much to see, and what they
-    learn of skinning is not where limbs are; with them twice as much of a shadow is missed.
+    They come from the body model: the person's Gaussians are dense where there is much to see, and their learned
+    skinning weights do not tell where limbs are; parts made of them miss twice as much of a shadow.
     """
     mass = weights.sum(0)
     kept = mass > LEAST * len(vertices)
@@ -56,12 +56,12 @@ def casters(vertices: Tensor, weights: Tensor) -> Casters:
 
 
 class Shadow(nn.Module):
-    """The light that a body, its parts at rest, keeps off the scene: its direction and four numbers, learned for a clip.
+    """The shadow of a body, its parts given at rest: the direction of the light and four numbers, learned for a clip.
 
-    `slope` [2] is how far light from the direction `first` [3] leans, where it is looked for first; `darkness`
-    (logit) the share of all light that comes from there, `softness` (log m) the blur of edges, `density` (log) the
-    optical depth through the middle of a part, and `size` (log) how much of its covariance casts: with a small and dense
-    part the shadow is even and its edge is sharp.
+    `slope` [2] tilts the light away from the direction `first` [3]; `darkness` (logit) is the share of all light that
+    comes from there, `softness` (log m) the blur of edges, `density` (log) the optical depth through the middle of a
+    part, and `size` (log) the share of its covariance that casts: small and dense parts cast an even shadow with a
+    sharp edge.
     """
 
     frame: Tensor
@@ -93,13 +93,13 @@ class Shadow(nn.Module):
         return self.frame @ (leaning / leaning.norm())
 
     def known(self) -> dict[str, Any]:
-        """What `formats.effects.Effects` says of it."""
+        """The fields of `records.Effects` about the shadow."""
         found = {name: getattr(self, name).exp().item() for name in ("softness", "density", "size")}
         found |= {name: getattr(self, name).cpu().numpy() for name in ("middles", "covariances")}
         return found | {"darkness": self.darkness.sigmoid().item(), "light": self.light().detach().cpu().numpy()}
 
-    def shares(self, points: Tensor, body: Casters) -> Tensor:
-        """How much of its light each of points[M,3] keeps, from 1 - darkness to 1."""
+    def light_shares(self, points: Tensor, body: Casters) -> Tensor:
+        """Share [M] of the light that reaches points[M,3] past the posed `body`, from 1 - darkness to 1."""
         turn = rotation_z_to(self.light())
         at, middles = points @ turn, body.middles @ turn
         spread = self.size.exp() * (turn.T @ body.covariances @ turn)
@@ -113,8 +113,8 @@ class Shadow(nn.Module):
         thick = self.density.exp() * (-0.5 * distance).exp() * before
         return 1 - self.darkness.sigmoid() * (1 - (-thick.sum(1)).exp())
 
-    def reached(self, points: Tensor, body: Casters) -> Tensor:
-        """Rows of points[N,3] that any part of the body may shade."""
+    def rows_in_reach(self, points: Tensor, body: Casters) -> Tensor:
+        """Rows of points[N,3] that any part of the posed `body` may shade."""
         with torch.no_grad():
             turn = rotation_z_to(self.light())
             at, middles = points @ turn, body.middles @ turn
@@ -124,16 +124,16 @@ class Shadow(nn.Module):
             near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)
             return (near & (at[:, 2] < middles[:, 2].amax() + REACH * ABOVE)).nonzero()[:, 0]
 
-    def left(self, points: Tensor, stance: Stance) -> Tensor:
-        """The share of light that the body leaves each of points[N,3] m, from 1 - darkness to 1."""
+    def light_left(self, points: Tensor, stance: Stance) -> Tensor:
+        """As `light_shares` of points[N,3] m, for the body as it stands."""
         with torch.no_grad():
-            body = Casters(self.middles, self.covariances).moved(bone_transforms(*stance[:4]), stance.transl)
-        rows = self.reached(points, body)
-        return torch.ones_like(points[:, 0]).index_put((rows,), self.shares(points[rows], body))
+            body = Casters(self.middles, self.covariances).posed(bone_transforms(*stance[:4]), stance.transl)
+        rows = self.rows_in_reach(points, body)
+        return torch.ones_like(points[:, 0]).index_put((rows,), self.light_shares(points[rows], body))
 
     def forward(self, scene: Splats, stance: Stance) -> Splats:
-        """The scene in the shadow of the body: colours times their share of light, places as they are."""
-        share = self.left(scene.means.detach(), stance)[:, None, None]
+        """The scene with its colours multiplied by their share of light."""
+        share = self.light_left(scene.means.detach(), stance)[:, None, None]
         dimmed = scene.sh * share
         base = dimmed[:, :1] + (share - 1) * (0.5 / SH_C0)  # a colour is 0.5 + SH_C0 sh0 + higher terms
         return scene._replace(sh=torch.cat([base, dimmed[:, 1:]], 1))

@@ -1,7 +1,7 @@
 """Sky and all that is too far away for parallax: a shell of Gaussians around the scene, where SfM has no points.
 
-Without it pixels of the sky get the depth of the nearest thing that SfM saw, and stand before it in every other view.
-On the shell they are Gaussians of the scene as all others, but for one thing: their size counts as an angle.
+Without the shell, sky pixels get the depth of the nearest SfM point and hide it in every other view. Gaussians on the
+shell are like all others of the scene, but their size counts as an angle.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.ndimage import label
 
-from stages.avatar.cameras.pinhole import camera_centers
+from stages.avatar.cameras.pinhole import camera_centers, project
 
 RADIUS = 300.0  # extents: a camera that moves by one sees the shell turn by 0.2 degrees
 DIRECTIONS = 60_000  # over the whole sphere: 0.8 degrees apart, which training divides where it needs to
@@ -25,10 +25,9 @@ def open_sky(points: np.ndarray, mask: np.ndarray, viewmat: np.ndarray, K: np.nd
     """
     height, width = mask.shape
     cell = max(1, round(max(height, width) / CELLS))
-    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-    local = local[local[:, 2] > 1e-6]
-    at = local[:, :2] / local[:, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
-    column, row = at[(at >= 0).all(1) & (at < [width, height]).all(1)].astype(int).T // cell
+    at, depths = project(points, viewmat, K)
+    seen = (depths > 1e-6) & (at >= 0).all(1) & (at < [width, height]).all(1)
+    column, row = at[seen].astype(int).T // cell
     free = np.ones((math.ceil(height / cell), math.ceil(width / cell)), bool)
     free[row, column] = False
     regions, _ = label(free)
@@ -50,7 +49,7 @@ def shell(
     ways = np.stack([level * np.cos(turn), up, level * np.sin(turn)], 1)
     colours, seen = np.zeros((DIRECTIONS, 3)), np.zeros(DIRECTIONS)
     for sky, image, viewmat, K in zip(skies, images, viewmats, Ks, strict=True):
-        local = ways @ viewmat[:3, :3].T
+        local = ways @ viewmat[:3, :3].T  # directions have no place to project
         ahead = (local[:, 2] > 1e-3).nonzero()[0]
         at = local[ahead, :2] / local[ahead, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
         inside = (at >= 0).all(1) & (at < [sky.shape[1], sky.shape[0]]).all(1)

@@ -1,4 +1,4 @@
-"""How camera and person move at the moment of a frame: what a shutter that takes its time needs to know."""
+"""Motion of camera and person at a frame, for motion blur and rolling shutter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stages.avatar.splats.gaussians import Splats
 
 
 class Around(NamedTuple):
-    """The frames before and after one, itself at the ends of a clip, and how many moments lie between the two."""
+    """The frames before and after one (itself at the ends of a clip), and how many moments lie between the two."""
 
     before: int
     after: int
@@ -30,10 +30,10 @@ def around(moments: np.ndarray, i: int) -> Around:
 
 
 def drift(viewmats: np.ndarray, near: Around, i: int) -> np.ndarray:
-    """The field [3,4] by which the world goes past camera `i`: a still point X moves by F[:, :3] X + F[:, 3] m a moment.
+    """The velocity field F [3,4] of the still world seen from camera `i`: X moves by F[:, :3] X + F[:, 3] m a moment.
 
-    viewmats[F,4,4] camera_from_world. It is the screw that takes one neighbour to the other, so constant motion is met
-    exactly; zero where there is no neighbour.
+    viewmats[F,4,4] camera_from_world. F is the matrix logarithm of the motion from one neighbour to the other, exact for
+    constant motion; zero where there is no neighbour.
     """
     if not near.gap:
         return np.zeros((3, 4))
@@ -41,11 +41,11 @@ def drift(viewmats: np.ndarray, near: Around, i: int) -> np.ndarray:
     return (np.linalg.inv(here) @ logm(after @ np.linalg.inv(before)).real @ here)[:3] / near.gap
 
 
-class Motion(NamedTuple):
-    """How what is seen moves at one frame, in m a moment: `field`[3,4] as `drift` has it, `person`[N,3] of its Gaussians.
+class FrameMotion(NamedTuple):
+    """Motion at one frame, in m a moment: the velocity `field`[3,4] of `drift`, and the velocities `person`[N,3] of the
+    person's Gaussians in the world, None where nobody is drawn.
 
-    `person` is the person's own motion in the world, None where nobody is drawn; K[3,3] px and `height` px are those of
-    the whole frame, at any resolution.
+    K[3,3] px and `height` px are those of the whole frame, at any resolution.
     """
 
     field: Tensor
@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     height: int
 
     def of(self, splats: Splats, own: Tensor | None) -> Tensor:
-        """Speeds [N,3] past the camera of Gaussians that move by `own`[N,3] in the world, None: not at all."""
+        """Velocities [N,3] past the camera of Gaussians that move by `own`[N,3] m a moment in the world; None: they stand."""
         past = splats.means @ self.field[:, :3].T + self.field[:, 3]
         return past if own is None else past + own
 
@@ -62,23 +62,23 @@ class Motion(NamedTuple):
 class Speeds:
     """The motion at each of F frames of a clip: viewmats[F,4,4], Ks[F,3,3] px, `height` px, moments int[F] not falling.
 
-    `known` bool[F] says in which frames the person's pose is; beside one where it is not, the person stands still.
+    `known` bool[F] marks frames with a body fit; beside a frame without one, the person stands still.
     """
 
     def __init__(self, viewmats: np.ndarray, Ks: Tensor, height: int, moments: np.ndarray, known: np.ndarray):
         self.viewmats, self.Ks, self.height, self.moments, self.known = viewmats, Ks, height, moments, known
 
-    def at(self, i: int, means: Callable[[int], Tensor] | None) -> Motion:
+    def at(self, i: int, means: Callable[[int], Tensor] | None) -> FrameMotion:
         """The motion at frame `i`; `means(j)` [N,3] are those of the person's Gaussians in frame `j`, None for nobody."""
         near, own = around(self.moments, i), None
         if means is not None and near.gap and self.known[[near.before, near.after]].all():
             with torch.no_grad():
                 own = (means(near.after) - means(near.before)) / near.gap
         field = torch.as_tensor(drift(self.viewmats, near, i)).to(self.Ks)
-        return Motion(field, own, self.Ks[i], self.height)
+        return FrameMotion(field, own, self.Ks[i], self.height)
 
 
-def moved(splats: Splats, speeds: Tensor, spin: Tensor, times: Tensor) -> Splats:
+def move(splats: Splats, speeds: Tensor, spin: Tensor, times: Tensor) -> Splats:
     """The Gaussians after `times` (one, or [N]) moments of moving by speeds[N,3] and turning by spin[3,3]."""
     at = times.expand(len(splats.means))
     axes = splats.axes + at[:, None, None] * (spin @ splats.axes)

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from stages.avatar.kernels import njit, prange
-from stages.avatar.kernels.lanes import LANES, fma, load, spread, store
+from stages.avatar.kernels.lanes import LANES, fma, spread
+from stages.avatar.kernels.memory import load, store
 
 RADIUS = 5
 SIGMA = 1.5

@@ -64,7 +64,7 @@ class Decoders(nn.Module):
         } | skin
 
 
-class OwnCorrections(nn.Module):
+class Residuals(nn.Module):
     """Corrections without triplane and networks: parameters, 0 at first, with one row a Gaussian.
 
     Beside networks (`alone` false) they bring what is finer than a triplane's cells; place and skinning weights are

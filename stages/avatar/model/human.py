@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from stages.avatar.body.rotations import matrix_from_6d, rotation_z_to
 from stages.avatar.body.smpl import edge_lengths, subdivide, vertex_normals
-from stages.avatar.model.decoders import TEMPERATURE, Decoders, OwnCorrections
+from stages.avatar.model.decoders import TEMPERATURE, Decoders, Residuals
 from stages.avatar.model.person import Canonical
 from stages.avatar.model.triplane import Triplane
 from stages.avatar.splats.sh import bases
@@ -23,20 +23,20 @@ SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
 
 class HumanModel(nn.Module):
-    """The trainable person: positions per Gaussian; all else = initial value + what the networks say + its own correction.
+    """The trainable person: positions per Gaussian; all else = initial value + networks' output + residual of the Gaussian.
 
     Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J]. Two of the paper's ablations:
     without `lbs_learning` the skinning weights stay as they began; without `triplane` there are no networks.
     """
 
-    frames: Tensor
+    rotations: Tensor
     log_sizes: Tensor
     logits: Tensor
     sh_starts: Tensor
     skin_logits: Tensor
     homes: Tensor
     ROWS = (
-        "frames",
+        "rotations",
         "log_sizes",
         "logits",
         "sh_starts",
@@ -68,22 +68,22 @@ class HumanModel(nn.Module):
             pad = MARGIN * torch.maximum(size, size.max() * 0.25)
             self.triplane = Triplane(vertices.amin(0) - pad, vertices.amax(0) + pad, channels, resolution, generator)
             self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(vertices)
-        self.own = OwnCorrections(len(points), sh_degree, joints, alone=not triplane).to(vertices)
+        self.residuals = Residuals(len(points), sh_degree, joints, alone=not triplane).to(vertices)
         half = (0.5 * edge_lengths(points, triangles)).clamp_min(1e-4)
         self.xyz = nn.Parameter(points.clone())
-        self.register_buffer("frames", rotation_z_to(vertex_normals(points, triangles)))
+        self.register_buffer("rotations", rotation_z_to(vertex_normals(points, triangles)))
         self.register_buffer("log_sizes", torch.stack([half, half, 0.5 * half], 1).log())
         self.register_buffer("logits", torch.full_like(half, math.log(START_OPACITY / (1 - START_OPACITY))))
         self.register_buffer("sh_starts", torch.zeros_like(points))
         self.register_buffer("skin_logits", TEMPERATURE * (skinning + WEIGHT_FLOOR).log())
-        self.register_buffer("homes", points.clone())  # where each Gaussian began, see `untaught`
+        self.register_buffer("homes", points.clone())  # where each Gaussian began, see `initial`
 
     def __len__(self) -> int:
         return len(self.xyz)
 
     def rows(self) -> list[tuple[nn.Module, str]]:
         """The parameters with one row a Gaussian: the module that owns each, and its name there."""
-        return [(self, "xyz"), *((self.own, name) for name in self.own())]
+        return [(self, "xyz"), *((self.residuals, name) for name in self.residuals())]
 
     def forward(self) -> tuple[Canonical, Tensor, Tensor]:
         """Decode all Gaussians: the canonical person, and two penalties.
@@ -91,37 +91,37 @@ class HumanModel(nn.Module):
         The first is the mean squared distance by which points left the triplane's box, the second the mean squared
         correction of scale (log), opacity (logit) and place (in units of OFFSET).
         """
-        out = self.own()
+        out = self.residuals()
         shared = self.decoders(self.triplane(self.xyz)) if self.triplane and self.decoders else {}
-        out |= {name: said + out[name] if name in out else said for name, said in shared.items()}
-        stray = self.triplane.outside(self.xyz) if self.triplane else self.xyz.new_zeros(())
+        out |= {name: value + out[name] if name in out else value for name, value in shared.items()}
+        outside_box = self.triplane.outside(self.xyz) if self.triplane else self.xyz.new_zeros(())
         skin_logits = self.skin_logits + out["skin"] if "skin" in out else self.skin_logits
         identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
-        said = out["scale"] / SCALE_RANGE
-        scale = out["scale"] / torch.hypot(torch.ones_like(said), said)  # unlike tanh never flat
+        ratio = out["scale"] / SCALE_RANGE
+        scale = out["scale"] / torch.hypot(torch.ones_like(ratio), ratio)  # unlike tanh never flat
         person = Canonical(
             means=self.xyz + out["offset"],
-            frames=self.frames @ matrix_from_6d(identity + out["turn"]),
+            rotations=self.rotations @ matrix_from_6d(identity + out["turn"]),
             scales=(self.log_sizes + scale).exp(),
             opacities=torch.sigmoid(self.logits + out["opacity"]),
             sh=torch.cat([self.sh_starts[:, None] + out["sh"][:, :1], out["sh"][:, 1:]], 1),
             weights=torch.softmax(skin_logits / TEMPERATURE, 1),
         )
         place = (out["offset"] / OFFSET).square().sum(1)
-        shy = scale.square().sum(1) + out["opacity"].square() + place
-        return person, stray, shy.mean()
+        size = scale.square().sum(1) + out["opacity"].square() + place
+        return person, outside_box, size.mean()
 
-    def untaught(self) -> Canonical:
-        """The canonical person as it began, without what networks and steps added: an answer where no frame has taught.
+    def initial(self) -> Canonical:
+        """The canonical person before training: the right answer where no frame has shown them.
 
-        There the networks speak to features that are still random, and Adam turns gradients of nothing into steps.
+        There the networks read features that are still random, and Adam turns gradients of nothing into steps.
         """
         sh = torch.zeros(len(self), self.coefficients, 3).to(self.homes)
         sh[:, 0] = self.sh_starts
         weights = torch.softmax(self.skin_logits / TEMPERATURE, 1)
         opacities = torch.sigmoid(self.logits)
-        return Canonical(self.homes, self.frames, self.log_sizes.exp(), opacities, sh, weights)
+        return Canonical(self.homes, self.rotations, self.log_sizes.exp(), opacities, sh, weights)
 
-    def defectors(self, weights: Tensor) -> Tensor:
-        """Which Gaussians [N] have learned `weights` [N,J] that are not the body's: in a new pose they fly off as specks."""
-        return (weights - self.untaught().weights).abs().sum(1) > DEFECT
+    def skinning_outliers(self, weights: Tensor) -> Tensor:
+        """Which Gaussians [N] have learned skinning `weights` [N,J] far from the body's: in a new pose they fly off as specks."""
+        return (weights - self.initial().weights).abs().sum(1) > DEFECT

@@ -14,10 +14,10 @@ from stages.avatar.splats.gaussians import Splats
 
 
 class Canonical(NamedTuple):
-    """The person at the da-pose: means[N,3] m, frames[N,3,3], scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
+    """The person at the da-pose: means[N,3] m, rotations[N,3,3], scales[N,3] m, opacities[N], sh[N,K,3], weights[N,J]."""
 
     means: Tensor
-    frames: Tensor
+    rotations: Tensor
     scales: Tensor
     opacities: Tensor
     sh: Tensor
@@ -27,7 +27,7 @@ class Canonical(NamedTuple):
 class Resting(NamedTuple):
     """The same person in the rest pose of the skeleton, from which every pose starts.
 
-    means[N,3] m, axes[N,3,3] scaled axes as columns, opacities[N], sh[N,K,3], weights[N,J], turns[N,3,3] from the
+    means[N,3] m, axes[N,3,3] scaled axes as columns, opacities[N], sh[N,K,3], weights[N,J], rotations[N,3,3] from the
     canonical frame, in which colour is stored.
     """
 
@@ -36,7 +36,7 @@ class Resting(NamedTuple):
     opacities: Tensor
     sh: Tensor
     weights: Tensor
-    turns: Tensor
+    rotations: Tensor
 
 
 def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, body_pose: Tensor) -> Tensor:
@@ -53,10 +53,10 @@ def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
     has a determinant under 0.29.
     """
     blend = (person.weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
-    turns = _inverse(blend[..., :3])
-    means = (turns @ (person.means - blend[..., 3])[..., None])[..., 0]
-    axes = turns @ (person.frames * person.scales[:, None, :])
-    return Resting(means, axes, person.opacities, person.sh, person.weights, turns)
+    rotations = _inverse(blend[..., :3])
+    means = (rotations @ (person.means - blend[..., 3])[..., None])[..., 0]
+    axes = rotations @ (person.rotations * person.scales[:, None, :])
+    return Resting(means, axes, person.opacities, person.sh, person.weights, rotations)
 
 
 def _inverse(matrices: Tensor) -> Tensor:
@@ -71,5 +71,5 @@ def pose(person: Resting, bones: Tensor, transl: Tensor) -> Splats:
     The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9).
     """
     means, blend = skin(person.means, person.weights, bones)
-    turns = blend @ person.turns if person.sh.shape[1] > 1 else None
-    return Splats(means + transl, blend @ person.axes, person.opacities, person.sh, turns)
+    rotations = blend @ person.rotations if person.sh.shape[1] > 1 else None
+    return Splats(means + transl, blend @ person.axes, person.opacities, person.sh, rotations)

@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
 from stages import records
+from stages.avatar.cameras.pinhole import camera_centers, project
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.splats.gaussians import Splats, spacing
 from stages.avatar.splats.neighbours import nearest
@@ -28,7 +29,7 @@ def scene_extent(viewmats: Tensor, points: Tensor) -> float:
     viewmats[C,4,4], points[P,3]. The floor keeps a tripod or a pure turn from making every length 0 (hard case H05).
     """
     rotations, shifts = viewmats[:, :3, :3].double(), viewmats[:, :3, 3].double()
-    centres = -(rotations.transpose(1, 2) @ shifts[..., None])[..., 0]
+    centres = camera_centers(viewmats.double())
     spread = 1.1 * (centres - centres.mean(0)).norm(dim=1).max().item()
     if len(points) == 0:
         return max(spread, 1.0)
@@ -44,8 +45,7 @@ def clear_of_cameras(points: Tensor, viewmats: Tensor, extent: float) -> Tensor:
     """
     if len(points) == 0:
         return torch.zeros(0, dtype=torch.bool, device=points.device)
-    centres = -(viewmats[:, :3, :3].mT @ viewmats[:, :3, 3:])[..., 0]
-    return nearest(centres, points, 1)[0][:, 0] > NEAREST * extent
+    return nearest(camera_centers(viewmats), points, 1)[0][:, 0] > NEAREST * extent
 
 
 def fill_points(
@@ -71,11 +71,9 @@ def fill_points(
     skies = skies or [np.zeros_like(mask, bool) for mask in masks]
     for image, mask, viewmat, K, place, sky in zip(images, masks, viewmats, Ks, person, skies, strict=True):
         height, width = mask.shape
-        local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-        local = local[local[:, 2] > 1e-6]
-        pixels = local[:, :2] / local[:, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
-        seen = (pixels > 0).all(1) & (pixels < [width, height]).all(1)
-        pixels, inverse = pixels[seen], 1 / local[seen, 2]
+        pixels, depths = project(points, viewmat, K)
+        seen = (depths > 1e-6) & (pixels > 0).all(1) & (pixels < [width, height]).all(1)
+        pixels, inverse = pixels[seen], 1 / depths[seen]
         if len(pixels) < 8 or (mask >= 128).all():
             continue
         at = rng.random((share, 2)) * [width, height]
@@ -120,7 +118,7 @@ class SceneModel(nn.Module):
         return len(self.means)
 
     @torch.no_grad()
-    def surround(self, points: Tensor, rgb: Tensor, middle: Tensor, radius: float) -> None:
+    def add_sky(self, points: Tensor, rgb: Tensor, middle: Tensor, radius: float) -> None:
         """Add the shell of `effects.sky`: points[P,3] m about `radius` m away from middle[3], with rgb[P,3] in 0..1."""
         sky = SceneModel(points, rgb, math.isqrt(self.shN.shape[1]), radius, self.antialias)
         for name in self.ROWS:
@@ -129,7 +127,7 @@ class SceneModel(nn.Module):
 
     @torch.no_grad()
     def sizes(self) -> Tensor:
-        """Scales [N,3] in m by which each Gaussian is judged; on the shell as if it stood one extent away."""
+        """Scales [N,3] in m for growth and regularizer; a Gaussian on the sky shell counts as if one extent away."""
         scales = self.log_scales.exp()
         if self.middle is None:
             return scales
@@ -137,10 +135,11 @@ class SceneModel(nn.Module):
         return torch.where(away > 0.5 * self.shell, scales * self.extent / away, scales)
 
     @torch.no_grad()
-    def be_frugal(self, weight: float) -> None:
-        """Add to the gradients those of weight x (mean opacity + mean scale in extents), for what the picture has taught.
+    def add_sparsity_gradient(self, weight: float) -> None:
+        """Add the gradient of weight x (mean opacity + mean scale in extents) to Gaussians that the picture shows.
 
-        3DGS-MCMC, section 3.4 (https://arxiv.org/abs/2404.09591), which pulls all: what no picture shows would vanish.
+        The regularizer of 3DGS-MCMC, section 3.4 (https://arxiv.org/abs/2404.09591). There it acts on all Gaussians; here
+        those that no picture shows would vanish.
         """
         assert self.logit_opacities.grad is not None and self.log_scales.grad is not None, "after a backward pass"
         taught = self.logit_opacities.grad != 0
@@ -149,8 +148,8 @@ class SceneModel(nn.Module):
         self.log_scales.grad += share[:, None] * self.sizes() / (3 * self.extent)
 
     @torch.no_grad()
-    def keep_movable(self) -> None:
-        """Hold opacities, in place, where they still have a slope."""
+    def clamp_opacities(self) -> None:
+        """Clamp opacities, in place, to where their sigmoid still has a slope."""
         self.logit_opacities.clamp_(-MOVABLE, MOVABLE)
 
     def colors(self) -> list[Tensor]:
@@ -158,14 +157,14 @@ class SceneModel(nn.Module):
         return [self.sh0, self.shN] if self.shN.shape[1] else [self.sh0]
 
     def splats(self) -> Splats:
-        """The scene as drawn."""
+        """The scene's Gaussians, ready to be drawn."""
         sh = self.sh0[:, None] if self.shN.shape[1] == 0 else torch.cat([self.sh0[:, None], self.shN], 1)
         axes = gaussian_axes(self.quats, self.log_scales.exp())
         return Splats(self.means, axes, self.logit_opacities.sigmoid(), sh, antialias=self.antialias)
 
 
 def load_scene(scene: records.Scene, device: str | torch.device = "cpu") -> Splats:
-    """A trained scene as drawn, float32 on `device`."""
+    """A trained scene, ready to be drawn, float32 on `device`."""
     means, quats, scales, opacities, sh0, shN = (
         torch.as_tensor(array, dtype=torch.float32, device=device)
         for array in (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0, scene.shN)

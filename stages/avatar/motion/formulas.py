@@ -15,12 +15,11 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from stages.avatar.body.joints import ANKLES, COLLARS, ELBOWS, HEAD, HIPS, KNEES, SHOULDERS, SPINE, WRISTS
 from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 Motion = tuple[Tensor, Tensor, Tensor]
 
-HIP, KNEE, ANKLE, COLLAR, SHOULDER, ELBOW, WRIST = (1, 2), (4, 5), (7, 8), (13, 14), (16, 17), (18, 19), (20, 21)
-SPINE, HEAD = (3, 6, 9), 15
 HANG = 1.22
 """How far the arms of the T-pose are lowered beside the body, rad."""
 LEG = 0.82
@@ -36,12 +35,12 @@ def jumping_jacks(seconds: float, fps: float, leg: float = LEG) -> Motion:
     soft = 0.32 * phase.cos().square()
     pose = _Pose(len(phase))
     for i, side in SIDES:
-        pose.turn(COLLAR[i], z=side * 0.25 * opened)
-        pose.turn(SHOULDER[i], z=side * (-HANG + (HANG + 0.95) * opened), y=-side * 0.25 * phase.sin().square())
-        pose.turn(ELBOW[i], y=-side * (0.2 + 0.25 * phase.sin().square()))
-        pose.turn(HIP[i], x=-soft, z=side * 0.4 * opened)
-        pose.turn(KNEE[i], x=1.9 * soft)
-        pose.turn(ANKLE[i], x=-0.9 * soft, z=-side * 0.34 * opened)
+        pose.turn(COLLARS[i], z=side * 0.25 * opened)
+        pose.turn(SHOULDERS[i], z=side * (-HANG + (HANG + 0.95) * opened), y=-side * 0.25 * phase.sin().square())
+        pose.turn(ELBOWS[i], y=-side * (0.2 + 0.25 * phase.sin().square()))
+        pose.turn(HIPS[i], x=-soft, z=side * 0.4 * opened)
+        pose.turn(KNEES[i], x=1.9 * soft)
+        pose.turn(ANKLES[i], x=-0.9 * soft, z=-side * 0.34 * opened)
     pose.turn(SPINE[0], x=0.35 * soft)
     hop = 0.09 * phase.sin().square()
     return pose.motion(lift=hop, leg=leg)
@@ -57,11 +56,11 @@ def walk_in_place(seconds: float, fps: float, leg: float = LEG) -> Motion:
         wave = side * phase.sin()
         raised = wave.clamp(min=0).square() * start
         swing = wave * start
-        pose.turn(HIP[i], x=-0.85 * raised, z=-sway / leg)
-        pose.turn(KNEE[i], x=0.04 + 1.5 * raised)
-        pose.turn(ANKLE[i], x=-0.04 + 0.1 * raised, z=sway / leg)
-        pose.turn(SHOULDER[i], x=0.6 * swing - 0.05, z=torch.full_like(swing, -side * HANG), order="xz")
-        pose.turn(ELBOW[i], y=-side * (0.45 - 0.3 * swing))
+        pose.turn(HIPS[i], x=-0.85 * raised, z=-sway / leg)
+        pose.turn(KNEES[i], x=0.04 + 1.5 * raised)
+        pose.turn(ANKLES[i], x=-0.04 + 0.1 * raised, z=sway / leg)
+        pose.turn(SHOULDERS[i], x=0.6 * swing - 0.05, z=torch.full_like(swing, -side * HANG), order="xz")
+        pose.turn(ELBOWS[i], y=-side * (0.45 - 0.3 * swing))
     twist = 0.07 * phase.sin() * start
     pose.turn(SPINE[1], y=-twist, z=-0.5 * sway)
     pose.turn(SPINE[2], y=-twist)
@@ -77,14 +76,14 @@ def wave(seconds: float, fps: float, leg: float = LEG) -> Motion:
     hang = torch.ones_like(up)
     pose = _Pose(len(phase))
     for i, _ in SIDES:
-        pose.turn(HIP[i], z=-sway / leg)
-        pose.turn(ANKLE[i], z=sway / leg)
-    pose.turn(SHOULDER[0], z=-HANG * hang, x=-0.05 * hang, order="xz")
-    pose.turn(ELBOW[0], y=-0.25 * hang)
-    pose.turn(COLLAR[1], z=-0.12 * up)
-    pose.turn(SHOULDER[1], x=-1.45 * up, z=HANG - (HANG + 0.12) * up, y=0.25 * up, order="yzx")
-    pose.turn(ELBOW[1], y=0.25 + up * (1.1 + 0.45 * phase.sin()))
-    pose.turn(WRIST[1], z=0.1 * up * phase.sin())
+        pose.turn(HIPS[i], z=-sway / leg)
+        pose.turn(ANKLES[i], z=sway / leg)
+    pose.turn(SHOULDERS[0], z=-HANG * hang, x=-0.05 * hang, order="xz")
+    pose.turn(ELBOWS[0], y=-0.25 * hang)
+    pose.turn(COLLARS[1], z=-0.12 * up)
+    pose.turn(SHOULDERS[1], x=-1.45 * up, z=HANG - (HANG + 0.12) * up, y=0.25 * up, order="yzx")
+    pose.turn(ELBOWS[1], y=0.25 + up * (1.1 + 0.45 * phase.sin()))
+    pose.turn(WRISTS[1], z=0.1 * up * phase.sin())
     pose.turn(SPINE[1], z=0.04 * up)
     pose.turn(HEAD, z=-0.1 * up, y=-0.1 * up)
     return pose.motion(shift=sway, leg=leg)
@@ -99,11 +98,11 @@ def squats(seconds: float, fps: float, leg: float = LEG) -> Motion:
     pose = _Pose(len(phase))
     pose.orient[:, 0] = lean
     for i, side in SIDES:
-        pose.turn(HIP[i], x=-thigh - lean, z=side * apart)
-        pose.turn(KNEE[i], x=knee)
-        pose.turn(ANKLE[i], x=thigh - knee, z=-side * apart)
-        pose.turn(SHOULDER[i], x=-1.5 * down, z=torch.full_like(down, -side * HANG), order="xz")
-        pose.turn(ELBOW[i], y=-side * 0.2 * torch.ones_like(down))
+        pose.turn(HIPS[i], x=-thigh - lean, z=side * apart)
+        pose.turn(KNEES[i], x=knee)
+        pose.turn(ANKLES[i], x=thigh - knee, z=-side * apart)
+        pose.turn(SHOULDERS[i], x=-1.5 * down, z=torch.full_like(down, -side * HANG), order="xz")
+        pose.turn(ELBOWS[i], y=-side * 0.2 * torch.ones_like(down))
     pose.turn(SPINE[0], x=0.1 * down)
     pose.turn(HEAD, x=-0.35 * down)
     return pose.motion(leg=leg, stand=True)
@@ -163,9 +162,9 @@ class _Pose:
         points = []
         root = matrix_from_rotvec(self.orient)
         for i, side in SIDES:
-            hip = root @ matrix_from_rotvec(self.turns[:, HIP[i]])
-            knee = hip @ matrix_from_rotvec(self.turns[:, KNEE[i]])
-            foot = knee @ matrix_from_rotvec(self.turns[:, ANKLE[i]])
+            hip = root @ matrix_from_rotvec(self.turns[:, HIPS[i]])
+            knee = hip @ matrix_from_rotvec(self.turns[:, KNEES[i]])
+            foot = knee @ matrix_from_rotvec(self.turns[:, ANKLES[i]])
             half = torch.tensor([0, -leg / 2, 0], dtype=torch.float64)
             ankle = root @ torch.tensor([side * 0.11, -0.03, 0], dtype=torch.float64) + hip @ half + knee @ half
             for sole in ([0, -0.07, -0.05], [0, -0.07, 0.14]):

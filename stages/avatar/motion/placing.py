@@ -10,8 +10,9 @@ from scipy.ndimage import grey_opening
 from scipy.spatial.transform import Rotation
 
 from stages import records
+from stages.avatar.body.joints import ANKLES, FEET, HIPS
 from stages.avatar.body.smpl import Body
-from stages.avatar.motion.retarget import ANKLES, FEET, HIPS, Performance, leg_of
+from stages.avatar.motion.retarget import Performance, leg_of
 
 UPS = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
 SURE = 0.8

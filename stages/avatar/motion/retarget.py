@@ -15,9 +15,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-HIPS, KNEES, ANKLES, FEET = (1, 2), (4, 5), (7, 8), (10, 11)
-COLLARS, SHOULDERS, ELBOWS, WRISTS, HANDS = (13, 14), (16, 17), (18, 19), (20, 21), (22, 23)
-SPINE, NECK, HEAD = (3, 6, 9), 12, 15
+from stages.avatar.body.joints import (
+    ANKLES,
+    COLLARS,
+    ELBOWS,
+    FEET,
+    HANDS,
+    HEAD,
+    HIPS,
+    KNEES,
+    NECK,
+    SHOULDERS,
+    SPINE,
+    WRISTS,
+)
+
 LIMBS = {
     bone: end
     for chain in ((HIPS, KNEES, ANKLES), (SHOULDERS, ELBOWS, WRISTS))

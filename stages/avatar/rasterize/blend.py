@@ -22,18 +22,13 @@ from stages.avatar.kernels.lanes import (
     exp2,
     fma,
     lesser,
-    load,
-    load_index,
     magnitude,
-    peek,
-    prefetch,
     select,
     select_index,
     spread,
-    store,
-    store_index,
     totals,
 )
+from stages.avatar.kernels.memory import load, load_index, peek, prefetch, store, store_index
 from stages.avatar.rasterize.projection import BLUE, DEPTH, GREEN, LOG2E, LOG_OPACITY, QA, QB, QC, RED, ROW, X, Y
 from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN
 from stages.avatar.rasterize.tiles import ACROSS, AHEAD, BLOCK, TILE

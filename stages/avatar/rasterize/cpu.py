@@ -110,7 +110,7 @@ class _Rasterize(torch.autograd.Function):
 def rasterize(
     gaussians: Gaussians, camera: Camera, layers: Sequence[Layer] = (Layer(),), near: float = NEAR
 ) -> list[Rendering]:
-    """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; float32 tensors on the CPU.
+    """As `stages.avatar.rasterize.rasterize`; float32 tensors on the CPU.
 
     Pictures are the same to the bit for any number of threads; gradients are for a fixed number.
     """

@@ -13,7 +13,7 @@ from stages.avatar.rasterize.rendering import BLUR, NEAR, PIXEL, T_STOP, Camera,
 def rasterize(
     gaussians: Gaussians, camera: Camera, layers: Sequence[Layer] = (Layer(),), near: float = NEAR
 ) -> list[Rendering]:
-    """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; float32 tensors on one GPU.
+    """As `stages.avatar.rasterize.rasterize`; float32 tensors on one GPU.
 
     Each layer is a call of its own, whose Jacobian is clamped at the margin of its window, not of the whole picture.
     gsplat compiles its kernels at the first call of an installation. ImportError if it is not installed, ValueError for

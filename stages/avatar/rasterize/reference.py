@@ -41,7 +41,7 @@ def gaussian_axes(quats: Tensor, scales: Tensor) -> Tensor:
 def rasterize(
     gaussians: Gaussians, camera: Camera, layers: Sequence[Layer] = (Layer(),), near: float = NEAR
 ) -> list[Rendering]:
-    """Draw Gaussians as `stages.avatar.rasterize.rasterize` says; differentiable in all tensors, also twice."""
+    """As `stages.avatar.rasterize.rasterize`; differentiable in all tensors, also twice."""
     means = gaussians.means
     grad = torch.zeros(len(means), 2, dtype=means.dtype, device=means.device)
     return [_draw(gaussians, camera, layer, near, grad) for layer in layers]

@@ -11,21 +11,8 @@ import math
 import numpy as np
 
 from stages.avatar.kernels import njit, prange
-from stages.avatar.kernels.lanes import (
-    LANES,
-    bits_between,
-    down,
-    fma,
-    greater,
-    lesser,
-    load,
-    magnitude,
-    peek,
-    prefetch,
-    root,
-    select,
-    up,
-)
+from stages.avatar.kernels.lanes import LANES, bits_between, down, fma, greater, lesser, magnitude, root, select, up
+from stages.avatar.kernels.memory import load, peek, prefetch
 from stages.avatar.rasterize.projection import (
     CUT,
     INVERSE_DET,

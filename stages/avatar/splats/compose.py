@@ -7,15 +7,16 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from stages.avatar.cameras.pinhole import camera_centers
 from stages.avatar.rasterize import Camera, Gaussians, Layer, Rendering, rasterize
 from stages.avatar.splats.gaussians import Splats
 
 
-def painted(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) -> Tensor:
-    """How many pixels each of N Gaussians paints, of three kinds: [N,3], for kinds[H,W,3], shares 0..1 of each pixel.
+def painted_pixels(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) -> Tensor:
+    """How many pixels of three kinds each of N Gaussians paints: [N,3]; kinds[H,W,3] are shares 0..1 of each pixel.
 
-    What a picture owes to a colour is its gradient. Gaussians before others count in full, those behind for what they shine
-    through. No gradient.
+    It is the gradient of the picture to the colour: a Gaussian behind others counts for the light it still gets. No
+    gradient.
     """
     means, axes, opacities, *_ = splats.detach()
     colors = torch.zeros_like(means).requires_grad_()
@@ -37,7 +38,7 @@ def compose(
     if not sets:
         raise ValueError("compose needs a person or a scene")
     antialias = any(s.antialias for s in sets)
-    centre = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
+    centre = camera_centers(camera.viewmat)
     colors = [s.colors(centre) for s in sets]
     if len(sets) == 1:
         (only,) = sets

@@ -1,4 +1,4 @@
-"""Gaussians on their way to the screen, and what several kinds of them share."""
+"""Gaussians in the world, ready to be drawn, and helpers for sets of points."""
 
 from __future__ import annotations
 
@@ -17,31 +17,30 @@ SMALLEST = 1e-7  # of the extent; nearer neighbours are taken for duplicates
 class Splats(NamedTuple):
     """N Gaussians in the world frame, metres, ready for any camera.
 
-    means[N,3], axes[N,3,3] (scaled axes as columns, covariance = axes axes^T), opacities[N], sh[N,K,3], and
-    turns[N,3,3] or None: how each Gaussian was turned away from the frame in which its colour is stored. `antialias`:
-    they were learned, and are drawn, with opacity lowered as the screen's blur widens a Gaussian.
+    means[N,3], axes[N,3,3] as in `Gaussians`, opacities[N], sh[N,K,3], and rotations[N,3,3] from the frame in which
+    colours are stored, or None. `antialias` as in `Gaussians`: learned so, drawn so.
     """
 
     means: Tensor
     axes: Tensor
     opacities: Tensor
     sh: Tensor
-    turns: Tensor | None = None
+    rotations: Tensor | None = None
     antialias: bool = False
 
     def detach(self) -> Splats:
         """The same without gradients."""
-        turns = None if self.turns is None else self.turns.detach()
+        rotations = None if self.rotations is None else self.rotations.detach()
         means, axes, opacities, sh = (part.detach() for part in self[:4])
-        return Splats(means, axes, opacities, sh, turns, self.antialias)
+        return Splats(means, axes, opacities, sh, rotations, self.antialias)
 
     def colors(self, camera_centre: Tensor) -> Tensor:
         """Colours [N,3] seen from `camera_centre`[3] in the world; a Gaussian at the centre itself gets degree 0."""
         if self.sh.shape[1] == 1:
             return sh_colors(self.sh, None)
         away = self.means - camera_centre
-        if self.turns is not None:
-            away = torch.einsum("nij,ni->nj", self.turns, away)
+        if self.rotations is not None:
+            away = torch.einsum("nij,ni->nj", self.rotations, away)
         squared = away.square().sum(1, keepdim=True)
         return sh_colors(self.sh, away * squared.clamp_min(1e-12).rsqrt())
 

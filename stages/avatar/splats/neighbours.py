@@ -1,4 +1,4 @@
-"""The points nearest to others and what they say, points far from one another, and frames spread evenly over many."""
+"""Nearest points, points far from one another, and rows spread evenly over many."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def median_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> Tensor
     return values[nearest(those, points, k)[1]].median(1).values
 
 
-def evenly(rows: list[int], most: int) -> list[int]:
+def spread_evenly(rows: list[int], most: int) -> list[int]:
     """At most `most` of `rows`, spread evenly, the first among them."""
     count = min(most, len(rows))
     return [rows[i * len(rows) // count] for i in range(count)]
 
 
-def spread_out(points: Tensor, count: int) -> Tensor:
+def farthest_points(points: Tensor, count: int) -> Tensor:
     """Rows int64[count] of points[N,3] far from one another, each the farthest from those before; so is any prefix."""
     chosen = torch.zeros(min(count, len(points)), dtype=torch.long)
     away = points.new_full((len(points),), torch.inf)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, vertex_normals
-from stages.avatar.splats.neighbours import spread_out
+from stages.avatar.splats.neighbours import farthest_points
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.records import JOINT_NAMES
@@ -96,7 +96,7 @@ class Solver:
         self.spread = terms.joint_spreads()
         parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]
         self.steady = torch.tensor([ACCELERATION.get(part, ACCELERATION_REST) for part in parts])
-        self.dense = spread_out(body.v_template, DENSE)
+        self.dense = farthest_points(body.v_template, DENSE)
         self.coarse = self.dense[:COARSE]
         self.soles = sole_vertices(body)
         self.normals = vertex_normals(body.v_template, faces)
@@ -284,6 +284,6 @@ def sole_vertices(body: Body, count: int = 8) -> Tensor:
         foot = torch.nonzero(body.lbs_weights[:, joints].sum(1) > 0.5).flatten()
         foot = foot[body.v_template[foot, 1].argsort()]  # the lowest comes first, and is always taken
         foot = foot[body.v_template[foot, 1] < body.v_template[foot[0], 1] + 0.012]
-        picked = spread_out(body.v_template[foot], count)
+        picked = farthest_points(body.v_template[foot], count)
         rows.append(foot[picked[torch.arange(count) % len(picked)]])
     return torch.stack(rows)

@@ -11,6 +11,7 @@ import numpy as np
 from stages.avatar.cameras.pinhole import project
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import background_mask, brightness, sample
+from stages.records import JOINT_NAMES
 
 if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import ClipEvidence
@@ -22,6 +23,8 @@ REACH, STEP = 1.7, 0.04  # m: how far from the person the floor is looked at, an
 LEAST = 8  # frames that must see a spot of the floor
 TILTS, TURNS = np.radians([0, 12, 24, 36, 48, 60]), np.arange(16) * np.pi / 8  # lamps that are tried
 EVERY = 2  # vertex of the body: dense enough for the grid
+HEAD = JOINT_NAMES.index("head")
+ANKLES = slice(JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle") + 1)
 LARGEST = 1.0  # log brightness: more than this is something else that hides the floor
 
 
@@ -80,7 +83,7 @@ class _FloorPatch:
     def __init__(self, evidence: ClipEvidence):
         bodies, model = evidence.bodies, evidence.clip.body_model
         joints = np.einsum("jv,fvk->fjk", model.J_regressor, bodies)
-        up = (joints[:, 15] - joints[:, 7:9].mean(1)).mean(0)
+        up = (joints[:, HEAD] - joints[:, ANKLES].mean(1)).mean(0)
         self.up = up / np.linalg.norm(up)
         self.level = float(np.median((bodies @ self.up).min(1)))
         self.right = np.cross(self.up, np.eye(3)[np.abs(self.up).argmin()])

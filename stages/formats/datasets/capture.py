@@ -63,7 +63,7 @@ class Capture:
     colors: np.ndarray
     fit: dict[str, np.ndarray]
     person: Callable[[Shot], np.ndarray]
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: dict[str, float | None] = field(default_factory=dict)
 
 
 def write_capture(out: Path, capture: Capture, max_side: int) -> Iterator[int]:

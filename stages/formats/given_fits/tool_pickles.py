@@ -143,7 +143,9 @@ class ToolObjects(ArraysOnly):
         super().__init__(file, encoding=encoding)
         self.file, self.storage = file, storage
 
-    def persistent_load(self, key: Any) -> np.ndarray:
+    def persistent_load(self, key: object) -> np.ndarray:
+        if not isinstance(key, tuple) or len(key) < 5:
+            raise pickle.UnpicklingError(f"it refers to {key!r}")
         kind, dtype, name, _, count = key[:5]
         if self.storage is None or kind != "storage" or not isinstance(dtype, np.dtype):
             raise pickle.UnpicklingError(f"it refers to {key!r}")

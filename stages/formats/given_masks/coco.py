@@ -118,7 +118,7 @@ def _track(
             yield row, track, parts[place]
 
 
-def decode(segmentation: Any, height: int, width: int, what: str) -> np.ndarray:
+def decode(segmentation: object, height: int, width: int, what: str) -> np.ndarray:
     """The mask bool [height,width] of run lengths or polygons; StageError where they do not belong to that size."""
     if isinstance(segmentation, list):
         return polygons(segmentation, height, width, what)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -29,7 +29,7 @@ class Figure(NamedTuple):
     moves: bool = False
 
 
-def fill(template: str, **values: Any) -> str:
+def fill(template: str, **values: object) -> str:
     """The whole document. A template may use `values` and the SHARED templates; a name that is missing is an error."""
     texts = {name: (ROOM / name).read_text(encoding="utf-8") for name in (*SHARED, template)}
     environment = Environment(

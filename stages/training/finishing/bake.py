@@ -10,9 +10,9 @@ from torch import Tensor
 from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.body.smpl import edge_lengths, vertex_normals
 from stages.avatar.model.person import Canonical, rest
-from stages.avatar.splats.compose import painted
+from stages.avatar.splats.compose import painted_pixels
 from stages.avatar.splats.gaussians import finite_rows
-from stages.avatar.splats.neighbours import median_near, nearest, spread_out
+from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
 from stages.training.finishing.depths import snap_to_surface
 from stages.training.losses import dilated
 from stages.training.views import Person, Views, person_frames
@@ -77,17 +77,17 @@ def floating(person: Canonical, body: Person) -> Tensor:
     usual = nearest(body.vertices, body.vertices, COMPANY + 1)[0][under, -1]
     away = nearest(person.means, person.means, COMPANY + 1)[0][:, -1]
     normals = vertex_normals(body.vertices, body.faces)[under]
-    thick = ((normals[:, None] @ person.frames)[:, 0] * person.scales).norm(dim=1)
+    thick = ((normals[:, None] @ person.rotations)[:, 0] * person.scales).norm(dim=1)
     return ((away > APART * usual) & (away > SMALL * person.scales.amax(1))) | (thick > THICK)
 
 
-def as_body_where_unseen(decoded: Canonical, untaught: Canonical, color_grad_sum: Tensor) -> Canonical:
-    """The person as `decoded`, but `untaught`, as the body says, in rows where no training frame has shown it.
+def as_body_where_unseen(decoded: Canonical, initial: Canonical, color_grad_sum: Tensor) -> Canonical:
+    """The person as `decoded`, but `initial`, as the body says, in rows where no training frame has shown it.
 
     There the networks' features are still random.
     """
     never = unseen(color_grad_sum)
-    pairs = zip(untaught, decoded, strict=True)
+    pairs = zip(initial, decoded, strict=True)
     return Canonical(*(torch.where(never.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
 
 
@@ -111,7 +111,7 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     means = person.means
     away, rows = nearest(means[sure], means, NEIGHBOURS)
     around, far = person.sh[sure][rows].median(1).values, away[:, 0] > FAR
-    spots = sure.nonzero()[:, 0][spread_out(means[sure], SPOTS)]
+    spots = sure.nonzero()[:, 0][farthest_points(means[sure], SPOTS)]
     around[far] = median_near(around[spots], means[spots], means[far], ASKED)
     own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
     return person._replace(sh=own * person.sh + (1 - own) * around), int((own < 0.5).sum())
@@ -145,7 +145,7 @@ def _lining(person: Canonical, body: Person) -> Canonical:
     opaque = person.opacities >= person.opacities.max().clamp(max=0.5)
     return Canonical(
         means=means,
-        frames=rotation_z_to(normals),
+        rotations=rotation_z_to(normals),
         scales=torch.stack([1.2 * half, 1.2 * half, 0.25 * half], 1),
         opacities=torch.full_like(half, 0.99),
         sh=median_near(person.sh[opaque], person.means[opaque], means, 8),
@@ -162,12 +162,12 @@ def _count_pixels(person: Canonical, body: Person, views: Views, frames: list[in
     bones = body.canonical_bones()
     _, under = nearest(body.vertices, person.means, 1)
     outwards = vertex_normals(body.vertices, body.faces)[under[:, 0]]
-    resting, skin = rest(person, bones), rest(person._replace(frames=rotation_z_to(outwards)), bones)
+    resting, skin = rest(person, bones), rest(person._replace(rotations=rotation_z_to(outwards)), bones)
     counts, pixels = torch.zeros_like(person.means), 0.0
     for i in person_frames(body, views, frames):
         mask = views.masks[i].float() / 255
         splats, inside = body.posed(resting, i), -dilated(-mask, EDGE)
-        paints = painted(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
+        paints = painted_pixels(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
         sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
         facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
         counts += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from stages.avatar.model.scene import SceneModel
-from stages.avatar.splats.compose import painted
-from stages.avatar.splats.neighbours import evenly, median_near
+from stages.avatar.splats.compose import painted_pixels
+from stages.avatar.splats.neighbours import median_near, spread_evenly
 from stages.training.finishing.bake import EDGE
 from stages.training.losses import dilated
 from stages.training.views import LOOKS, Views
@@ -32,10 +32,10 @@ def inpaint_occluded(
     """
     splats = scene.splats().detach()
     beside, behind, shaded = torch.zeros(3, len(scene)).to(splats.means)
-    for i in evenly(frames, LOOKS):
+    for i in spread_evenly(frames, LOOKS):
         person = dilated(views.masks[i].float() / 255, EDGE)
         kinds = torch.stack([1 - person, person, torch.zeros_like(person)], -1)
-        shown = painted(splats, views.viewmats[i], views.Ks[i], kinds)
+        shown = painted_pixels(splats, views.viewmats[i], views.Ks[i], kinds)
         beside, behind, shaded = beside + shown[:, 0], behind + shown[:, 1], shaded + shown[:, 0] * shadow_depth(i)
     hidden = (behind > HIDDEN * beside) | (shaded > ALWAYS * beside)
     sure = (beside > SURE * (beside + behind).mean()) & (behind < beside) & (shaded < LIT * beside)

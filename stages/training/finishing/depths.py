@@ -43,9 +43,9 @@ def _sights(person: Canonical, body: Person, views: Views, frames: list[int]) ->
 
     The share is 1 if all look along it, 1/3 if they look from everywhere, 0 if nobody looks.
     """
-    turned = person._replace(frames=torch.eye(3).to(person.frames).expand_as(person.frames))
+    turned = person._replace(rotations=torch.eye(3).to(person.rotations).expand_as(person.rotations))
     resting = rest(turned._replace(scales=torch.ones_like(person.scales)), body.canonical_bones())
-    looks = torch.zeros_like(person.frames)
+    looks = torch.zeros_like(person.rotations)
     for i in person_frames(body, views, frames):
         splats = body.posed(resting, i)
         sight = F.normalize(splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3], dim=1)

@@ -22,7 +22,7 @@ def fit_of(clip, steps: int = 40, sh_degree: int = 0, lbs_learning: bool = True,
 @pytest.mark.parametrize("sh_degree", [0, 1])
 def test_without_lbs_learning_each_gaussian_keeps_the_weights_it_began_with(clip, triplane, sh_degree):
     kept, learned = (fit_of(clip, 20, sh_degree, lbs, triplane, human_densify=False) for lbs in (False, True))
-    began = kept.human.untaught().weights
+    began = kept.human.initial().weights
     for fit in (kept, learned):
         before = fit.human()[0].means.detach()
         run(fit, 20)
@@ -62,21 +62,23 @@ def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
     numbers = run(free, 80)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
     assert free.guard.left_out == 0, "though weights begin where their prior is 0, so its first gradients are sudden"
-    assert 162 < len(free.human) <= 300 and {len(p) for p in free.human.own.parameters()} == {len(free.human)}
-    assert all(p.abs().max() > 0 for p in free.human.own.parameters())
+    assert 162 < len(free.human) <= 300 and {len(p) for p in free.human.residuals.parameters()} == {len(free.human)}
+    assert all(p.abs().max() > 0 for p in free.human.residuals.parameters())
     held = {id(p) for group in free.adam["human"].param_groups for p in group["params"]}
     assert held == {id(p) for p in free.human.parameters()}
 
 
 def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
     human = fit_of(clip, 80).human
-    assert set(human.own()) == {"opacity", "sh", "turn", "scale"}, "place is its point's, skinning weights are shared"
+    assert set(human.residuals()) == {"opacity", "sh", "turn", "scale"}, (
+        "place is its point's, skinning weights are shared"
+    )
     before = human()[0]
     with torch.no_grad():
-        for own in human.own().values():
+        for own in human.residuals().values():
             own[3] += 0.1
     after = human()[0]
-    for name in ("opacities", "sh", "frames", "scales"):
+    for name in ("opacities", "sh", "rotations", "scales"):
         changed = (getattr(after, name) != getattr(before, name)).reshape(len(human), -1).any(1)
         assert changed.nonzero().flatten().tolist() == [3], name
 
@@ -96,9 +98,9 @@ def test_a_person_who_grows_stays_as_opaque(clip):
 def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
     fit = fit_of(clip, 80, triplane=triplane)
     while len(fit.human) == 162:
-        last = [fit.human.own.scale.detach().clone(), fit.adam["human"].state[fit.human.own.scale]]
+        last = [fit.human.residuals.scale.detach().clone(), fit.adam["human"].state[fit.human.residuals.scale]]
         fit.advance()
-    now, moments = fit.human.own.scale, fit.adam["human"].state[fit.human.own.scale]
+    now, moments = fit.human.residuals.scale, fit.adam["human"].state[fit.human.residuals.scale]
     assert len(moments["exp_avg"]) == len(moments["exp_avg_sq"]) == len(now) > 162
     assert moments["step"] == last[1]["step"] and (moments["exp_avg_sq"][-1] == 0).all()
     assert (moments["exp_avg_sq"][:10] > 0).any(), "rows that stay keep theirs"

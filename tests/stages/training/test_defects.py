@@ -107,8 +107,8 @@ def test_defect_10_scales_are_positive_and_frames_rotations_whatever_networks_sa
     person, *_ = human()
     assert (person.scales > 0).all() and person.scales.isfinite().all()
     identity = torch.eye(3).expand(len(human), 3, 3)
-    assert torch.allclose(person.frames.mT @ person.frames, identity, atol=1e-5)
-    assert torch.allclose(torch.linalg.det(person.frames), torch.ones(len(human)), atol=1e-5)
+    assert torch.allclose(person.rotations.mT @ person.rotations, identity, atol=1e-5)
+    assert torch.allclose(torch.linalg.det(person.rotations), torch.ones(len(human)), atol=1e-5)
 
 
 def test_defect_11_the_principal_point_counts(clip):

@@ -20,7 +20,7 @@ def changing(clip):
     """A training in which all that frames can do is on, and learned to something that shows."""
     fit = everything(clip, 24)
     run(fit, 24)
-    body = casters(fit.person.body.vertices, fit.person.body.weights).moved(
+    body = casters(fit.person.body.vertices, fit.person.body.weights).posed(
         torch.linalg.inv(fit.person.canonical_bones)
     )
     effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)

@@ -60,7 +60,7 @@ def test_what_no_frame_shows_is_kept_as_it_began(clip):
     run(fit, 10)
     hidden = torch.arange(len(fit.human)) < 5
     fit.person.color_grad_sum[hidden] = 0  # as if behind all others
-    kept, decoded, began = fit.person.baked()[0], fit.human()[0], fit.human.untaught()
+    kept, decoded, began = fit.person.baked()[0], fit.human()[0], fit.human.initial()
     assert (fit.person.color_grad_sum[~hidden] > 0).float().mean() > 0.5, "most are seen"
     for part, b in zip(kept, began, strict=True):
         assert torch.equal(part[hidden], b[hidden])

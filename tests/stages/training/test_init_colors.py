@@ -25,7 +25,7 @@ def views():
 
 
 def normals(human):
-    return human.frames[:, :, 2]
+    return human.rotations[:, :, 2]
 
 
 def test_both_sides_take_the_colour_of_their_camera(standing):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import pinhole
 from stages.avatar.drawing.draw import draw, load_learned, perform
-from stages.avatar.effects.camera_refinement import corrected
+from stages.avatar.effects.camera_refinement import correct_cameras
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Shadow, Stance, casters
 from stages.avatar.effects.speeds import Speeds
@@ -52,7 +52,7 @@ def test_off_is_bit_identical_and_draws_through_nothing(clip, monkeypatch):
     stance = Stance(off.person.body.joints, off.person.body.parents, *off.body(0))
     scene, camera = off.scene.splats(), Camera(off.full.viewmats[0], off.full.Ks[0], WIDTH, HEIGHT)
     FrameEffects().draw(None, scene, None, camera, [Layer()])
-    assert len(seen) == 1 and seen[0][1] is scene and FrameEffects().lit(scene, stance) is scene
+    assert len(seen) == 1 and seen[0][1] is scene and FrameEffects().shade(scene, stance) is scene
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_what_is_known_is_drawn_the_same_when_it_is_read(clip):
     pictures = []
     with torch.no_grad():
         for effects in (fit.effects, read, FrameEffects()):
-            lit = effects.lit(scene, stance)
+            lit = effects.shade(scene, stance)
             camera = Camera(fit.full.viewmats[1], fit.full.Ks[1], WIDTH, HEIGHT)
             pictures.append(effects.draw(human, lit, fit.motion(1, resting), camera, [Layer()])[0].image)
     torch.testing.assert_close(pictures[0], pictures[1], atol=1e-5, rtol=0)
@@ -95,7 +95,7 @@ def test_what_is_known_is_drawn_the_same_when_it_is_read(clip):
 def test_times_stay_within_a_moment():
     effects = FrameEffects(shutter=0.5, readout=0.0)
     effects.shutter.data[:], effects.readout.data[:] = -3, -3
-    effects.keep_possible()
+    effects.clamp_times()
     assert effects.known() == {"shutter": 0.0, "readout": -1.0}
 
 
@@ -137,12 +137,12 @@ def test_a_correction_of_zero_changes_nothing_and_moves_centres_in_the_world(hel
     views[1, :3, :3] = torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     views[1, :3, 3] = torch.tensor([0.5, 2.0, 3.0])
     zeros = torch.zeros(2, 3, dtype=torch.float64, requires_grad=True)
-    there = corrected(views, zeros, zeros)
+    there = correct_cameras(views, zeros, zeros)
     held((there - views).abs().max().item(), 1e-12)
     there.square().sum().backward()
     assert zeros.grad.isfinite().all()
     shift, turn = torch.tensor([0.1, -0.2, 0.3]).double(), torch.tensor([0.0, 0.0, 0.2]).double()
-    moved = corrected(views, turn.expand(2, 3), shift.expand(2, 3))
+    moved = correct_cameras(views, turn.expand(2, 3), shift.expand(2, 3))
     centres = [-(v[:, :3, :3].mT @ v[:, :3, 3:])[..., 0] for v in (views, moved)]
     held((centres[1] - centres[0] - shift).abs().max(), 1e-12)
     held((moved[:, :3, :3] @ torch.linalg.matrix_exp(torch.tensor([[0, -0.2, 0], [0.2, 0, 0], [0, 0, 0]]).double())
@@ -206,6 +206,6 @@ def test_a_person_who_performs_takes_the_shadow_along(held):
 
 def test_a_shadow_needs_a_person_and_a_scene():
     shadow = FrameEffects(Shadow(UP, BODY))
-    assert shadow.lit(None, None) is None
+    assert shadow.shade(None, None) is None
     scene = moving_wall(0.0, 0.5, 1)[2]
-    assert shadow.lit(scene, None) is scene
+    assert shadow.shade(scene, None) is scene

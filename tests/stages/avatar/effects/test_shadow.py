@@ -49,7 +49,7 @@ def test_it_falls_away_from_the_light_and_with_the_person_in_the_air_farther(hel
         shadow = leaning(slope)
         light = shadow.light()
         for lift in (0.0, 1.0):
-            lost = 1 - shadow.shares(points, body(lift))
+            lost = 1 - shadow.light_shares(points, body(lift))
             middle = (lost[:, None] * points).sum(0) / lost.sum()
             heights = body(lift).middles[:5, 1].mean()
             held((middle[[0, 2]] + heights * light[[0, 2]] / light[1]).norm().item(), 0.05)
@@ -58,7 +58,7 @@ def test_it_falls_away_from_the_light_and_with_the_person_in_the_air_farther(hel
 
 def test_nothing_above_the_person_is_shaded():
     above = floor() + torch.tensor([0, 2.2, 0])
-    assert (leaning([0.0, 0.0]).shares(above, body()) > 0.999).all()
+    assert (leaning([0.0, 0.0]).light_shares(above, body()) > 0.999).all()
 
 
 def test_colours_are_multiplied_whatever_their_degree_and_rows_out_of_reach_stay_to_the_bit():
@@ -69,7 +69,7 @@ def test_colours_are_multiplied_whatever_their_degree_and_rows_out_of_reach_stay
     shadow, parts = leaning([0.3, 0.2]).float(), Casters(*(t.float() for t in body()))
     still = Stance(torch.zeros(24, 3), list(range(-1, 23)), torch.zeros(3), torch.zeros(69), torch.zeros(3))
     lit, eye = shadow(scene, still), torch.tensor([0.0, 2.0, 5.0])
-    shares = shadow.shares(points, parts)
+    shares = shadow.light_shares(points, parts)
     torch.testing.assert_close(lit.colors(eye), scene.colors(eye) * shares[:, None], atol=2e-3, rtol=0)
     far = points.norm(dim=1) > 3
     assert torch.equal(lit.sh[far], scene.sh[far]) and not torch.equal(lit.sh, scene.sh)
@@ -80,7 +80,7 @@ def test_what_is_left_is_how_colours_fade_and_how_deep_the_shadow_is():
     shadow, points = leaning([0.2, 0.1]), floor()
     stance = Stance(torch.zeros(24, 3).double(), [-1] + [0] * 23, *torch.zeros(2, 3).double(), torch.zeros(3).double())
     stance = stance._replace(body_pose=torch.zeros(69).double())
-    left = shadow.left(points, stance)
+    left = shadow.light_left(points, stance)
     white = Splats(
         points,
         torch.eye(3).expand(len(points), 3, 3),
@@ -89,21 +89,21 @@ def test_what_is_left_is_how_colours_fade_and_how_deep_the_shadow_is():
     )
     torch.testing.assert_close(shadow(white, stance).colors(torch.zeros(3))[:, 0], left)
     effects = FrameEffects()
-    assert not effects.dark(points, stance).any()
+    assert not effects.shadow_depth(points, stance).any()
     effects.shadow = shadow
-    dark = effects.dark(points, stance)
+    dark = effects.shadow_depth(points, stance)
     assert dark.max() == pytest.approx(1.0, abs=0.05) and dark.min() == 0
-    assert not effects.dark(points, None).any(), "nobody is there"
+    assert not effects.shadow_depth(points, None).any(), "nobody is there"
 
 
 @pytest.mark.parametrize("width", [0.08, 0.0])
 def test_light_straight_down_and_bodies_without_width_have_finite_slopes(width):
     shadow, points = leaning([0.0, 0.0]), torch.cat([floor(), body().middles])
-    shadow.shares(points, body(width=width)).square().sum().backward()
+    shadow.light_shares(points, body(width=width)).square().sum().backward()
     for parameter in shadow.parameters():
         assert parameter.grad.isfinite().all()
     points = floor() + torch.tensor([0.3, 0, 0])  # where straight down is no minimum
-    (slopes,) = torch.autograd.grad(shadow.shares(points, body(width=width)).square().mean(), shadow.slope)
+    (slopes,) = torch.autograd.grad(shadow.light_shares(points, body(width=width)).square().mean(), shadow.slope)
     assert slopes.isfinite().all()
 
 
@@ -124,20 +124,20 @@ class _Shares(torch.nn.Module):
         self.shadow = shadow
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
-        return self.shadow.shares(points, body())
+        return self.shadow.light_shares(points, body())
 
 
 def test_the_direction_of_the_light_is_learned_from_straight_down(held):
     points, truth = floor(), leaning([0.4, -0.25])
-    wanted = truth.shares(points, body()).detach()
+    wanted = truth.light_shares(points, body()).detach()
     shadow = Shadow(UP, body())
     adam = torch.optim.Adam(shadow.parameters(), lr=0.03)
     for _ in range(120):
         adam.zero_grad()
-        (shadow.shares(points, body()) - wanted).square().mean().backward()
+        (shadow.light_shares(points, body()) - wanted).square().mean().backward()
         adam.step()
     held((shadow.light() - truth.light()).norm().item(), 0.02)
-    held((shadow.shares(points, body()) - wanted).abs().max().item(), 0.1)
+    held((shadow.light_shares(points, body()) - wanted).abs().max().item(), 0.1)
 
 
 def test_what_is_said_of_it_makes_it_again(held):
@@ -146,4 +146,4 @@ def test_what_is_said_of_it_makes_it_again(held):
     again = Shadow(
         torch.as_tensor(said["light"]), body(), said["darkness"], said["softness"], said["density"], said["size"]
     )
-    held((again.shares(floor(), body()) - shadow.shares(floor(), body())).abs().max().item(), 1e-6)
+    held((again.light_shares(floor(), body()) - shadow.light_shares(floor(), body())).abs().max().item(), 1e-6)

@@ -82,7 +82,7 @@ def surrounded(count: int = 40) -> SceneModel:
     middle = torch.tensor([500.0, 0, 0])  # farther from the origin than the shell from it
     scene = SceneModel(middle + torch.rand(30, 3), torch.rand(30, 3), 1, 1.0)
     far = torch.nn.functional.normalize(torch.randn(count, 3), dim=1) * RADIUS
-    scene.surround(middle + far, torch.rand(count, 3), middle, RADIUS)
+    scene.add_sky(middle + far, torch.rand(count, 3), middle, RADIUS)
     return scene
 
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from scipy.linalg import expm
 
-from stages.avatar.effects.motion_blur import MOMENTS, exposed, from_linear, to_linear
-from stages.avatar.effects.rolling_shutter import rolled
-from stages.avatar.effects.speeds import Speeds, around, drift, moved
+from stages.avatar.effects.motion_blur import MOMENTS, expose, from_linear, to_linear
+from stages.avatar.effects.rolling_shutter import roll_shutter
+from stages.avatar.effects.speeds import Speeds, around, drift, move
 from stages.avatar.rasterize import Camera, Gaussians, rasterize
 from stages.avatar.splats.gaussians import Splats
 
@@ -51,7 +51,7 @@ def test_an_even_motion_is_met_at_all_frames_also_the_first_and_the_last(i, held
     points = cloud().means
     step = 1e-5
     ahead, behind = (expm((times[i] + s) * TWIST) @ START for s in (step, -step))
-    there = moved(cloud(), points @ field[:, :3].T + field[:, 3], field[:, :3], torch.tensor(step).double())
+    there = move(cloud(), points @ field[:, :3].T + field[:, 3], field[:, :3], torch.tensor(step).double())
     held((seen(there.means, views[i]) - seen(points, ahead)).abs().max() / step, 1e-2)  # of some 5 px a moment
     assert (seen(points, ahead) - seen(points, behind)).abs().max() / step > 2
 
@@ -93,7 +93,7 @@ def test_a_rolling_shutter_is_met_to_second_order(held):
     errors = []
     for readout in (0.8, 0.2):
         told = torch.tensor([readout], dtype=torch.float64)
-        there = rolled(splats, speeds, field[:, :3], torch.tensor(view), K, HEIGHT, told, still)
+        there = roll_shutter(splats, speeds, field[:, :3], torch.tensor(view), K, HEIGHT, told, still)
         errors.append((seen(there.means, view) - read_rows(splats, readout)).abs().max())
     shift = (seen(splats.means, view) - read_rows(splats, 0.8)).abs().max()
     assert shift > 1  # px
@@ -108,7 +108,7 @@ def test_gaussians_shear_as_the_places_around_them_do(held):
 
     def there(means: torch.Tensor) -> Splats:
         speeds = means @ field[:, :3].T + field[:, 3]
-        return rolled(splats._replace(means=means), speeds, field[:, :3], view, K, HEIGHT, readout, time)
+        return roll_shutter(splats._replace(means=means), speeds, field[:, :3], view, K, HEIGHT, readout, time)
 
     slopes = torch.autograd.functional.jacobian(lambda means: there(means).means.sum(0), splats.means).movedim(0, 1)
     wanted = slopes @ splats.axes
@@ -124,7 +124,9 @@ def test_singular_places_have_finite_values_and_slopes(place):
     view = torch.tensor(screw([0.0])[0])
     view[:3, 3] = torch.tensor([0.0, 0, 3])  # the first place is the camera's own, the second behind it
     field = field_of()
-    there = rolled(splats, means @ field[:, :3].T + field[:, 3], field[:, :3], view, K, HEIGHT, readout, readout * 0)
+    there = roll_shutter(
+        splats, means @ field[:, :3].T + field[:, 3], field[:, :3], view, K, HEIGHT, readout, readout * 0
+    )
     assert torch.equal(there.means, means) and torch.equal(there.axes, splats.axes)  # a readout of 0 moves nothing
     (there.means.square().sum() + there.axes.square().sum()).backward()
     assert means.grad.isfinite().all() and readout.grad.isfinite().all() and readout.grad.abs().sum() > 0
@@ -144,7 +146,7 @@ def test_blur_is_the_mean_light_of_what_passes(held):
     splats, field = cloud(60), field_of()
     view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
     shutter = torch.tensor([0.8], dtype=torch.float64)
-    found = exposed(draw(splats, view, lambda s, t: moved(s, speeds, field[:, :3], t)), shutter)[0].image
+    found = expose(draw(splats, view, lambda s, t: move(s, speeds, field[:, :3], t)), shutter)[0].image
     times = 2 + 0.8 * ((np.arange(40) + 0.5) / 40 - 0.5)
     light = [to_linear(draw(splats, expm(t * TWIST) @ START)(None)[0].image) for t in times]
     truth, sharp = from_linear(torch.stack(light).mean(0)), draw(splats, view)(None)[0].image
@@ -157,7 +159,7 @@ def test_a_shutter_of_zero_is_sharp_and_can_open():
     view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
     shutter = torch.zeros(1, dtype=torch.float64, requires_grad=True)
     splats.means.requires_grad_()
-    (one,) = exposed(draw(splats, view, lambda s, t: moved(s, speeds, field[:, :3], t)), shutter)
+    (one,) = expose(draw(splats, view, lambda s, t: move(s, speeds, field[:, :3], t)), shutter)
     torch.testing.assert_close(one.image, draw(splats, view)(None)[0].image, atol=1e-12, rtol=0)
     one.image.square().mean().backward()
     assert shutter.grad.isfinite().all() and splats.means.grad.isfinite().all()

@@ -48,7 +48,9 @@ def test_before_training_it_is_the_body(person):
     canonical, stray, _ = model()
     assert torch.equal(canonical.means[: len(vertices)], vertices) and stray.item() == 0
     assert torch.allclose(canonical.weights[: len(vertices)], body.lbs_weights, atol=3e-3)
-    assert torch.allclose(canonical.frames @ canonical.frames.mT, torch.eye(3).expand_as(canonical.frames), atol=1e-5)
+    assert torch.allclose(
+        canonical.rotations @ canonical.rotations.mT, torch.eye(3).expand_as(canonical.rotations), atol=1e-5
+    )
     assert (canonical.scales > 0).all() and torch.allclose(canonical.opacities, torch.tensor(0.8))
 
 
@@ -59,7 +61,7 @@ def test_e14_the_canonical_pose_moves_nothing(person, held):
     bones = bone_transforms(joints, body.parents, torch.zeros(3), DA_POSE)
     splats = pose(at_rest(body, joints, canonical), bones, torch.zeros(3))
     held((splats.means - canonical.means).abs().max(), 1e-6)
-    held((splats.axes - canonical.frames * canonical.scales[:, None]).abs().max(), 1e-6)
+    held((splats.axes - canonical.rotations * canonical.scales[:, None]).abs().max(), 1e-6)
 
 
 def test_vertices_follow_the_body(person, small_body):
@@ -78,7 +80,7 @@ def test_vertices_follow_the_body(person, small_body):
     exact = canonical._replace(
         means=canonical_vertices[0],
         weights=body.lbs_weights,
-        **{k: getattr(canonical, k)[:n] for k in ("frames", "scales", "opacities", "sh")},
+        **{k: getattr(canonical, k)[:n] for k in ("rotations", "scales", "opacities", "sh")},
     )
     bones = bone_transforms(body.rest(betas)[1], body.parents, orient, body_pose)
     assert torch.allclose(pose(at_rest(body, body.rest(betas)[1], exact), bones, transl).means, posed[0], atol=1e-4)
@@ -114,11 +116,11 @@ def test_d12_a_cube_starts_with_rotations_though_its_sides_face_along_the_axes(h
     weights = torch.eye(24)[:1].repeat(len(vertices), 1)
     sizes = {"rounds": 1, "channels": 2, "resolution": 8, "sh_degree": 0, "generator": torch.Generator().manual_seed(0)}
     model = HumanModel(vertices, torch.tensor(np.array(cube.faces)), weights, **sizes)
-    z = model.frames[..., 2]
+    z = model.rotations[..., 2]
     assert (z == torch.tensor([0.0, 0, -1])).all(1).any() and torch.equal(
-        model.frames[len(cube.vertices)], torch.eye(3)
+        model.rotations[len(cube.vertices)], torch.eye(3)
     )
-    held((model.frames @ model.frames.mT - torch.eye(3)).abs().max(), 1e-6)
+    held((model.rotations @ model.rotations.mT - torch.eye(3)).abs().max(), 1e-6)
     canonical, *_ = model()
     sum(t.square().sum() for t in canonical).backward()
     assert all(p.grad.isfinite().all() for p in model.parameters())
@@ -131,7 +133,7 @@ def test_untaught_is_the_person_as_it_began(person):
     disturb(model)
     with torch.no_grad():
         model.xyz += 0.1
-    for a, b in zip(model.untaught(), before, strict=True):
+    for a, b in zip(model.initial(), before, strict=True):
         assert torch.allclose(a, b, atol=1e-6)
     assert not torch.allclose(model()[0].means, before.means)
 
@@ -139,10 +141,10 @@ def test_untaught_is_the_person_as_it_began(person):
 def test_gaussians_that_follow_other_bones_than_the_body_are_named(person):
     _, _, _, model = person
     learned = model()[0].weights.detach()
-    assert not model.defectors(learned).any()
-    assert not model.defectors(0.8 * learned + 0.2 / 24).any(), "learned weights may differ"
+    assert not model.skinning_outliers(learned).any()
+    assert not model.skinning_outliers(0.8 * learned + 0.2 / 24).any(), "learned weights may differ"
     learned[3] = learned[3].roll(7)
-    assert model.defectors(learned).nonzero().flatten().tolist() == [3]
+    assert model.skinning_outliers(learned).nonzero().flatten().tolist() == [3]
 
 
 def say(model, network: str, columns: slice, value: float):
@@ -158,7 +160,7 @@ def test_a05_scales_are_positive_and_alive_whatever_the_network_says(person, sai
     _, _, _, model = person
     say(model, "geometry", slice(9, 12), said)
     scales = model()[0].scales
-    start = model.untaught().scales
+    start = model.initial().scales
     assert (scales > 0).all() and ((scales - start) * said >= 0).all()
     held((scales / start).log().abs().max(), SCALE_RANGE * (1 + 1e-5))
     scales.log().sum().backward()

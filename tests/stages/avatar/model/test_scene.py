@@ -117,6 +117,6 @@ def test_what_a_picture_teaches_is_pulled_to_be_faint_and_small_and_nothing_else
         taught * 1e-3 * torch.ones(20).double(),
         torch.zeros(20, 3).double(),
     )
-    scene.be_frugal(0.5)
+    scene.add_sparsity_gradient(0.5)
     assert torch.allclose(scene.logit_opacities.grad, taught * (1e-3 + slopes[0]), rtol=1e-12)
     assert torch.allclose(scene.log_scales.grad, taught[:, None] * slopes[1], rtol=1e-12)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stages.avatar.body.joints import HIPS
 from stages.avatar.motion import placing
 from stages.avatar.motion.formulas import MOTIONS
-from stages.avatar.motion.retarget import HIPS, Performance, from_smpl, leg_of
+from stages.avatar.motion.retarget import Performance, from_smpl, leg_of
 from stages.formats.body_model import read_body_model
 
 FPS = 50

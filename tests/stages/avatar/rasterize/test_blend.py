@@ -276,7 +276,7 @@ def test_c04_an_opaque_gaussian_can_still_become_clear():
     scene = SceneModel(torch.rand(3, 3), torch.rand(3, 3), 0, 1.0)
     with torch.no_grad():
         scene.logit_opacities.copy_(torch.tensor([40.0, -40, 3.123]))
-    scene.keep_movable()
+    scene.clamp_opacities()
     assert scene.logit_opacities.tolist() == [MOVABLE, -MOVABLE, torch.tensor(3.123).item()]
     adam = torch.optim.Adam([scene.logit_opacities], lr=0.5, eps=1e-15)
     for _ in range(30):

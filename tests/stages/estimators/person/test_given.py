@@ -244,7 +244,7 @@ MALFORMED = {
     "counts cut short": (rle(counts="P"), "cut short", "1 letters"),
     "no counts": (changed(segmentation={"size": [128, 96]}), "has no counts", "size"),
     "polygon of two corners": (changed(segmentation=[[1, 2, 3, 4]]), "has an invalid polygon", "2 corners"),
-    "polygon of words": (changed(segmentation=[["a", "b"]]), "no list of x and y", "could not convert"),
+    "polygon of words": (changed(segmentation=[["a", "b"]]), "not a list of x and y", "could not convert"),
     "polygon NaN": (changed(segmentation=[[1, 2, 3, float("nan"), 5, 6]]), "an invalid polygon", "nan"),
     "stack too short": (lambda d, p, o: saved(d / "a.npy", p[:7]), "does not have a mask for each frame", "7 masks, 10 fr"),
     "stack of one object": (lambda d, p, o: saved(d / "a.npy", np.stack([p, o])), "no masks that can be told apart",

@@ -148,7 +148,7 @@ for tool, spoil, words in (
     ("EasyMocap", within(0)(put({"a": 1})), ["000000.json lists no people", "a dict"]),
     # AMASS and the plain family
     ("AMASS", within("poses")(lambda v: v[:, :150]), ["poses", "4x150", "4x72"]),
-    ("AMASS", within("mocap_framerate")(put(0.0)), ["mocap_framerate", "no frame rate", "0"]),
+    ("AMASS", within("mocap_framerate")(put(0.0)), ["mocap_framerate", "not a frame rate", "0"]),
     ("AMASS", within("betas")(gone), ["no betas", "mocap_framerate"]),
     ("AMASS", within("trans")(put(np.zeros((0, 3)))), ["holds no poses", "trans"]),
     ("AMASS SMPL-X", within("trans")(nan), ["trans", "[0, 1]", "nan"]),

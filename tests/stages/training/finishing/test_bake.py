@@ -23,7 +23,7 @@ def standing():
     """A red person as the free body has it, opaque, and where it stands: at the origin, in the da-pose."""
     human, where = stand(len(EYES))
     red = torch.tensor([1.0, -1, -1]).expand(len(human), 1, 3)
-    person = human.untaught()
+    person = human.initial()
     person = person._replace(sh=red, opacities=torch.full_like(person.opacities, 0.99), scales=1.5 * person.scales)
     return person, where
 
@@ -122,7 +122,7 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
     """A front that is not opaque lets colours of the back learn what no frame shows of them: pale patches."""
     person, where = standing
     sheer = person._replace(opacities=torch.full_like(person.opacities, 0.5))
-    far = person.frames[:, 2, 2] < -0.8
+    far = person.rotations[:, 2, 2] < -0.8
     pale = sheer._replace(sh=torch.where(far[:, None, None], 2.0, person.sh))
     cameras = views(silhouettes(person, where))
     splats = where.posed(rest(pale, where.canonical_bones()), 0)
@@ -137,7 +137,7 @@ def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(s
     """A pale collar was all that is near to a strip of the back, through the neck: a pale stripe."""
     person, where = standing
     cameras = views(silhouettes(person, where))
-    back = (person.frames[:, 2, 2] < -0.8) & (where.weights[:, [3, 6, 9]].sum(1) > 0.5)
+    back = (person.rotations[:, 2, 2] < -0.8) & (where.weights[:, [3, 6, 9]].sum(1) > 0.5)
     inside, edge, _ = bake._count_pixels(person, where, cameras, [0])[0].unbind(1)
     front = ((inside > bake.SURE * inside.mean()) & (inside > 2 * edge)).nonzero()[:, 0]
     asked = nearest(person.means[front], person.means[back], bake.NEIGHBOURS)[1].flatten()

@@ -17,10 +17,10 @@ OUT = 0.03
 def pushed():
     """A person, where it stands, the same with Gaussians of the front pushed to the eye and away, which, and sights."""
     human, where = stand(len(EYES))
-    person = human.untaught()
+    person = human.initial()
     sights = torch.nn.functional.normalize(torch.tensor(EYES[0]) - person.means, dim=1)
     thick = where.weights[:, [0, 1, 2, 3, 4, 5, 6, 9]].sum(1) > 0.9  # in a hand, either side may be meant
-    front = (thick & ((person.frames[..., 2] * sights).sum(1) > 0.8)).nonzero()[:, 0]
+    front = (thick & ((person.rotations[..., 2] * sights).sum(1) > 0.8)).nonzero()[:, 0]
     chosen = front[torch.randperm(len(front), generator=torch.Generator().manual_seed(0))[:60]]
     sign = torch.where(torch.arange(60) % 2 == 0, 1.0, -1.0)[:, None]
     means = person.means.clone()
@@ -54,9 +54,9 @@ def test_what_is_seen_from_two_sides_stays(pushed):
 
 def test_what_is_seen_edge_on_stays(pushed):
     person, where, *_ = pushed
-    flank = ((person.frames[:, 2, 2].abs() < 0.3) & (where.weights[:, [0, 1, 2, 3]].sum(1) > 0.9)).nonzero()[::20, 0]
+    flank = ((person.rotations[:, 2, 2].abs() < 0.3) & (where.weights[:, [0, 1, 2, 3]].sum(1) > 0.9)).nonzero()[::20, 0]
     means = person.means.clone()
-    means[flank] += OUT * person.frames[flank][..., 2]
+    means[flank] += OUT * person.rotations[flank][..., 2]
     even, _ = depths.snap_to_surface(person._replace(means=means), where, views(), [0])
     assert torch.equal(even.means[flank], means[flank])
 
