@@ -147,7 +147,8 @@ def learn(
             numbers = fit.advance()
         except (FloatingPointError, ValueError) as error:
             raise Breakdown(fit, training.task, error) from error
-        shown, due = {}, progress.share * params.curve_points >= len(curve) + 1
+        shown: dict[str, float | str] = {}
+        due = progress.share * params.curve_points >= len(curve) + 1
         if progress.step == progress.total or due:
             paused = time.perf_counter()
             training.seconds += paused - mark

@@ -176,7 +176,7 @@ def test_h11_a_guard_goes_on_where_it_was():
     guard.clipped = 3
     again.load(guard.state())
     assert again.state() == guard.state() and again.streaks == {"scene": 0, "loss": 1}
-    assert again.judged == {"scene": 1} and again.clipped == 3
+    assert again.compared == {"scene": 1} and again.clipped == 3
 
 
 def test_without_rows_there_is_nothing_to_judge():

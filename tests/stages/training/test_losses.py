@@ -146,7 +146,7 @@ def test_a_mask_grows_by_a_square(shape):
     for width in (0.0, 0.02, 0.1):
         by = max(1, round(width * max(shape)))
         want = torch.nn.functional.max_pool2d(mask[None, None], 2 * by + 1, 1, by)[0, 0]
-        assert torch.equal(losses.widened(mask, width), want)
+        assert torch.equal(losses.dilated(mask, width), want)
 
 
 def test_a_gaussian_off_the_surface_is_rough_and_moves_along_the_normal_only():

@@ -84,7 +84,7 @@ def test_c06_statistics_of_a_round_are_sums_to_the_last_digits(held):
 def test_c09_a_bad_row_does_not_reach_shared_weights(clip, part):
     """As if the row had taught nothing: every weight of every network is the same to the bit."""
     bad, clean = fit_of(clip), fit_of(clip)
-    for fit, value, names in ((bad, float("nan"), [part]), (clean, 0.0, bad.resting()._fields)):
+    for fit, value, names in ((bad, float("nan"), [part]), (clean, 0.0, bad.person.resting()._fields)):
         for name in names:
             leaf = getattr(fit.person.resting(), name)
             if leaf.requires_grad:
