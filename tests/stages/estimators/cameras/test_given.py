@@ -152,7 +152,7 @@ def test_points_of_another_clip_are_doubted(tmp_path, truth, points, stages):
 
 @pytest.mark.slow
 def test_cameras_without_points_get_them_by_triangulation(tmp_path, monkeypatch):
-    monkeypatch.setattr("tests.stages.test_sfm.K1", 1e-12)
+    monkeypatch.setattr("tests.made.rooms.K1", 1e-12)
     views = walk(8, 1.2)
     write_clip(tmp_path, views)
     names = tuple(f"{3 * i:06d}" for i in range(8))

@@ -302,6 +302,9 @@ def test_parts_of_a_turning_clip_that_nothing_joins():
 def test_the_report_says_how_the_cameras_were_found():
     rungs = [{"how": "global mapper", "models": []}, {"how": "incremental <1>", "models": [{"registered": 7}] * 2}]
     facts = {"verdict": "moving", "distortion": {"max_shift_px": 0.0}, "of": 9}
-    text = report._rungs(parse(json.dumps(facts | {"rungs": rungs, "mapper": "incremental <1>"}), Sfm))
-    assert "global mapper 0 of 9 frames in the largest of 0 models" in text and "Taken: incremental &lt;1&gt;" in text
-    assert report._rungs(parse(json.dumps(facts), Sfm)) == ""
+    clauses = report._rungs(parse(json.dumps(facts | {"rungs": rungs, "mapper": "incremental <1>"}), Sfm))
+    assert clauses == [
+        "global mapper 0 of 9 frames in the largest of 0 models",
+        "incremental <1> 7 of 9 frames in the largest of 2 models",
+    ]
+    assert report._rungs(parse(json.dumps(facts), Sfm)) == []
