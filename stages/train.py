@@ -137,13 +137,19 @@ def replay(path: Path) -> None:
     import torch
 
     from stages.formats.failure import read_failure
+    from stages.training.checkpoint import BROKEN
     from stages.training.start import build
 
     state, facts = read_failure(path)
     torch.set_num_threads(facts.threads)
     job, params = Job(path.parent, facts.device, facts.seed), Params(**facts.params)
     fit = build(_task(job, params, *map(Path, (facts.sfm, facts.smpl, facts.survey))), job.note)
-    fit.load(torch.load(io.BytesIO(state), map_location=job.device, weights_only=True))
+    try:
+        fit.load(torch.load(io.BytesIO(state), map_location=job.device, weights_only=True))
+    except BROKEN as error:
+        why = str(error).strip().partition("\n")[0] or type(error).__name__
+        hint = "take the step again with the version of hugs that wrote the file"
+        raise StageError(f"{path} is of another version of the training", hint, [why]) from error
     fit.advance()
     raise StageError(f"step {facts.step} went well this time", facts=[f"it had failed with: {facts.error}"])
 

@@ -1,6 +1,7 @@
 """Stage train: what it writes, resumes, refuses, and leaves behind when it breaks down."""
 
 import csv
+import io
 import json
 import os
 import pickle
@@ -25,6 +26,7 @@ from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.effects import SHADOW, read_effects
+from stages.formats.failure import read_failure, write_failure
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
@@ -615,3 +617,22 @@ def test_a_time_too_short_to_train_says_how_much_is_lacking(tmp_path, inputs, mo
     assert "50 steps would fit into 50 s, 200 are the least" in error.value.facts[0]
     assert error.value.hint == "give 150 s more"
     assert len(timed) == 1, "the sizes of a short training are no smaller than these"
+
+
+@pytest.mark.slow
+def test_a_failure_of_another_version_is_refused_with_a_reason(tmp_path, inputs, monkeypatch):
+    job = fresh(tmp_path, "job")
+    real = losses.photometric
+    monkeypatch.setattr(losses, "photometric", lambda *a: real(*a) * torch.nan)
+    with pytest.raises(StageError, match="training broke down"):
+        train.run(job, PARAMS.model_copy(update={"steps": 40}), **inputs)
+    path = job.out / "failure.npz"
+    state, facts = read_failure(path)
+    older = torch.load(io.BytesIO(state), weights_only=True)
+    del older["progress"]
+    file = io.BytesIO()
+    torch.save(older, file)
+    write_failure(path, file.getvalue(), facts.model_dump())
+    with pytest.raises(StageError, match="of another version") as error:
+        train.replay(path)
+    assert "progress" in error.value.facts[0] and "version of hugs" in error.value.hint

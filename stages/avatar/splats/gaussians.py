@@ -34,11 +34,11 @@ class Splats(NamedTuple):
         means, axes, opacities, sh = (part.detach() for part in self[:4])
         return Splats(means, axes, opacities, sh, rotations, self.antialias)
 
-    def colors(self, camera_centre: Tensor) -> Tensor:
-        """Colours [N,3] seen from `camera_centre`[3] in the world; a Gaussian at the centre itself gets degree 0."""
+    def colors(self, eye: Tensor) -> Tensor:
+        """Colours [N,3] seen from `eye`[3] in the world; a Gaussian at the centre itself gets degree 0."""
         if self.sh.shape[1] == 1:
             return sh_colors(self.sh, None)
-        away = self.means - camera_centre
+        away = self.means - eye
         if self.rotations is not None:
             away = torch.einsum("nij,ni->nj", self.rotations, away)
         squared = away.square().sum(1, keepdim=True)

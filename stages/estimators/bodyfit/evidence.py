@@ -44,6 +44,16 @@ class LandmarkEvidence:
     seen: np.ndarray
     height: np.ndarray
 
+    @property
+    def middle(self) -> np.ndarray:
+        """The middle of shoulders and hips [F,2] px: where BlazePose's crop looks."""
+        return self.xy[:, self.torso].mean(1)
+
+    @property
+    def torso(self) -> list[int]:
+        """Columns of shoulders and hips."""
+        return [k for k, name in enumerate(self.names) if name.partition("_")[2] in ("shoulder", "hip")]
+
     def column(self, name: str) -> int:
         return self.names.index(name)
 
@@ -92,8 +102,7 @@ def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -
 
     Returns the evidence and which frames [F] were dropped.
     """
-    torso = [k for k, name in enumerate(evidence.names) if name.partition("_")[2] in ("shoulder", "hip")]
-    middle = evidence.xy[:, torso].mean(1)
+    middle = evidence.middle
     stranger = np.zeros(len(middle), bool)
     order = np.flatnonzero(evidence.seen)
     for rank, i in enumerate(order):
@@ -103,7 +112,7 @@ def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -
             stranger[i] = away > STRANGER_JUMP * np.median(evidence.height[near])
         if masks is not None and (masks[i] > 127).any():
             rows, columns = masks[i].shape
-            at = np.floor(evidence.xy[i, torso]).astype(int)
+            at = np.floor(evidence.xy[i, evidence.torso]).astype(int)
             inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows)
             hits = masks[i][at[inside, 1], at[inside, 0]] > 127
             stranger[i] |= bool(inside.sum() >= 3 and not hits.any())

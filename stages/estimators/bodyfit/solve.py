@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -24,7 +24,11 @@ DIRECTION = {
     "shoulder": 0.18, "elbow": 0.2, "wrist": 0.3, "hand": 0.35, "hip": 0.12, "knee": 0.17, "ankle": 0.17, "ear": 0.18,
     "eye": 0.22,
 }  # fmt: skip
+SOLE = 0.012  # m between a standing foot and the floor: shoes, 0 where feet are bare
 STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its sole above the floor
+BALANCE, SWAY = 0.05, 0.15  # m, and m for each m/s of the body: its mass beside the standing feet
+CLOTH = (0.01, 0.02)  # m, how far clothes, hair and shoes stand off the skin at each joint: mean and spread
+BIAS = (0.15, 0.15)  # lean and flatness of a clip's landmark depths: six clips lean by 0 to 0.15
 SLOW = 0.6  # m/s that a foot may move, before the feet are held still, and stand; 0.45 lets one in sixty slide by 2 cm
 # Outlines pull each frame its own way: with spreads 2.5 times as wide, people jitter, and joints are 0.4 cm worse.
 ACCELERATION = {"pelvis": 1.6, "spine": 2.0, "hip": 2.0, "neck": 2.0, "collar": 2.4, "head": 2.4, "shoulder": 2.4}
@@ -33,7 +37,7 @@ TURNING = 18.0  # rad/s^2, of each joint's rotation vector
 TURN_SPEED = 3.0  # rad/s; keeps a limb that goes out of sight from swinging on until the clip ends
 BETAS = 0.12  # weight of one squared beta against one frame's evidence
 # Shares of the whole: 160 contour points are not 160 independent observations.
-OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 300.0, 100.0, 0.5, 0.5
+OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 60.0, 100.0, 0.5, 0.5
 COARSE, DENSE = 300, 2500  # vertices held inside the masks, and vertices the outlines may choose from
 SEGMENTS = (
     *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("shoulder", "elbow"),
@@ -46,12 +50,18 @@ LOOSE = {"hip": 0.4, "shoulder": 0.7, "heel": 0.6, "big_toe": 0.6, "foot": 0.4, 
 
 @dataclass
 class State:
-    """The unknowns of F frames: root rotation [F,3,3] and place [F,3] m (camera from body), pose [F,69], shape, scale."""
+    """The unknowns of F frames: root rotation [F,3,3] and place [F,3] m (camera from body), pose [F,69], shape, scale.
+
+    `bias` [2] is that of the landmarks' depths, the same for the whole clip: how far they lean toward the camera (m a metre
+    of height) and the logarithm of how much too flat they are.
+    """
 
     root: Tensor
     place: Tensor
     pose: Tensor
     betas: Tensor
+    bias: Tensor = field(default_factory=lambda: torch.zeros(2))
+    cloth: Tensor = field(default_factory=lambda: torch.full((24,), CLOTH[0]))
     scale: float = 1.0
 
     def of(self, frames: np.ndarray) -> State:
@@ -90,11 +100,13 @@ class Solver:
         pairs = [(names.index(a), names.index(b)) for a, b in SEGMENTS if a in names and b in names]
         self.tail, self.head = (list(ends) for ends in zip(*pairs, strict=True))
         guessed = torch.tensor(evidence.world, dtype=f32)
-        self.guessed = torch.nn.functional.normalize(guessed[:, self.head] - guessed[:, self.tail], dim=-1)
+        self.guessed = guessed[:, self.head] - guessed[:, self.tail]
+        self.sight = sight_turns(torch.tensor(evidence.middle, dtype=f32), self.K)
         self.segment_weight = (self.weight[:, self.head] * self.weight[:, self.tail]).sqrt()
         self.segment_spread = torch.tensor([DIRECTION[names[end].partition("_")[2]] for end in self.head])
         self.spread = terms.joint_spreads()
         parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]
+        self.masses = terms.mass_shares()
         self.steady = torch.tensor([ACCELERATION.get(part, ACCELERATION_REST) for part in parts])
         self.dense = farthest_points(body.v_template, DENSE)
         self.coarse = self.dense[:COARSE]
@@ -149,20 +161,30 @@ class Solver:
                 rim[i] = (away.square() + 2 * (1 - facing)).argmin(1)
             self.rim = self.dense[rim]
 
+    def directions(self, bias: Tensor) -> Tensor:
+        """Unit directions [F,S,3] of the limbs in camera axes, as BlazePose guessed them less the `bias` of its depths.
+
+        It sees a crop as if the camera looked straight at the person, so its axes are turned to the line of sight.
+        """
+        x, y, z = self.guessed.unbind(-1)
+        unbiased = torch.stack([x, y, z * bias[1].exp() + y * bias[0]], -1)
+        return torch.nn.functional.normalize(unbiased @ self.sight.mT, dim=-1)
+
     def picture_cost(self, state: State, points: Tensor) -> Tensor:
         """Landmarks and limb directions [F]."""
         off = (self.pixels(points) - self.xy).norm(dim=-1) / (LANDMARK * self.height[:, None])
         cost = (self.weight * terms.geman_mcclure(off.square(), 5.0)).sum(1)
         along = torch.nn.functional.normalize(points[:, self.head] - points[:, self.tail], dim=-1)
-        turned = (along - self.guessed).square().sum(-1) / self.segment_spread**2
+        turned = (along - self.directions(state.bias)).square().sum(-1) / self.segment_spread**2
         return cost + DIRECTION_SHARE * (self.segment_weight * terms.geman_mcclure(turned, 3.0)).sum(1)
 
     def outline_cost(self, state: State, outlines: terms.Outlines) -> Tensor:
         """Contour points off their vertices along the normal, and vertices outside the mask [F]."""
-        chosen = torch.cat([self.rim, self.coarse.expand(len(state.pose), -1)], 1)
-        pixels = self.pixels(self.surface(state, chosen)[0])
+        chosen, count = torch.cat([self.rim, self.coarse.expand(len(state.pose), -1)], 1), self.rim.shape[1]
+        skin, normals = self.surface(state, chosen)
+        cloth = (self.body.lbs_weights[self.rim] @ state.cloth)[..., None] * normals[:, :count]
+        pixels = self.pixels(torch.cat([skin[:, :count] + cloth, skin[:, count:]], 1))
         unit = OUTLINE * self.height[:, None]
-        count = self.rim.shape[1]
         gap = (pixels[:, :count] - outlines.points) / unit[..., None]
         across = (gap * outlines.normals).sum(-1).square()
         off = terms.geman_mcclure(across + 0.1 * gap.square().sum(-1), 4.0)
@@ -193,8 +215,11 @@ class Solver:
         soles = self.surface(state, self.soles.flatten())[0]
         return self.to_world(state, soles, scale).unflatten(1, self.soles.shape)
 
-    def stance(self, feet: Tensor, scale: float) -> Tensor:
-        """Weight [F,2] in 0..1 of each foot as standing: it hardly moves, and is on the floor if the floor is known."""
+    def stance(self, feet: Tensor, scale: float, loose: float = 1.0) -> Tensor:
+        """Weight [F,2] in 0..1 of each foot as standing: it hardly moves, and is on the floor if the floor is known.
+
+        `loose` > 1 widens both limits by that factor, for a body whose depth is not settled yet.
+        """
         middle = feet.mean(2)
         if len(middle) < 2:
             return middle.new_zeros(middle.shape[:2])
@@ -203,23 +228,41 @@ class Solver:
             for gap in (1, 2)  # past: of the neighbours, where one frame puts the foot elsewhere
         )
         slow = torch.cat([speed[:1], torch.minimum(torch.minimum(speed[1:], speed[:-1]), past), speed[-1:]])
-        stands = torch.sigmoid((SLOW - slow) / 0.08)
+        stands = torch.sigmoid((SLOW * loose - slow) / (0.08 * loose))
         if self.world.normal is not None:
             lowest = (feet @ self.world.normal + scale * self.world.offset).amin(-1)
-            stands = stands * torch.sigmoid((0.10 - lowest.abs()) / 0.02)
+            stands = stands * torch.sigmoid((0.10 * loose - lowest.abs()) / (0.02 * loose))
+            if loose > 1:  # the lower foot
+                stands = stands * torch.sigmoid((lowest.flip(1) - lowest + 0.03) / 0.01)
         return stands
 
-    def feet_cost(self, state: State, feet: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
+    def feet_cost(self, state: State, feet: Tensor, stands: Tensor, scale: Tensor, loose: float = 1.0) -> Tensor:
         """Standing feet that slide, hover or sink; one number."""
         pair = (stands[1:] * stands[:-1])[..., None]
         size = self.size(state.betas)
         slide = (feet[1:] - feet[:-1]).square().sum(-1) / (STILL * size) ** 2
         cost = (pair * terms.geman_mcclure(slide, 4.0)).sum() / feet.shape[2]
         if self.world.normal is not None:
-            height = (feet @ self.world.normal + scale * self.world.offset) / (GROUND * size)
+            height = (feet @ self.world.normal + scale * self.world.offset - SOLE) / (GROUND * loose * size)
             sunk = terms.geman_mcclure(torch.relu(-height).square(), 4.0).mean(-1).sum()
             cost = cost + (stands * terms.geman_mcclure(height.amin(-1).square(), 4.0)).sum() + sunk
         return cost / len(feet)
+
+    def balance_cost(self, state: State, joints: Tensor, feet: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
+        """The body's mass beside the feet that stand, across the floor's normal; one number.
+
+        It may stand over any point between them. Who moves fast falls from foot to foot, and is trusted less.
+        """
+        up = self.world.normal
+        mass = (self.to_world(state, joints, scale) * self.masses[:, None]).sum(1)
+        mass, soles = (points - (points @ up)[..., None] * up for points in (mass, feet.mean(2)))
+        apart = soles[:, 1] - soles[:, 0]
+        along = ((mass - soles[:, 0]) * apart).sum(-1) / apart.square().sum(-1).clamp(min=1e-6)
+        along = torch.minimum(torch.maximum(along, 1 - stands[:, 0]), stands[:, 1])
+        beside = (mass - soles[:, 0] - along.detach()[:, None] * apart).square().sum(-1)
+        moved = terms.speed(mass.detach(), self.world.times, 0.25)
+        spread = (BALANCE * self.size(state.betas)) ** 2 + (SWAY * moved) ** 2
+        return (stands.amax(1) * terms.geman_mcclure(beside / spread, 4.0)).sum() / len(feet)
 
     def minimise(
         self,
@@ -232,9 +275,10 @@ class Solver:
         """Adam from `state` for `steps` steps; `in_world` adds feet and, without a floor, the scale, from near state.scale."""
         turn = torch.zeros(len(state.pose), 3, requires_grad=True)
         ray = torch.cat([state.place[:, :2] / state.place[:, 2:], state.place[:, 2:].log()], 1).requires_grad_()
-        pose, betas = state.pose.clone().requires_grad_(), state.betas.clone().requires_grad_()
+        shared = (state.pose, state.betas, state.bias, state.cloth)
+        pose, betas, bias, cloth = (part.clone().requires_grad_() for part in shared)
         log_scale = torch.tensor(float(np.log(state.scale)), requires_grad=True)
-        groups = [(turn, 0.02), (ray, 0.01), (pose, 0.03), (betas, 0.03)]
+        groups = [(turn, 0.02), (ray, 0.01), (pose, 0.03), (betas, 0.03), (bias, 0.01), (cloth, 0.001)]
         if in_world and self.world.moving and self.world.normal is None:
             groups.append((log_scale, 0.004))  # on a floor the robust first scale is the better one (by 2 % once)
         adam = torch.optim.Adam([{"params": [p], "lr": lr} for p, lr in groups], betas=(0.9, 0.98))
@@ -248,7 +292,7 @@ class Solver:
         for i in range(steps):
             z = ray[:, 2:].exp()
             scale = log_scale.exp()
-            now = State(matrix_from_rotvec(turn) @ root, torch.cat([ray[:, :2] * z, z], 1), pose, betas)
+            now = State(matrix_from_rotvec(turn) @ root, torch.cat([ray[:, :2] * z, z], 1), pose, betas, bias, cloth)
             if i % 25 == 0 and outlines is not None:
                 self.match_outlines(now, outlines)
             points, joints = self.pose(now)
@@ -257,13 +301,16 @@ class Solver:
                 cost = cost + self.outline_cost(now, outlines)
             local = pose.unflatten(-1, (23, 3))
             total = cost.mean() + PRIOR_SHARE * terms.pose_prior(local, self.spread).mean()
-            total = total + BETAS * betas.square().sum()
+            total = total + BETAS * betas.square().sum() + (bias / torch.tensor(BIAS)).square().sum()
+            total = total + ((cloth - CLOTH[0]) / CLOTH[1]).square().sum()
             total = total + self.motion_cost(now, joints, scale if in_world else None)
             if in_world:
-                feet = self.feet(now, scale)
+                feet, loose = self.feet(now, scale), loosen(i / steps)
                 if i % 25 == 0:
-                    stands = self.stance(feet.detach(), float(scale.detach()))
-                total = total + self.feet_cost(now, feet, stands, scale)
+                    stands = self.stance(feet.detach(), float(scale.detach()), loose)
+                total = total + self.feet_cost(now, feet, stands, scale, loose)
+                if self.world.normal is not None:
+                    total = total + self.balance_cost(now, joints, feet, stands, scale)
             adam.zero_grad()
             total.backward()
             adam.step()
@@ -273,7 +320,24 @@ class Solver:
         with torch.no_grad():
             z = ray[:, 2:].exp()
             place = torch.cat([ray[:, :2] * z, z], 1)
-            return State(matrix_from_rotvec(turn) @ root, place, pose.detach(), betas.detach(), float(log_scale.exp()))
+            turned, scale = matrix_from_rotvec(turn) @ root, float(log_scale.exp())
+            return State(turned, place, pose.detach(), betas.detach(), bias.detach(), cloth.detach(), scale)
+
+
+def loosen(share: float) -> float:
+    """How much wider the limits of feet on the floor are after that `share` of the steps: 6 falling to 1 in the middle."""
+    return 1 + 5 * max(0.0, 1 - 2 * share)
+
+
+def sight_turns(pixels: Tensor, K: Tensor) -> Tensor:
+    """The smallest rotations [F,3,3] that take the camera's z axis to the rays through `pixels` [F,2] px; `K` [F,3,3]."""
+    rays = torch.linalg.solve(K, torch.cat([pixels, torch.ones_like(pixels[:, :1])], 1))
+    rays = torch.nn.functional.normalize(rays, dim=-1)
+    x, y, z = rays.unbind(-1)
+    axis = torch.stack([-y, x, torch.zeros_like(x)], -1)  # z axis cross ray, as long as the sine of the angle
+    sine = axis.norm(dim=-1, keepdim=True)
+    angle = torch.atan2(sine, z[:, None])
+    return matrix_from_rotvec(axis / sine.clamp(min=1e-9) * angle)
 
 
 def sole_vertices(body: Body, count: int = 8) -> Tensor:
