@@ -52,8 +52,9 @@ LOOSE = {"hip": 0.4, "shoulder": 0.7, "heel": 0.6, "big_toe": 0.6, "foot": 0.4, 
 class State:
     """The unknowns of F frames: root rotation [F,3,3] and place [F,3] m (camera from body), pose [F,69], shape, scale.
 
-    `bias` [2] is that of the landmarks' depths, the same for the whole clip: how far they lean toward the camera (m a metre
-    of height) and the logarithm of how much too flat they are.
+    The clip shares the landmarks' `bias` [2]: how far their depths lean toward the camera (m a metre of height), and the
+    logarithm of how much too flat they are; and `cloth` [24] m: how far clothes, hair and shoes stand off the skin at
+    each joint.
     """
 
     root: Tensor
@@ -164,7 +165,7 @@ class Solver:
     def directions(self, bias: Tensor) -> Tensor:
         """Unit directions [F,S,3] of the limbs in camera axes, as BlazePose guessed them less the `bias` of its depths.
 
-        It sees a crop as if the camera looked straight at the person, so its axes are turned to the line of sight.
+        It sees a crop as if the camera looked straight at the person, so its axes are turned sideways to the line of sight.
         """
         x, y, z = self.guessed.unbind(-1)
         unbiased = torch.stack([x, y, z * bias[1].exp() + y * bias[0]], -1)
@@ -249,11 +250,13 @@ class Solver:
         return cost / len(feet)
 
     def balance_cost(self, state: State, joints: Tensor, feet: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
-        """The body's mass beside the feet that stand, across the floor's normal; one number.
+        """The body's mass beside the feet that stand, across the floor's normal; one number, 0 where no floor is known.
 
         It may stand over any point between them. Who moves fast falls from foot to foot, and is trusted less.
         """
         up = self.world.normal
+        if up is None:
+            return joints.new_zeros(())
         mass = (self.to_world(state, joints, scale) * self.masses[:, None]).sum(1)
         mass, soles = (points - (points @ up)[..., None] * up for points in (mass, feet.mean(2)))
         apart = soles[:, 1] - soles[:, 0]
@@ -309,8 +312,7 @@ class Solver:
                 if i % 25 == 0:
                     stands = self.stance(feet.detach(), float(scale.detach()), loose)
                 total = total + self.feet_cost(now, feet, stands, scale, loose)
-                if self.world.normal is not None:
-                    total = total + self.balance_cost(now, joints, feet, stands, scale)
+                total = total + self.balance_cost(now, joints, feet, stands, scale)
             adam.zero_grad()
             total.backward()
             adam.step()
@@ -320,8 +322,9 @@ class Solver:
         with torch.no_grad():
             z = ray[:, 2:].exp()
             place = torch.cat([ray[:, :2] * z, z], 1)
-            turned, scale = matrix_from_rotvec(turn) @ root, float(log_scale.exp())
-            return State(turned, place, pose.detach(), betas.detach(), bias.detach(), cloth.detach(), scale)
+            found = {"pose": pose, "betas": betas, "bias": bias, "cloth": cloth}
+            found = {name: part.detach() for name, part in found.items()} | {"place": place}
+            return State(root=matrix_from_rotvec(turn) @ root, scale=float(log_scale.exp()), **found)
 
 
 def loosen(share: float) -> float:
@@ -330,14 +333,9 @@ def loosen(share: float) -> float:
 
 
 def sight_turns(pixels: Tensor, K: Tensor) -> Tensor:
-    """The smallest rotations [F,3,3] that take the camera's z axis to the rays through `pixels` [F,2] px; `K` [F,3,3]."""
-    rays = torch.linalg.solve(K, torch.cat([pixels, torch.ones_like(pixels[:, :1])], 1))
-    rays = torch.nn.functional.normalize(rays, dim=-1)
-    x, y, z = rays.unbind(-1)
-    axis = torch.stack([-y, x, torch.zeros_like(x)], -1)  # z axis cross ray, as long as the sine of the angle
-    sine = axis.norm(dim=-1, keepdim=True)
-    angle = torch.atan2(sine, z[:, None])
-    return matrix_from_rotvec(axis / sine.clamp(min=1e-9) * angle)
+    """Rotations [F,3,3] about the camera's y axis that take its z axis to the columns `pixels` [F,2] px; `K` [F,3,3]."""
+    angle = torch.atan2(pixels[:, 0] - K[:, 0, 2], K[:, 0, 0])
+    return matrix_from_rotvec(torch.stack([0 * angle, angle, 0 * angle], -1))
 
 
 def sole_vertices(body: Body, count: int = 8) -> Tensor:
