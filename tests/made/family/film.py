@@ -113,8 +113,8 @@ def moved(
     else:
         params, soles = animate.Params(fps=FPS), Soles(model, betas)
         placed = animate._placed(Job(out=captures), params, captures / shot.motion, soles, model.parents)
-        part = np.s_[round(shot.start * FPS) :][:FRAMES]
-        motion = tuple(values[part] for values in (placed.global_orient, placed.body_pose, placed.transl))
+        first = round(shot.start * FPS)
+        motion = tuple(values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl))
         motion[2][:, [0, 2]] -= motion[2][:, [0, 2]].mean(0)
         motion = on_floor(*motion, body, betas)
     orient, pose, transl = motion
