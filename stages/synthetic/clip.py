@@ -170,6 +170,7 @@ class _Renderer:
     betas: np.ndarray
     K: np.ndarray
     effects: ClipEffects = NO_EFFECTS
+    supersample: int = SUPERSAMPLE
 
     def __post_init__(self) -> None:
         self.body = Body(self.model, dtype=torch.float64)
@@ -187,9 +188,13 @@ class _Renderer:
         done: Callable[[int], None],
         passers: Sequence[Passer] = (),
         gain: np.ndarray | None = None,
+        transl: np.ndarray | None = None,
     ) -> TrueViews:
-        """Draw the person in each pose from its camera, with `passers` behind and colours times `gain` [V,3]."""
-        transl, vertices, joints = person.pose_body(self.body, self.betas, orient, pose)
+        """Draw the person in each pose from its camera, with `passers` behind and colours times `gain` [V,3].
+
+        The person stands over the origin, or where `transl` [V,3] m says.
+        """
+        transl, vertices, joints = person.pose_body(self.body, self.betas, orient, pose, transl)
         if self.effects.clothing:
             vertices = vertices + person.swing(self.model, self.faces, vertices, pose, self.effects.clothing)
         course, drawn = Course(viewmats, vertices), []
@@ -204,7 +209,8 @@ class _Renderer:
         self, course: Course, i: int, width: int, height: int, passers: Sequence[Passer], gain: np.ndarray | float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Image uint8 [H,W,3], mask uint8 [H,W] and depth float32 [H,W] of frame `i`, as its camera takes it."""
-        fine, size = self.K * np.array([[SUPERSAMPLE], [SUPERSAMPLE], [1]]), (width * SUPERSAMPLE, height * SUPERSAMPLE)
+        more = self.supersample
+        fine, size = self.K * np.array([[more], [more], [1]]), (width * more, height * more)
         pad = margin(self.effects, fine, *size)
         moments = [self.draw(course, i + t, fine, *size, pad, passers) for t in open_times(self.effects)]
         colors, seen = moments[0][0], moments[0][1] * 1.0
@@ -215,7 +221,7 @@ class _Renderer:
         mask = distort(seen[..., None] * 255.0, self.effects, fine, pad)
         pad = margin(self.effects, self.K, width, height)
         depth = distort(self.depth(course, i, width, height, pad)[..., None], self.effects, self.K, pad, order=0)
-        return _shrink(image), _shrink(mask)[..., 0], depth[..., 0].astype(np.float32)
+        return _shrink(image, more), _shrink(mask, more)[..., 0], depth[..., 0].astype(np.float32)
 
     def draw(
         self, course: Course, t: float, K: np.ndarray, width: int, height: int, pad: int, passers: Sequence[Passer]
@@ -281,8 +287,8 @@ def _rays(K: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
 
 
-def _shrink(fine: np.ndarray) -> np.ndarray:
-    """Mean of each SUPERSAMPLE x SUPERSAMPLE block, as uint8."""
+def _shrink(fine: np.ndarray, by: int) -> np.ndarray:
+    """Mean of each block of `by` x `by` pixels, as uint8."""
     height, width, channels = fine.shape
-    blocks = fine.reshape(height // SUPERSAMPLE, SUPERSAMPLE, width // SUPERSAMPLE, SUPERSAMPLE, channels)
+    blocks = fine.reshape(height // by, by, width // by, by, channels)
     return np.rint(blocks.mean((1, 3))).astype(np.uint8)

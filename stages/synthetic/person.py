@@ -134,15 +134,19 @@ def novel_poses() -> tuple[np.ndarray, np.ndarray]:
 
 
 def pose_body(
-    body: Body, betas: np.ndarray, orient: np.ndarray, pose: np.ndarray
+    body: Body, betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """transl [F,3], vertices [F,V,3] and joints [F,24,3] with the pelvis over the origin, the lowest vertex on y = 0."""
+    """transl [F,3], vertices [F,V,3] and joints [F,24,3] m of a body.
+
+    Without a `transl` the pelvis is over the origin and the lowest vertex on y = 0.
+    """
     zeros = np.zeros_like(orient)
     with torch.no_grad():
         vertices, joints = body(*(torch.from_numpy(a) for a in (betas, orient, pose, zeros)))
     vertices, joints = vertices.numpy(), joints.numpy()
-    transl = -joints[:, 0]
-    transl[:, 1] = -vertices[..., 1].min(1)
+    if transl is None:
+        transl = -joints[:, 0]
+        transl[:, 1] = -vertices[..., 1].min(1)
     return transl, vertices + transl[:, None], joints + transl[:, None]
 
 

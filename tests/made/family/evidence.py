@@ -1,0 +1,132 @@
+"""What the body fit is given of a clip, on disk: made once, by what the stages masks and smpl call.
+
+A clip's folder:
+  images/%06d.png, masks/%06d.png   pictures, and our own masks of them
+  cameras.npz, points.ply           as the sfm stage has them
+  tracks.npz                        BlazePose's landmarks of the masked person
+  facts.json                        fps, moving, half
+  truth/                            cameras.npz, body.npz, body_model.npz (m, y up, floor at y = 0) and masks/
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stages import masks as masks_stage
+from stages.contract import Job
+from stages.estimators.bodyfit.evidence import LandmarkEvidence, drop_strangers, gather, model_landmarks, vote_sides
+from stages.estimators.bodyfit.fit import BodyFit, fit_body
+from stages.estimators.person.blazepose import BlazePose, Pose, Roi, pick_masked
+from stages.formats.arrays import read_npz
+from stages.formats.body_model import read_body_model, write_body_model
+from stages.formats.cameras import read_cameras, write_cameras
+from stages.formats.images import read_mask, write_image, write_mask
+from stages.formats.points import read_points, write_points
+from stages.formats.poses import read_poses, write_poses
+from stages.records import BodyModel, BodyPoses, Cameras
+from tests.made.family.film import film
+from tests.made.family.table import FPS, Shot
+
+
+@dataclass(frozen=True)
+class Take:
+    """One clip's evidence: `cameras` in SfM units, `times` [F] s, `masks` F of uint8 [H,W], `points` [P,3], `tracks` F of
+    BlazePose's poses; `moving` as `fit_body` takes it."""
+
+    cameras: Cameras
+    times: np.ndarray
+    masks: list[np.ndarray]
+    points: np.ndarray
+    tracks: list[Pose | None]
+    moving: bool
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The true person and cameras, m, y up, the floor at y = 0; `masks` F of uint8 [H,W], or none."""
+
+    model: BodyModel
+    poses: BodyPoses
+    cameras: Cameras
+    masks: Sequence[np.ndarray] = ()
+
+
+def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
+    """Film the shot, then find masks and landmarks in its pictures; the folder is complete when it has facts.json."""
+    made, names = film(shot, captures), None
+    names = made.cameras.names
+    for part in ("images", "masks", "truth/masks"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    for name, image, mask in zip(names, made.images, made.masks, strict=True):
+        write_image(folder / "images" / f"{name}.png", image)
+        write_mask(folder / "truth" / "masks" / f"{name}.png", mask)
+    write_cameras(folder / "truth" / "cameras.npz", made.cameras)
+    write_poses(folder / "truth" / "body.npz", made.poses)
+    write_body_model(folder / "truth" / "body_model.npz", made.model)
+    write_cameras(folder / "cameras.npz", made.placed)
+    write_points(folder / "points.ply", made.points, made.colors)
+    find_person(folder, list(names))
+    (folder / "facts.json").write_text(json.dumps({"fps": FPS, "moving": made.moving, "half": shot.half}) + "\n")
+
+
+def find_person(folder: Path, names: list[str]) -> None:
+    """Write masks/ and tracks.npz from images/, as the stages masks and smpl find them."""
+    job = Job(out=folder, emit=lambda event: None)
+    masks = list(masks_stage.segment(job, masks_stage.Params(), folder, names))
+    (folder / "masks").mkdir(exist_ok=True)
+    for name, mask in zip(names, masks, strict=True):
+        write_mask(folder / "masks" / f"{name}.png", mask)
+    network = BlazePose(threads=1)
+    images = masks_stage.Pictures([folder / "images" / f"{name}.png" for name in names])
+    write_tracks(folder / "tracks.npz", network.track(images, pick_masked(network.sightings(images), masks)))
+
+
+def write_tracks(path: Path, tracks: Sequence[Pose | None]) -> None:
+    """Write all that BlazePose says of each frame; NaN where it found nobody."""
+    rows = np.full((len(tracks), 33 * 7 + 1 + 8), np.nan)
+    for row, pose in zip(rows, tracks, strict=True):
+        if pose is not None:
+            rois = [[roi.x, roi.y, roi.side, roi.angle] for roi in (pose.roi, pose.next_roi)]
+            parts = (pose.xy, pose.z, pose.visibility, pose.world, [pose.presence], *rois)
+            row[:] = np.concatenate([np.ravel(part) for part in parts])
+    np.savez(path, tracks=rows)
+
+
+def read_tracks(path: Path) -> list[Pose | None]:
+    """The poses that `write_tracks` wrote."""
+    return [None if np.isnan(row).any() else _pose(row) for row in read_npz(path)["tracks"]]
+
+
+def _pose(row: np.ndarray) -> Pose:
+    xy, z, visibility, world, rest = np.split(row, [66, 99, 132, 231])
+    first, second = Roi(*rest[1:5].tolist()), Roi(*rest[5:].tolist())
+    return Pose(xy.reshape(33, 2), z, visibility, world.reshape(33, 3), float(rest[0]), first, second)
+
+
+def read_take(folder: Path) -> tuple[Take, Truth]:
+    """What `make_take` wrote."""
+    facts, cameras = json.loads((folder / "facts.json").read_text()), read_cameras(folder / "cameras.npz")
+    masks, true_masks = (
+        [read_mask(at / "masks" / f"{name}.png") for name in cameras.names] for at in (folder, folder / "truth")
+    )
+    times = np.arange(len(cameras)) / facts["fps"]
+    points = read_points(folder / "points.ply")[0].astype(np.float64)
+    take = Take(cameras, times, masks, points, read_tracks(folder / "tracks.npz"), facts["moving"])
+    truth = folder / "truth"
+    poses, model = read_poses(truth / "body.npz"), read_body_model(truth / "body_model.npz")
+    return take, Truth(model, poses, read_cameras(truth / "cameras.npz"), true_masks)
+
+
+def fit_take(take: Take, model: BodyModel | None = None) -> tuple[BodyFit, LandmarkEvidence]:
+    """The body fit of a clip as the smpl stage makes it, with the free body unless a `model` is given, and its evidence."""
+    model = model or read_body_model()
+    names, regressor = model_landmarks(model)
+    evidence, _ = drop_strangers(gather(take.tracks, names), take.masks)
+    evidence, _ = vote_sides(evidence)
+    fit = fit_body(model, regressor, evidence, take.cameras, take.times, take.masks, take.points, take.moving)
+    return fit, evidence

@@ -1,0 +1,211 @@
+"""A shot of the family made: the person, their motion, the camera's path, the pictures and what is true of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from stages import animate
+from stages.avatar.body.smpl import Body
+from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
+from stages.avatar.motion.formulas import MOTIONS as FORMULAS
+from stages.avatar.motion.placing import Soles
+from stages.contract import Job
+from stages.formats.body_model import read_body_model
+from stages.records import BodyModel, BodyPoses, Cameras
+from stages.synthetic import clip as synthetic
+from stages.synthetic import room as rooms
+from stages.synthetic.effects import ClipEffects
+from tests.made.family.legs import perform
+from tests.made.family.motions import MOTIONS
+from tests.made.family.table import FPS, FRAMES, LONG, SHORT, Box, Shot
+
+PER_BETA = 0.1
+"""m that the free body grows with its first shape."""
+LARGEST_BETA = 2.4
+HEAD = 1.18
+"""How much larger a child's head is against the rest of the body."""
+HALL = ((0.0, 1.7, 3.2), (5.5, 1.7, 6.6))
+"""Middle and half sizes of the room: high and deep enough for any camera of the table."""
+SHAKE, TREMOR = 0.012, 0.006
+"""What a hand adds to the camera's place, m, and to its direction, rad."""
+POINTS, POINT_NOISE, SPOT_NOISE = 1500, 0.003, 0.3
+"""Of the cloud: how many, m in any direction, and px that its depth is wrong by."""
+CENTER_NOISE, TURN_NOISE = 0.001, 3e-4
+"""What SfM's cameras are wrong by: m, rad."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """Pictures [F,H,W,3] and true masks [F,H,W] uint8, the true person and cameras (m, y up, floor at y = 0).
+
+    What SfM would find, in its own world and unit: `placed` cameras, `points` [P,3] with `colors` [P,3] uint8, and
+    whether the camera is `moving`.
+    """
+
+    images: np.ndarray
+    masks: np.ndarray
+    model: BodyModel
+    poses: BodyPoses
+    cameras: Cameras
+    placed: Cameras
+    points: np.ndarray
+    colors: np.ndarray
+    moving: bool
+
+
+def film(shot: Shot, captures: Path | None) -> Film:
+    """Make the shot; `captures` is the folder of captured motions."""
+    rng = np.random.default_rng(list(shot.name.encode()))
+    model, betas = person(shot, rng)
+    body = Body(model, dtype=torch.float64)
+    orient, pose, transl = moved(shot, body, model, betas, captures)
+    width, height = (LONG, SHORT) if shot.wide else (SHORT, LONG)
+    K = pinhole(shot.lens / 36 * LONG, width, height)
+    viewmats = path(shot, transl, rng)
+    renderer = synthetic._Renderer(model, hall(rng, shot.boxes, np.radians(shot.facing)), betas, K, ClipEffects(clothing=shot.clothing), 1)
+    views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl)
+    names = tuple(f"{i:06d}" for i in range(FRAMES))
+    cameras = Cameras(names, viewmats, views.Ks, width, height)
+    poses = BodyPoses(names, betas, orient, pose, transl, np.ones(FRAMES))
+    points, colors = cloud(renderer, views, rng)
+    placed, points = as_sfm_has_it(shot, cameras, points, rng)
+    return Film(views.images, views.masks, model, poses, cameras, placed, points, colors, shot.path != "still")
+
+
+def person(shot: Shot, rng: np.random.Generator) -> tuple[BodyModel, np.ndarray]:
+    """The body model and betas [10] of somebody that tall and heavy; the rest of the shape by chance."""
+    model, betas = read_body_model(), rng.uniform(-0.6, 0.6, 10)
+    betas[[0, 4]] = 0.0, shot.heavy
+    if shot.child:
+        model = with_large_head(model)
+    else:
+        betas[0] = np.clip((shot.stature - 1.708) / PER_BETA, -LARGEST_BETA, LARGEST_BETA)
+    tall = np.ptp((model.v_template + model.shapedirs @ betas)[:, 1])
+    size = np.float32(shot.stature / tall)
+    return replace(model, v_template=model.v_template * size, shapedirs=model.shapedirs * size), betas
+
+
+def with_large_head(model: BodyModel) -> BodyModel:
+    """The model with the head made larger about its joint."""
+    joint = model.J_regressor[15] @ model.v_template
+    share = model.lbs_weights[:, [15]] * np.float32(HEAD - 1)
+    return replace(model, v_template=model.v_template + share * (model.v_template - joint))
+
+
+def moved(
+    shot: Shot, body: Body, model: BodyModel, betas: np.ndarray, captures: Path | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """global_orient [F,3], body_pose [F,69] and transl [F,3] of the shot's motion, float64."""
+    t = np.arange(FRAMES) / FPS
+    if shot.motion in MOTIONS:
+        motion = perform(MOTIONS[shot.motion](t), body, betas)
+    elif shot.motion in FORMULAS:
+        leg = -float(body.rest(torch.from_numpy(betas))[0][:, 1].min()) - 0.11
+        motion = tuple(part.numpy().astype(np.float64) for part in FORMULAS[shot.motion](FRAMES / FPS, FPS, leg))
+        motion = on_floor(*motion, body, betas)
+    elif captures is None:
+        raise ValueError(f"{shot.name} needs the folder of captured motions")
+    else:
+        params, soles = animate.Params(fps=FPS), Soles(model, betas)
+        placed = animate._placed(Job(out=captures), params, captures / shot.motion, soles, model.parents)
+        first = round(shot.start * FPS)
+        motion = tuple(values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl))
+        motion[2][:, [0, 2]] -= motion[2][:, [0, 2]].mean(0)
+        motion = on_floor(*motion, body, betas)
+    orient, pose, transl = motion
+    turn = Rotation.from_rotvec([0, np.radians(shot.facing), 0])
+    return (turn * Rotation.from_rotvec(orient)).as_rotvec(), pose, turn.apply(transl)
+
+
+def on_floor(
+    orient: np.ndarray, pose: np.ndarray, transl: np.ndarray, body: Body, betas: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The motion with its lowest moment on y = 0: what its own heights say above that stays."""
+    with torch.no_grad():
+        low = body(*(torch.from_numpy(part) for part in (betas, orient, pose, transl)))[0][..., 1].min().item()
+    return orient, pose, transl - [0, low, 0]
+
+
+def path(shot: Shot, transl: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """viewmats [F,4,4] of the shot's camera."""
+    t, u = np.arange(FRAMES) / FPS, np.linspace(-0.5, 0.5, FRAMES)
+    shake = np.stack([sum(np.sin(2 * np.pi * f * t + p) / f for f, p in synthetic._tones(rng)) for _ in range(7)], 1)
+    held = 0.0 if shot.path == "still" else 0.15 if shot.path == "little" else 1.0
+    angle = np.radians(shot.reach) * u if shot.path == "arc" else 0 * u
+    away = shot.distance - (shot.reach * (u + 0.5) if shot.path == "forward" else 0)
+    eye = np.stack([away * np.sin(angle), 0 * u + shot.height, away * np.cos(angle)], 1)
+    eye[:, 0] += shot.reach * u if shot.path == "sideways" else 0
+    eye = eye + SHAKE * held * (3 if shot.path == "jitter" else 1) * shake[:, :3]
+    way = transl * [1, 0, 1] * (shot.path != "still")
+    smooth = np.stack([np.polyval(np.polyfit(u, axis, 3), u) for axis in way.T], 1)
+    eye, target = eye + shot.follow * smooth, smooth + [0, shot.aim, 0]
+    turned = target + TREMOR * shot.distance * min(1.0, held * 2) * shake[:, 3:6]
+    views = []
+    for i in range(FRAMES):
+        view = look_at(eye[i], turned[i], synthetic.UP)
+        roll = np.radians(shot.roll) + 0.5 * TREMOR * held * shake[i, 6]
+        spun = np.eye(4)
+        spun[:3, :3] = Rotation.from_rotvec([0, 0, roll]).as_matrix()
+        views.append(spun @ view)
+    return np.stack(views)
+
+
+def hall(rng: np.random.Generator, boxes: tuple[Box, ...], turn: float) -> rooms.Room:
+    """A large room with the furniture of the demo clip along its walls, its floor at y = 0, and `boxes`, turned by `turn` rad."""
+    room = rooms.make_room(rng)
+    placed = room.boxes.copy()
+    placed[0, :6] = np.concatenate(HALL)
+    placed[2:, 0] *= 1.5
+    placed[2:, 2] -= 1.1
+    placed[1, 1] = -0.003  # the rug: its top is 1 mm over the floor
+    about = Rotation.from_rotvec([0, turn, 0])
+    more = [[*about.apply(center), *half, np.cos(turn), np.sin(turn)] for center, half in boxes]
+    count = len(boxes)
+    paint = np.concatenate([room.paint, np.full((count, 6), rooms.WOOD)])
+    tints = np.concatenate([room.tints, np.tile([[0.8, 0.65, 0.5]], (count, 1))])
+    return replace(room, boxes=np.concatenate([placed, np.array(more).reshape(-1, 8)]), paint=paint, tints=tints)
+
+
+def cloud(
+    renderer: synthetic._Renderer, views: synthetic.TrueViews, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [P,3] m of the room that the pictures show beside the person, wrong as SfM is, and their colours [P,3]."""
+    centers = camera_centers(views.viewmats)
+    wide = np.linalg.norm(centers - centers.mean(0), axis=1).max() * 2
+    points, colors = [], []
+    count, _, width = views.masks.shape
+    for i in range(count):
+        free = np.flatnonzero(views.masks[i].ravel() == 0)
+        row, column = np.divmod(rng.choice(free, POINTS // count + 1), width)
+        z = views.depths[i][row, column].astype(np.float64)
+        z = z + z**2 / renderer.K[0, 0] * (SPOT_NOISE / max(wide, 0.05)) * rng.standard_normal(len(z)).clip(-2, 2)
+        pixel = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], 1)
+        ray = pixel @ np.linalg.inv(renderer.K).T
+        view = views.viewmats[i]
+        points.append((ray * z[:, None] - view[:3, 3]) @ view[:3, :3] + POINT_NOISE * rng.standard_normal((len(z), 3)))
+        colors.append(views.images[i][row, column])
+    return np.concatenate(points), np.concatenate(colors)
+
+
+def as_sfm_has_it(
+    shot: Shot, cameras: Cameras, points: np.ndarray, rng: np.random.Generator
+) -> tuple[Cameras, np.ndarray]:
+    """Cameras and points in a world with other axes, origin and unit, the cameras a little wrong.
+
+    A camera that stands still is at the origin, and there are no points.
+    """
+    if shot.path == "still":
+        return replace(cameras, viewmats=np.tile(np.eye(4), (len(cameras), 1, 1))), np.zeros((0, 3))
+    turn, origin = Rotation.random(rng=rng).as_matrix(), rng.uniform(-2, 2, 3)
+    unit = np.exp(rng.uniform(-1.2, 1.2))  # m
+    noise = Rotation.from_rotvec(TURN_NOISE * rng.standard_normal((len(cameras), 3))).as_matrix()
+    centers = (cameras.centers + CENTER_NOISE * rng.standard_normal((len(cameras), 3)) - origin) @ turn.T / unit
+    viewmats = np.tile(np.eye(4), (len(cameras), 1, 1))
+    viewmats[:, :3, :3] = noise @ cameras.viewmats[:, :3, :3] @ turn.T
+    viewmats[:, :3, 3] = -(viewmats[:, :3, :3] @ centers[..., None])[..., 0]
+    return replace(cameras, viewmats=viewmats), (points - origin) @ turn.T / unit
