@@ -14,11 +14,14 @@ from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
+from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
 from stages.estimators.bodyfit.solve import Solver, State, World
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, solve_places, start_pose, unwrap_rotations
 from stages.records import BodyModel, BodyPoses, Cameras
 
+SCALE_LEAST, SCALE_SHARE = 0.01, 0.5  # spread of the first scale: of itself, and of how far frames on the floor differ
+FLOOR_TILT = 0.02  # rad, that a floor may lie off level
 FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, then feet and scale as well
 
 
@@ -97,7 +100,9 @@ def fit_body(
 
     found, floor = _find_scale(solver, state, inputs, points, seen)
     state.scale = found["initial"]
-    solver, state = _extend_to_all_frames(solver, state, inputs, seen, floor)
+    spread = max(SCALE_LEAST, SCALE_SHARE * found["floor_spread"]) if floor else 1.0
+    whole = _make_solver(inputs, np.arange(len(times)), floor, spread)
+    solver, state = whole, _extend_to_all_frames(solver, whole, state, times, seen)
     state = solver.minimise(state, LAST, borders, True, lambda i, cost: progress(total - LAST + i, total, cost))
     with torch.no_grad():
         pixels = solver.pixels(solver.pose(state)[0]).numpy()
@@ -105,7 +110,7 @@ def fit_body(
     return BodyFit(_body_poses(solver, state, cameras, evidence.seen.astype(np.float64)), pixels, found)
 
 
-def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None) -> Solver:
+def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, scale_spread: float = 1.0) -> Solver:
     """The solver of the frames `rows`. Camera centres are taken about their mean, so that float32 keeps what differs."""
     evidence, cameras, times = inputs.evidence, inputs.cameras, inputs.times
     part = LandmarkEvidence(
@@ -113,13 +118,16 @@ def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None) 
         *(getattr(evidence, key)[rows] for key in ("xy", "weight", "world", "seen", "height")),
     )
     middle = cameras.centers.mean(0)
+    up, up_spread = camera_up(cameras.viewmats) if floor is None else (floor.normal, FLOOR_TILT)
     world = World(
         torch.tensor(cameras.viewmats[rows, :3, :3], dtype=torch.float32),
         torch.tensor(cameras.centers[rows] - middle, dtype=torch.float32),
         torch.tensor(times[rows] - times[0], dtype=torch.float32),
         inputs.moving,
-        None if floor is None else torch.tensor(floor.normal, dtype=torch.float32),
-        0.0 if floor is None else float(floor.height(middle)),
+        torch.tensor(up, dtype=torch.float32),
+        up_spread,
+        None if floor is None else float(floor.height(middle)),
+        scale_spread,
     )
     faces = torch.tensor(inputs.model.faces.astype(np.int64))
     return Solver(inputs.body, torch.tensor(inputs.regressor), faces, part, cameras.Ks[rows], world)
@@ -133,21 +141,24 @@ def _find_scale(
     with torch.no_grad():
         soles = solver.surface(state, solver.soles.flatten())[0]
         pixels = solver.pixels(soles).numpy()
-        up = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
+        trunk = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
     feet = (soles.double().numpy() @ turn).reshape(len(seen), 2, -1, 3)
     times = solver.world.times.double().numpy()
     path = TimedCameras(cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times)
-    return find_scale(path if inputs.moving else None, points, feet, pixels, solver.evidence.height, up)
+    return find_scale(
+        path if inputs.moving else None,
+        points,
+        feet,
+        pixels,
+        solver.evidence.height,
+        np.stack([camera_up(path.viewmats)[0], trunk]),
+    )
 
 
-def _extend_to_all_frames(
-    solver: Solver, state: State, inputs: _Inputs, seen: np.ndarray, floor: Floor | None
-) -> tuple[Solver, State]:
-    """Solver and state of all frames, from those of the seen ones; the others filled in between, in the world."""
-    times = inputs.times
-    whole = _make_solver(inputs, np.arange(len(times)), floor)
+def _extend_to_all_frames(solver: Solver, whole: Solver, state: State, times: np.ndarray, seen: np.ndarray) -> State:
+    """The state of all frames, which `whole` solves, from that of the seen ones; others are filled in between, in the world."""
     if len(seen) == len(times):
-        return whole, state
+        return state
     spot = solver.to_world(state, state.place[:, None], state.scale)[:, 0]
     orient = rotvec_from_matrix(solver.world.turn.mT @ state.root)
     known = [np.asarray(part, np.float64) for part in (orient, spot, state.pose)]
@@ -155,7 +166,7 @@ def _extend_to_all_frames(
     orient, spot, pose = (torch.tensor(part, dtype=torch.float32) for part in filled)
     turn = whole.world.turn
     place = (turn @ (spot - state.scale * whole.world.center)[..., None])[..., 0]
-    return whole, replace(state, root=turn @ matrix_from_rotvec(orient), place=place, pose=pose)
+    return replace(state, root=turn @ matrix_from_rotvec(orient), place=place, pose=pose)
 
 
 def _body_poses(solver: Solver, state: State, cameras: Cameras, confidence: np.ndarray) -> BodyPoses:

@@ -12,6 +12,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.frames import join_frames
+from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.person import choose_person
 from stages.estimators.bodyfit.placing import median_shape, place_in_world
 from stages.estimators.bodyfit.scale import TimedCameras, find_scale
@@ -79,10 +80,11 @@ def _find_scale(
     pixels, _ = project(vertices, path.viewmats, path.Ks)
     extent = np.ptp(pixels, axis=1)
     feet = vertices[:, soles.numpy()] - path.centers[:, None, None]
-    up = matrix_from_rotvec(torch.tensor(poses.global_orient))[:, :, 1].mean(0).numpy()
+    trunk = matrix_from_rotvec(torch.tensor(poses.global_orient))[:, :, 1].mean(0).numpy()
+    ups = np.stack([camera_up(path.viewmats)[0], trunk])
     at_feet = pixels[:, soles.flatten().numpy()]
     height = np.hypot(extent[:, 0], extent[:, 1])
-    return find_scale(path if moving else None, points, feet, at_feet, height, up)[0]
+    return find_scale(path if moving else None, points, feet, at_feet, height, ups)[0]
 
 
 def _fill_gaps(poses: BodyPoses, rows: np.ndarray, names: tuple[str, ...], times: np.ndarray) -> BodyPoses:

@@ -15,7 +15,7 @@ from stages.avatar.cameras.pinhole import camera_centers, project
 
 NEAR_FEET = 0.5  # body heights in the picture within which a point may belong to the floor
 ENOUGH = 25  # points that make a floor
-STEEPEST = np.cos(np.radians(30))  # between the floor's normal and the body's mean up axis
+STEEPEST = np.cos(np.radians(30))  # between the floor's normal and what is up for the cameras or the body
 TRIALS = 2000
 INLIER = 0.008  # distance from the plane over distance from the camera
 
@@ -48,12 +48,12 @@ def find_scale(
     soles: np.ndarray,
     pixels: np.ndarray,
     height: np.ndarray,
-    up: np.ndarray,
+    ups: np.ndarray,
 ) -> tuple[dict[str, Any], Floor | None]:
     """Metres per SfM unit (`initial`), `how` it was found with numbers, and the floor if there is one.
 
     `path` None: one fixed camera. `soles` [F,2,S,3] m of both feet from the camera, world axes, seen at `pixels`
-    [F,2S,2]; `height` [F] px and mean `up` axis [3] of the person.
+    [F,2S,2]; `height` [F] px of the person; `ups` [U,3]: what may be up.
     """
     if path is None:
         return {"initial": 1.0, "how": "one fixed camera: the world is its frame, in metres"}, None
@@ -63,7 +63,7 @@ def find_scale(
         found |= {"from_still_feet": still[0], "still_feet_error": still[1]}
     floor = None
     if points is not None:
-        floor = find_floor(points, path.viewmats, path.Ks, pixels, height, up)
+        floor = find_floor(points, path.viewmats, path.Ks, pixels, height, ups)
     on_floor = None if floor is None else floor_scale(floor, soles.reshape(len(soles), -1, 3), path.centers)
     if floor is not None and on_floor is not None:
         found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
@@ -74,9 +74,9 @@ def find_scale(
 
 
 def find_floor(
-    points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray, feet: np.ndarray, height: np.ndarray, up: np.ndarray
+    points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray, feet: np.ndarray, height: np.ndarray, ups: np.ndarray
 ) -> Floor | None:
-    """The plane through SfM `points` [P,3] that are seen near the `feet` [F,N,2] px and that lies square to `up` [3].
+    """The plane through SfM `points` [P,3] that are seen near the `feet` [F,N,2] px and lies square to one of `ups` [U,3].
 
     `height` [F] px is the person's. Of the planes with many points (RANSAC, seeded) the one with most wins. None where
     no plane has ENOUGH points: a bare floor, or none in the picture.
@@ -99,8 +99,8 @@ def find_floor(
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = np.linalg.norm(normals, axis=1)
     normals = normals / np.where(length > 0, length, 1)[:, None]
-    normals *= np.sign(normals @ up)[:, None]
-    fair = (length > 0) & (normals @ up > STEEPEST)
+    normals *= np.sign(normals @ ups[0])[:, None]
+    fair = (length > 0) & (normals @ ups.T > STEEPEST).any(1)
     if not fair.any():
         return None
     normals, anchors = normals[fair], triples[fair, 0]
@@ -112,9 +112,9 @@ def find_floor(
             return None
         middle = near[inliers].mean(0)
         normal = np.linalg.svd(near[inliers] - middle, full_matrices=False)[2][2]
-        normal = normal * np.sign(normal @ up)
+        normal = normal * np.sign(normal @ ups[0])
         inliers = np.abs((near - middle) @ normal) < limit
-    return Floor(normal, float(-normal @ middle), int(inliers.sum())) if normal @ up > STEEPEST else None
+    return Floor(normal, float(-normal @ middle), int(inliers.sum())) if (ups @ normal > STEEPEST).any() else None
 
 
 def floor_scale(floor: Floor, soles: np.ndarray, centers: np.ndarray) -> tuple[float, float] | None:

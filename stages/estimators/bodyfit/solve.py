@@ -26,7 +26,8 @@ DIRECTION = {
 }  # fmt: skip
 SOLE = 0.012  # m between a standing foot and the floor: shoes, 0 where feet are bare
 STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its sole above the floor
-BALANCE, SWAY = 0.05, 0.15  # m, and m for each m/s of the body: its mass beside the standing feet
+BALANCE, STRIDE = 0.04, 0.5  # m, the body's mass beside the standing feet, in the mean from s before to s after
+GRAVITY = 9.81  # m/s^2
 CLOTH = (0.01, 0.02)  # m, how far clothes, hair and shoes stand off the skin at each joint: mean and spread
 BIAS = (0.15, 0.15)  # lean and flatness of a clip's landmark depths: six clips lean by 0 to 0.15
 SLOW = 0.6  # m/s that a foot may move, before the feet are held still, and stand; 0.45 lets one in sixty slide by 2 cm
@@ -71,15 +72,20 @@ class State:
 
 @dataclass(frozen=True)
 class World:
-    """The world of the camera frames: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s, and
-    the floor's normal [3] and offset (None: no floor known). `moving` False: one camera, its frame is the world."""
+    """The world of the camera frames: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s.
+
+    `up` [3] is known to `up_spread` rad, metres per SfM unit to `scale_spread` of itself before the last steps. `offset` is
+    that of the floor, whose normal is `up` (None: no floor known). `moving` False: one camera, its frame is the world.
+    """
 
     turn: Tensor
     center: Tensor
     times: Tensor
     moving: bool
-    normal: Tensor | None = None
-    offset: float = 0.0
+    up: Tensor
+    up_spread: float
+    offset: float | None = None
+    scale_spread: float = 1.0
 
 
 class Solver:
@@ -230,8 +236,8 @@ class Solver:
         )
         slow = torch.cat([speed[:1], torch.minimum(torch.minimum(speed[1:], speed[:-1]), past), speed[-1:]])
         stands = torch.sigmoid((SLOW * loose - slow) / (0.08 * loose))
-        if self.world.normal is not None:
-            lowest = (feet @ self.world.normal + scale * self.world.offset).amin(-1)
+        if self.world.offset is not None:
+            lowest = (feet @ self.world.up + scale * self.world.offset).amin(-1)
             stands = stands * torch.sigmoid((0.10 * loose - lowest.abs()) / (0.02 * loose))
             if loose > 1:  # the lower foot
                 stands = stands * torch.sigmoid((lowest.flip(1) - lowest + 0.03) / 0.01)
@@ -243,29 +249,34 @@ class Solver:
         size = self.size(state.betas)
         slide = (feet[1:] - feet[:-1]).square().sum(-1) / (STILL * size) ** 2
         cost = (pair * terms.geman_mcclure(slide, 4.0)).sum() / feet.shape[2]
-        if self.world.normal is not None:
-            height = (feet @ self.world.normal + scale * self.world.offset - SOLE) / (GROUND * loose * size)
+        if self.world.offset is not None:
+            height = (feet @ self.world.up + scale * self.world.offset - SOLE) / (GROUND * loose * size)
             sunk = terms.geman_mcclure(torch.relu(-height).square(), 4.0).mean(-1).sum()
             cost = cost + (stands * terms.geman_mcclure(height.amin(-1).square(), 4.0)).sum() + sunk
         return cost / len(feet)
 
     def balance_cost(self, state: State, joints: Tensor, feet: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
-        """The body's mass beside the feet that stand, across the floor's normal; one number, 0 where no floor is known.
+        """The body's mass beside the feet that stand, square to gravity; one number.
 
-        It may stand over any point between them. Who moves fast falls from foot to foot, and is trusted less.
+        It may stand over any point between them. Walkers fall from foot to foot and who starts or stops leans, so the
+        mean over STRIDE counts, less what the mass's own acceleration takes: the zero moment point (Vukobratovic 1972).
         """
-        up = self.world.normal
-        if up is None:
-            return joints.new_zeros(())
+        up, times = self.world.up, self.world.times
         mass = (self.to_world(state, joints, scale) * self.masses[:, None]).sum(1)
-        mass, soles = (points - (points @ up)[..., None] * up for points in (mass, feet.mean(2)))
-        apart = soles[:, 1] - soles[:, 0]
-        along = ((mass - soles[:, 0]) * apart).sum(-1) / apart.square().sum(-1).clamp(min=1e-6)
-        along = torch.minimum(torch.maximum(along, 1 - stands[:, 0]), stands[:, 1])
-        beside = (mass - soles[:, 0] - along.detach()[:, None] * apart).square().sum(-1)
-        moved = terms.speed(mass.detach(), self.world.times, 0.25)
-        spread = (BALANCE * self.size(state.betas)) ** 2 + (SWAY * moved) ** 2
-        return (stands.amax(1) * terms.geman_mcclure(beside / spread, 4.0)).sum() / len(feet)
+        soles = feet.mean(2)
+        level = torch.eye(3) - up[:, None] * up
+        apart = (soles[:, 1] - soles[:, 0]) @ level
+        beside = (mass - soles[:, 0]) @ level
+        along = (beside * apart).sum(-1) / apart.square().sum(-1).clamp(min=1e-6)
+        along = torch.minimum(torch.maximum(along, 1 - stands[:, 0]), stands[:, 1]).detach()
+        near = ((times[:, None] - times).abs() <= STRIDE) * stands.amax(1)
+        certain = near.sum(1) / ((times[:, None] - times).abs() <= STRIDE).sum(1)
+        mean = near @ (beside - along[:, None] * apart) / near.sum(1, keepdim=True).clamp(min=1e-6)
+        tall = ((mass - soles.mean(1)) @ up).detach().abs()[:, None]
+        pushed = tall / GRAVITY * terms.smooth_acceleration(mass.detach(), times, STRIDE) @ level
+        spread = (BALANCE * self.size(state.betas)) ** 2 + (self.world.up_spread * tall[:, 0]) ** 2
+        off = (mean - pushed).square().sum(-1) / spread
+        return (certain * terms.geman_mcclure(off, 4.0)).sum() / len(feet)
 
     def minimise(
         self,
@@ -275,15 +286,15 @@ class Solver:
         in_world: bool,
         progress: Callable[[int, float], None],
     ) -> State:
-        """Adam from `state` for `steps` steps; `in_world` adds feet and, without a floor, the scale, from near state.scale."""
+        """Adam from `state` for `steps` steps; `in_world` adds feet, balance and, of a moving camera, the scale."""
         turn = torch.zeros(len(state.pose), 3, requires_grad=True)
         ray = torch.cat([state.place[:, :2] / state.place[:, 2:], state.place[:, 2:].log()], 1).requires_grad_()
         shared = (state.pose, state.betas, state.bias, state.cloth)
         pose, betas, bias, cloth = (part.clone().requires_grad_() for part in shared)
         log_scale = torch.tensor(float(np.log(state.scale)), requires_grad=True)
         groups = [(turn, 0.02), (ray, 0.01), (pose, 0.03), (betas, 0.03), (bias, 0.01), (cloth, 0.001)]
-        if in_world and self.world.moving and self.world.normal is None:
-            groups.append((log_scale, 0.004))  # on a floor the robust first scale is the better one (by 2 % once)
+        if in_world and self.world.moving:
+            groups.append((log_scale, 0.004))
         adam = torch.optim.Adam([{"params": [p], "lr": lr} for p, lr in groups], betas=(0.9, 0.98))
 
         def rate(i: int) -> float:
@@ -305,6 +316,7 @@ class Solver:
             local = pose.unflatten(-1, (23, 3))
             total = cost.mean() + PRIOR_SHARE * terms.pose_prior(local, self.spread).mean()
             total = total + BETAS * betas.square().sum() + (bias / torch.tensor(BIAS)).square().sum()
+            total = total + ((log_scale - float(np.log(state.scale))) / self.world.scale_spread).square()
             total = total + ((cloth - CLOTH[0]) / CLOTH[1]).square().sum()
             total = total + self.motion_cost(now, joints, scale if in_world else None)
             if in_world:

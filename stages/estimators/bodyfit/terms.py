@@ -69,11 +69,19 @@ def mass_shares() -> Tensor:
     return shares / shares.sum()
 
 
-def speed(x: Tensor, times: Tensor, reach: float) -> Tensor:
-    """How fast each of `x` [F,3] m moves, m/s [F]: from the frame `reach` seconds before to the one as long after."""
-    first = torch.searchsorted(times, times - reach).clamp(max=len(times) - 1)
-    last = (torch.searchsorted(times, times + reach, right=True) - 1).clamp(min=0)
-    return (x[last] - x[first]).norm(dim=-1) / (times[last] - times[first]).clamp(min=1e-6)
+def smooth_acceleration(x: Tensor, times: Tensor, reach: float) -> Tensor:
+    """Acceleration [F,3] of `x` [F,3] m at `times` [F] s: of the parabola through each point's neighbours within `reach` s.
+
+    Zero where fewer than five neighbours make one.
+    """
+    apart = times - times[:, None]
+    near = (apart.abs() <= reach).to(x.dtype)
+    powers = torch.stack([apart**0, apart, apart**2 / 2], -1)
+    normal = torch.einsum("fn,fna,fnb->fab", near, powers, powers)
+    right = torch.einsum("fn,fna,nc->fac", near, powers, x)
+    enough = near.sum(1) >= 5
+    normal = torch.where(enough[:, None, None], normal, torch.eye(3))
+    return torch.linalg.solve(normal, right)[:, 2] * enough[:, None]
 
 
 def pose_prior(body_pose: Tensor, spread: Tensor) -> Tensor:
