@@ -11,6 +11,7 @@ import torch
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
 from stages.estimators.bodyfit.evidence import NAMES, STAND_INS, model_landmarks
+from stages.estimators.bodyfit.scale import SOLE
 from stages.estimators.person.blazepose import Pose, Roi
 from stages.records import BodyModel, Cameras
 
@@ -20,7 +21,7 @@ SFM_FROM_WORLD = 2.7  # SfM units per metre
 
 @dataclass
 class TrueClip:
-    """World: metres, y up, floor at y = 0, but SfM's axes are turned against it by `sfm_turn` and scaled."""
+    """World: metres, y up, bare feet at y = 0 and the floor a sole lower, but SfM has other axes and units."""
 
     model: BodyModel
     cameras: Cameras
@@ -93,7 +94,7 @@ def make(
     sfm[:, :3, 3] /= scale
     K = pinhole(FOCAL, WIDTH, HEIGHT)
     cameras = Cameras(tuple(f"{i:06d}" for i in range(frames)), sfm, np.tile(K, (frames, 1, 1)), WIDTH, HEIGHT)
-    floor = np.stack([rng.uniform(-2, 2, 400), rng.normal(0, 0.01, 400), rng.uniform(-2, 2, 400)], -1)
+    floor = np.stack([rng.uniform(-2, 2, 400), rng.normal(-SOLE, 0.01, 400), rng.uniform(-2, 2, 400)], -1)
     wall = np.stack([rng.uniform(-3, 3, 600), rng.uniform(0, 2.5, 600), rng.normal(-2.2, 0.01, 600)], -1)
     points = (np.concatenate([floor, wall]) - origin) @ turn.T / scale if moving else np.zeros((0, 3))
     tracks = _tracks(model, vertices, viewmats, K, noise_px, rng)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-ROLL, PITCH = np.radians(4), np.radians(20)  # of a hand-held camera; its pitch is whatever the subject asks for
+ROLL, PITCH = np.radians(2), np.radians(20)  # of a hand-held camera; its pitch is whatever the subject asks for
 
 
 def camera_up(viewmats: np.ndarray) -> tuple[np.ndarray, float]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from stages.avatar.cameras.pinhole import camera_centers, project
 
+SOLE = 0.012  # m from a standing foot to the floor: between bare feet, 0, and shoes, 0.02
 NEAR_FEET = 0.5  # body heights in the picture within which a point may belong to the floor
 ENOUGH = 25  # points that make a floor
 STEEPEST = np.cos(np.radians(30))  # between the floor's normal and what is up for the cameras or the body
@@ -118,12 +119,12 @@ def find_floor(
 
 
 def floor_scale(floor: Floor, soles: np.ndarray, centers: np.ndarray) -> tuple[float, float] | None:
-    """Scale, and its relative spread over the frames, at which the lowest of `soles` [F,S,3] m stands on the floor.
+    """Scale, and its relative spread over the frames, at which the lowest of `soles` [F,S,3] m stands SOLE above the floor.
 
     Soles in metres from the camera, world axes; `centers` [F,3] in SfM units. The scale that most frames agree on (the
     middle of the tightest half), so frames in the air do not count. None if the camera is not above the floor.
     """
-    drop = -(soles @ floor.normal).min(1)
+    drop = SOLE - (soles @ floor.normal).min(1)
     above = floor.height(centers)
     usable = (above > 1e-6) & (drop > 0)
     if usable.sum() < max(1, len(drop) // 2):

@@ -14,6 +14,7 @@ from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, v
 from stages.avatar.splats.neighbours import farthest_points
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
+from stages.estimators.bodyfit.scale import SOLE
 from stages.records import JOINT_NAMES
 
 # Standard deviations; lengths in the picture are shares of the person's height there.
@@ -24,9 +25,10 @@ DIRECTION = {
     "shoulder": 0.18, "elbow": 0.2, "wrist": 0.3, "hand": 0.35, "hip": 0.12, "knee": 0.17, "ankle": 0.17, "ear": 0.18,
     "eye": 0.22,
 }  # fmt: skip
-SOLE = 0.012  # m between a standing foot and the floor: shoes, 0 where feet are bare
 STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its sole above the floor
 BALANCE, STRIDE = 0.04, 0.5  # m, the body's mass beside the standing feet, in the mean from s before to s after
+ANKLES, BALLS = ([JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "foot"))
+LOAD = 0.33  # people stand 4 to 5 cm before the ankle (Winter 1995)
 GRAVITY = 9.81  # m/s^2
 CLOTH = (0.01, 0.02)  # m, how far clothes, hair and shoes stand off the skin at each joint: mean and spread
 BIAS = (0.15, 0.15)  # lean and flatness of a clip's landmark depths: six clips lean by 0 to 0.15
@@ -255,15 +257,16 @@ class Solver:
             cost = cost + (stands * terms.geman_mcclure(height.amin(-1).square(), 4.0)).sum() + sunk
         return cost / len(feet)
 
-    def balance_cost(self, state: State, joints: Tensor, feet: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
+    def balance_cost(self, state: State, joints: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
         """The body's mass beside the feet that stand, square to gravity; one number.
 
-        It may stand over any point between them. Walkers fall from foot to foot and who starts or stops leans, so the
+        It may stand over any point between them; over one foot it stands LOAD of the way from ankle to ball. Walkers fall from foot to foot and who starts or stops leans, so the
         mean over STRIDE counts, less what the mass's own acceleration takes: the zero moment point (Vukobratovic 1972).
         """
         up, times = self.world.up, self.world.times
-        mass = (self.to_world(state, joints, scale) * self.masses[:, None]).sum(1)
-        soles = feet.mean(2)
+        placed = self.to_world(state, joints, scale)
+        mass = (placed * self.masses[:, None]).sum(1)
+        soles = torch.lerp(placed[:, ANKLES], placed[:, BALLS], LOAD)
         level = torch.eye(3) - up[:, None] * up
         apart = (soles[:, 1] - soles[:, 0]) @ level
         beside = (mass - soles[:, 0]) @ level
@@ -276,7 +279,7 @@ class Solver:
         pushed = tall / GRAVITY * terms.smooth_acceleration(mass.detach(), times, STRIDE) @ level
         spread = (BALANCE * self.size(state.betas)) ** 2 + (self.world.up_spread * tall[:, 0]) ** 2
         off = (mean - pushed).square().sum(-1) / spread
-        return (certain * terms.geman_mcclure(off, 4.0)).sum() / len(feet)
+        return (certain * terms.geman_mcclure(off, 4.0)).sum() / len(mass)
 
     def minimise(
         self,
@@ -324,7 +327,7 @@ class Solver:
                 if i % 25 == 0:
                     stands = self.stance(feet.detach(), float(scale.detach()), loose)
                 total = total + self.feet_cost(now, feet, stands, scale, loose)
-                total = total + self.balance_cost(now, joints, feet, stands, scale)
+                total = total + self.balance_cost(now, joints, stands, scale)
             adam.zero_grad()
             total.backward()
             adam.step()

@@ -67,7 +67,9 @@ def film(shot: Shot, captures: Path | None) -> Film:
     width, height = (LONG, SHORT) if shot.wide else (SHORT, LONG)
     K = pinhole(shot.lens / 36 * LONG, width, height)
     viewmats = path(shot, transl, rng)
-    renderer = synthetic._Renderer(model, hall(rng, shot.boxes, np.radians(shot.facing)), betas, K, ClipEffects(clothing=shot.clothing), 1)
+    renderer = synthetic._Renderer(
+        model, hall(rng, shot.boxes, np.radians(shot.facing)), betas, K, ClipEffects(clothing=shot.clothing), 1
+    )
     views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl)
     names = tuple(f"{i:06d}" for i in range(FRAMES))
     cameras = Cameras(names, viewmats, views.Ks, width, height)
@@ -114,7 +116,9 @@ def moved(
         params, soles = animate.Params(fps=FPS), Soles(model, betas)
         placed = animate._placed(Job(out=captures), params, captures / shot.motion, soles, model.parents)
         first = round(shot.start * FPS)
-        motion = tuple(values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl))
+        motion = tuple(
+            values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl)
+        )
         motion[2][:, [0, 2]] -= motion[2][:, [0, 2]].mean(0)
         motion = on_floor(*motion, body, betas)
     orient, pose, transl = motion

@@ -156,7 +156,7 @@ def test_j02_j03_j04_the_floor_is_found_beside_a_wall_and_gives_the_scale(held):
     from stages.avatar.cameras.pinhole import project
 
     pixels, _ = project(soles / clip.scale, views, clip.cameras.Ks)
-    floor = find_floor(clip.points, views, clip.cameras.Ks, pixels, np.full(12, 400.0), up)
+    floor = find_floor(clip.points, views, clip.cameras.Ks, pixels, np.full(12, 400.0), up[None])
     assert floor is not None and floor.normal @ up > 0.99
     relative = soles - clip.scale * centers[:, None]
     scale, spread = floor_scale(floor, relative, centers)
@@ -171,8 +171,8 @@ def test_j04_no_floor_among_few_or_upright_points():
     clip = bodyfit_clips.make(MODEL, frames=6)
     feet = np.full((6, 4, 2), 300.0)
     args = (clip.cameras.viewmats, clip.cameras.Ks, feet, np.full(6, 400.0))
-    assert find_floor(clip.points[:10], *args, np.array([0, 1.0, 0])) is None
-    assert find_floor(np.zeros((0, 3)), *args, np.array([0, 1.0, 0])) is None
+    assert find_floor(clip.points[:10], *args, np.array([[0, 1.0, 0]])) is None
+    assert find_floor(np.zeros((0, 3)), *args, np.array([[0, 1.0, 0]])) is None
 
 
 def test_j02_standing_feet_give_the_scale_without_a_floor():
