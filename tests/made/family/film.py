@@ -33,6 +33,8 @@ HALL = ((0.0, 1.7, 3.2), (5.5, 1.7, 6.6))
 """Middle and half sizes of the room: high and deep enough for any camera of the table."""
 SHAKE, TREMOR = 0.012, 0.006
 """What a hand adds to the camera's place, m, and to its direction, rad."""
+CAPTURE_FPS = 60.0
+"""Of AIST++, whose file does not say it."""
 POINTS, POINT_NOISE, SPOT_NOISE = 1500, 0.003, 0.3
 """Of the cloud: how many, m in any direction, and px that its depth is wrong by."""
 CENTER_NOISE, TURN_NOISE = 0.001, 3e-4
@@ -67,7 +69,9 @@ def film(shot: Shot, captures: Path | None) -> Film:
     width, height = (LONG, SHORT) if shot.wide else (SHORT, LONG)
     K = pinhole(shot.lens / 36 * LONG, width, height)
     viewmats = path(shot, transl, rng)
-    renderer = synthetic._Renderer(model, hall(rng, shot.boxes, np.radians(shot.facing)), betas, K, ClipEffects(clothing=shot.clothing), 1)
+    renderer = synthetic._Renderer(
+        model, hall(rng, shot.boxes, np.radians(shot.facing)), betas, K, ClipEffects(clothing=shot.clothing), 1
+    )
     views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl)
     names = tuple(f"{i:06d}" for i in range(FRAMES))
     cameras = Cameras(names, viewmats, views.Ks, width, height)
@@ -111,10 +115,13 @@ def moved(
     elif captures is None:
         raise ValueError(f"{shot.name} needs the folder of captured motions")
     else:
-        params, soles = animate.Params(fps=FPS), Soles(model, betas)
+        rate = CAPTURE_FPS if shot.motion.endswith(".npz") else None
+        params, soles = animate.Params(fps=FPS, motion_fps=rate), Soles(model, betas)
         placed = animate._placed(Job(out=captures), params, captures / shot.motion, soles, model.parents)
         first = round(shot.start * FPS)
-        motion = tuple(values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl))
+        motion = tuple(
+            values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl)
+        )
         motion[2][:, [0, 2]] -= motion[2][:, [0, 2]].mean(0)
         motion = on_floor(*motion, body, betas)
     orient, pose, transl = motion
