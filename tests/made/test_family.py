@@ -138,6 +138,7 @@ def test_landmarks_come_back_from_the_disk(tmp_path):
         np.testing.assert_array_equal(getattr(pose, name), part)
 
 
+@pytest.mark.slow
 def test_a_child_has_a_larger_head_and_not_other_shapes():
     child, adult = (
         film.person(shots(names=(name,))[0], np.random.default_rng(0)) for name in ("squat_child", "turn_level")
