@@ -32,12 +32,20 @@ from tests.made.family.treadmill import measure_treadmill
 Row = dict[str, float]
 
 
-def rate(shot: Shot, folder: Path, clips: Path | None) -> tuple[str, Row]:
-    """Make the clip if it is not in the folder, fit the body, measure it."""
-    at = folder / shot.name
-    if not (at / "facts.json").exists():
-        make_take(at, shot, clips / "motion" if clips else None)
-    take, truth = read_take(at)
+def prepare(shot: Shot, folder: Path, clips: Path | None) -> None:
+    """Make the clip if it is not in the folder."""
+    if not is_made(shot, folder):
+        make_take(folder / shot.name, shot, clips / "motion" if clips else None)
+
+
+def is_made(shot: Shot, folder: Path) -> bool:
+    """Whether all of the clip is in the folder."""
+    return (folder / shot.name / "facts.json").exists()
+
+
+def rate(shot: Shot, folder: Path) -> tuple[str, Row]:
+    """Fit the body of a clip, and measure it; also the seconds that the fit took."""
+    take, truth = read_take(folder / shot.name)
     begun = time.perf_counter()
     fit, _ = fit_take(take)
     seconds = time.perf_counter() - begun
@@ -73,18 +81,18 @@ def main() -> None:
     named = os.environ.get("HUGS_CLIPS")
     clips = Path(named) if named else None
     wanted = [] if args.clips == ["none"] else shots(args.half, tuple(args.clips))
+    if clips is None and (args.courtyard or args.treadmill):
+        parser.error("HUGS_CLIPS must name the folder of real clips for --courtyard and --treadmill")
     if clips is None:
-        for shot in (
-            shot for shot in wanted if "." in shot.motion and not (args.folder / shot.name / "facts.json").exists()
-        ):
+        missing = [shot for shot in wanted if "." in shot.motion and not is_made(shot, args.folder)]
+        for shot in missing:
             print(f"{shot.name} is left out: HUGS_CLIPS names no folder with motion/{shot.motion}")
-        wanted = [
-            shot for shot in wanted if "." not in shot.motion or (args.folder / shot.name / "facts.json").exists()
-        ]
+        wanted = [shot for shot in wanted if shot not in missing]
     rows: dict[str, Row] = {}
-    print(f"{'':<18}", *(f"{name:>8}" for name in (*COLUMNS, "s")))
     with ProcessPoolExecutor(args.jobs) as pool:
-        for name, row in pool.map(partial(rate, folder=args.folder, clips=clips), wanted):
+        list(pool.map(partial(prepare, folder=args.folder, clips=clips), wanted))
+        print(f"{'':<18}", *(f"{name:>8}" for name in (*COLUMNS, "s")))
+        for name, row in pool.map(partial(rate, folder=args.folder), wanted):
             rows[name] = row
             show(name, list(row.values()))
     if rows:

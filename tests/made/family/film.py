@@ -33,6 +33,8 @@ HALL = ((0.0, 1.7, 3.2), (5.5, 1.7, 6.6))
 """Middle and half sizes of the room: high and deep enough for any camera of the table."""
 SHAKE, TREMOR = 0.012, 0.006
 """What a hand adds to the camera's place, m, and to its direction, rad."""
+CAPTURE_FPS = 60.0
+"""Of AIST++, whose file does not say it."""
 POINTS, POINT_NOISE, SPOT_NOISE = 1500, 0.003, 0.3
 """Of the cloud: how many, m in any direction, and px that its depth is wrong by."""
 CENTER_NOISE, TURN_NOISE = 0.001, 3e-4
@@ -76,7 +78,7 @@ def film(shot: Shot, captures: Path | None) -> Film:
     poses = BodyPoses(names, betas, orient, pose, transl, np.ones(FRAMES))
     points, colors = cloud(renderer, views, rng)
     placed, points = as_sfm_has_it(shot, cameras, points, rng)
-    return Film(views.images, views.masks, model, poses, cameras, placed, points, colors, shot.path != "still")
+    return Film(views.images, views.masks, model, poses, cameras, placed, points, colors[: len(points)], shot.path != "still")
 
 
 def person(shot: Shot, rng: np.random.Generator) -> tuple[BodyModel, np.ndarray]:
@@ -113,7 +115,8 @@ def moved(
     elif captures is None:
         raise ValueError(f"{shot.name} needs the folder of captured motions")
     else:
-        params, soles = animate.Params(fps=FPS), Soles(model, betas)
+        rate = CAPTURE_FPS if shot.motion.endswith(".npz") else None
+        params, soles = animate.Params(fps=FPS, motion_fps=rate), Soles(model, betas)
         placed = animate._placed(Job(out=captures), params, captures / shot.motion, soles, model.parents)
         first = round(shot.start * FPS)
         motion = tuple(

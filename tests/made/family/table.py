@@ -81,14 +81,14 @@ FAMILY = (
     Shot("bend_steep", "asked", "bend", 2.6, 2.2, 0.75, 24, "sideways", 1.0, facing=35, stature=1.76),
     Shot("sit_loose", "asked", "sit", 1.5, 2.9, 0.7, 35, "jitter", facing=-20, clothing=0.06, stature=1.64,
          heavy=0.5, boxes=(CHAIR,), roll=-3),
-    Shot("kneel_tele", "asked", "kneel", 1.3, 7.4, 0.75, 85, "arc", 30, wide=True, facing=60, stature=1.95,
+    Shot("kneel_tele", "asked", "kneel", 1.3, 7.6, 0.95, 85, "arc", 30, wide=True, facing=60, stature=1.95,
          heavy=-0.5),
     Shot("reach_cut", "asked", "reach", 1.3, 2.0, 1.4, 28, "arc", 40, facing=-10, stature=1.80, heavy=1),
     Shot("jump_child", "asked", "jump", 0.8, 2.3, 0.7, 35, "jitter", child=True, stature=1.30, facing=30),
     Shot("lie_low", "asked", "lie", 1.1, 2.8, 0.4, 32, "sideways", 1.2, wide=True, facing=-75, stature=1.45,
          heavy=0.5),
     Shot("dance_still", "asked", "jesse_dance.bvh", 2.0, 4.2, 0.9, 35, "still", wide=True, roll=-8, stature=1.78,
-         start=2.0),
+         start=0.6),
 )  # fmt: skip
 
 

@@ -1,0 +1,149 @@
+"""The family of clips against itself: each shot shows what its row says, and the measures measure it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.body.joints import ANKLES, HEAD
+from stages.avatar.body.smpl import Body
+from stages.avatar.cameras.pinhole import camera_centers, pinhole, project
+from stages.formats.body_model import read_body_model
+from stages.records import BodyPoses, Cameras
+from tests.made.family import film
+from tests.made.family.evidence import Truth, read_tracks, write_tracks
+from tests.made.family.measures import measured, soles_of, stature
+from tests.made.family.motions import MOTIONS
+from tests.made.family.table import FAMILY, FPS, FRAMES, LONG, SHORT, shots
+from tests.made.truth import joints_of
+
+OWN = [shot for shot in FAMILY if "." not in shot.motion]
+CUT = ("kneel_cut", "reach_cut")
+
+
+def made(shot):
+    """The true body model, poses and cameras of a shot, without its pictures."""
+    rng = np.random.default_rng(list(shot.name.encode()))
+    model, betas = film.person(shot, rng)
+    motion = film.moved(shot, Body(model, dtype=torch.float64), model, betas, None)
+    viewmats = film.path(shot, motion[2], rng)
+    width, height = (LONG, SHORT) if shot.wide else (SHORT, LONG)
+    names = tuple(f"{i:06d}" for i in range(FRAMES))
+    Ks = np.tile(pinhole(shot.lens / 36 * LONG, width, height), (FRAMES, 1, 1))
+    return model, BodyPoses(names, betas, *motion, np.ones(FRAMES)), Cameras(names, viewmats, Ks, width, height)
+
+
+def test_both_halves_hold_every_kind_and_the_family_spans_what_the_issue_asks_for():
+    halves = [shots("setting"), shots("asked")]
+    assert [len(half) for half in halves] == [12, 12]
+    assert {shot.name for shot in FAMILY} == {shot.name for half in halves for shot in half}
+    kinds = (
+        "turn",
+        "walk_away",
+        "walk_toward",
+        "walk_across",
+        "squat",
+        "bend",
+        "sit",
+        "kneel",
+        "reach",
+        "lie",
+        "dance",
+    )
+    for half in halves:
+        moved = " ".join(shot.motion for shot in half)
+        assert all(kind in moved for kind in kinds)
+        assert any("jump" in shot.motion for shot in half)
+        assert {"arc", "sideways", "forward", "jitter", "still"} <= {shot.path for shot in half} | {"little"}
+        assert sum(shot.path == "still" for shot in half) == 1
+        assert (
+            any(shot.child for shot in half)
+            and any(shot.clothing for shot in half)
+            and any(shot.boxes for shot in half)
+        )
+        assert any(shot.name in CUT for shot in half)
+    pitches = [np.degrees(np.arctan2(shot.height - shot.aim, shot.distance)) for shot in FAMILY]
+    assert min(pitches) < -10 and 35 < max(pitches) < 42
+    assert min(shot.height for shot in FAMILY) == 0.4 and max(shot.height for shot in FAMILY) == 2.6
+    with pytest.raises(ValueError, match="no clip nobody"):
+        shots(None, ("nobody",))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shot", OWN, ids=lambda shot: shot.name)
+def test_a_shot_shows_a_person_on_the_floor_whose_standing_feet_stand(shot):
+    model, poses, cameras = made(shot)
+    assert stature(model, poses) == pytest.approx(shot.stature, abs=2e-3)
+    assert abs(poses.betas).max() < 2.5
+    soles = soles_of(model, poses)
+    low = soles[..., 1].min((1, 2))
+    if shot.motion == "jump":
+        assert low.max() > 0.1, "flies"
+        assert np.median(low) < 0.03
+    else:
+        assert low.max() < 0.12 and np.median(low) < 0.03
+    if shot.motion in MOTIONS:
+        planned = MOTIONS[shot.motion](np.arange(FRAMES) / FPS)
+        flat = np.maximum(planned.feet[..., 1], planned.heels) + planned.flight[:, None] < 1e-6
+        stands = flat[1:] & flat[:-1]
+        assert stands.any()
+        moved = np.linalg.norm(np.diff(soles.mean(2), axis=0)[..., [0, 2]], axis=-1)
+        assert moved[stands].max() < 0.004, "a foot that stands does not slide"
+    pixels, depths = project(joints_of(poses, model), cameras.viewmats, cameras.Ks)
+    assert depths.min() > 0.5
+    inside = ((pixels > 0) & (pixels < [cameras.width, cameras.height])).all(-1)
+    if shot.name in CUT:
+        assert not inside[:, ANKLES].all() and inside[:, HEAD].mean() > 0.5
+    else:
+        assert inside.mean() > 0.99
+
+
+@pytest.mark.slow
+def test_what_is_off_is_told_with_its_sign():
+    """A true body pushed toward the camera, leant toward it, made taller: each column says what was done."""
+    model, poses, cameras = made(shots(names=("reach_low",))[0])
+    truth = Truth(model, poses, cameras)
+    none = measured(poses, model, cameras, True, truth)
+    assert none["world"] < 1e-6 and abs(none["lean"]) < 1e-6 and none["slide"] < 1e-6 and abs(none["scale%"]) < 1e-9
+    toward = camera_centers(cameras.viewmats) - joints_of(poses, model)[:, 0]
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    near = measured(replace(poses, transl=poses.transl + 0.1 * toward), model, cameras, True, truth)
+    assert near["along"] == pytest.approx(-10) and near["across"] == pytest.approx(0, abs=1e-6)
+    assert near["world"] == pytest.approx(10) and near["pelvis"] == pytest.approx(0, abs=1e-6)
+    axis = np.cross([0, 1, 0], toward * [1, 0, 1])
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    leant = Rotation.from_rotvec(np.radians(8) * axis) * Rotation.from_rotvec(poses.global_orient)
+    bowed = measured(replace(poses, global_orient=leant.as_rotvec()), model, cameras, True, truth)
+    assert bowed["lean"] == pytest.approx(8, abs=0.2)
+    assert bowed["head-ft"] < -10 and bowed["procr"] == pytest.approx(0, abs=1e-4)
+    doubled = replace(cameras, viewmats=cameras.viewmats * np.array([1, 1, 1, 2])[:, None].T)
+    scaled = measured(replace(poses, world_from_sfm=0.55), model, doubled, True, truth)
+    assert scaled["scale%"] == pytest.approx(10) and scaled["tall%"] == pytest.approx(100 / 1.1 - 100)
+
+
+def test_landmarks_come_back_from_the_disk(tmp_path):
+    from stages.estimators.person.blazepose import Pose, Roi
+
+    rng = np.random.default_rng(0)
+    parts = rng.standard_normal((33, 2)), rng.random(33), rng.random(33), rng.standard_normal((33, 3))
+    write_tracks(tmp_path / "tracks.npz", [None, Pose(*parts, 0.9, Roi(1.0, 2, 3, 4), Roi(5.0, 6, 7, 8))])
+    nobody, pose = read_tracks(tmp_path / "tracks.npz")
+    assert nobody is None
+    assert pose.presence == 0.9 and pose.roi == Roi(1, 2, 3, 4) and pose.next_roi == Roi(5, 6, 7, 8)
+    for part, name in zip(parts, ("xy", "z", "visibility", "world")):
+        np.testing.assert_array_equal(getattr(pose, name), part)
+
+
+@pytest.mark.slow
+def test_a_child_has_a_larger_head_and_not_other_shapes():
+    child, adult = (
+        film.person(shots(names=(name,))[0], np.random.default_rng(0)) for name in ("squat_child", "turn_level")
+    )
+    free = read_body_model()
+    head = free.lbs_weights[:, 15] > 0.99
+    sizes = [np.ptp(model.v_template[head, 1]) / np.ptp(model.v_template[:, 1]) for model, _ in (child, adult)]
+    assert sizes[0] == pytest.approx(sizes[1] * film.HEAD, rel=0.05)
