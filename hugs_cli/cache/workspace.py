@@ -180,26 +180,35 @@ class Workspace:
         if path is None:
             return None
         memory = self.root / "sources.json"
-        known, stat = read_json(memory), fingerprint.stat_digest(path)
+        known, stat, place = read_json(memory), fingerprint.stat_digest(path), os.path.abspath(path)
         entry = known.get(name)
-        if (
-            isinstance(entry, dict)
-            and (entry.get("path"), entry.get("stat")) == (str(path), stat)
-            and "sha256" in entry
-        ):
+        if isinstance(entry, dict) and (entry.get("path"), entry.get("stat")) == (place, stat) and "sha256" in entry:
             return str(entry["sha256"])
         sha256 = fingerprint.content_digest(path)
         files = fingerprint.files_under(path).values()
         size = sum(file.stat().st_size for file in files)
-        entry = {"path": str(path), "size": size, "files": len(files), "stat": stat, "sha256": sha256}
+        entry = {"path": place, "size": size, "files": len(files), "stat": stat, "sha256": sha256}
         with suppress(OSError):  # no folder yet, or one that may only be read: it costs time, not correctness
             write_json(memory, {**known, name: entry})
         return sha256
 
-    def with_content(self, stage: str, content: str | None) -> Path | None:
-        """A stored result of a stage with that content, or None."""
-        stamps = {folder: Stamp.read(folder) for folder in sorted(self.store.glob(f"{stage}-*"))}
-        return next((folder for folder, stamp in stamps.items() if stamp and stamp.content == content), None)
+    def with_content(self, stage: str, content: str | None) -> Iterator[tuple[Path, Stamp]]:
+        """The stored results of a stage that have that content."""
+        for folder in sorted(self.store.glob(f"{stage}-*")):
+            stamp = Stamp.read(folder)
+            if stamp and stamp.content == content:
+                yield folder, stamp
+
+    def films(self, stamp: Stamp) -> set[str]:
+        """Digests of the films that a result goes back to through the stored results before it; empty where these are
+        gone. Films that give the same frames share all later results."""
+        found, open_ = set(), list(stamp.inputs.items())
+        for need, content in open_:
+            if need == "video" and content:
+                found.add(content)
+            for _, before in self.with_content(need, content):
+                open_ += [item for item in before.inputs.items() if item not in open_]
+        return found
 
     def log_run(self, **facts: Any) -> None:
         """Add a line to runs.jsonl. Without facts: only test that it can be written."""

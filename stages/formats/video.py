@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -167,8 +168,19 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
 
     An odd width or height gets its last column or row repeated. Raises ValueError without frames or with mixed sizes.
     """
-    part = f"{os.fspath(path)}.part"
-    with av.open(part, "w", format="mp4", options={"movflags": "+faststart"}) as container:
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        encode(part, frames, fps, crf)
+        os.replace(part, path)
+    finally:
+        with suppress(OSError):  # it is there only where something failed
+            part.unlink()
+
+
+def encode(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int) -> None:
+    """Encode frames into a file, see `write_video`."""
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream, size = None, None
         for frame in frames:
             if stream is None:
@@ -187,4 +199,3 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
         if stream is None:
             raise ValueError("a video needs at least one frame")
         container.mux(stream.encode(None))
-    os.replace(part, path)
