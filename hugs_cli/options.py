@@ -79,7 +79,7 @@ def open_session(
 
     Also names the results of other commands: `default.10m` of `--within 10m`, `default.seed1` of `hugs ablate`.
     """
-    chosen = () if person is None else (f"masks.person={person}",)
+    chosen = () if person is None else (("masks", "person", person),)
     base, dot, last = pipeline.rpartition(".")
     within_time, seeded = bool(dot) and within.is_time(last), SEED.fullmatch(last) if dot else None
     loaded = pipelines.load(base if within_time or seeded else pipeline, (*(set_ or ()), *chosen), pipelines_file)
