@@ -14,6 +14,7 @@ import json
 import os
 import re
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,8 @@ class Code:
             part.write_text(json.dumps({"format": FORMAT, "modules": modules}))
             os.replace(part, self.memory)
         except OSError:
-            part.unlink(missing_ok=True)
+            with suppress(OSError):  # where nothing may be written, nothing may be removed
+                part.unlink()
 
 
 def read_memory(memory: Path) -> dict[str, Any]:

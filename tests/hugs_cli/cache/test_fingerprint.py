@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ast
+import errno
+import os
 import shutil
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -185,3 +188,19 @@ def test_links_that_lead_back_end_and_two_names_of_one_folder_both_count(pool):
     (pool / "set/again").unlink()
     (pool / "set/again").symlink_to("../pool")
     assert content_digest(pool / "set") != content
+
+
+def test_a_memory_that_cannot_be_written_costs_time_only(package, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    code = Code(tmp_path / "file/code.json")
+    assert code.digests("pkg.stage")
+    code.save()
+
+    def refuse(*args, **options):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    code = Code(tmp_path / "code.json")
+    assert code.digests("pkg.stage")
+    monkeypatch.setattr(Path, "write_text", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    code.save()
