@@ -195,6 +195,8 @@ def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work"))
             console.result(f"{said} {words.relative(folder)}  {words.size(size_of(folder))}")
             if not dry_run:
                 shutil.rmtree(folder)
+        for stray in workspace.strays():
+            console.say(f"{words.relative(stray)} is left alone: no run made it")
     console.result(f"{words.size(freed)} {'to free' if dry_run else 'freed'}")
 
 

@@ -9,12 +9,15 @@ from typer import Argument, Option
 
 from hugs_cli import options, words
 from hugs_cli.cache import engine
-from hugs_cli.cache.workspace import Stamp, Workspace
+from hugs_cli.cache.workspace import Stamp, Workspace, clip_name
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import DeviceName, PipelineName, Work
+from hugs_cli.outputs import check_out, remember_out
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
+
+Overwrite = Annotated[bool, Option("--force", help="Write over what others made; never over a source or a result.")]
 
 
 def render(
@@ -25,24 +28,30 @@ def render(
     out: Annotated[Path, Option(help="Folder for the PNGs (with alpha).")],
     poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
+    force: Overwrite = False,
     pipeline: PipelineName = "default",
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
-    """Render the result of `hugs run` for your own cameras and poses."""
+    """Render the result of `hugs run` for your own cameras and poses.
+
+    Pictures that it made itself are drawn again; a folder with anything else in it needs --force.
+    """
     (train,) = finished(video, work, pipeline, "train")
     check_files(cameras, poses)
+    check_out(out, work, (video, cameras, poses), force, is_folder=True)
     where = engine.device_of(device.value)
     console = Console()
     job = Job(out, where, emit=lambda event: console.say(event["text"]))
     run_directly("stages.views", job, {"only": only.value}, train=train, cameras=cameras, poses=poses)
+    remember_out(out, work)
     console.result(words.relative(out))
 
 
 def animate(
     video: options.Video,
     motion: Annotated[Path, Argument(help="A BVH of any person's skeleton, or an npz of SMPL poses.")],
-    out: Annotated[Path, Option(help="The video to write (mp4).")] = Path("motion.mp4"),
+    out: Annotated[Path | None, Option(help="The video to write (mp4).", show_default="CLIP-MOTION.mp4")] = None,
     only: Annotated[options.Only, Option(help="human: over white; both: in the scene.")] = options.Only.both,
     fps: Annotated[float, Option(min=0.1, max=240, help="Frames a second of the video.")] = 30,
     cameras: Annotated[
@@ -52,20 +61,24 @@ def animate(
         float | None, Option(min=0.1, help="Frames a second of the motion; the file's if none.")
     ] = None,
     up: Annotated[options.Up | None, Option(help="Up in the file; where pelvises point if none.")] = None,
+    force: Overwrite = False,
     pipeline: PipelineName = "default",
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
     """Let the person perform a motion file.
 
-    They stay where they stood in the clip. No network runs.
+    They stay where they stood in the clip. No network runs. A video that it made itself is drawn again; any other file
+    needs --force.
     """
     train, sfm, smpl = finished(video, work, pipeline, "train", "sfm", "smpl")
     check_files(motion, cameras)
     if only is options.Only.scene:
         raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
+    out = out or Path(f"{clip_name(video)}-{motion.stem}.mp4")
     if out.suffix.lower() != ".mp4":
         raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
+    check_out(out, work, (video, motion, cameras), force)
     where = engine.device_of(device.value)
     console = Console()
     console.started("animate", ())
@@ -82,20 +95,34 @@ def animate(
     settings = {"fps": fps, "motion_fps": motion_fps, "up": up and up.value, "only": only.value}
     inputs = {"motion": motion, "train": train, "sfm": sfm, "smpl": smpl, "cameras": cameras}
     run_directly("stages.animate", Job(out, where, emit=heard), settings, **inputs)
+    remember_out(out, work)
     console.say(f"{words.count(frames, 'frame')}, {words.duration(frames / fps)} at {fps:g} fps")
     console.result(words.relative(out))
 
 
 def finished(video: Path, work: Path, pipeline: str, *stages: str) -> list[Path]:
-    """The folders of these stages as the pipeline last made them; UsageError where one is missing."""
-    folders = []
+    """The folders of these stages as the pipeline last made them; UsageError where one is missing or of another film."""
+    if not video.exists():
+        raise UsageError(f"no video at {video}", "check the path")
+    command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
+    folders, workspace = [], Workspace(video, work, pipeline)
     for stage in stages:
-        folder = Workspace(video, work, pipeline).linked(stage)
-        if folder is None or Stamp.read(folder) is None:
-            command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
+        folder = workspace.linked(stage)
+        stamp = Stamp.read(folder) if folder else None
+        if folder is None or stamp is None:
             raise UsageError(f"no finished {stage} of {video.name} in pipeline {pipeline}", f"`{command}`")
+        check_film(video, workspace, stamp, f"`{command}` brings it up to date; `--work` keeps films of one name apart")
         folders.append(folder)
     return folders
+
+
+def check_film(video: Path, workspace: Workspace, stamp: Stamp, hint: str) -> None:
+    """UsageError for a result that goes back to another film than `video`: films of one name share a work folder."""
+    film, films = workspace.source("video", video), sorted(workspace.films(stamp))
+    if film not in films:
+        made_from = " or ".join(one[:12] for one in films) or "unknown: results before it are gone"
+        facts = [f"digest of {video}: {str(film)[:12]}", f"of the film behind {stamp.stage}: {made_from}"]
+        raise UsageError(f"{stamp.stage} was not made from {video}, or that has changed since", hint, facts)
 
 
 def check_files(*paths: Path | None) -> None:

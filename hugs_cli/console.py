@@ -14,7 +14,7 @@ from hugs_cli.cache.child import Outcome
 from hugs_cli.cache.engine import StageFailed
 from hugs_cli.cache.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
 from hugs_cli.cache.workspace import Stamp
-from hugs_cli.words import ago, count, duration, number
+from hugs_cli.words import ago, count, duration, number, plain
 from stages.contract import StageError
 
 if TYPE_CHECKING:
@@ -81,19 +81,20 @@ class Console:
     # results
 
     def result(self, text: str = "") -> None:
-        """One line of a command's result."""
-        print(text, file=self.out, flush=True)
+        """A line of a command's result, or several."""
+        print("\n".join(map(plain, text.split("\n"))), file=self.out, flush=True)
 
     def error(self, error: StageError) -> None:
         """The problem, facts, a blank line and the hint; for a bug the traceback first."""
         self.clear()
-        if isinstance(error, StageFailed) and error.traceback:
-            self.say(error.traceback.rstrip())
-        self.say(f"{self.paint('error:', 31)} {error.problem}")
+        if isinstance(error, StageFailed):
+            for line in error.traceback.splitlines():
+                self.say(line)
+        self.say(error.problem, before=f"{self.paint('error:', 31)} ")
         for fact in error.facts:
             self.say(f"  {fact}")
         if error.hint:
-            self.say(f"\n{self.paint('hint:', 36)} {error.hint}")
+            self.say(error.hint, before=f"\n{self.paint('hint:', 36)} ")
 
     def stopped(self, stage: str, continues: bool) -> None:
         """The run was asked to stop and did."""
@@ -102,10 +103,10 @@ class Console:
 
     # progress
 
-    def say(self, text: str) -> None:
-        """One line to stderr, after the moving row is wiped."""
+    def say(self, text: str, before: str = "") -> None:
+        """One line to stderr, after the moving row is wiped. Only `before` may hold control characters."""
         self.clear()
-        print(text, file=self.err, flush=True)
+        print(f"{before}{plain(text)}", file=self.err, flush=True)
 
     def header(self, clip: str, facts: str, pipeline: str, folder: str) -> None:
         """The first line of a run."""
@@ -113,7 +114,7 @@ class Console:
 
     def row(self, stage: str, state: str, seconds: str, text: str) -> str:
         """Stage, state, time, text in columns."""
-        return f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}{seconds:<{TIME_WIDTH}}{text}".rstrip()
+        return plain(f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}{seconds:<{TIME_WIDTH}}{text}".rstrip())
 
     def below(self, text: str) -> None:
         """A line under the row of a stage."""
@@ -162,7 +163,7 @@ class Console:
 
     def warning(self, text: str) -> None:
         """A warning about a result, under its row."""
-        self.below(f"{self.paint('warning:', 33)} {text}")
+        self.say(text, before=f"  {'':<{self.name_width}}{self.paint('warning:', 33)} ")
 
     def draw(self, stage: str) -> None:
         """Show how far the running stage is: redraw the row on a terminal, elsewhere a line every minute."""
@@ -178,7 +179,7 @@ class Console:
             if (left := progress.left(now)) is not None:
                 text = f"{text}  about {duration(left)} left".strip()
         if self.live:
-            line = f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}  {elapsed:<7}  {text}".rstrip()
+            line = f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}  {elapsed:<7}  {plain(text)}".rstrip()
             self.err.write(f"\r\x1b[2K{line[: shutil.get_terminal_size().columns - 1]}")
             self.err.flush()
         else:
@@ -205,7 +206,7 @@ class Console:
             text = f"made {ago(stamp.made)}" if stamp and verdict.fresh else reasons_text(verdict.reasons)
             self.result(self.row(name, verdict.state, took, text))
             for warning in stamp.warnings if stamp and verdict.fresh else []:
-                self.result(f"  {'':<{self.name_width}}warning: {warning}")
+                self.result(f"  {'':<{self.name_width}}warning: {plain(warning)}")
 
     def why(self, verdict: Verdict, now: dict[str, str]) -> None:
         """Everything about one stage: what its last result was made of, and what differs. `now`: versions by name."""

@@ -13,9 +13,11 @@ from hugs_cli import pipelines, within
 from hugs_cli.cache.fingerprint import Code
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace
+from hugs_cli.pipelines import UsageError
 from hugs_cli.studies.comparison import SEEDED
 
-SEED = re.compile(r"seed(\d+)")
+SEED = re.compile(r"seed([0-9]{1,19})")
+MAX_SEED = 2**63 - 1  # torch takes up to 2**64 - 1, and studies count up from the seed given
 CODE_MEMORY = ".code.json"  # in the work folder; see fingerprint.Code
 
 
@@ -55,7 +57,7 @@ Person = Annotated[str | None, Option(help="Person to track if several are visib
 Cameras = Annotated[Path | None, Option(help="Cameras to import: a COLMAP model's folder, or transforms.json.")]
 SmplFit = Annotated[Path | None, Option(help="Body poses to import: the file or folder of another tool.")]
 BodyModel = Annotated[Path | None, Option(help="SMPL model (.pkl, .npz) in place of the free body.")]
-Seed = Annotated[int, Option(help="Random seed; results are cached per seed.")]
+Seed = Annotated[int, Option(min=0, max=MAX_SEED, help="Random seed; results are cached per seed.")]
 AsJson = Annotated[bool, Option("--json", help="Print the result as JSON.")]
 DryRun = Annotated[bool, Option("--dry-run", help="Only show the plan.")]
 Force = Annotated[bool, Option("--force", help="Run the named stages (all if none) again.")]
@@ -79,7 +81,7 @@ def open_session(
 
     Also names the results of other commands: `default.10m` of `--within 10m`, `default.seed1` of `hugs ablate`.
     """
-    chosen = () if person is None else (f"masks.person={person}",)
+    chosen = () if person is None else (("masks", "person", person),)
     base, dot, last = pipeline.rpartition(".")
     within_time, seeded = bool(dot) and within.is_time(last), SEED.fullmatch(last) if dot else None
     loaded = pipelines.load(base if within_time or seeded else pipeline, (*(set_ or ()), *chosen), pipelines_file)
@@ -90,6 +92,8 @@ def open_session(
         "smpl_fit": smpl_fit,
         "body_model": body_model,
     }
+    if seeded and int(seeded[1]) > MAX_SEED:
+        raise UsageError(f"pipeline {pipeline}: no such seed", f"seeds go from 0 to {MAX_SEED}")
     seeds = dict.fromkeys(SEEDED, int(seeded[1])) if seeded else {}
     session = Session(Workspace(video, work, pipeline), loaded, sources, seed, Code(work / CODE_MEMORY), seeds)
     return within.last_promise(session, last) if within_time else session

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import graphlib
 import re
+import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import files
@@ -13,6 +14,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from hugs_cli import plain_yaml
 from hugs_cli.studies import variants
 from stages.contract import Params, StageError, changes_speed_only, load_stage
 
@@ -74,8 +76,11 @@ class Pipeline:
         return [name for name in self.stages if name in found]
 
 
-def load(name: str, overrides: Iterable[str] = (), file: Path = FILE) -> Pipeline:
-    """Read one pipeline, apply `stage.param=value` overrides, and check it all; UsageError says what is wrong.
+Override = tuple[str, str, Any]  # stage, setting, value
+
+
+def load(name: str, overrides: Iterable[str | Override] = (), file: Path = FILE) -> Pipeline:
+    """Read one pipeline, apply overrides (`stage.param=value` as text), and check it all; UsageError says what is wrong.
 
     `NAME.VARIANT` is a variant of pipeline NAME, see variants.py.
     """
@@ -83,9 +88,9 @@ def load(name: str, overrides: Iterable[str] = (), file: Path = FILE) -> Pipelin
     entry = merged(name, read_yaml(file), file)
     stages = entry["stages"]
     for override in overrides:
-        stage, param, value = parse_override(override)
+        stage, param, value = parse_override(override) if isinstance(override, str) else override
         if stage not in stages:
-            raise unknown("stage", stage, stages, f"--set {override}")
+            raise unknown("stage", stage, stages, f"--set {stage}.{param}")
         stages[stage]["params"][param] = value
     checked = {stage: check_stage(stage, stages[stage], stages, name) for stage in running_order(stages, name)}
     pipeline = Pipeline(name, entry["doc"], checked)
@@ -109,15 +114,14 @@ def names(file: Path = FILE) -> dict[str, str]:
 
 def read_yaml(file: Path) -> dict[str, Any]:
     """The file as a mapping of pipelines; UsageError if it is missing or no such mapping."""
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        content = yaml.load(file.read_text(encoding="utf-8"), loader)
+        content = plain_yaml.read(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise UsageError(
             f"cannot read {file}", "give the file with `--pipelines-file`", [str(error.strerror)]
         ) from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date or a letter that is none
-        raise UsageError(f"{file} is not valid YAML", "mend the line named above", str(error).splitlines()) from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise UsageError(f"{file} is not valid YAML", "mend what is named above", str(error).splitlines()) from error
     if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
         raise UsageError(f"{file} holds no pipelines", "it maps a pipeline's name to doc, extends and stages")
     return content
@@ -153,7 +157,9 @@ def merged(name: str, content: dict[str, Any], file: Path, seen: tuple[str, ...]
 def check_keys(value: Any, allowed: tuple[str, ...] | None, where: str) -> dict[str, Any]:
     """The value if it is a mapping of allowed keys, else UsageError with the nearest allowed key."""
     if not isinstance(value, dict):
-        raise UsageError(f"{where}: a mapping is needed, not {value!r}", "see the other pipelines for the form")
+        raise UsageError(
+            f"{where}: a mapping is needed, not {reprlib.repr(value)}", "see the other pipelines for the form"
+        )
     for key in value:
         if allowed is not None and key not in allowed:
             raise unknown("key", str(key), allowed, where)
@@ -209,22 +215,25 @@ def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) 
         return kind(**values)
     except ValidationError as error:
         facts = [
-            f"{stage}.{'.'.join(map(str, e['loc']))}: {e['msg'][0].lower()}{e['msg'][1:]}, got {e['input']!r}"
+            f"{stage}.{'.'.join(map(str, e['loc']))}: {e['msg'][0].lower()}{e['msg'][1:]}, got {reprlib.repr(e['input'])}"
             for e in error.errors(include_url=False)
         ]
         raise UsageError(f"{where}: settings are not valid", f"`hugs stages {stage}` lists them", facts) from error
 
 
-def parse_override(text: str) -> tuple[str, str, Any]:
+def parse_override(text: str) -> Override:
     """`stage.param=value` -> its parts, the value read as YAML."""
     target, equals, value = text.partition("=")
     stage, dot, param = target.strip().partition(".")
     if not (equals and dot and stage and param):
         raise UsageError(f"--set {text} is not understood", "write `--set stage.param=value`")
     try:
-        return stage, param, yaml.safe_load(value)
-    except yaml.YAMLError as error:
-        raise UsageError(f"--set {text}: the value is not understood", "quote it for the shell") from error
+        return stage, param, plain_yaml.read(value)
+    except (yaml.YAMLError, ValueError) as error:
+        start = text if len(text) < 80 else f"{text[:80]}..."
+        raise UsageError(
+            f"--set {start}: the value is not understood", "quote it for the shell", str(error).splitlines()
+        ) from error
 
 
 def unknown(kind: str, name: str, allowed: Iterable[str], where: str) -> UsageError:

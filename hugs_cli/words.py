@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+
+
+def plain(text: str) -> str:
+    """The text on one line, with line ends and control characters (a terminal obeys them) written as \\n and \\x1b."""
+    return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def duration(seconds: float) -> str:
@@ -52,5 +60,5 @@ def count(number: int, what: str) -> str:
 
 
 def relative(path: Path) -> str:
-    """A path as short as it can be said from here."""
-    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)
+    """A path as short as it can be said from here, on one line."""
+    return plain(os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path))

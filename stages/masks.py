@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
+
+from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
@@ -37,7 +39,7 @@ class Params(contract.Params):
 
     invert: Literal["auto", "always", "never"] = "auto"
     """Swap person and background of given masks. auto: if they mark most of the picture and of its border."""
-    person: int | str | None = None
+    person: Annotated[str, Field(coerce_numbers_to_str=True)] | None = None
     """Person to follow if several are visible: an id that the stage lists when it runs. Default: the largest."""
 
 

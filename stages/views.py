@@ -52,5 +52,7 @@ def run(job: Job, params: Params, *, train: Path, cameras: Path, poses: Path | N
         scene = learned.shade(learned.scene, None if human is None else chosen[i]) if only != "human" else None
         image, alpha = draw(human, scene, Camera.of(path.viewmats[i], path.Ks[i], path.width, path.height))
         color = image / np.maximum(alpha, 1 / 255)[..., None]
-        write_image(job.out / f"{name}.png", to_uint8(np.concatenate([color, alpha[..., None]], 2)))
+        picture = job.out / f"{name}.png"
+        picture.unlink(missing_ok=True)  # it may be a link to somebody's picture
+        write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
     job.note(f"{len(path)} picture{'' if len(path) == 1 else 's'} of {only}")

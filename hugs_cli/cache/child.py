@@ -41,7 +41,7 @@ LIBRARIES = {
 """Libraries that compute: module -> name of the package."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
-GONE = (errno.ENOENT, errno.EIO, errno.ESTALE, errno.ENOTDIR, errno.EISDIR)
+GONE = (errno.ENOENT, errno.EIO, errno.ESTALE, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 PROGRESS_EVERY = 0.1  # s between progress events of one stage
 TORCH_MEMORY = ("OutOfMemoryError", "can't allocate memory")  # how torch says it, on a GPU and without
 TICK = 0.25  # s between looks at the clock

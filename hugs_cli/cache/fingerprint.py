@@ -14,6 +14,7 @@ import json
 import os
 import re
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +36,29 @@ def file_digest(path: Path) -> str:
 
 
 def files_under(path: Path) -> dict[str, Path]:
-    """The files of a folder by relative name, without hidden ones. For a file: itself, named ''."""
+    """The files of a folder by relative name, without hidden ones. For a file: itself, named ''.
+
+    Linked folders are gone into, as stages do, but no folder is gone into inside itself.
+    """
     if path.is_file():
         return {"": path}
     found = {}
-    for folder, folders, files in os.walk(path):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
+    around: dict[str, set[tuple[int, int]]] = {}  # folder -> those that it lies in
+    for folder, folders, files in os.walk(path, followlinks=True):
+        lies_in = around.pop(folder, set()) | {identity(folder)}
+        seen = (name for name in folders if not name.startswith("."))
+        folders[:] = sorted(name for name in seen if identity(os.path.join(folder, name)) not in lies_in)
+        around |= {os.path.join(folder, name): lies_in for name in folders}
         for name in sorted(files):
             if not name.startswith("."):
                 found[(Path(folder) / name).relative_to(path).as_posix()] = Path(folder) / name
     return found
+
+
+def identity(folder: str) -> tuple[int, int]:
+    """What a folder has in common with no other, by whatever name it is reached."""
+    stat = os.stat(folder)
+    return stat.st_dev, stat.st_ino
 
 
 def content_digest(path: Path) -> str:
@@ -117,7 +131,8 @@ class Code:
             part.write_text(json.dumps({"format": FORMAT, "modules": modules}))
             os.replace(part, self.memory)
         except OSError:
-            part.unlink(missing_ok=True)
+            with suppress(OSError):  # where nothing may be written, nothing may be removed
+                part.unlink()
 
 
 def read_memory(memory: Path) -> dict[str, Any]:

@@ -245,8 +245,8 @@ class Session:
         """The reason; for a changed input with the decisions that its stage takes differently now."""
         if last is None or not isinstance(reason, InputChanged) or reason.name not in before:
             return reason
-        old = self.workspace.with_content(reason.name, last.inputs.get(reason.name))
-        folders = (old, before[reason.name].folder)
+        old = next(self.workspace.with_content(reason.name, last.inputs.get(reason.name)), None)
+        folders = (old and old[0], before[reason.name].folder)
         was, now = (decisions(folder, reason.name) if folder else {} for folder in folders)
         words = {True: "on", False: "off"}
         decided = (

@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -28,6 +29,7 @@ from hugs_cli.pipelines import UsageError
 STAMP, LOG = "stamp.json", "log.txt"
 OURS = (STAMP, LOG)  # in a result's folder, but no part of the result
 PART, OLD = ".part", ".old"
+RESULT = re.compile(r"[a-z][a-z0-9_]*-[0-9a-f]{8}(\.part|\.old)?")
 
 
 def with_zone(text: str) -> str:
@@ -152,18 +154,30 @@ class Workspace:
 
     def linked(self, stage: str) -> Path | None:
         """The store folder that the pipeline's link of a stage points to."""
-        link = self.links / stage
-        return self.store / os.path.basename(os.readlink(link)) if link.is_symlink() else None
+        name = result_behind(self.links / stage)
+        return self.store / name if name else None
 
     def link(self, stage: str, folder: Path) -> None:
         """Point this pipeline's link at a result, in one step."""
-        if self.linked(stage) == folder:
-            return
         self.links.mkdir(exist_ok=True)
-        new = self.links / f".{stage}.new"
+        self._point(self.links / stage, folder)
+
+    def _point(self, link: Path, folder: Path) -> None:
+        """Point a link at a result; a copy of a result that stands in the link's place goes to the store."""
+        name = result_behind(link)
+        if link.is_dir() and not link.is_symlink():
+            if name is None:
+                raise UsageError(f"{link} is no result, and stands where one is linked", "move it away, and run again")
+            old = self.store / (name + OLD)
+            shutil.rmtree(old, ignore_errors=True)
+            shutil.move(link, old if (self.store / name).exists() else self.store / name)
+            shutil.rmtree(old, ignore_errors=True)
+        elif name == folder.name:
+            return
+        new = link.with_name(f".{link.name}.new")
         new.unlink(missing_ok=True)
         new.symlink_to(os.path.join("..", "store", folder.name))
-        os.replace(new, self.links / stage)
+        os.replace(new, link)
 
     def publish(self, part: Path, folder: Path) -> None:
         """Give a stamped folder its final name. Replaces a damaged or forced one of that name."""
@@ -180,26 +194,35 @@ class Workspace:
         if path is None:
             return None
         memory = self.root / "sources.json"
-        known, stat = read_json(memory), fingerprint.stat_digest(path)
+        known, stat, place = read_json(memory), fingerprint.stat_digest(path), os.path.abspath(path)
         entry = known.get(name)
-        if (
-            isinstance(entry, dict)
-            and (entry.get("path"), entry.get("stat")) == (str(path), stat)
-            and "sha256" in entry
-        ):
+        if isinstance(entry, dict) and (entry.get("path"), entry.get("stat")) == (place, stat) and "sha256" in entry:
             return str(entry["sha256"])
         sha256 = fingerprint.content_digest(path)
         files = fingerprint.files_under(path).values()
         size = sum(file.stat().st_size for file in files)
-        entry = {"path": str(path), "size": size, "files": len(files), "stat": stat, "sha256": sha256}
+        entry = {"path": place, "size": size, "files": len(files), "stat": stat, "sha256": sha256}
         with suppress(OSError):  # no folder yet, or one that may only be read: it costs time, not correctness
             write_json(memory, {**known, name: entry})
         return sha256
 
-    def with_content(self, stage: str, content: str | None) -> Path | None:
-        """A stored result of a stage with that content, or None."""
-        stamps = {folder: Stamp.read(folder) for folder in sorted(self.store.glob(f"{stage}-*"))}
-        return next((folder for folder, stamp in stamps.items() if stamp and stamp.content == content), None)
+    def with_content(self, stage: str, content: str | None) -> Iterator[tuple[Path, Stamp]]:
+        """The stored results of a stage that have that content."""
+        for folder in sorted(self.store.glob(f"{stage}-*")):
+            stamp = Stamp.read(folder)
+            if stamp and stamp.content == content:
+                yield folder, stamp
+
+    def films(self, stamp: Stamp) -> set[str]:
+        """Digests of the films that a result goes back to through the stored results before it; empty where these are
+        gone. Films that give the same frames share all later results."""
+        found, open_ = set(), list(stamp.inputs.items())
+        for need, content in open_:
+            if need == "video" and content:
+                found.add(content)
+            for _, before in self.with_content(need, content):
+                open_ += [item for item in before.inputs.items() if item not in open_]
+        return found
 
     def log_run(self, **facts: Any) -> None:
         """Add a line to runs.jsonl. Without facts: only test that it can be written."""
@@ -227,19 +250,34 @@ class Workspace:
 
     def garbage(self) -> list[Path]:
         """Results that no pipeline links to, and leftovers of stopped or killed runs."""
-        linked = {
-            os.path.basename(os.readlink(link))
-            for link in self.root.glob("*/*")
-            if link.is_symlink() and link.parent != self.store
-        }
-        return sorted(folder for folder in self.store.glob("*") if folder.name not in linked)
+        linked = {result_behind(link) for link in self.root.glob("*/*") if link.parent != self.store}
+        return sorted(one for one in self.store.glob("*") if is_result(one) and one.name not in linked)
+
+    def strays(self) -> list[Path]:
+        """What lies in the store and was not made by a run."""
+        return sorted(one for one in self.store.glob("*") if not is_result(one))
 
     def relink(self, old: Path, new: Path) -> None:
         """Point every pipeline's link from one result to another."""
         for link in self.root.glob("*/*"):
-            if link.is_symlink() and os.path.basename(os.readlink(link)) == old.name:
-                link.unlink()
-                link.symlink_to(os.path.join("..", "store", new.name))
+            if link.parent != self.store and result_behind(link) == old.name:
+                self._point(link, new)
+
+
+def result_behind(link: Path) -> str | None:
+    """The name of the result that a pipeline's link points to; None if it is none.
+
+    A work folder that was copied with its links resolved has a copy of the result there, with its stamp.
+    """
+    if link.is_symlink():
+        return os.path.basename(os.readlink(link))
+    stamp = Stamp.read(link)
+    return f"{stamp.stage}-{stamp.key[:8]}" if stamp else None
+
+
+def is_result(path: Path) -> bool:
+    """Whether something in a store is a result of a run, finished or not."""
+    return RESULT.fullmatch(path.name) is not None and path.is_dir() and not path.is_symlink()
 
 
 def clip_name(video: Path) -> str:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
 
 from hugs_cli.cache.fingerprint import digest
-from hugs_cli.cache.workspace import Stamp, Workspace
+from hugs_cli.cache.workspace import Stamp, Workspace, result_behind
 from hugs_cli.pipelines import UsageError
 from hugs_cli.studies.comparison import LAST, METRICS, REGIONS, Scores, cell, measured, over_seeds
 from hugs_cli.words import count, duration, size
@@ -108,7 +108,7 @@ def read(path: Path, form: type[F]) -> F:
 
 def stamps(links: Path) -> dict[str, Stamp]:
     """The stamps of all whole results that a pipeline's folder links to."""
-    found = {link.name: Stamp.read(link) for link in sorted(links.iterdir()) if link.is_symlink()}
+    found = {link.name: Stamp.read(link) for link in sorted(links.iterdir()) if result_behind(link)}
     return {name: stamp for name, stamp in found.items() if stamp and not stamp.damage(links / name)}
 
 
@@ -122,7 +122,7 @@ def upstream(found: dict[str, Stamp], stage: str) -> dict[str, Stamp]:
 
 def runs(workspace: Workspace) -> list[Run]:
     """Every finished pipeline of a clip; UsageError where there are fewer than two to compare."""
-    folders = sorted({path.parent for path in workspace.root.glob("*/train") if path.is_symlink()})
+    folders = sorted({path.parent for path in workspace.root.glob("*/train") if result_behind(path)})
     found = {folder.name: run_of(folder) for folder in folders}
     done = [run for run in found.values() if run]
     if len({run.name for run in done}) < 2:

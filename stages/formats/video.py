@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -19,6 +20,7 @@ HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # ITU-T H.273 transfer characteristi
 BT709 = 1  # H.273 number of BT.709 for matrix, primaries and transfer
 QUARTER = 90  # degrees
 THREADS = 2
+LISTS = {"concat", "hls", "applehttp", "dash", "imf"}  # formats that name other files, whose changes nobody would see
 AGAIN = "the file is damaged or its codec unknown; export it again as H.264"
 
 
@@ -77,6 +79,10 @@ def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream
         container.close()
         found = f"{path.name} has {kinds} streams, read as {container.format.long_name}"
         raise StageError(f"{path} is not a video", "give a video file or a folder of pictures", [found])
+    if LISTS & set(container.format.name.split(",")):
+        container.close()
+        hint = "give the film itself; `ffmpeg -i LIST -c copy film.mp4` makes one of several"
+        raise StageError(f"{path} is a list of films", hint, [f"read as {container.format.long_name}"])
     stream = container.streams.video[0]
     stream.thread_type, stream.thread_count = "AUTO", THREADS
     return container, stream
@@ -103,12 +109,20 @@ def probe(path: Path) -> VideoInfo:
     with container:
         base, average, declared = stream.time_base, stream.average_rate, stream.frames
         try:
-            times = [p.pts for p in container.demux(stream) if p.pts is not None and p.size]
+            found = [packet.pts for packet in container.demux(stream) if packet.size]
         except av.error.FFmpegError as error:
             raise StageError(f"{path} cannot be read to its end", AGAIN, [first_line(str(error))]) from error
+        kind = container.format.long_name
+    times = [time for time in found if time is not None]
+    if found and not times and not declared:
+        name = Path(path)
+        hint = (
+            f"give it times, with its own frames a second: `ffmpeg -framerate 30 -i {name} {name.with_suffix('.mp4')}`"
+        )
+        raise StageError(f"{path} is {kind}: pictures without times", hint, [f"{len(found)} packets, none with a time"])
     first = next(decode_frames(path), None)
     if first is None:
-        facts = [f"{len(times)} packets, {declared or 'unknown'} frames declared"]
+        facts = [f"{len(found)} packets, {declared or 'unknown'} frames declared"]
         raise StageError(f"no frame of {path} can be decoded", AGAIN, facts)
     rotation = round(first.rotation / QUARTER) % 4
     width, height = (first.width, first.height) if rotation % 2 == 0 else (first.height, first.width)
@@ -167,8 +181,19 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
 
     An odd width or height gets its last column or row repeated. Raises ValueError without frames or with mixed sizes.
     """
-    part = f"{os.fspath(path)}.part"
-    with av.open(part, "w", format="mp4", options={"movflags": "+faststart"}) as container:
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        encode(part, frames, fps, crf)
+        os.replace(part, path)
+    finally:
+        with suppress(OSError):  # it is there only where something failed
+            part.unlink()
+
+
+def encode(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int) -> None:
+    """Encode frames into a file, see `write_video`."""
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream, size = None, None
         for frame in frames:
             if stream is None:
@@ -187,4 +212,3 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
         if stream is None:
             raise ValueError("a video needs at least one frame")
         container.mux(stream.encode(None))
-    os.replace(part, path)

@@ -9,11 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 from typer.testing import CliRunner
 
-from hugs_cli import app, app_compare, app_show
+from hugs_cli import app, app_compare, app_show, options
 from hugs_cli.pipelines import UsageError
+from tests.made.flow import HUGS
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"torch", "cv2", "pycolmap", "numpy", "scipy", "numba", "av", "OpenImageIO", "trimesh", "rich"}
@@ -170,3 +173,55 @@ def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
     paths = {"masks", "cameras", "smpl-fit", "body-model", "work", "pipelines-file"}
     wanted = [Path(str(value)) if name in paths else value for name, value in zip(names, values, strict=True)]
     assert opened == [(Path("clip.mp4"), *wanted)]
+
+
+@pytest.mark.parametrize("command", ["run", "status", "why", "accept", "ablate", "costs", "demo"])
+@pytest.mark.parametrize("seed", [-1, 2**63, 2**64])
+def test_seeds_that_training_cannot_take_are_refused_at_once(tmp_path, monkeypatch, command, seed):
+    monkeypatch.chdir(tmp_path)
+    args = [] if command == "demo" else ["clip.mp4"]
+    result = CliRunner().invoke(app.app, [command, *args, "--seed", str(seed)])
+    assert result.exit_code == 2 and "Invalid value for '--seed'" in result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_pipelines_name_has_no_such_seed_either(tmp_path):
+    for seed in (2**63, "9" * 5_000):
+        with pytest.raises(UsageError, match=r"no such seed|no variant"):
+            options.open_session(tmp_path / "clip.mp4", f"default.seed{seed}")
+    largest = 2**63 - 1
+    assert options.open_session(tmp_path / "clip.mp4", f"default.seed{largest}").seeds["train"] == largest
+
+
+def test_the_largest_seeds_can_be_used():
+    """Numpy and torch take them, also those that a study counts up to."""
+    for seed in (0, options.MAX_SEED, options.MAX_SEED + 1000):
+        assert torch.Generator().manual_seed(seed).initial_seed() == seed
+        np.random.default_rng(seed)
+
+
+@pytest.mark.slow
+def test_a_folder_that_may_only_be_read_can_be_looked_at(flow):
+    """Nothing can be written beside a plain file, which is what a read-only disk is for the memory of code."""
+    for args in (["status"], ["why"], ["run", "--dry-run"]):
+        out, err = flow.hugs("--work", "clip.mp4", *args[1:], command=args[0])
+        assert "one" in out and "first run" in out and err == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a\nb.mp4", "a\x1b[31mred.mp4", "a\x9b31m\u2028b.mp4"])
+def test_control_characters_of_a_name_stay_out_of_the_terminal(flow, name):
+    flow.edit("one", "[video])", "[video]); job.note(video.name); job.warn(video.name)")
+    flow.video = flow.video.rename(flow.folder / name)
+    shown = name.encode("unicode_escape").decode()
+    for args, code in ((["run", name], 0), (["status", name], 0), (["gc", name], 0), (["run", f"no{name}"], 2)):
+        place = [] if args[0] == "gc" else ["--pipelines-file", "pipelines.yaml"]
+        command = [sys.executable, "-c", HUGS, *args, *place]
+        env = {**os.environ, "PYTHONPATH": f"{flow.folder}:{ROOT}", "NO_COLOR": "1"}
+        done = subprocess.run(command, cwd=flow.folder, env=env, capture_output=True)
+        out, err = done.stdout.decode(), done.stderr.decode()
+        assert done.returncode == code, err
+        assert not set(out + err) & set("\x1b\x9b\u2028") and "b.mp4" not in (out + err).split("\n")
+        if args[0] == "run" and not code:
+            assert out == f"work/{shown.removesuffix('.mp4')}/default/four\n"
+            assert err.count(f"warning: {shown}") == 1 and err.count(shown) >= 3

@@ -111,8 +111,54 @@ def test_a_person_and_cameras_given_on_the_command_line_reach_their_stages(tmp_p
     model = tmp_path / "sparse"
     session = open_session(tmp_path / "clip.mp4", person="2", cameras=model, set_=["masks.invert=never"])
     assert (
-        session.pipeline.stages["masks"].params.person == 2
+        session.pipeline.stages["masks"].params.person == "2"
         and session.pipeline.stages["masks"].params.invert == "never"
     )
     assert session.sources["cameras"] == model and "cameras" in session.pipeline.stages["sfm"].needs
     assert "cameras" not in load("neuman").stages["sfm"].needs, "the data set brings its own"
+
+
+@pytest.mark.parametrize("name", ["010", "1:30", "no", "1_0", "~", "0x10", "1e3", "null", "a: b", "[", "2", ""])
+def test_a_person_is_named_by_what_was_typed(tmp_path, name):
+    session = open_session(tmp_path / "clip.mp4", person=name)
+    assert session.pipeline.stages["masks"].params.person == name
+
+
+def test_a_person_in_set_is_named_by_what_was_typed_save_for_what_yaml_calls_nothing(tmp_path):
+    for typed, read in {"010": "010", "1:30": "1:30", "no": "no", "1_0": "1_0", "2": "2", "null": None}.items():
+        session = open_session(tmp_path / "clip.mp4", set_=[f"masks.person={typed}"])
+        assert session.pipeline.stages["masks"].params.person == read
+    with pytest.raises(UsageError, match="settings are not valid"):
+        open_session(tmp_path / "clip.mp4", set_=["masks.person=true"])
+
+
+LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("text", "fact"),
+    [
+        ("default: " + "[" * 100_000 + "]" * 100_000, "more than 50 lists and mappings in one another"),
+        ("default: " + "{a: " * 100_000, "more than 50 lists and mappings in one another"),
+        ("".join("\n" + " " * i + "a:" for i in range(2_000)), "more than 50 lists and mappings in one another"),
+        (LAUGHS, "more than 10000 values, with aliases unfolded"),
+        ("default: &a [*a]", "more than 10000 values, with aliases unfolded"),
+    ],
+    ids=["lists", "mappings", "indents", "laughs", "itself"],
+)
+def test_a_file_that_is_too_deep_or_unfolds_without_end_is_refused_at_once(tmp_path, text, fact):
+    file = tmp_path / "pipelines.yaml"
+    file.write_text(text)
+    code = "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (20, 20)); from hugs_cli import main; main()"
+    args = ["status", "clip.mp4", "--pipelines-file", str(file)]
+    root = Path(pipelines.FILE).parent
+    done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, cwd=root)
+    assert done.returncode == 2, done.stderr[-2000:]
+    assert f"pipelines.yaml is not valid YAML\n  {fact}" in done.stderr and "hint: mend" in done.stderr
+    assert len(done.stderr) < 1000
+
+
+def test_a_setting_that_is_too_deep_is_refused(refused):
+    error = refused(overrides=(f"one.word={'[' * 5_000}",))
+    assert error.problem.endswith("[[[...: the value is not understood") and "in one another" in error.facts[0]

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hugs_cli.app import main
+from hugs_cli.cache.fingerprint import content_digest
 from hugs_cli.cache.workspace import Stamp
 from stages.avatar.motion.formulas import MOTIONS
 from stages.formats.body_model import read_body_model, write_body_model
@@ -34,14 +35,15 @@ def trained(tmp_path_factory):
     move_pelvis(made, np.array([0.01, -0.225, 0.03]))
     store, links = folder / "work/clip/store", folder / "work/clip/default"
     links.mkdir(parents=True)
+    (folder / "clip.mp4").write_text("pixels")
+    film = {"video": content_digest(folder / "clip.mp4")}
     for name in ("sfm", "smpl", "train"):
         shutil.copytree(made[name], store / f"{name}-01234567")
         (links / name).symlink_to(f"../store/{name}-01234567")
-        made_of = {"seed": 0, "code": {}, "params": {}, "inputs": {}, "content": "", "files": {}, "seconds": 1.0}
+        made_of = {"seed": 0, "code": {}, "params": {}, "inputs": film, "content": "", "files": {}, "seconds": 1.0}
         machine = {"host": "h", "device": "cpu", "system": "s", "processors": 1, "versions": {}}
         made_by = {"made": "2026-01-01T00:00:00+00:00", "peak_memory_bytes": 0, "machine": machine}
         Stamp(name, "", **made_of, **made_by).write(store / f"{name}-01234567")
-    (folder / "clip.mp4").write_text("pixels")
     orient, pose, transl = (t.numpy().astype(float) for t in MOTIONS["wave"](2.0, 25))
     turn = Rotation.from_euler("x", 90, degrees=True)  # AMASS: z up; and turned from where the person looks
     turned = (turn * Rotation.from_euler("y", 70, degrees=True) * Rotation.from_rotvec(orient)).as_rotvec()
@@ -67,12 +69,12 @@ def move_pelvis(made, shift):
 
 @pytest.fixture
 def hugs(trained, monkeypatch, capsys):
-    """Runs `hugs animate clip.mp4 ...` in this process; its stdout and stderr."""
+    """Runs `hugs animate clip.mp4 ...`, or another command, in this process; its stdout and stderr."""
 
-    def run(motion, *args, code=0):
+    def run(*args, code=0, command="animate"):
         monkeypatch.chdir(trained)
         monkeypatch.setattr("signal.signal", lambda number, handler: None)  # Ctrl-C stays pytest's
-        monkeypatch.setattr(sys, "argv", ["hugs", "animate", "clip.mp4", motion, *args])
+        monkeypatch.setattr(sys, "argv", ["hugs", command, "clip.mp4", *args])
         with pytest.raises(SystemExit) as end:
             main()
         out, err = capsys.readouterr()
@@ -163,3 +165,60 @@ def test_a_motion_that_does_not_say_how_fast_or_which_way(trained, hugs):
     assert "11 frames, 0.3 s at 30 fps; how fast is not said" in hugs("plain.npz", *args)[1]
     assert hugs("plain.npz", *args, "--motion-fps", "10")[1].endswith("\n6 frames, 1.2 s at 5 fps\n")
     assert Path(trained / "p.mp4").stat().st_size > 500
+
+
+FAST = ("--fps", "1", "--only", "human")
+
+
+@pytest.mark.slow
+def test_an_animation_is_named_after_clip_and_motion_and_may_be_made_again(trained, hugs):
+    assert hugs("amass.npz", *FAST)[0] == "clip-amass.mp4\n"
+    first = (trained / "clip-amass.mp4").read_bytes()
+    assert hugs("amass.npz", *FAST, "--fps", "2")[0] == "clip-amass.mp4\n"
+    edited = (trained / "clip-amass.mp4").read_bytes() + b"cut and coloured"
+    assert edited[: len(first)] != first, "drawn again"
+    (trained / "clip-amass.mp4").write_bytes(edited)
+    _, err = hugs("amass.npz", *FAST, code=2)
+    assert "error: clip-amass.mp4 is already there\n" in err and "`--force`" in err
+    assert (trained / "clip-amass.mp4").read_bytes() == edited
+    hugs("amass.npz", *FAST, "--force")
+    assert (trained / "clip-amass.mp4").read_bytes() == first
+    assert not list(trained.glob(".*.part"))
+
+
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_no_source_and_no_result_is_drawn_over(trained, hugs, force):
+    (trained / "work/clip/store/train-01234567/film.mp4").write_text("a result")
+    (trained / "link.mp4").unlink(missing_ok=True)
+    (trained / "link.mp4").symlink_to("clip.mp4")
+    before = {path: path.read_bytes() for path in trained.rglob("*") if path.is_file()}
+    for out in ("clip.mp4", "link.mp4", "work/../clip.mp4", "work/clip/default/train/film.mp4", "clip.mp4/x.mp4"):
+        _, err = hugs("amass.npz", "--out", out, *force, code=2)
+        assert f"error: {out} is a" in err and "hint: choose another `--out`" in err
+    assert before.items() <= {path: path.read_bytes() for path in trained.rglob("*") if path.is_file()}.items()
+
+
+def test_pictures_go_to_a_folder_of_their_own(trained, hugs):
+    clip = load_clip(*(trained / "work/clip/default" / name for name in ("sfm", "smpl")))
+    write_cameras(trained / "view.npz", Cameras(("a",), clip.viewmats[:1], clip.Ks[:1], WIDTH, HEIGHT))
+    args = ("--cameras", "view.npz", "--only", "human", "--out")
+    (trained / "mine").mkdir()
+    (trained / "mine/a.png").write_text("my picture")
+    (trained / "notes.txt").write_text("my notes")
+    assert "error: mine is already there" in hugs(*args, "mine", command="render", code=2)[1]
+    assert "notes.txt: it is a file, and pictures" in hugs(*args, "notes.txt", "--force", command="render", code=2)[1]
+    assert "clip.mp4 is a source" in hugs(*args, "clip.mp4", "--force", command="render", code=2)[1]
+    assert "notes.txt is no folder" in hugs(*args, "notes.txt/x", "--force", command="render", code=2)[1]
+    for _ in range(2):
+        assert hugs(*args, "views", command="render")[0] == "views\n"
+    assert (trained / "mine/a.png").read_text() == "my picture"
+    (trained / "mine/a.png").unlink()
+    (trained / "mine/a.png").symlink_to("../notes.txt")
+    hugs(*args, "mine", "--force", command="render")
+    assert (trained / "notes.txt").read_text() == "my notes"
+    assert (trained / "mine/a.png").read_bytes() == (trained / "views/a.png").read_bytes()
+
+
+def test_a_video_needs_a_name_that_is_no_folder(trained, hugs):
+    (trained / "folder.mp4").mkdir()
+    assert "a folder, and a video is a file" in hugs("amass.npz", "--out", "folder.mp4", "--force", code=2)[1]

@@ -32,19 +32,23 @@ def ranked(objects: list[Object]) -> list[Object]:
 
 
 def pick(objects: list[Object], person: str | int | None) -> Object:
-    """The object of that id, or the first of the ranked `objects` if none is asked for; StageError for an unknown id."""
+    """The object of that id, or the first of the ranked `objects` if none is asked for; StageError for an unknown id.
+
+    Numbers are compared as such, so that 1 picks the folder 001 where no folder is called 1.
+    """
     if person is None:
         return objects[0]
-    found = [one for one in objects if same_id(one.id, str(person))]
+    found = [one for one in objects if one.id == str(person)]
+    found += [one for one in objects if is_number(one.id, str(person))]
     if not found:
         facts = [f"there are: {'; '.join(map(str, objects[:12]))}"]
-        raise StageError(f"no person {person!r} in the given masks", "choose with `--person ID`", facts)
+        raise StageError(f"no person {person} in the given masks", "choose with `--person ID`", facts)
     return found[0]
 
 
-def same_id(a: str, b: str) -> bool:
-    """True for equal ids; numbers are compared as such, so that 1 picks the folder 001."""
-    return a == b or (a.isdigit() and b.isdigit() and int(a) == int(b))
+def is_number(a: str, b: str) -> bool:
+    """True for equal whole numbers, whatever zeros they begin with."""
+    return a.isdecimal() and b.isdecimal() and a.lstrip("0") == b.lstrip("0")
 
 
 def labeled_objects(given: ForeignMasks) -> list[Object]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import ast
+import errno
+import os
+import shutil
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hugs_cli.cache.fingerprint import Code, content_digest, look_into, stat_digest
+from hugs_cli.cache.fingerprint import Code, content_digest, digest, file_digest, files_under, look_into, stat_digest
 
 BASE = '''
 """Doc."""
@@ -138,3 +142,65 @@ def test_digests_of_folders_follow_names_and_bytes(tmp_path):
     assert content_digest(folder) != content and stat_digest(folder) != stat
     (folder / "c.png").rename(folder / "a.png")
     assert content_digest(folder) == content
+
+
+@pytest.fixture
+def pool(tmp_path):
+    """A data set whose folder `images` is a link to a folder elsewhere, with one more inside."""
+    for name in ("pool/deep/2.png", "pool/1.png", "set/cameras.txt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+    (tmp_path / "set/images").symlink_to("../pool")
+    return tmp_path
+
+
+def test_files_behind_linked_folders_count(pool):
+    folder = pool / "set"
+    assert sorted(files_under(folder)) == ["cameras.txt", "images/1.png", "images/deep/2.png"]
+    for name in ("pool/1.png", "pool/deep/2.png"):
+        content, stat = content_digest(folder), stat_digest(folder)
+        (pool / name).write_text("other pixels")
+        assert content_digest(folder) != content and stat_digest(folder) != stat
+    (pool / "linked").symlink_to("set")
+    assert content_digest(pool / "linked") == content_digest(folder)
+
+
+def test_a_linked_folder_is_digested_as_a_copy_and_others_as_they_always_were(pool):
+    shutil.copytree(pool / "set", pool / "copy")
+    assert content_digest(pool / "copy") == content_digest(pool / "set")
+    plain = {"1.png": file_digest(pool / "pool/1.png"), "deep/2.png": file_digest(pool / "pool/deep/2.png")}
+    assert content_digest(pool / "pool") == digest(plain)
+
+
+def test_links_that_lead_back_end_and_two_names_of_one_folder_both_count(pool):
+    (pool / "pool/deep/up").symlink_to("..")
+    (pool / "pool/self").symlink_to(".")
+    (pool / "pool/deep/set").symlink_to("../../set")
+    (pool / "set/again").symlink_to("../pool/deep")
+    assert sorted(files_under(pool / "set")) == [
+        "again/2.png",
+        "again/up/1.png",
+        "cameras.txt",
+        "images/1.png",
+        "images/deep/2.png",
+    ]
+    content = content_digest(pool / "set")
+    (pool / "set/again").unlink()
+    (pool / "set/again").symlink_to("../pool")
+    assert content_digest(pool / "set") != content
+
+
+def test_a_memory_that_cannot_be_written_costs_time_only(package, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    code = Code(tmp_path / "file/code.json")
+    assert code.digests("pkg.stage")
+    code.save()
+
+    def refuse(*args, **options):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    code = Code(tmp_path / "code.json")
+    assert code.digests("pkg.stage")
+    monkeypatch.setattr(Path, "write_text", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    code.save()

@@ -159,3 +159,46 @@ def test_writing_refuses_nothing_and_mixed_sizes(tmp_path):
         write_video(tmp_path / "v.mp4", [], fps=30)
     with pytest.raises(ValueError, match="one size"):
         write_video(tmp_path / "v.mp4", [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 10, 3), np.uint8)], fps=30)
+
+
+@pytest.mark.parametrize(("codec", "kind"), [("h264", "raw H.264 video"), ("hevc", "raw HEVC video")])
+def test_pictures_without_times_are_called_so(tmp_path, codec, kind):
+    path = tmp_path / f"clip.{codec}"
+    with av.open(str(path), "w", format=codec) as container:
+        stream = container.add_stream({"h264": "libx264", "hevc": "libx265"}[codec], rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.options = {"x265-params": "log-level=none"} if codec == "hevc" else {}
+        for pixels in corner_marked(12):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(format="yuv420p")))
+        container.mux(stream.encode(None))
+    with pytest.raises(StageError) as error:
+        probe(path)
+    assert error.value.problem == f"{path} is {kind}: pictures without times"
+    assert f"`ffmpeg -framerate 30 -i {path} {path.with_suffix('.mp4')}`" in error.value.hint
+    assert error.value.facts == ("12 packets, none with a time",)
+
+
+def test_a_list_of_films_is_no_film(tmp_path):
+    write_video(tmp_path / "v.mp4", corner_marked(), fps=24)
+    (tmp_path / "film.mp4").write_text("ffconcat version 1.0\nfile v.mp4\nfile v.mp4\n")
+    (tmp_path / "film.m3u8").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nv.mp4\n#EXT-X-ENDLIST\n")
+    for read in (probe, lambda path: next(decode(path))):
+        with pytest.raises(StageError, match="is a list of films"):
+            read(tmp_path / "film.mp4")
+    with pytest.raises(StageError, match=r"film\.m3u8 is (a list of films|not a video)"):
+        probe(tmp_path / "film.m3u8")
+
+
+def test_a_film_that_breaks_off_while_it_is_made_leaves_what_was_there(tmp_path):
+    def some():
+        yield from corner_marked(3)
+        raise KeyboardInterrupt
+
+    (tmp_path / "v.mp4").write_text("before")
+    (tmp_path / "v.mp4.part").write_text("a download of somebody")
+    with pytest.raises(KeyboardInterrupt):
+        write_video(tmp_path / "v.mp4", some(), fps=24)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "v.mp4": "before",
+        "v.mp4.part": "a download of somebody",
+    }

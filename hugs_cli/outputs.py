@@ -1,0 +1,54 @@
+"""Where `hugs render` and `hugs animate` write: over nothing but what they wrote there themselves, unless forced."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from hugs_cli.cache.fingerprint import content_digest
+from hugs_cli.cache.workspace import read_json, write_json
+from hugs_cli.pipelines import UsageError
+
+MEMORY = ".drawn.json"  # in the work folder: path -> digest of what was drawn there
+ELSEWHERE = "choose another `--out`"
+
+
+def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, is_folder: bool = False) -> None:
+    """UsageError if drawing to `out`, a file or a folder, would change what no earlier drawing made.
+
+    Never drawn to, not even with `force`: sources of the clips in `work`, files `given` to the command, stored results.
+    """
+    place = Path(os.path.realpath(out))
+    for kind, kept in protected(work, given):
+        if any(one.exists() and one.samefile(kept) for one in (place, *place.parents)):
+            raise UsageError(f"{out} is {kind}, or lies in it, and is never written over", ELSEWHERE, [str(kept)])
+    ground = next(one for one in (place, *place.parents) if one.exists())
+    if ground != place and not ground.is_dir():
+        raise UsageError(f"cannot write {out}: {ground} is no folder", ELSEWHERE)
+    if ground == place and place.is_dir() != is_folder:
+        what = "a file, and pictures need a folder" if is_folder else "a folder, and a video is a file"
+        raise UsageError(f"cannot write {out}: it is {what}", ELSEWHERE)
+    if force or not os.path.lexists(out) or (is_folder and not any(out.iterdir())):
+        return
+    if not out.exists() or read_json(work / MEMORY).get(str(place)) != content_digest(out):
+        facts = ["`hugs` did not write it, or it has changed since"]
+        raise UsageError(f"{out} is already there", f"{ELSEWHERE}, or write over it with `--force`", facts)
+
+
+def protected(work: Path, given: Iterable[Path | None]) -> Iterator[tuple[str, Path]]:
+    """What no drawing may change, each with its kind in words: files given, sources of all clips in `work`, stores."""
+    entries = (entry for memory in work.glob("*/sources.json") for entry in read_json(memory).values())
+    paths = (entry.get("path") for entry in entries if isinstance(entry, dict))
+    sources = (Path(path) for path in paths if path and isinstance(path, str))
+    yield from (("a source", path) for path in (*filter(None, given), *sources) if path.exists())
+    yield from (("a folder of results", store) for store in work.glob("*/store"))
+
+
+def remember_out(out: Path, work: Path) -> None:
+    """Note what was drawn to `out`, so that it may be drawn again without `--force`."""
+    memory = work / MEMORY
+    known = {path: drawn for path, drawn in read_json(memory).items() if os.path.exists(path)}
+    with suppress(OSError):  # a folder that may only be read: the next drawing asks for --force
+        write_json(memory, {**known, os.path.realpath(out): content_digest(out)})

@@ -1,0 +1,57 @@
+"""YAML as people mean it: 010, 1:30, 1_0, no and dates are text; and no file is too deep or unfolds without end."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, ClassVar
+
+import yaml
+
+DEEPEST = 50  # lists and mappings in one another; a pipeline needs five
+MOST = 10_000  # values, those behind aliases counted again
+FORMS = {
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": (r"[-+]?(0|[1-9][0-9]*)", "-+0123456789"),
+    "float": (r"[-+]?((0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", "-+.0123456789"),
+    "merge": (r"<<", "<"),
+}
+"""Forms of values that are no text, with the letters that they begin with (YAML 1.2, without octal numbers)."""
+
+
+class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Reads plain values only, in these forms."""
+
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+
+
+for name, (form, first) in FORMS.items():
+    Loader.add_implicit_resolver(f"tag:yaml.org,2002:{name}", re.compile(rf"({form})\Z"), list(first))
+
+
+def read(text: str) -> Any:
+    """The value of a YAML document; ValueError or yaml.YAMLError where it has none, or none of a bearable size."""
+    check_size(text)
+    return yaml.load(text, Loader)
+
+
+def check_size(text: str) -> None:
+    """ValueError for a document that is too deep, or too large with its aliases unfolded; builds nothing of it."""
+    sizes: dict[str | None, int] = {}  # of what aliases stand for
+    open_: list[tuple[str | None, int]] = []  # anchor of each list or mapping not yet ended, and values before it
+    count = 0
+    for event in yaml.parse(text, Loader):
+        if isinstance(event, yaml.AliasEvent):
+            count += sizes.get(event.anchor, 0)
+        elif isinstance(event, yaml.NodeEvent):
+            count += 1
+            sizes[event.anchor] = 1 if isinstance(event, yaml.ScalarEvent) else MOST  # MOST: it may not hold itself
+        if isinstance(event, yaml.CollectionStartEvent):
+            open_.append((event.anchor, count))
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = open_.pop()
+            sizes[anchor] = count - before + 1
+        if len(open_) > DEEPEST:
+            raise ValueError(f"more than {DEEPEST} lists and mappings in one another")
+        if count > MOST:
+            raise ValueError(f"more than {MOST} values, with aliases unfolded")

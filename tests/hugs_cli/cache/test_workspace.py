@@ -1,0 +1,79 @@
+"""The folders of a clip: copies of them, and what others put there."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from tests.made.flow import ALL, WHOLE
+
+
+@pytest.fixture
+def copied(flow):
+    """A finished run whose work folder was copied by a program that resolves links."""
+    flow.hugs()
+    shutil.copytree(flow.work, flow.folder / "copy")
+    shutil.rmtree(flow.work)
+    (flow.folder / "copy").rename(flow.work)
+    assert not any(path.is_symlink() for path in flow.work.rglob("*"))
+    return flow
+
+
+@pytest.mark.slow
+def test_a_copy_with_its_links_resolved_is_taken(copied):
+    out, _ = copied.hugs(command="gc")
+    assert out == "0 B freed\n", "what the copy has in a link's place is in use"
+    assert copied.ran() == {} and copied.text("four") == WHOLE
+    assert all((copied.work / "clip/default" / name).is_symlink() for name in ALL)
+    assert len(list(copied.store.iterdir())) == 4
+    assert copied.ran("--set", "four.word=b") == {"four": ["params.word: a -> b"]}
+
+
+@pytest.mark.slow
+def test_a_copy_without_its_store_runs_again_and_loses_nothing(copied):
+    shutil.rmtree(copied.store)
+    assert list(copied.ran("--set", "four.word=b")) == ALL
+    assert copied.text("four").startswith("four:b(")
+    assert copied.ran() == {}, "the result that the copy had is in the store"
+
+
+@pytest.mark.slow
+def test_accept_in_a_copy_with_its_links_resolved(copied):
+    copied.edit("helper", "count = len(", "count = 0 + len(")
+    assert copied.hugs(command="accept")[0].count(" accepted: ") == 4
+    assert copied.ran() == {} and copied.text("four") == WHOLE
+
+
+@pytest.mark.slow
+def test_a_folder_of_ones_own_in_a_links_place_is_kept_and_named(flow):
+    own = flow.work / "clip/default/one"
+    own.mkdir(parents=True)
+    (own / "note.txt").write_text("mine")
+    _, err = flow.hugs("one", code=2)
+    assert (
+        "error: work/clip/default/one is no result, and stands where one is linked\n" in err and "move it away" in err
+    )
+    assert (own / "note.txt").read_text() == "mine"
+    own.rename(flow.folder / "away")
+    assert flow.ran("one") == {}, "what was made before is not lost"
+
+
+@pytest.mark.slow
+def test_gc_leaves_alone_what_no_run_made_and_frees_the_rest(flow):
+    flow.hugs()
+    flow.hugs("--set", "four.word=b")
+    (flow.store / ".DS_Store").write_text("x")
+    (flow.store / "four-00000000").symlink_to(flow.folder / "flow")
+    (flow.store / "my notes").mkdir()
+    for name in ("one-00000000.part", "two-00000000.old", "three-11111111"):
+        (flow.store / name).mkdir()
+    out, err = flow.hugs(command="gc")
+    assert out.count("removed ") == 4 and out.splitlines()[-1].endswith(" freed")
+    assert [line.split("/")[-1] for line in err.splitlines()] == [
+        ".DS_Store is left alone: no run made it",
+        "four-00000000 is left alone: no run made it",
+        "my notes is left alone: no run made it",
+    ]
+    assert len(list(flow.store.iterdir())) == 7 and (flow.folder / "flow/one.py").exists()
+    assert flow.ran("--set", "four.word=b") == {}

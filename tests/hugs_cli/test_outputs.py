@@ -1,0 +1,87 @@
+"""Where drawings go: never over a source or a result, and over what others made only with --force."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hugs_cli.outputs import check_out, remember_out
+from hugs_cli.pipelines import UsageError
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A work folder with a store, beside a film, masks and a motion; the current folder holds them."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("work/a/store/train-01234567", "masks"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in ("a.mp4", "masks/1.png", "other.mp4", "wave.bvh"):
+        (tmp_path / name).write_text(name)
+    sources = {"video": {"path": str(tmp_path / "a.mp4")}, "mask_files": {"path": str(tmp_path / "masks")}, "x": 1}
+    (tmp_path / "work/a/sources.json").write_text(json.dumps({**sources, "y": {"path": ""}, "z": {}}))
+    return Path("work")
+
+
+@pytest.mark.parametrize("out", ["a.mp4", "masks/x.mp4", "masks", "wave.bvh", "work/a/store/x.mp4", "work/a/store/b/c"])
+def test_sources_and_stores_are_refused_even_with_force(work, out):
+    for force in (False, True):
+        with pytest.raises(UsageError, match="is never written over"):
+            check_out(Path(out), work, (Path("wave.bvh"), None), force)
+
+
+def test_sources_are_known_by_any_name(work):
+    Path("again.mp4").hardlink_to("a.mp4")
+    Path("way").symlink_to("masks")
+    for out in ("again.mp4", "way/1.png", "work/../a.mp4"):
+        with pytest.raises(UsageError, match="is a source"):
+            check_out(Path(out), work, (), True)
+
+
+def test_what_others_made_needs_force(work):
+    Path("dangling.mp4").symlink_to("nowhere.mp4")
+    for out in ("other.mp4", "dangling.mp4"):
+        with pytest.raises(UsageError, match="is already there") as caught:
+            check_out(Path(out), work, (), False)
+        assert "`--force`" in caught.value.hint
+        check_out(Path(out), work, (), True)
+    for out in ("new.mp4", "some/where/new.mp4"):
+        check_out(Path(out), work, (), False)
+
+
+def test_what_was_drawn_may_be_drawn_again_while_nobody_changes_it(work):
+    out = Path("new.mp4")
+    out.write_text("drawn")
+    remember_out(out, work)
+    check_out(out.absolute(), work, (), False)
+    out.rename("moved.mp4")
+    Path("moved.mp4").rename(out)
+    check_out(out, work, (), False)
+    out.write_text("edited")
+    with pytest.raises(UsageError, match="is already there"):
+        check_out(out, work, (), False)
+
+
+def test_a_folder_is_free_if_empty_or_as_it_was_drawn(work):
+    out = Path("views")
+    out.mkdir()
+    check_out(out, work, (), False, is_folder=True)
+    (out / "1.png").write_text("drawn")
+    remember_out(out, work)
+    check_out(out, work, (), False, is_folder=True)
+    (out / "note.txt").write_text("mine")
+    with pytest.raises(UsageError, match="is already there"):
+        check_out(out, work, (), False, is_folder=True)
+
+
+def test_only_drawings_that_are_still_there_are_remembered(work):
+    for name in ("one.mp4", "two.mp4"):
+        Path(name).write_text(name)
+        remember_out(Path(name), work)
+        Path(name).unlink()
+    Path("two.mp4").write_text("two.mp4")
+    Path("three.mp4").write_text("3")
+    remember_out(Path("three.mp4"), work)
+    known = json.loads((work / ".drawn.json").read_bytes())
+    assert [Path(path).name for path in known] == ["two.mp4", "three.mp4"]
