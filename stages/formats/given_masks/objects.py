@@ -44,7 +44,7 @@ def pick(objects: list[Object], person: str | int | None) -> Object:
 
 def same_id(a: str, b: str) -> bool:
     """True for equal ids; numbers are compared as such, so that 1 picks the folder 001."""
-    return a == b or (a.isdigit() and b.isdigit() and int(a) == int(b))
+    return a == b or (a.isdecimal() and b.isdecimal() and a.lstrip("0") == b.lstrip("0"))
 
 
 def labeled_objects(given: ForeignMasks) -> list[Object]:
