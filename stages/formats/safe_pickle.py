@@ -220,7 +220,7 @@ class ArraysOnly(pickle._Unpickler):
         if isinstance(holder, dict):
             self.stack.pop()
         elif isinstance(holder, self.stand_ins):
-            pickle._Unpickler.load_build(self)
+            pickle._Unpickler.dispatch[pickle.BUILD[0]](self)
         else:
             raise pickle.UnpicklingError(f"it changes {getattr(holder, '__name__', type(holder).__name__)!r}")
 
