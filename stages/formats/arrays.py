@@ -9,36 +9,43 @@ import zipfile
 import zlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.budget import BUDGET, Budget
 
 BROKEN = (
-    *(OSError, ValueError, TypeError, KeyError, EOFError, RuntimeError, OverflowError),
+    *(OSError, ValueError, TypeError, KeyError, EOFError, RuntimeError, OverflowError, MemoryError),
     *(zipfile.BadZipFile, zlib.error, tokenize.TokenError, SyntaxError),
 )
 """What Python's zipfile and numpy raise on damaged archives and headers."""
 PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+PIECE = 1 << 20
+"""Bytes unpacked at a time, so that a large array is in memory once."""
 
 
-def read_npz(path: Path, hint: str = "", only: Collection[str] = ()) -> dict[str, np.ndarray]:
+def read_npz(path: Path, hint: str = "", only: Collection[str] = (), most: int = BUDGET) -> dict[str, np.ndarray]:
     """All arrays of an .npz file, or those named in `only`; StageError for a missing, broken or pickled one, with the key.
 
-    Memory is taken for bytes that are there, never for what a header promises.
+    Memory is taken for bytes that are there, never for what a header promises, and for `most` bytes that were packed.
     """
     arrays = {}
     key = ""
     try:
-        with zipfile.ZipFile(io.BytesIO(Path(path).read_bytes())) as archive:  # of a file it reads what headers promise
+        data = Path(path).read_bytes()
+        budget = Budget(path, len(data), most)
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:  # of a file it reads what headers promise
             for member in archive.infolist():
                 key = member.filename.removesuffix(".npy")
                 if only and key not in only:
                     continue
                 if member.compress_type not in PLAIN:
                     raise ValueError(f"it is packed by method {member.compress_type}, which numpy does not write")
-                arrays[key] = array_of(archive.read(member))
+                budget.spend(member.file_size, f"array {key!r}")
+                with archive.open(member) as file:
+                    arrays[key] = _array_in(file, member.file_size)
     except FileNotFoundError as error:
         raise StageError(f"no file {path}", hint) from error
     except BROKEN as error:
@@ -57,14 +64,26 @@ def read_npy(path: Path, hint: str = "") -> np.ndarray:
 
 def array_of(data: bytes) -> np.ndarray:
     """The array in the bytes of an .npy file; ValueError (or one of BROKEN) where header and content do not fit."""
-    shape, fortran, dtype, start = npy_header(data)
+    return _array_in(io.BytesIO(data), len(data))
+
+
+def _array_in(file: IO[bytes], length: int) -> np.ndarray:
+    """The array in an .npy file that is open and `length` bytes long; errors as `array_of`."""
+    shape, fortran, dtype = _header(file)
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which only running pickled code could make")
-    if dtype.itemsize * math.prod(shape) != len(data) - start:
-        raise ValueError(
-            f"{dtype.itemsize * math.prod(shape)} bytes of {dtype} {shape} promised, {len(data) - start} found"
-        )
-    array = np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C").copy()
+    promised, found = dtype.itemsize * math.prod(shape), length - file.tell()
+    if promised != found:
+        raise ValueError(f"{promised} bytes of {dtype} {shape} promised, {found} found")
+    content = np.empty(promised, np.uint8)
+    for start in range(0, promised, PIECE):
+        place = content[start : start + PIECE]
+        piece = file.read(len(place))
+        if len(piece) != len(place):
+            raise ValueError(f"it ends after {start + len(piece)} bytes of {promised}")
+        place[:] = np.frombuffer(piece, np.uint8)
+    array = content.view(dtype).reshape(shape, order="F" if fortran else "C")
+    array = array.copy() if fortran else array
     check_letters(array)
     return array
 
@@ -81,12 +100,17 @@ def check_letters(array: np.ndarray) -> None:
 def npy_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
     """Shape, column order, type, and where the content begins."""
     file = io.BytesIO(data)
+    return *_header(file), file.tell()
+
+
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, column order and type of an .npy file; the content follows."""
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(file)
     if min(shape, default=0) < 0:
         raise ValueError(f"its shape is {shape}")
-    return shape, fortran, dtype, file.tell()
+    return shape, fortran, dtype
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:

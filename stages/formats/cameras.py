@@ -8,10 +8,12 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz
+from stages.formats.budget import Budget
 from stages.formats.facts import is_file_name
 from stages.records import Cameras
 
 LARGEST_SIDE = 1 << 16  # px
+PIXEL = 12  # bytes of a pixel that is drawn: three floats
 
 
 def write_cameras(path: Path, cameras: Cameras) -> None:
@@ -53,6 +55,7 @@ def read_cameras(path: Path) -> Cameras:
     width, height = (int(checked(arrays[key], (), key, path, hint)) for key in ("width", "height"))
     if not 0 < min(width, height) <= max(width, height) <= LARGEST_SIDE:
         raise StageError(f"{path} has an impossible picture size", hint, [f"{width}x{height} px"])
+    Budget(path).spend(width * height * PIXEL, f"a picture of {width}x{height} px")
     return Cameras(
         names=tuple(str(name) for name in names),
         viewmats=viewmats,

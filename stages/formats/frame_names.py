@@ -12,6 +12,7 @@ from stages.formats.facts import Listing
 from stages.formats.video import PICTURES
 
 ENDINGS = (*PICTURES, ".npy")
+DIGITS = 30  # of a number in a name; a time in nanoseconds has 19, and Python refuses to read thousands
 
 
 def stem(name: str | PurePath) -> str:
@@ -23,9 +24,9 @@ def stem(name: str | PurePath) -> str:
 
 
 def number(name: str) -> int | None:
-    """The last run of digits in a name, as a number."""
+    """The last run of digits in a name, as a number; None for one that is too long to count anything."""
     digits = re.findall(r"[0-9]+", name)
-    return int(digits[-1]) if digits else None
+    return int(digits[-1]) if digits and len(digits[-1]) <= DIGITS else None
 
 
 def has_sources(listing: Listing) -> bool:

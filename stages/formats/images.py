@@ -9,6 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from stages.contract import StageError
+from stages.formats.budget import Budget
 
 PNG_LEVEL = 3  # zlib level: half the time of the default 6 for 4 % larger files
 TURNS = {3: 2, 6: -1, 8: 1}  # EXIF orientation -> quarter turns counter-clockwise that put the picture upright
@@ -17,7 +18,8 @@ TURNS = {3: 2, 6: -1, 8: 1}  # EXIF orientation -> quarter turns counter-clockwi
 def read_pixels(path: Path) -> np.ndarray:
     """Read any picture OpenImageIO knows as [H,W,channels] upright: uint8 or uint16 as stored, anything else float32.
 
-    Raises StageError for a missing, unknown or damaged file; a file cut short is never returned with made-up rows.
+    Raises StageError for a missing, unknown or damaged file, and for a size that no phone's picture has; a file cut short
+    is never returned with made-up rows.
     """
     if not Path(path).is_file():
         raise StageError(f"no picture at {path}", "check the path")
@@ -28,6 +30,9 @@ def read_pixels(path: Path) -> np.ndarray:
         raise StageError(f"{path} is not a picture", "use PNG, JPEG or TIFF", [first_line(oiio.geterror())])
     spec = source.spec()
     kind = str(spec.format) if str(spec.format) in ("uint8", "uint16") else "float"
+    pixel = {"uint8": 1, "uint16": 2}.get(kind, 4) * max(spec.nchannels, 3)  # grey will be three channels
+    what = f"a picture of {spec.width}x{spec.height} px, {spec.nchannels} channels"
+    Budget(path).spend(spec.width * spec.height * spec.depth * pixel, what)
     pixels = source.read_image(0, 0, 0, spec.nchannels, kind)
     trouble = source.geterror() or oiio.geterror()
     source.close()

@@ -80,15 +80,22 @@ def _load(data: bytes) -> Any:
         seen += 1
         if seen > len(data):
             raise pickle.UnpicklingError("it repeats itself endlessly")
+        refuse_code(value)
         if isinstance(value, (list, tuple, set, frozenset)):
             open_ += value
         elif isinstance(value, dict):
-            open_ += value.values()
+            open_ += [*value.keys(), *value.values()]
         elif isinstance(value, _Inert):
             open_.append(getattr(value, "state", {}))
         elif isinstance(value, np.ndarray) and value.dtype.hasobject:
             open_ += value.ravel().tolist()
     return content
+
+
+def refuse_code(value: object) -> None:
+    """UnpicklingError for a function or a class that was named and not called: only data may come out."""
+    if callable(value) and not (isinstance(value, type) and issubclass(value, _Inert)):
+        raise pickle.UnpicklingError(f"it holds {getattr(value, '__name__', value)!r}, which is no data")
 
 
 def plain(value: object, name: str) -> Any:
@@ -191,6 +198,8 @@ class ArraysOnly(pickle._Unpickler):
 
     read: Callable[[int], bytes]
     append: Callable[[Any], None]
+    stack: list[Any]
+    stand_ins: ClassVar[tuple[type, ...]] = (_Inert, _Array, Type)
     dispatch: ClassVar[dict[int, Callable[[Any], None]]] = {
         code: load for code, load in pickle._Unpickler.dispatch.items() if bytes([code]) not in _ELSEWHERE
     }
@@ -201,6 +210,21 @@ class ArraysOnly(pickle._Unpickler):
         self.append(bytes(self.read(length)))
 
     dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
+
+    def load_build(self) -> None:
+        """As the base class does, for stand-ins alone; what a dictionary has beside its entries is left out.
+
+        A function that is built anew would be another one for every file that follows.
+        """
+        holder = self.stack[-2]
+        if isinstance(holder, dict):
+            self.stack.pop()
+        elif isinstance(holder, self.stand_ins):
+            pickle._Unpickler.dispatch[pickle.BUILD[0]](self)  # type: ignore[arg-type]  # typeshed knows the C class only
+        else:
+            raise pickle.UnpicklingError(f"it changes {getattr(holder, '__name__', type(holder).__name__)!r}")
+
+    dispatch[pickle.BUILD[0]] = load_build
 
     def find_class(self, module: str, name: str) -> Any:
         if module in _MODULES and name in ("_reconstruct", "scalar"):

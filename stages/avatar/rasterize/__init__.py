@@ -29,9 +29,12 @@ def rasterize(
 
     Gaussians nearer than `near` m are not drawn. There are at most LAYERS layers: they share projection and depth order,
     and their gradients add up. Differentiable in means, axes, opacities, colors, viewmat and backgrounds. A row that is
-    not finite is left out and counted. Float32 goes to the fast kernel of its device (Numba on a CPU, gsplat on a GPU),
-    float64 to the reference.
+    not finite is left out and counted; ValueError for a camera that is not. Float32 goes to the fast kernel of its device
+    (Numba on a CPU, gsplat on a GPU), float64 to the reference.
     """
+    for name, part in (("viewmat", camera.viewmat), ("K", camera.K)):
+        if not part.detach().isfinite().all():
+            raise ValueError(f"the camera's {name} has numbers that are not finite: {part.tolist()}")
     means = gaussians.means
     maker = {"cpu": cpu, "cuda": cuda}.get(means.device.type, reference) if means.dtype == torch.float32 else reference
     return maker.rasterize(gaussians, camera, layers, near)

@@ -103,7 +103,8 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             log_opacity = math.log2(opacity)
             cut = max(0.0, 2 / LOG2E * (log_opacity - math.log2(ALPHA_MIN)))
             reach_x, reach_y = math.sqrt(cut * aa), math.sqrt(cut * bb)
-            if px + reach_x <= 0 or px - reach_x >= width or py + reach_y <= 0 or py - reach_y >= height:
+            # so that what is no number is out of view too
+            if not (px + reach_x > 0 and px - reach_x < width and py + reach_y > 0 and py - reach_y < height):
                 continue
             half = 0.5 * (aa + bb)
             longest = half + math.sqrt(0.25 * (aa - bb) ** 2 + ab * ab)

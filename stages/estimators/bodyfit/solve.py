@@ -260,8 +260,9 @@ class Solver:
     def balance_cost(self, state: State, joints: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
         """The body's mass beside the feet that stand, square to gravity; one number.
 
-        It may stand over any point between them; over one foot it stands LOAD of the way from ankle to ball. Walkers fall from foot to foot and who starts or stops leans, so the
-        mean over STRIDE counts, less what the mass's own acceleration takes: the zero moment point (Vukobratovic 1972).
+        It may stand over any point between them; over one foot it stands LOAD of the way from ankle to ball. Walkers fall
+        from foot to foot and who starts or stops leans, so the mean over STRIDE counts, less what the mass's own
+        acceleration takes: the zero moment point (Vukobratovic 1972).
         """
         up, times = self.world.up, self.world.times
         placed = self.to_world(state, joints, scale)

@@ -13,20 +13,23 @@ Sources: joblib/numpy_pickle.py, torch/serialization.py, numpy.lib.format.
 from __future__ import annotations
 
 import io
+import math
 import pickle
 import struct
 import zipfile
 import zlib
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Iterator
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import BROKEN, array_of, npy_header
-from stages.formats.safe_pickle import ArraysOnly, plain
+from stages.formats.arrays import BROKEN, PIECE, PLAIN, array_of, npy_header
+from stages.formats.budget import Budget
+from stages.formats.safe_pickle import ArraysOnly, plain, refuse_code
 
 OLD_TORCH = 0x1950A86A20F9469CFC6C  # the first of the pickles in a file of old torch.save
 _STORAGES = {
@@ -50,10 +53,8 @@ _PLAIN = {
 _BROKEN = (
     *BROKEN,
     *(pickle.UnpicklingError, struct.error, ArithmeticError, AssertionError, AttributeError, ImportError, LookupError),
-    *(MemoryError, NotImplementedError, RecursionError),
+    *(NotImplementedError, RecursionError),
 )
-LARGEST = 1 << 32
-"""Most bytes that a compressed file may unpack to."""
 
 
 def read_tool_file(path: Path, hint: str = "") -> Any:
@@ -62,68 +63,83 @@ def read_tool_file(path: Path, hint: str = "") -> Any:
     Raises StageError for a file that is broken, or that asks for anything else than these.
     """
     try:
-        content, length = _load(Path(path).read_bytes())
-        return _plain(content, iter(range(length)))
+        data = Path(path).read_bytes()
+        budget = Budget(path, len(data))
+        return _plain(_load(data, budget), iter(range(budget.spent + len(data))))
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
     except _BROKEN as error:
         raise StageError(f"{path} cannot be read without running what it holds", hint, [f"{error}"[:300]]) from error
 
 
-def _load(data: bytes) -> tuple[Any, int]:
-    """What is in a file, and how long it is unpacked."""
+def _load(data: bytes, budget: Budget) -> Any:
+    """What is in a file; what it unpacks to is spent of `budget`."""
     if data[:2] == b"PK":
-        archive = zipfile.ZipFile(io.BytesIO(data))
-        return _unzip(archive), len(data) + sum(min(one.file_size, LARGEST) for one in archive.infolist())
+        return _unzip(zipfile.ZipFile(io.BytesIO(data)), budget)
     if data[:6] == b"\x93NUMPY":
-        return _npy(data), len(data)
+        return _npy(data, budget)
     if data[:1] == b"x":
-        unpacker = zlib.decompressobj()
-        data = unpacker.decompress(data, LARGEST)
-        if unpacker.unconsumed_tail:
-            raise ValueError(f"it unpacks to more than {LARGEST} bytes")
+        data = _unpacked(data, budget)
     file = io.BytesIO(data)
-    first = ToolObjects(file).load()
-    return _old_torch(file) if first == OLD_TORCH and isinstance(first, int) else first, len(data)
+    first = ToolObjects(file, budget).load()
+    return _old_torch(file, budget) if isinstance(first, int) and first == OLD_TORCH else first
 
 
-def _npy(data: bytes) -> Any:
+def _unpacked(data: bytes, budget: Budget) -> bytes:
+    """What zlib packed, which says nowhere how long it is: taken piece by piece."""
+    unpacker, pieces = zlib.decompressobj(), []
+    while data and not unpacker.eof:
+        pieces.append(unpacker.decompress(data, PIECE))
+        data = unpacker.unconsumed_tail
+        budget.spend(len(pieces[-1]), "unpacked, it")
+    return b"".join(pieces)
+
+
+def _npy(data: bytes, budget: Budget) -> Any:
     """The array in the bytes of an .npy file, or the objects."""
     _, _, dtype, start = npy_header(data)
-    return ToolObjects(io.BytesIO(data[start:])).load() if dtype.hasobject else array_of(data)
+    return ToolObjects(io.BytesIO(data[start:]), budget).load() if dtype.hasobject else array_of(data)
 
 
-def _unzip(archive: zipfile.ZipFile) -> Any:
+def _unzip(archive: zipfile.ZipFile, budget: Budget) -> Any:
     names = archive.namelist()
+    if other := {one.compress_type for one in archive.infolist()} - set(PLAIN):
+        raise ValueError(f"it is packed by method {other.pop()}, which neither numpy nor torch writes")
+    budget.spend(sum(one.file_size for one in archive.infolist()), "unpacked, it")
     pickled = [name for name in names if name.rpartition("/")[2] == "data.pkl"]
     if not pickled:
-        return {name.removesuffix(".npy"): _npy(archive.read(name)) for name in names}
+        return {name.removesuffix(".npy"): _npy(archive.read(name), budget) for name in names}
     folder = pickled[0].removesuffix("data.pkl")
     order = f"{folder}byteorder"
     if order in names and archive.read(order).strip() != b"little":
         raise pickle.UnpicklingError("its numbers are not little-endian")
 
+    @cache
+    def stored(key: str) -> bytes:
+        return archive.read(f"{folder}data/{key}")
+
     def storage(dtype: np.dtype, key: str, count: int) -> np.ndarray:
-        return np.frombuffer(archive.read(f"{folder}data/{key}"), dtype, count)
+        return np.frombuffer(stored(key), dtype, count)
 
-    return ToolObjects(io.BytesIO(archive.read(pickled[0])), storage).load()
+    return ToolObjects(io.BytesIO(archive.read(pickled[0])), budget, storage).load()
 
 
-def _old_torch(file: io.BytesIO) -> Any:
+def _old_torch(file: io.BytesIO, budget: Budget) -> Any:
     """What old torch.save wrote after its magic number: version, host, the object, its storages' keys, their numbers."""
-    ToolObjects(file).load()
-    if not ToolObjects(file).load().get("little_endian", True):
+    ToolObjects(file, budget).load()
+    if not ToolObjects(file, budget).load().get("little_endian", True):
         raise pickle.UnpicklingError("its numbers are not little-endian")
     room = file.getbuffer().nbytes
     storages: dict[str, np.ndarray] = {}
 
     def storage(dtype: np.dtype, key: str, count: int) -> np.ndarray:
-        if not 0 <= count * dtype.itemsize <= room:
+        taken = sum(one.nbytes for one in storages.values())
+        if key not in storages and not 0 <= count * dtype.itemsize <= room - taken:
             raise pickle.UnpicklingError(f"a storage of {count} numbers does not fit the file")
-        return storages.setdefault(key, np.zeros(count, dtype))
+        return storages[key] if key in storages else storages.setdefault(key, np.zeros(count, dtype))
 
-    content = ToolObjects(file, storage).load()
-    for key in ToolObjects(file).load():
+    content = ToolObjects(file, budget, storage).load()
+    for key in ToolObjects(file, budget).load():
         (count,) = struct.unpack("<q", file.read(8))
         if count != len(storages[key]):
             raise pickle.UnpicklingError(f"storage {key} has {count} numbers, not {len(storages[key])}")
@@ -131,17 +147,41 @@ def _old_torch(file: io.BytesIO) -> Any:
     return content
 
 
+class _JoblibArray:
+    """Stands for an array whose numbers follow in the file."""
+
+    file: io.BytesIO
+    budget: Budget
+    array: np.ndarray | None = None
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        dtype, shape = state["dtype"].dtype(), tuple(int(n) for n in state["shape"])
+        if dtype.hasobject:
+            self.array = ToolObjects(self.file, self.budget).load()
+            return
+        if state.get("numpy_array_alignment_bytes"):
+            self.file.read(self.file.read(1)[0])
+        count = int(np.prod([np.float64(n) for n in shape]))
+        if min(shape, default=0) < 0 or count * dtype.itemsize > self.file.getbuffer().nbytes:
+            raise pickle.UnpicklingError(f"an array of shape {shape} does not fit the file")
+        numbers = np.frombuffer(self.file.read(count * dtype.itemsize), dtype, count)
+        self.array = numbers.reshape(shape, order="F" if state["order"] == "F" else "C")
+
+
 class ToolObjects(ArraysOnly):
     """ArraysOnly, and joblib's arrays and torch's tensors; `storage` gives a tensor's numbers by type, key and count."""
+
+    stand_ins = (*ArraysOnly.stand_ins, _JoblibArray)
 
     def __init__(
         self,
         file: io.BytesIO,
+        budget: Budget,
         storage: Callable[[np.dtype, str, int], np.ndarray] | None = None,
         encoding: str = "latin1",
     ):
         super().__init__(file, encoding=encoding)
-        self.file, self.storage = file, storage
+        self.file, self.budget, self.storage = file, budget, storage
 
     def persistent_load(self, key: object) -> np.ndarray:
         if not isinstance(key, tuple) or len(key) < 5:
@@ -157,52 +197,32 @@ class ToolObjects(ArraysOnly):
         if module == "torch" and name in _STORAGES:
             return _STORAGES[name]
         if module == "torch._utils" and name == "_rebuild_tensor_v2":
-            return _tensor
+            return partial(_tensor, self.budget)
         if module == "torch._utils" and name == "_rebuild_parameter":
             return lambda tensor, *rest: tensor
         if module == "torch.storage" and name == "_load_from_bytes":
-            return _loaded
+            return partial(_load, budget=self.budget)
         if (module, name) == ("joblib.numpy_pickle", "NumpyArrayWrapper"):
-            return type(name, (_JoblibArray,), {"file": self.file})
+            return type(name, (_JoblibArray,), {"file": self.file, "budget": self.budget})
         return super().find_class(module, name)
 
 
-class _JoblibArray:
-    """Stands for an array whose numbers follow in the file."""
+def _tensor(budget: Budget, storage: np.ndarray, offset: int, shape: tuple, stride: tuple, *rest: Any) -> np.ndarray:
+    """The tensor [shape] that lies in flat `storage` from `offset` on, `stride` elements apart; a view.
 
-    file: io.BytesIO
-    array: np.ndarray | None = None
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        dtype, shape = state["dtype"].dtype(), tuple(int(n) for n in state["shape"])
-        if dtype.hasobject:
-            self.array = ToolObjects(self.file).load()
-            return
-        if state.get("numpy_array_alignment_bytes"):
-            self.file.read(self.file.read(1)[0])
-        count = int(np.prod([np.float64(n) for n in shape]))
-        if min(shape, default=0) < 0 or count * dtype.itemsize > self.file.getbuffer().nbytes:
-            raise pickle.UnpicklingError(f"an array of shape {shape} does not fit the file")
-        numbers = np.frombuffer(self.file.read(count * dtype.itemsize), dtype, count)
-        self.array = numbers.reshape(shape, order="F" if state["order"] == "F" else "C")
-
-
-def _tensor(storage: np.ndarray, offset: int, shape: tuple, stride: tuple, *rest: Any) -> np.ndarray:
-    """The tensor [shape] that lies in flat `storage` from `offset` on, `stride` elements apart; a view."""
-    if not isinstance(storage, np.ndarray) or storage.ndim != 1:
+    Its numbers are made Python's: numpy's own wrap at 64 bits, and a tensor outside of its storage would seem to fit.
+    """
+    if not isinstance(storage, np.ndarray) or storage.ndim != 1 or not storage.flags.c_contiguous:
         raise pickle.UnpicklingError("a tensor's numbers are not where they should be")
+    offset, shape, stride = int(offset), tuple(map(int, shape)), tuple(map(int, stride))
     if len(shape) != len(stride) or min((*shape, *stride, offset), default=0) < 0:
         raise pickle.UnpicklingError(f"a tensor has shape {shape} and strides {stride}")
     last = offset + sum((n - 1) * step for n, step in zip(shape, stride, strict=True))
     if 0 not in shape and last >= len(storage):
         raise pickle.UnpicklingError(f"a tensor of shape {shape} does not fit its {len(storage)} numbers")
+    budget.spend(max(0, math.prod(shape) - len(storage)) * storage.itemsize, f"a tensor of shape {shape}")
     steps = [step * storage.itemsize for step in stride]
     return np.lib.stride_tricks.as_strided(storage[offset:], shape, steps, writeable=False)
-
-
-def _loaded(data: bytes) -> Any:
-    """A tensor's storage that is a torch file of its own."""
-    return _load(data)[0]
 
 
 def _plain(value: Any, left: Iterator[int]) -> Any:
@@ -212,11 +232,12 @@ def _plain(value: Any, left: Iterator[int]) -> Any:
     """
     if next(left, None) is None:
         raise pickle.UnpicklingError("it repeats itself endlessly")
+    refuse_code(value)
     if isinstance(value, _JoblibArray):
         return _plain(value.array, left)
     if isinstance(value, dict):
-        return {key: _plain(one, left) for key, one in value.items()}
-    if isinstance(value, list | tuple):
+        return {_plain(key, left): _plain(one, left) for key, one in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
         return type(value)(_plain(one, left) for one in value)
     if isinstance(value, np.ndarray) and value.dtype.hasobject:
         return _plain(value.item(), left) if value.ndim == 0 else [_plain(one, left) for one in value]

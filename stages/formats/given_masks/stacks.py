@@ -8,6 +8,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import BROKEN, read_npz
+from stages.formats.budget import STACK
 from stages.formats.frame_names import stem
 from stages.formats.given_masks.mask_set import MaskSet, Values, check_one_per_frame
 from stages.formats.given_masks.values import checked_values
@@ -28,7 +29,7 @@ def read_stack(path: Path, frames: int) -> MaskSet:
         except BROKEN as error:
             raise StageError(f"{path} is not a plain .npy array", "save it by numpy.save", [str(error)]) from error
     else:
-        arrays = read_npz(path, HINT)
+        arrays = read_npz(path, HINT, most=STACK)
     stacks = {key: stack for key, array in arrays.items() if (stack := as_stack(array)) is not None}
     if len(stacks) == 1:
         return one_stack(path, *next(iter(stacks.items())), arrays, frames)

@@ -17,6 +17,7 @@ from stages.formats.video import natural_order
 
 LABELS = 32
 """Integer masks whose largest value is at most this are labels; pictures with more colours than this are no masks."""
+PIECE = 1 << 20  # pixels counted at a time
 COLOURED = 30
 """Levels between a pixel's channels from which it is coloured; JPEG makes grey ones differ by less."""
 
@@ -116,8 +117,8 @@ class Levels:
     def add(self, values: np.ndarray) -> None:
         """Take one more mask into account."""
         self.files += 1
-        self.lowest, self.highest = min(self.lowest, values.min()), max(self.highest, values.max())
-        found, counts = np.unique(values, return_counts=True)
+        found, counts = _distinct(values)
+        self.lowest, self.highest = min(self.lowest, found[0]), max(self.highest, found[-1])
         if self.few is not None:
             joined = np.union1d(self.few, found)
             self.few = joined if len(joined) <= LABELS + 1 else None
@@ -132,6 +133,17 @@ class Levels:
             for i, a in enumerate(labels):
                 for b in labels[i + 1 :]:
                     self.together.setdefault((a, b), []).append((a, b) in pairs)
+
+
+def _distinct(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The different values in order, and how often each is there; bytes are counted, which is faster than sorting them."""
+    if values.dtype != np.uint8:
+        return np.unique(values, return_counts=True)
+    line, counts = values.ravel(order="K"), np.zeros(256, np.int64)
+    for start in range(0, len(line), PIECE):
+        counts += np.bincount(line[start : start + PIECE], minlength=256)
+    found = np.flatnonzero(counts)
+    return found.astype(np.uint8), counts[found]
 
 
 def neighbours(values: np.ndarray) -> set[tuple[int, int]]:

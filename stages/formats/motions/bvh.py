@@ -14,8 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
+from stages.formats.budget import Budget
 
 HINT = "export the motion as BVH again; a text with HIERARCHY, then MOTION, one line of numbers a frame"
+DIGITS = 18  # of a number of frames; Python refuses to read thousands of them
+JOINT = 96  # bytes of a joint in a frame: its place and its rotation
 CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 
 
@@ -52,6 +55,8 @@ def read_bvh(path: Path) -> Bvh:
     lines = _Lines(path, text)
     skeleton = _skeleton(lines)
     fps, rows = _motion(lines, sum(map(len, skeleton.channels)))
+    joints = len(skeleton.names)
+    Budget(path, len(text)).spend(JOINT * joints * len(rows), f"{joints} joints in {len(rows)} frames")
     return _bvh(skeleton, fps, rows)
 
 
@@ -174,7 +179,7 @@ def _motion(lines: _Lines, width: int) -> tuple[float, np.ndarray]:
     """Frames a second, and the numbers [F,width] of all frames."""
     lines.keyword("MOTION")
     words = lines.keyword("Frames:")
-    if len(words) != 1 or not words[0].isdecimal() or int(words[0]) == 0:
+    if len(words) != 1 or not words[0].isdecimal() or len(words[0]) > DIGITS or int(words[0]) == 0:
         raise lines.refuse("a whole number of frames, at least 1")
     count = int(words[0])
     (seconds,) = lines.numbers(lines.keyword("Frame", "Time:"), 1, "seconds from frame to frame")

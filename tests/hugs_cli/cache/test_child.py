@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from hugs_cli.cache.child import error_event, processors
+from hugs_cli.cache.child import error_event, launch, processors
 from stages.contract import StageError
 
 
@@ -43,6 +43,34 @@ def test_a_stage_error_passes_unchanged_and_a_bug_is_one_line_with_its_traceback
     assert event["event"] == "crash" and "Traceback" in event["traceback"]
     event = raised(ValueError("first\nsecond"))
     assert event["problem"] == "ValueError: first" and "second" in event["traceback"]
+
+
+STAGE = """
+import os
+from stages.contract import Params as Base
+
+class Params(Base):
+    handle: int
+
+def run(job, params):
+    (job.out / "seen").write_text(str(os.fstat(params.handle).st_ino))
+"""
+
+
+@pytest.mark.slow
+def test_the_lock_is_handed_to_the_stage(tmp_path, monkeypatch):
+    """It belongs to the open file: a stage that outlives its run holds the clip until it ends."""
+    (tmp_path / "holds_the_lock.py").write_text(STAGE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
+    try:
+        job = {"module": "holds_the_lock", "params": {"handle": handle}, "inputs": {}, "out": str(tmp_path)}
+        job |= {"device": "cpu", "seed": 0, "resumes": False, "upstream": {}}
+        outcome = launch(job, tmp_path / "log", handle, lambda event: None)
+        assert outcome.kind == "done", (tmp_path / "log").read_text()
+        assert int((tmp_path / "seen").read_text()) == os.fstat(handle).st_ino
+    finally:
+        os.close(handle)
 
 
 def test_processors_are_those_of_this_process():

@@ -239,6 +239,19 @@ def test_half_written_part_is_emptied_unless_the_stage_resumes(flow):
 
 
 @pytest.mark.slow
+def test_force_discards_what_a_stage_would_go_on_from(flow):
+    """A checkpoint may be what is broken."""
+    flow.hugs()
+    folder = (flow.work / "clip/default/three").resolve()
+    part = folder.with_name(folder.name + ".part")
+    part.mkdir()
+    (part / "step0").write_text("")
+    (part / "rubbish").write_text("")
+    assert flow.ran("three", "--force") == {"three": ["forced"]}
+    assert not (flow.work / "clip/default/three/rubbish").exists()
+
+
+@pytest.mark.slow
 def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
     flow.edit("two", "from flow import helper", "from stages.contract import StageError\n    raise StageError("
               "'only 41 of 300 frames placed', 'try `--set two.word=b`', ['median 38 matches'])")  # fmt: skip

@@ -1,11 +1,13 @@
-"""The folders of a clip: copies of them, and what others put there."""
+"""The folders of a clip: copies of them, what others put there, and small files that are whole at every moment."""
 
 from __future__ import annotations
 
+import os
 import shutil
 
 import pytest
 
+from hugs_cli.cache.workspace import read_json, write_json
 from tests.made.flow import ALL, WHOLE
 
 
@@ -77,3 +79,20 @@ def test_gc_leaves_alone_what_no_run_made_and_frees_the_rest(flow):
     ]
     assert len(list(flow.store.iterdir())) == 7 and (flow.folder / "flow/one.py").exists()
     assert flow.ran("--set", "four.word=b") == {}
+
+
+def test_a_small_file_is_replaced_in_one_step(tmp_path):
+    path = tmp_path / "stamp.json"
+    write_json(path, {"a": 1})
+    with open(path) as reader:
+        write_json(path, {"a": 2})
+        assert reader.read().split() == ["{", '"a":', "1", "}"], "who reads the old file reads it whole"
+    assert read_json(path) == {"a": 2} and os.listdir(tmp_path) == ["stamp.json"]
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
+    path = tmp_path / "stamp.json"
+    write_json(path, {"a": 1})
+    with pytest.raises(TypeError):
+        write_json(path, {"a": 2, "b": object()})
+    assert read_json(path) == {"a": 1}

@@ -10,6 +10,7 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.body_model import FREE_BODY, read_body_model, write_body_model
+from stages.formats.safe_pickle import read_pickle
 from tests.made.skeleton import PARENTS
 
 V = 40
@@ -293,3 +294,17 @@ def test_the_free_body_is_built_as_its_reference(clips):
     off = np.linalg.norm(joints[0] - joints[1], axis=1)
     assert np.delete(off, [10, 11]).max() < 0.03  # the feet's joint was moved to the ball of the foot
     assert set(ours.keypoint_names) == set(theirs.keypoint_names)
+
+
+@pytest.mark.parametrize("change", [-8, 8])
+def test_an_array_that_is_longer_or_shorter_than_its_shape_is_refused_before_numpy_sees_it(tmp_path, change):
+    data = pickle.dumps({"f": np.arange(4.0)}, 2)
+    content = np.arange(4.0).tobytes().decode("latin1").encode()
+    assert data.count(content) == 1
+    longer = (np.arange(4 + change // 8) * 1.0).tobytes().decode("latin1").encode()
+    size = lambda text: len(text).to_bytes(4, "little")  # noqa: E731
+    lie = data.replace(size(content) + content, size(longer) + longer)
+    (tmp_path / "a.pkl").write_bytes(lie)
+    with pytest.raises(StageError) as refused:
+        read_pickle(tmp_path / "a.pkl")
+    assert refused.value.facts == (f"32 long content of float64 (4,) promised, {32 + change} found",)

@@ -49,6 +49,8 @@ def test_centers_are_where_the_camera_sees_zero():
         ({"names": np.array(["a", "a", "b"])}, "names"),
         ({"names": np.array(["a", "../../b", "c"])}, "cannot be a file name"),
         ({"width": None}, "width"),
+        ({"width": 0}, "impossible picture size"),
+        ({"width": 1 << 16, "height": 1 << 16}, "asks for too much memory"),
     ],
 )
 def test_k08_wrong_cameras_are_refused_by_name(tmp_path, change, token):
@@ -92,3 +94,8 @@ def test_not_an_archive(tmp_path):
     (tmp_path / "cameras.npz").write_text("hello")
     with pytest.raises(StageError, match="cannot read"):
         read_cameras(tmp_path / "cameras.npz")
+
+
+def test_a_picture_of_8k_can_be_drawn(tmp_path):
+    write_cameras(tmp_path / "cameras.npz", replace(some_cameras(), width=7680, height=4320))
+    assert read_cameras(tmp_path / "cameras.npz").width == 7680

@@ -1,13 +1,15 @@
 """Pictures: exact round trips, turned as EXIF says, damaged files refused, full disks told."""
 
 import resource
+import struct
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from stages.contract import StageError
+from stages.contract import StageError, peak_memory
 from stages.formats.images import read_image, read_mask, read_pixels, write_image, write_mask
+from tests.tools.mutations import with_checksums
 
 
 def picture(height=37, width=53, channels=3, seed=0):
@@ -105,3 +107,22 @@ def test_a_full_disk_is_told_and_leaves_no_picture_that_looks_whole(tmp_path):
     assert "large" in error.value.facts[0]
     with pytest.raises(StageError, match="cut short"):
         read_image(tmp_path / "a.png")
+
+
+def one_bit(path, side):
+    """The first rows of a black PNG of 1 bit a pixel that says it is side x side px."""
+    write_mask(path, np.zeros((8, 8), np.uint8))
+    png = bytearray(path.read_bytes())
+    png[16:25] = struct.pack(">IIB", side, side, 1)
+    path.write_bytes(with_checksums(bytes(png)))
+    return path
+
+
+def test_a_small_file_of_an_enormous_picture_is_refused_before_it_is_unpacked(tmp_path):
+    before = peak_memory()
+    with pytest.raises(StageError, match="asks for too much memory") as error:
+        read_image(one_bit(tmp_path / "a.png", 20_000))
+    assert "a picture of 20000x20000 px, 1 channels would take 1.20 GB" in error.value.facts[0]
+    assert peak_memory() - before < 1 << 28
+    with pytest.raises(StageError, match="cut short"):
+        read_image(one_bit(tmp_path / "a.png", 64))

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from stages.avatar.model.scene import SceneModel
-from stages.training.densify import Growth, Rules, _regrow, grow_scene, plan, thinner
+from stages.training.densify import Growth, Plan, Rules, _regrow, displacement, grow_scene, plan, thinner
 
 RULES = Rules(grad=1.0, dense_size=0.1, max_size=1.0, max_radius=0.3, min_opacity=0.01, cap=100)
 
@@ -149,3 +149,13 @@ def test_lost_rows_are_pruned_whatever_else_they_are():
     lost = torch.tensor([False, True, False])
     p = plan(growth([0, 9, 0]), torch.full((3,), 0.05), torch.ones(3), RULES, 9, lost)
     assert p.pruned == 1 and p.source.tolist() == [0, 2]
+
+
+def test_new_gaussians_are_drawn_from_the_ellipsoid_of_their_parent():
+    """Axes are columns: the covariance of the offsets is axes axes^T, and axes^T axes is another one."""
+    axes = torch.tensor([[[0.0, -0.1, 0], [2.0, 0, 0], [0, 0, 0.3]], [[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    source = torch.tensor([0, 1] + 4000 * [0])
+    fresh = torch.arange(len(source)) > 1
+    moved = displacement(axes, Plan(source, fresh, fresh, 0, 2000, 0), torch.Generator().manual_seed(0))
+    assert moved[:2].abs().max() == 0, "those that stay do not move"
+    torch.testing.assert_close(moved[2:].T.cov(), axes[0] @ axes[0].T, atol=0.01, rtol=0.1)

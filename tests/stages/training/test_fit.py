@@ -15,7 +15,7 @@ from stages.training.fit import Fit
 from stages.training.layers import foreground_occluders
 from stages.training.refine import spread
 from stages.training.views import Views, person_box
-from tests.made.training import FRAMES, HEIGHT, WIDTH, fit_of, make_clip, models, run, same, settings, stored
+from tests.made.training import FRAMES, HEIGHT, TRAIN, WIDTH, fit_of, make_clip, models, run, same, settings, stored
 
 clip = pytest.fixture(scope="module")(make_clip)
 
@@ -355,3 +355,25 @@ def test_occluders_are_what_stands_before_the_person_as_far_as_each_pixel_shows_
         "2.9 is under the body's skin, or behind the hand; 2.5 beside"
     )
     assert not foreground_occluders(scene, body + torch.tensor([0, 0, -5.0]), *view).any()
+
+
+def test_every_training_frame_is_seen_once_in_each_round_and_no_other(clip):
+    fit = fit_of(clip)
+    rounds = [[fit._next_frame() for _ in TRAIN] for _ in range(5)]
+    assert all(sorted(seen) == sorted(TRAIN) for seen in rounds) and len(TRAIN) < FRAMES
+    assert len({tuple(seen) for seen in rounds}) > 1, "each time in another order"
+
+
+def test_what_is_learned_of_poses_is_written_with_its_sign(clip):
+    """What a frame is drawn with in training is what is written for it afterwards."""
+    fit, body = fit_of(clip, refine_pose=True), clip[1]
+    generator = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for table in (fit.frames.pose, fit.frames.place):
+            table.weight.copy_(torch.randn(table.weight.shape, generator=generator))
+        written = fit.bodies()
+        for frame in TRAIN:
+            for part, drawn in zip(written, fit.body(frame), strict=True):
+                torch.testing.assert_close(part[frame], drawn)
+            torch.testing.assert_close(written[2][frame], body.transl[frame] + fit.frames.place.weight[frame])
+            torch.testing.assert_close(written[0][frame], body.global_orient[frame] + fit.frames.pose.weight[frame, :3])

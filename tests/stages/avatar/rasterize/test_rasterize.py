@@ -1,9 +1,12 @@
 """The fast rasterizer against its specification, in value and gradient, where it is easy and where it is not."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
 
-from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, cuda, reference
+from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, cuda, projection, rasterize, reference
 from tests.made.rasterized import HEIGHT, NAMES, WIDTH, apart, camera, draw, gaussians
 
 # 6 to 11 times the worst gradient measured: mixed 7e-7, needles 7.1e-6, huge 1.7e-6, tiny 3.9e-6, deep 3.3e-7, opaque 4.7e-7
@@ -95,3 +98,35 @@ def test_a_layer_ends_its_pixels_where_it_says():
 def test_more_layers_than_a_row_of_gradients_holds_are_refused():
     with pytest.raises(ValueError, match="4 layers"):
         draw_layers(cpu, [Layer()] * 4, torch.float32)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    "part, at", [("viewmat", (0, 0)), ("viewmat", (2, 3)), ("K", (0, 0)), ("K", (0, 2)), ("K", (1, 2))]
+)
+def test_a_camera_that_is_not_finite_is_refused(part, at, dtype, value):
+    means, quats, scales, *rest = (p.to(dtype) for p in gaussians(30))
+    drawn = Gaussians(means, reference.gaussian_axes(quats, scales), *rest)
+    good = Camera(*camera(), WIDTH, HEIGHT).to(means)
+    assert rasterize(drawn, good)[0].alpha.max() > 0.1
+    bad = getattr(good, part).clone()
+    bad[at] = value
+    with pytest.raises(ValueError, match=f"the camera's {part} has numbers that are not finite: .*(nan|inf)"):
+        rasterize(drawn, good._replace(**{part: bad.requires_grad_()}))
+
+
+@pytest.mark.parametrize("part, at", [("viewmat", (0, 3)), ("K", (0, 0)), ("K", (0, 2)), ("K", (1, 2)), ("K", (1, 1))])
+@pytest.mark.parametrize("value", [math.nan, 1e308, -1e308])
+def test_what_the_projection_makes_of_an_absurd_camera_is_nowhere_in_the_picture(part, at, value):
+    """The kernel itself: numbers that overflow on the way become no places in lists."""
+    means, quats, scales, *rest = gaussians(300)
+    view, K = (t.double() for t in camera())
+    {"viewmat": view, "K": K}[part][at] = value
+    parts = [t.numpy() for t in (means, cpu.gaussian_axes(quats, scales), *rest)]
+    n = len(means)
+    records, means2d, radii = np.empty((n, 16), np.float32), np.empty((n, 2), np.float32), np.empty(n, np.float32)
+    projection.project(*parts, view.numpy(), K.numpy(), WIDTH, HEIGHT, False, 0.01, cpu.CHUNKS, records, means2d, radii)
+    drawn = records[radii > 0]
+    places = drawn[:, [projection.X, projection.Y, projection.REACH_X, projection.REACH_Y]]
+    assert not np.isnan(places).any() and not np.isnan(radii).any()

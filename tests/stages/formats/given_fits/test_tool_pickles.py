@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import io
 import pickle
+import tracemalloc
+import zipfile
+import zlib
+from _codecs import encode
 from collections import OrderedDict, defaultdict
 
 import numpy as np
@@ -11,6 +15,7 @@ import pytest
 import torch
 
 from stages.contract import StageError
+from stages.formats.budget import Budget
 from stages.formats.given_fits.tool_pickles import OLD_TORCH, read_tool_file
 from tests.made.fits import joblib_dump
 
@@ -88,6 +93,30 @@ class Call:
         return self.reduced
 
 
+class Built:
+    """Pickled as `what`, to which state is given."""
+
+    def __init__(self, what=encode):
+        self.what = what
+
+
+class Builds(pickle._Pickler):
+    """Writes a Built, which Python itself would call before it gives state."""
+
+    def save(self, value, *rest):
+        if not isinstance(value, Built):
+            return super().save(value, *rest)
+        self.save_global(value.what)
+        super().save((None, {"__defaults__": ("utf-7",)}))
+        self.write(pickle.BUILD)
+
+
+def pickled(value):
+    file = io.BytesIO()
+    Builds(file, 2).dump(value)
+    return file.getvalue()
+
+
 def hostile():
     rebuild, load = torch._utils._rebuild_tensor_v2, torch.storage._load_from_bytes
     yield "torch.load", Call(torch.load, "x"), "refused"
@@ -97,6 +126,25 @@ def hostile():
     yield "too large", Call(rebuild, np.zeros(4), 0, (9,), (1,), False, OrderedDict()), "does not fit"
     yield "before its start", Call(rebuild, np.zeros(4), -8, (2,), (1,), False, OrderedDict()), "strides"
     yield "backwards", Call(rebuild, np.zeros(4), 3, (4,), (-1,), False, OrderedDict()), "strides"
+    wide, off = np.int64(2**62 + 1), np.int64(2**62)
+    yield "a stride that wraps", Call(rebuild, np.zeros(4), 0, (np.int64(400003),), (wide,), False), "does not fit"
+    yield (
+        "a shape that wraps",
+        Call(rebuild, np.zeros(4), 0, (np.int64(2**32 + 1),), (np.int64(2**32),)),
+        "does not fit",
+    )
+    yield "an offset that wraps", Call(rebuild, np.zeros(4), off, (np.int64(2), 2), (off, off), False), "does not fit"
+    yield "one too many", Call(rebuild, np.zeros(4), 1, (4,), (1,), False), "does not fit"
+    yield "one stride too many", Call(rebuild, np.zeros(4), 0, (3, 2), (2, 1), False), "does not fit"
+    repeated = Call(rebuild, np.zeros(4), 0, (1000,), (0,), False)
+    yield "a view of a repeated number", Call(rebuild, repeated, 0, (1000,), (1,), False), "not where"
+    yield "a function", np.load, "refused"
+    yield "a function that we stand in for", encode, "is no data"
+    yield "a class", OrderedDict, "is no data"
+    yield "a function among other things", [{"b": (1, {encode: 2})}], "is no data"
+    yield "a function in a set", {encode}, "is no data"
+    yield "a function that is changed", Built(), "it changes '_latin1'"
+    yield "a type of numpy's that is changed", Built(torch.FloatStorage), "it changes"
     yield "a huge storage", Call(load, old_storage(10**15)), "does not fit"
 
 
@@ -119,11 +167,76 @@ def old_storage(count):
 
 @pytest.mark.parametrize("attack,words", [pytest.param(a, w, id=i) for i, a, w in hostile()])
 def test_hostile_pickles_are_refused(tmp_path, attack, words):
-    (tmp_path / "a").write_bytes(pickle.dumps({"a": attack}))
+    (tmp_path / "a").write_bytes(pickled({"a": attack}))
     with pytest.raises(StageError) as caught:
         read_tool_file(tmp_path / "a", "a hint")
     assert words in caught.value.facts[0] and caught.value.hint == "a hint"
     assert caught.value.problem == f"{tmp_path / 'a'} cannot be read without running what it holds"
+
+
+def test_a_tensor_that_just_fits_is_read(tmp_path):
+    rebuild, numbers = torch._utils._rebuild_tensor_v2, np.arange(6.0)
+    for offset, shape, stride, wanted in (
+        (np.int64(2), (4,), (1,), [2, 3, 4, 5]),
+        (1, (np.int64(2), 2), (np.int64(3), 1), [[1, 2], [4, 5]]),
+        (5, (3,), (0,), [5, 5, 5]),
+        (6, (0,), (1,), []),
+    ):
+        attack = Call(rebuild, numbers, offset, shape, stride, False, OrderedDict())
+        (tmp_path / "a").write_bytes(pickle.dumps([attack], 2))
+        np.testing.assert_array_equal(read_tool_file(tmp_path / "a")[0], wanted)
+
+
+def test_what_an_ordered_dictionary_has_beside_its_entries_is_left_out(tmp_path):
+    weights = torch.nn.Linear(2, 1).state_dict()
+    assert weights._metadata
+    torch.save(weights, tmp_path / "a")
+    same(read_tool_file(tmp_path / "a"), dict(weights))
+
+
+def bombs(folder):
+    """Small files that would be large in memory, by name."""
+    rebuild, load = torch._utils._rebuild_tensor_v2, torch.storage._load_from_bytes
+    np.savez_compressed(folder / "packed.npz", a=np.zeros(1 << 21), b=np.zeros(1 << 21))
+    (folder / "z.pkl").write_bytes(zlib.compress(pickle.dumps(np.zeros(1 << 22))))
+    (folder / "strides.pkl").write_bytes(pickle.dumps(Call(rebuild, np.zeros(4), 0, (1 << 22,), (0,), False), 2))
+    inner = io.BytesIO()
+    np.savez_compressed(inner, a=np.zeros(1 << 20))
+    (folder / "nested.pkl").write_bytes(pickle.dumps([Call(load, inner.getvalue()) for _ in range(5)], 2))
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_small_files_that_would_be_large_in_memory_are_refused(tmp_path, monkeypatch):
+    names = bombs(tmp_path)
+    assert len(names) == 4
+    for name in names:
+        monkeypatch.setattr(Budget.__init__, "__defaults__", (0, 1 << 26))
+        read_tool_file(tmp_path / name)
+        monkeypatch.setattr(Budget.__init__, "__defaults__", (0, 1 << 24))
+        tracemalloc.start()
+        with pytest.raises(StageError, match="asks for too much memory") as caught:
+            read_tool_file(tmp_path / name)
+        assert "would take 0.0" in caught.value.facts[0] and "shorter clip" in caught.value.hint
+        assert tracemalloc.get_traced_memory()[1] < 3 << 24, name
+        tracemalloc.stop()
+
+
+def test_a_storage_that_many_tensors_share_is_unpacked_once(tmp_path):
+    base = torch.zeros(1 << 20)
+    torch.save([base[i : i + 2] for i in range(200)], tmp_path / "a")
+    tracemalloc.start()
+    read_tool_file(tmp_path / "a")
+    assert tracemalloc.get_traced_memory()[1] < 40 << 20
+    tracemalloc.stop()
+
+
+def test_an_archive_packed_by_other_methods_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", a=np.zeros(3))
+    with zipfile.ZipFile(tmp_path / "a.npz") as old, zipfile.ZipFile(tmp_path / "b.npz", "w", zipfile.ZIP_LZMA) as new:
+        new.writestr("a.npy", old.read("a.npy"))
+    with pytest.raises(StageError) as caught:
+        read_tool_file(tmp_path / "b.npz")
+    assert "method 14" in caught.value.facts[0]
 
 
 def test_a_value_that_holds_itself_is_refused(tmp_path):

@@ -6,7 +6,8 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.frame_names import number, stem
-from stages.formats.given_masks.values import ForeignMasks, mask_files
+from stages.formats.given_masks.objects import is_number
+from stages.formats.given_masks.values import ForeignMasks, Levels, mask_files
 from stages.formats.images import write_image
 
 
@@ -120,3 +121,22 @@ def test_folders_without_masks_are_refused(tmp_path):
     (tmp_path / "notes.txt").touch()
     with pytest.raises(StageError, match="no masks in"):
         mask_files(tmp_path)
+
+
+def test_names_and_ids_of_odd_digits_are_compared_and_no_more(tmp_path):
+    assert number("a" + "9" * 5000) is None and number("1700000000123456789.png") == 1700000000123456789
+    assert is_number("1", "001") and not is_number("²", "2") and not is_number("10", "1")
+    assert is_number("0" + "7" * 5000, "7" * 5000) and not is_number("7" * 5000, "7" * 5001) and is_number("0", "000")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+@pytest.mark.parametrize("order", "CF")
+def test_levels_are_those_that_numpy_finds(dtype, order):
+    values = np.asarray(np.random.default_rng(0).integers(0, 7, (1200, 1000)) * 30, dtype, order=order)
+    levels = Levels(values.dtype, values[:0, 0])
+    levels.add(values)
+    found, counts = np.unique(values, return_counts=True)
+    np.testing.assert_array_equal(levels.few, found)
+    assert (levels.lowest, levels.highest) == (0, 180) and levels.few.dtype == dtype
+    if dtype != np.float32:
+        assert levels.areas == {int(value): [count / values.size] for value, count in zip(found, counts, strict=True)}

@@ -1,5 +1,7 @@
 """BVH files: what they mean, and what is said of broken ones."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -108,6 +110,7 @@ def test_broken_files_are_refused_with_line_and_expectation(tmp_path, old, new, 
         ("", "ends too soon", "after line 0: expected HIERARCHY"),
         (GOOD[: GOOD.index("  JOINT Slider")], "ends too soon", "expected JOINT, End Site or a closing brace"),
         (GOOD[: GOOD.index("11 20")], "ends too soon", "after line 23: 1 frames of 2"),
+        (GOOD.replace("Frames: 2", f"Frames: {10**17}"), "ends too soon", f"2 frames of {10**17}"),
         (b"HIERARCHY \xff\xfe\x00", "is not a text", "utf-8"),
     ],
 )
@@ -185,3 +188,21 @@ def test_a_missing_limb_is_named_with_what_there_is(tmp_path):
         map_body(read_bvh(path), path)
     missing, joints = refused.value.facts
     assert missing == "missing: left knee, right wrist" and "LeftUpLeg" in joints and "Mixamo" in refused.value.hint
+
+
+def test_a_number_of_frames_with_thousands_of_digits_is_refused(tmp_path):
+    with pytest.raises(StageError, match="is not as in a BVH") as refused:
+        read_bvh(write(tmp_path, GOOD.replace("Frames: 2", f"Frames: {'1' * 5000}")))
+    assert refused.value.facts[0] == "expected a whole number of frames, at least 1"
+
+
+def test_joints_without_channels_take_no_more_memory_than_a_motion_needs(tmp_path):
+    still = "".join(f"JOINT j{i} {{ OFFSET 0 1 0\nCHANNELS 0\n}}\n" for i in range(2000))
+    text = f"HIERARCHY\nROOT r {{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n{still}}}\nMOTION\nFrames: 6000\nFrame Time: 1\n"
+    path = write(tmp_path, text + "0\n" * 6000)
+    tracemalloc.start()
+    with pytest.raises(StageError, match="asks for too much memory") as refused:
+        read_bvh(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 25
+    tracemalloc.stop()
+    assert "2001 joints in 6000 frames would take 1.15 GB" in refused.value.facts[0]

@@ -1,0 +1,33 @@
+"""How much memory a file may ask for: what it holds itself, and BUDGET more that is packed or multiplied.
+
+A few bytes can stand for any number of them: a packed array, a joint for each frame, a size in a header. Readers ask here
+before they take memory.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stages.contract import StageError
+
+BUDGET = 1 << 30
+"""Bytes. The most that a minute of a phone's film needs of one file: five people's SMPL vertices (0.75 GB), a picture of
+8K with three channels (0.1 GB), 60 joints of motion (11 million of them a GB)."""
+STACK = 1 << 32
+"""The same for a stack of masks, the largest of all: 1,800 frames of 1920x1080 (a minute at 30 a second) are 3.7 GB."""
+HINT = "no file of a phone clip needs that much; if it is right, make it of a shorter clip or smaller pictures"
+
+
+class Budget:
+    """The bytes of memory that the file `path` may still ask for; `there` are those that it holds itself."""
+
+    def __init__(self, path: Path | str, there: int = 0, most: int = BUDGET):
+        self.path, self.most, self.spent = path, there + most, 0
+
+    def spend(self, wanted: int, what: str) -> None:
+        """Take `wanted` bytes for `what`; StageError where fewer are left."""
+        self.spent += wanted
+        if self.spent > self.most:
+            left = f"{(self.most - self.spent + wanted) / 1e9:.2f} of its {self.most / 1e9:.2f} GB are left"
+            facts = [f"{what} would take {wanted / 1e9:.2f} GB, {left}"]
+            raise StageError(f"{self.path} asks for too much memory", HINT, facts)
