@@ -64,7 +64,8 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
 
     facts = read_facts(sfm / "sfm.json", Sfm)
     clip = load_clip(sfm, smpl)
-    measures, evidence, findings = camera_measures(facts, clip) | person_measures(clip), ClipEvidence(clip, facts), {}
+    evidence = ClipEvidence(clip, facts, fitted=(smpl / "landmarks.npz").exists())
+    measures, findings = camera_measures(facts, clip) | person_measures(clip), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
         job.progress(done, len(DETECTORS))
         findings[name] = detect(evidence)

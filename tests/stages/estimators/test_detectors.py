@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
-from stages.estimators.detectors import exposure, light, motion_blur, pose_refinement, shadow, tracks
+from stages.estimators.detectors import clothing, exposure, light, motion_blur, pose_refinement, shadow, tracks
 from stages.estimators.detectors.bundle import adjust_bundle
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import ClipEvidence
@@ -291,3 +291,11 @@ def test_an_edge_known_to_a_pixel_is_no_error_of_a_pose():
     )
     nothing = np.zeros_like(mask)
     assert pose_refinement.share_apart(nothing, nothing) == 0 and pose_refinement.share_apart(mask, nothing) == 1
+
+
+@pytest.mark.slow
+def test_clothes_that_swing_a_little_are_believed_of_given_poses_only(filmed):
+    evidence = filmed(clothing=0.1)
+    given, ours = (clothing.detect(replace(evidence, fitted=fitted)) for fitted in (False, True))
+    assert given.called_for and not ours.called_for and given.value == ours.value
+    assert ours.verdict == "cannot be told from errors of our body fit"
