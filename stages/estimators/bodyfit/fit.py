@@ -20,7 +20,10 @@ from stages.estimators.bodyfit.solve import Solver, State, World
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, solve_places, start_pose, unwrap_rotations
 from stages.records import BodyModel, BodyPoses, Cameras
 
-SCALE_LEAST, SCALE_SHARE = 0.01, 0.5  # spread of the first scale: of itself, and of how far frames on the floor differ
+SOLE_SPREAD, SCALE_SHARE = (
+    0.015,
+    0.5,
+)  # of the first scale: m of height, and share of how far frames on the floor differ
 FLOOR_TILT = 0.02  # rad, that a floor may lie off level
 FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, then feet and scale as well
 
@@ -100,7 +103,10 @@ def fit_body(
 
     found, floor = _find_scale(solver, state, inputs, points, seen)
     state.scale = found["initial"]
-    spread = max(SCALE_LEAST, SCALE_SHARE * found["floor_spread"]) if floor else 1.0
+    spread = 1.0
+    if floor is not None:
+        above = found["initial"] * np.median(floor.height(cameras.centers))
+        spread = max(SOLE_SPREAD / above, SCALE_SHARE * found["floor_spread"])
     whole = _make_solver(inputs, np.arange(len(times)), floor, spread)
     solver, state = whole, _extend_to_all_frames(solver, whole, state, times, seen)
     state = solver.minimise(state, LAST, borders, True, lambda i, cost: progress(total - LAST + i, total, cost))
@@ -144,7 +150,9 @@ def _find_scale(
         trunk = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
     feet = (soles.double().numpy() @ turn).reshape(len(seen), 2, -1, 3)
     times = solver.world.times.double().numpy()
-    path = TimedCameras(cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times)
+    path = TimedCameras(
+        cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times, (cameras.width, cameras.height)
+    )
     return find_scale(
         path if inputs.moving else None,
         points,

@@ -46,7 +46,13 @@ def import_fit(
     if fit.scale is not None:
         found: dict[str, Any] = {"how": "given by the imported fit"}
     else:
-        path = TimedCameras(cameras.viewmats[rows], cameras.Ks[rows], cameras.centers[rows], times[rows])
+        path = TimedCameras(
+            cameras.viewmats[rows],
+            cameras.Ks[rows],
+            cameras.centers[rows],
+            times[rows],
+            (cameras.width, cameras.height),
+        )
         found = _find_scale(poses, model, path, points, moving)
         scale = found["initial"]
         transl = poses.transl + (scale - 1) * cameras.centers[rows]

@@ -35,12 +35,17 @@ class Floor:
 
 @dataclass(frozen=True)
 class TimedCameras:
-    """Cameras of F frames: `viewmats` [F,4,4] and `centers` [F,3] in SfM units, `Ks` [F,3,3] px, `times` [F] s."""
+    """Cameras of F frames: `viewmats` [F,4,4] and `centers` [F,3] in SfM units, `Ks` [F,3,3] px, `times` [F] s, `size` px."""
 
     viewmats: np.ndarray
     Ks: np.ndarray
     centers: np.ndarray
     times: np.ndarray
+    size: tuple[int, int]
+
+    def show(self, pixels: np.ndarray) -> np.ndarray:
+        """Of which frames [F] the picture holds most of `pixels` [F,N,2]."""
+        return ((pixels >= 0) & (pixels <= np.array(self.size))).all(-1).mean(1) > 0.5
 
 
 def find_scale(
@@ -65,7 +70,10 @@ def find_scale(
     floor = None
     if points is not None:
         floor = find_floor(points, path.viewmats, path.Ks, pixels, height, ups)
-    on_floor = None if floor is None else floor_scale(floor, soles.reshape(len(soles), -1, 3), path.centers)
+    shown = path.show(pixels)
+    on_floor = (
+        None if floor is None else floor_scale(floor, soles[shown].reshape(shown.sum(), -1, 3), path.centers[shown])
+    )
     if floor is not None and on_floor is not None:
         found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
         return found | {"how": "the feet stand on the floor's SfM points"}, floor
@@ -122,12 +130,13 @@ def floor_scale(floor: Floor, soles: np.ndarray, centers: np.ndarray) -> tuple[f
     """Scale, and its relative spread over the frames, at which the lowest of `soles` [F,S,3] m stands SOLE above the floor.
 
     Soles in metres from the camera, world axes; `centers` [F,3] in SfM units. The scale that most frames agree on (the
-    middle of the tightest half), so frames in the air do not count. None if the camera is not above the floor.
+    middle of the tightest half), so frames in the air do not count. None if the camera is not above the floor, or too
+    few frames show feet.
     """
     drop = SOLE - (soles @ floor.normal).min(1)
     above = floor.height(centers)
     usable = (above > 1e-6) & (drop > 0)
-    if usable.sum() < max(1, len(drop) // 2):
+    if usable.sum() < max(2, len(drop) // 2):
         return None
     ratios = np.sort(drop[usable] / above[usable])
     half = max(1, len(ratios) // 2)
