@@ -191,7 +191,7 @@ def test_a_list_of_films_is_no_film(tmp_path):
 
 def test_a_film_that_breaks_off_while_it_is_made_leaves_what_was_there(tmp_path):
     def some():
-        yield from corner_marked(3)
+        yield from corner_marked(80)  # so many that the encoder has begun to write
         raise KeyboardInterrupt
 
     (tmp_path / "v.mp4").write_text("before")
