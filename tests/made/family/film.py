@@ -78,7 +78,9 @@ def film(shot: Shot, captures: Path | None) -> Film:
     poses = BodyPoses(names, betas, orient, pose, transl, np.ones(FRAMES))
     points, colors = cloud(renderer, views, rng)
     placed, points = as_sfm_has_it(shot, cameras, points, rng)
-    return Film(views.images, views.masks, model, poses, cameras, placed, points, colors[: len(points)], shot.path != "still")
+    return Film(
+        views.images, views.masks, model, poses, cameras, placed, points, colors[: len(points)], shot.path != "still"
+    )
 
 
 def person(shot: Shot, rng: np.random.Generator) -> tuple[BodyModel, np.ndarray]:
