@@ -28,6 +28,7 @@ EVERY, RATE, SIZE = 4, 60.0, 0.5
 """Which frames are taken, frames a second of the videos, and what the pictures are made smaller by."""
 PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 JOINTS = tuple(f"{side}_{part}" for part in PARTS for side in ("left", "right"))
+GROUPS = (("shoulder", "hip"), ("elbow", "wrist"), ("knee", "ankle"))
 HIPS = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
 FAR = 25.0
 """Px of the full pictures from which a triangulated joint is no joint that all agree on."""
@@ -90,19 +91,38 @@ def make_treadmill(folder: Path, clip: Path) -> None:
 
 
 def triangulated(folder: Path, clip: Path) -> tuple[np.ndarray, np.ndarray]:
-    """JOINTS [F,12,3] m in the frame of cam01 from the landmarks in all views, and by how many px they miss on average [F,12]."""
+    """JOINTS [F,12,3] m in the frame of cam01 from the landmarks in all views, and by how many px they miss on average [F,12].
+
+    Where one view has left and right of a pair of GROUPS the other way around than the two others, it is turned back.
+    """
     lenses = read_calibration(clip / "Calib.qca.txt")
-    first = lenses[VIEWS[0]].viewmat
+    first = np.linalg.inv(lenses[VIEWS[0]].viewmat)
     columns = [NAMES.index(name) for name in JOINTS]
     cameras, spots, sure = [], [], []
     for view in VIEWS:
-        cameras.append(
-            read_cameras(folder / view / "cameras.npz").Ks[0] @ (lenses[view].viewmat @ np.linalg.inv(first))[:3]
-        )
-        tracks = read_tracks(folder / view / "tracks.npz")
+        K, tracks = read_cameras(folder / view / "cameras.npz").Ks[0], read_tracks(folder / view / "tracks.npz")
+        cameras.append(K @ (lenses[view].viewmat @ first)[:3])
         spots.append([np.full((12, 2), np.nan) if pose is None else pose.xy[columns] for pose in tracks])
         sure.append([np.zeros(12) if pose is None else pose.visibility[columns] for pose in tracks])
     P, xy, weight = np.stack(cameras), np.stack(spots), np.stack(sure).clip(0.05)
+    points, missed = _meet(P, xy, weight)
+    for group in GROUPS:
+        at = [j for j, name in enumerate(JOINTS) if name.partition("_")[2] in group]
+        other = [j ^ 1 for j in at]
+        best = missed[:, at].mean(1)
+        for view in range(len(VIEWS)):
+            turned_xy, turned_weight = xy.copy(), weight.copy()
+            turned_xy[view, :, at], turned_weight[view, :, at] = xy[view, :, other], weight[view, :, other]
+            found, off = _meet(P, turned_xy, turned_weight)
+            better = off[:, at].mean(1) < best
+            best = np.where(better, off[:, at].mean(1), best)
+            rows = np.ix_(better, at)
+            points[rows], missed[rows] = found[rows], off[rows]
+    return points, missed
+
+
+def _meet(P: np.ndarray, xy: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [F,J,3] nearest to what cameras P [V,3,4] see at `xy` [V,F,J,2], by DLT, and their mean miss in px [F,J]."""
     rows = weight[..., None, None] * (xy[..., None] * P[:, None, None, 2:3] - P[:, None, None, :2])
     rows = np.moveaxis(rows, 0, 2).reshape(*xy.shape[1:3], -1, 4)
     points = np.full((*xy.shape[1:3], 3), np.nan)
