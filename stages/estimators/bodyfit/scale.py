@@ -133,12 +133,12 @@ def floor_scale(floor: Floor, soles: np.ndarray, centers: np.ndarray) -> tuple[f
     middle of the tightest half), so frames in the air do not count. None if the camera is not above the floor, or too
     few frames show feet.
     """
-    drop = SOLE - (soles @ floor.normal).min(1)
+    drop = -(soles @ floor.normal).min(1)
     above = floor.height(centers)
     usable = (above > 1e-6) & (drop > 0)
     if usable.sum() < max(2, len(drop) // 2):
         return None
-    ratios = np.sort(drop[usable] / above[usable])
+    ratios = np.sort((drop[usable] + SOLE) / above[usable])
     half = max(1, len(ratios) // 2)
     start = int((ratios[half - 1 :] - ratios[: len(ratios) - half + 1]).argmin())
     tight = ratios[start : start + half]

@@ -60,7 +60,7 @@ class Company:
 
 def pick_person(people: list[Sighting], person: int | str, names: list[str]) -> Sighting:
     """The `person`-th of those in the frame with the most, from the largest on; StageError if there are not as many."""
-    if str(person).isdigit() and 1 <= int(person) <= len(people):
+    if str(person).isdecimal() and 1 <= int(person) <= len(people):
         return people[int(person) - 1]
     listing = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1)) or "nobody"
     facts = [f"{len(people)} seen" + (f" in frame {names[people[0].frame]}: {listing}" if people else "")]
