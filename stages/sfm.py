@@ -182,7 +182,7 @@ def solve(
     job.progress(55, 100)
     fixed_focal = params.focal is not None
     matched = Matched(database, images, scratch, len(names), side, need, params.overlap, fixed_focal)
-    walk = solve_walk(job, matched, footage, motion, pairs, facts)
+    walk = solve_walk(job, matched, footage, motion, pairs, (width, height), facts)
     return walk or solve_turn(job, footage, motion, pairs, width, height, facts)
 
 
@@ -210,9 +210,16 @@ def match_frames(
 
 
 def solve_walk(
-    job: Job, matched: Matched, footage: Footage, motion: CameraMotion, pairs: list[Pair], facts: dict[str, Any]
+    job: Job,
+    matched: Matched,
+    footage: Footage,
+    motion: CameraMotion,
+    pairs: list[Pair],
+    size: tuple[int, int],
+    facts: dict[str, Any],
 ) -> Solution | None:
-    """The cameras of the best model of all rungs; None if no model is reliable and a turn may stand in."""
+    """The cameras of the best model of all rungs, its lens settled; None if no model is reliable and a turn may stand in."""
+    from stages.estimators.cameras.intrinsics import settle
     from stages.estimators.cameras.ladder import best_rung, climb
     from stages.estimators.cameras.verdict import components
 
@@ -226,7 +233,10 @@ def solve_walk(
     tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.describe(matched) for rung in rungs)]
     facts["mapper"] = rung.how
     facts["trouble"] = footage.require(job, [model.placed_frames(names) for model in rung.models], tried)
-    best, poses = rung.models[0], rung.models[0].poses
+    best = rung.models[0]
+    if not matched.fixed_focal:
+        facts["lens"] = settle(job, best, *size)
+    poses = best.poses
     if doubts := matched.doubts(best):
         job.warn(f"the best reconstruction looks unreliable: {', '.join(doubts)}")
     kept = [name for name in names if name in poses]

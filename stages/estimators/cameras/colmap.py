@@ -179,6 +179,32 @@ def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal:
     return [Model(model) for model in models.values()]
 
 
+def lens_covariance(model: pycolmap.Reconstruction) -> np.ndarray | None:
+    """Covariance [2,2] of focal length (px) and k of a model's one SIMPLE_RADIAL camera, for points that are 1 px off.
+
+    Poses and points are free as well. None where the equations do not determine it.
+    """
+    model = pycolmap.Reconstruction(model)  # the adjuster normalises what it holds
+    options, config = pycolmap.BundleAdjustmentOptions(), pycolmap.BundleAdjustmentConfig()
+    for i in model.reg_image_ids():
+        config.add_image(i)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
+    found = pycolmap.estimate_ba_covariance(pycolmap.BACovarianceOptions(), model, adjuster)
+    camera = next(iter(model.cameras.values()))
+    return None if found is None else found.get_other_params_cov(camera.params)
+
+
+def hold_lens(model: pycolmap.Reconstruction, focal: float, k: float) -> None:
+    """Give a model's one SIMPLE_RADIAL camera this lens, and adjust poses and points to it."""
+    for camera in model.cameras.values():
+        camera.params = [focal, *camera.params[1:3], k]
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_focal_length = options.refine_extra_params = False
+    options.ceres.solver_options.num_threads = 1  # more threads sum in another order
+    pycolmap.bundle_adjustment(model, options)
+
+
 @dataclass(frozen=True)
 class Cloud:
     """Points of a model: `ids` [P], `xyz` [P,3], `rgb` [P,3] uint8, mean `errors` [P] px.

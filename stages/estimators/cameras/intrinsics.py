@@ -1,0 +1,82 @@
+"""Focal length and lens as evidence: how well the clip fixes them, and what cameras have where it does not.
+
+A small reprojection error is no proof: where the camera hardly travels, a longer focal length and a bent lens explain the
+frames as well. So what SfM found is weighed against what phones and cameras have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stages.avatar.cameras import lens
+from stages.contract import Job
+from stages.estimators.cameras import colmap
+from stages.estimators.cameras.colmap import Model
+
+USUAL_FOCAL, FOCAL_SPREAD = 0.85, 0.35  # of the longer side, and of its logarithm: 24 mm to 85 mm lie within two of it
+K_SPREAD = 0.02  # phones and cameras straighten their films; what is left is small
+TRACK_ERROR = 1.0  # px: tracks drift together, so a model knows its lens no better than if each point were so far off
+SETTLED = (
+    1.0  # px at the corners, and per cent of the focal length, by which SfM's values may differ from the weighed ones
+)
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Focal length in px and k of a SIMPLE_RADIAL lens, with standard deviations."""
+
+    focal: float
+    k: float
+    focal_spread: float
+    k_spread: float
+
+    def same_pictures(self, other: Intrinsics, width: int, height: int) -> bool:
+        """Whether both lenses take nearly the same pictures: within SETTLED."""
+        bent = [lens.max_shift(one.focal, one.k, width, height) for one in (self, other)]
+        return abs(bent[0] - bent[1]) < SETTLED and abs(self.focal / other.focal - 1) < 0.01 * SETTLED
+
+
+def weigh(focal: float, k: float, covariance: np.ndarray, side: int) -> Intrinsics:
+    """The most likely lens, of what SfM found and of what cameras have.
+
+    `covariance` [2,2] of focal length (px) and k for points 1 px off; `side` px is the frames' longer one. Both are normal
+    distributions, of the focal length's logarithm and k (Bishop, Pattern Recognition and Machine Learning, eq. 2.116).
+    Raises ValueError for a covariance that is not one.
+    """
+    scale = np.diag([1 / focal, 1.0])
+    seen = scale @ covariance @ scale * TRACK_ERROR**2
+    if not np.isfinite(seen).all() or (np.linalg.eigvalsh(seen) <= 0).any():
+        raise ValueError(f"no covariance: {covariance.tolist()}")
+    found, usual = np.array([np.log(focal), k]), np.array([np.log(USUAL_FOCAL * side), 0.0])
+    evidence, prior = np.linalg.inv(seen), np.diag([1 / FOCAL_SPREAD**2, 1 / K_SPREAD**2])
+    left = np.linalg.inv(evidence + prior)
+    likely, spread = left @ (evidence @ found + prior @ usual), np.sqrt(np.diag(left))
+    best = float(np.exp(likely[0]))
+    return Intrinsics(best, float(likely[1]), best * float(spread[0]), float(spread[1]))
+
+
+def settle(job: Job, model: Model, width: int, height: int) -> dict[str, float]:
+    """Hold the lens of a model that hardly tells it near what cameras have, and adjust the model; facts for sfm.json.
+
+    Where the model tells its lens within SETTLED, nothing of it changes.
+    """
+    camera = next(iter(model.reconstruction.cameras.values()))
+    focal, _, _, k = (float(value) for value in camera.params)
+    covariance = colmap.lens_covariance(model.reconstruction)
+    if covariance is None:
+        job.warn(f"how well the clip fixes the focal length could not be computed; it is {focal:.0f} px")
+        return {}
+    likely = weigh(focal, k, covariance, max(width, height))
+    facts = {"focal_spread_px": round(likely.focal_spread, 3), "k_spread": round(likely.k_spread, 5)}
+    if likely.same_pictures(replace(likely, focal=focal, k=k), width, height):
+        return facts
+    bent = lens.max_shift(focal, k, width, height)
+    colmap.hold_lens(model.reconstruction, likely.focal, likely.k)
+    job.warn(
+        f"the clip hardly tells its focal length: {likely.focal:.0f} px is likely, give or take {likely.focal_spread:.0f}; "
+        f"SfM alone gave {focal:.0f} px and a lens that bends the corners by {bent:.1f} px. "
+        "If you know it, give it with --set sfm.focal=PX"
+    )
+    return facts | {"free_focal_px": focal, "free_k": k}

@@ -1,0 +1,94 @@
+"""Focal length and lens as evidence: kept where the clip fixes them, held near what cameras have where it does not."""
+
+from __future__ import annotations
+
+import zlib  # noqa: F401  before pycolmap, see stages/estimators/cameras/colmap.py
+
+import numpy as np
+import pycolmap
+import pytest
+
+from stages.avatar.cameras.pinhole import look_at
+from stages.contract import Job
+from stages.estimators.cameras.colmap import Model, lens_covariance
+from stages.estimators.cameras.intrinsics import USUAL_FOCAL, settle, weigh
+
+WIDTH, HEIGHT, FOCAL = 960, 540, 760.0
+
+
+def model_of(degrees: float, points: int, noise: float = 0.25, views: int = 16) -> pycolmap.Reconstruction:
+    """A model of `points` seen by all of `views` cameras on an arc of that many degrees, adjusted with a free lens."""
+    rng = np.random.default_rng(0)
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(
+        model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT, params=[1.2 * WIDTH, 480, 270, 0.0], camera_id=1
+    )
+    model.add_camera_with_trivial_rig(camera)
+    spots = rng.uniform([-2.2, -1.2, -1.0], [2.2, 1.2, 1.0], (points, 3))
+    seen = []
+    for i, angle in enumerate(np.radians(np.linspace(-degrees / 2, degrees / 2, views)), 1):
+        view = look_at(
+            np.array([4 * np.sin(angle), 0.1 * np.sin(3 * i), 4 * np.cos(angle)]), np.zeros(3), np.array([0, 1.0, 0])
+        )
+        local = spots @ view[:3, :3].T + view[:3, 3]
+        seen.append(local[:, :2] / local[:, 2:] * FOCAL + [480, 270] + rng.normal(0, noise, (points, 2)))
+        image = pycolmap.Image(name=f"{i:06d}.png", camera_id=1, image_id=i, keypoints=seen[-1])
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(view[:3]))
+    for k, spot in enumerate(spots):
+        track = pycolmap.Track()
+        for i in range(views):
+            track.add_element(i + 1, k)
+        model.add_point3D(spot, track)
+    pycolmap.bundle_adjustment(model)
+    return model
+
+
+def lens_of(model: pycolmap.Reconstruction) -> tuple[float, float]:
+    focal, _, _, k = next(iter(model.cameras.values())).params
+    return float(focal), float(k)
+
+
+def settled(tmp_path, model: pycolmap.Reconstruction) -> tuple[dict, list[str]]:
+    said: list[str] = []
+    facts = settle(Job(tmp_path, emit=lambda event: said.append(event.get("text", ""))), Model(model), WIDTH, HEIGHT)
+    return facts, said
+
+
+def test_a_camera_that_travels_keeps_the_lens_it_found(tmp_path):
+    model = model_of(40, 200)
+    before, poses = lens_of(model), Model(model).poses
+    facts, said = settled(tmp_path, model)
+    assert lens_of(model) == before and not said and facts["focal_spread_px"] < 0.02 * FOCAL
+    assert before[0] == pytest.approx(FOCAL, rel=0.01)
+    assert all((poses[name] == pose).all() for name, pose in Model(model).poses.items())
+
+
+def test_a_camera_that_hardly_travels_is_held_near_what_cameras_have(tmp_path):
+    model = model_of(0.3, 60, noise=0.5)
+    free = lens_of(model)
+    facts, said = settled(tmp_path, model)
+    held = lens_of(model)
+    assert abs(held[0] - FOCAL) < 2 * facts["focal_spread_px"] and abs(held[1]) <= abs(free[1])
+    assert facts["free_focal_px"] == free[0] and facts["focal_spread_px"] > 0.02 * FOCAL
+    assert len(said) == 1 and f"SfM alone gave {free[0]:.0f} px" in said[0] and "sfm.focal" in said[0]
+    assert Model(model).error < 2, "poses and points follow the lens that is held"
+
+
+def test_the_stated_error_holds_where_the_clip_fixes_the_lens():
+    model = model_of(12, 200)
+    (focal, k), covariance = lens_of(model), lens_covariance(model)
+    likely = weigh(focal, k, covariance, WIDTH)
+    assert abs(likely.focal - FOCAL) < 2 * likely.focal_spread and abs(likely.k) < 2 * likely.k_spread
+
+
+def test_no_evidence_gives_what_cameras_have_and_much_gives_what_was_found():
+    nothing, much = np.diag([1e12, 1e6]), np.diag([1e-4, 1e-8])
+    usual, found = (weigh(1810.0, 1.4, covariance, 960) for covariance in (nothing, much))
+    assert usual.focal == pytest.approx(USUAL_FOCAL * 960, rel=1e-3) and usual.k == pytest.approx(0, abs=1e-3)
+    assert found.focal == pytest.approx(1810) and found.k == pytest.approx(1.4, abs=1e-4)
+
+
+@pytest.mark.parametrize("bad", [np.diag([np.nan, 1]), np.diag([-1.0, 1]), np.zeros((2, 2))])
+def test_what_is_no_covariance_is_refused(bad):
+    with pytest.raises(ValueError, match="no covariance"):
+        weigh(800.0, 0.0, bad, 960)
