@@ -51,6 +51,7 @@ def test_exclusive_times_add_up_to_the_total():
     assert 0.02 <= watch.seconds["outside"] <= total - 0.06
 
 
+@pytest.mark.slow
 def test_benchmarks_that_are_run_by_hand_speak_of_what_there_is(tmp_path):
     """Settings, effects and lines of code that they name exist: one that named a setting long gone had rotted unseen."""
     assert set(effects.STRENGTHS) == set(DETECTORS)

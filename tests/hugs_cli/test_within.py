@@ -183,6 +183,7 @@ def test_where_time_is_short_measuring_takes_less_of_it(clip):
         assert chosen.get("evaluate") == ({"fit_steps": 0} if points == 4 else None)
 
 
+@pytest.mark.slow
 def test_results_within_a_time_are_kept_when_only_code_changes(clip):
     run(clip, "--within", "60s")
     before = told(clip)

@@ -53,6 +53,7 @@ def test_everything_is_told(page):
     assert not re.search(r"url\((?!#)|@import|https?://", text), "nothing is fetched"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 500])
 def test_the_browser_shows_everything_and_complains_of_nothing(page, tmp_path, width):
     found, logged = probe(page, tmp_path, width)

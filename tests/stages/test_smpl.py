@@ -78,6 +78,7 @@ def camera_fit(clip):
     return {"betas": np.zeros(10), "global_orient": np.array(orient), "body_pose": pose, "transl": np.array(transl)}
 
 
+@pytest.mark.slow
 def test_i05_j05_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folders, tmp_path):
     clip, frames, sfm = folders
     fit = camera_fit(clip)

@@ -169,6 +169,7 @@ def test_what_a_stage_says_twice_is_kept_once(flow):
     assert stamp["notes"] == stamp["warnings"] == ["again"]
 
 
+@pytest.mark.slow
 def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
     run = flow.start("--set", "two.delay=30")
     flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
@@ -379,6 +380,7 @@ def written_by_older_code(flow) -> None:
         folder.rename(folder.with_name(f"{stage}-{stamp['key'][:8]}"))
 
 
+@pytest.mark.slow
 def test_results_of_older_code_are_kept_as_they_are(flow):
     flow.hugs()
     written_by_older_code(flow)
@@ -391,6 +393,7 @@ def test_results_of_older_code_are_kept_as_they_are(flow):
     assert list(stamp["inputs"]) == ["three", "two"]
 
 
+@pytest.mark.slow
 def test_an_input_that_was_given_and_is_not_any_more_is_no_change_of_code(flow):
     (flow.folder / "masks.txt").write_text("m")
     flow.hugs("--masks", "masks.txt")
@@ -398,6 +401,7 @@ def test_an_input_that_was_given_and_is_not_any_more_is_no_change_of_code(flow):
     assert out == "three not accepted, only changes of code can be: inputs.mask_files gone\n"
 
 
+@pytest.mark.slow
 def test_a_run_says_how_to_keep_results_where_only_code_changed(flow):
     hint = "of results are made again; `hugs accept clip.mp4` (and --set ...) keeps them"
     assert hint not in flow.hugs()[1]
@@ -413,6 +417,7 @@ def test_a_run_says_how_to_keep_results_where_only_code_changed(flow):
     assert "`hugs accept clip.mp4 --pipeline other` (and" in flow.hugs("--pipeline", "other")[1]
 
 
+@pytest.mark.slow
 def test_a_stage_is_handed_the_records_of_all_stages_before_it(flow):
     line = "import dataclasses, json; (job.out / 'up.json').write_text(json.dumps("
     line += "{name: dataclasses.asdict(one) for name, one in job.upstream.items()})); helper.work("

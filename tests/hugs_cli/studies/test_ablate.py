@@ -131,6 +131,7 @@ def test_pipelines_that_cannot_be_compared_are_refused(clip, pipeline, problem, 
     assert err.startswith(f"error: {problem}\n") and hint in err
 
 
+@pytest.mark.slow
 def test_trainings_of_every_seed_and_part_can_be_kept_when_only_code_changes(clip):
     command = ("--seeds", "2", "--part", "no_lbs")
     out, _ = ablate_(clip, *command)

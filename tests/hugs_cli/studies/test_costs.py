@@ -92,6 +92,7 @@ def test_without_a_scene_the_person_over_white_is_compared():
     assert "person over white" in "\n".join(costs.table(result))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 500])
 def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
     found = [run_("a<b", 70, 28.0), run_("a<b", 75, 28.4, seed=1), run_("b", 130, 30.0), run_("c", 500, 30.1)]

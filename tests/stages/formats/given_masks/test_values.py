@@ -129,6 +129,7 @@ def test_names_and_ids_of_odd_digits_are_compared_and_no_more(tmp_path):
     assert is_number("0" + "7" * 5000, "7" * 5000) and not is_number("7" * 5000, "7" * 5001) and is_number("0", "000")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
 @pytest.mark.parametrize("order", "CF")
 def test_levels_are_those_that_numpy_finds(dtype, order):
