@@ -34,7 +34,8 @@ def test_readme(work):
     assert len(block.partition("\n\n")[2].splitlines()) == LINES
     names: dict = {}
     exec(block, names)
-    assert names["means"].shape == names["colors"].shape == (len(names["opacities"]), 3)
+    person = names["person"]
+    assert person.means.shape == (len(person.opacities), 3)
     image = read_image(work / "pose.png")
     assert image.shape == (512, 512, 3)
     assert_in_the_middle(names["coverage"])

@@ -13,6 +13,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, vertex_normals
 from stages.avatar.splats.neighbours import farthest_points
 from stages.estimators.bodyfit import terms
+from stages.estimators.bodyfit.balance import balance_cost
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.estimators.bodyfit.scale import SOLE
 from stages.records import JOINT_NAMES
@@ -26,10 +27,6 @@ DIRECTION = {
     "eye": 0.22,
 }  # fmt: skip
 STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its sole above the floor
-BALANCE, STRIDE = 0.04, 0.5  # m, the body's mass beside the standing feet, in the mean from s before to s after
-ANKLES, BALLS = ([JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "foot"))
-LOAD = 0.33  # people stand 4 to 5 cm before the ankle (Winter 1995)
-GRAVITY = 9.81  # m/s^2
 CLOTH = (0.01, 0.02)  # m, how far clothes, hair and shoes stand off the skin at each joint: mean and spread
 BIAS = (0.15, 0.15)  # lean and flatness of a clip's landmark depths: six clips lean by 0 to 0.15
 SLOW = 0.6  # m/s that a foot may move, before the feet are held still, and stand; 0.45 lets one in sixty slide by 2 cm
@@ -115,7 +112,6 @@ class Solver:
         self.segment_spread = torch.tensor([DIRECTION[names[end].partition("_")[2]] for end in self.head])
         self.spread = terms.joint_spreads()
         parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]
-        self.masses = terms.mass_shares()
         self.steady = torch.tensor([ACCELERATION.get(part, ACCELERATION_REST) for part in parts])
         self.dense = farthest_points(body.v_template, DENSE)
         self.coarse = self.dense[:COARSE]
@@ -257,31 +253,6 @@ class Solver:
             cost = cost + (stands * terms.geman_mcclure(height.amin(-1).square(), 4.0)).sum() + sunk
         return cost / len(feet)
 
-    def balance_cost(self, state: State, joints: Tensor, stands: Tensor, scale: Tensor) -> Tensor:
-        """The body's mass beside the feet that stand, square to gravity; one number.
-
-        It may stand over any point between them; over one foot it stands LOAD of the way from ankle to ball. Walkers fall
-        from foot to foot and who starts or stops leans, so the mean over STRIDE counts, less what the mass's own
-        acceleration takes: the zero moment point (Vukobratovic 1972).
-        """
-        up, times = self.world.up, self.world.times
-        placed = self.to_world(state, joints, scale)
-        mass = (placed * self.masses[:, None]).sum(1)
-        soles = torch.lerp(placed[:, ANKLES], placed[:, BALLS], LOAD)
-        level = torch.eye(3) - up[:, None] * up
-        apart = (soles[:, 1] - soles[:, 0]) @ level
-        beside = (mass - soles[:, 0]) @ level
-        along = (beside * apart).sum(-1) / apart.square().sum(-1).clamp(min=1e-6)
-        along = torch.minimum(torch.maximum(along, 1 - stands[:, 0]), stands[:, 1]).detach()
-        near = ((times[:, None] - times).abs() <= STRIDE) * stands.amax(1)
-        certain = near.sum(1) / ((times[:, None] - times).abs() <= STRIDE).sum(1)
-        mean = near @ (beside - along[:, None] * apart) / near.sum(1, keepdim=True).clamp(min=1e-6)
-        tall = ((mass - soles.mean(1)) @ up).detach().abs()[:, None]
-        pushed = tall / GRAVITY * terms.smooth_acceleration(mass.detach(), times, STRIDE) @ level
-        spread = (BALANCE * self.size(state.betas)) ** 2 + (self.world.up_spread * tall[:, 0]) ** 2
-        off = (mean - pushed).square().sum(-1) / spread
-        return (certain * terms.geman_mcclure(off, 4.0)).sum() / len(mass)
-
     def minimise(
         self,
         state: State,
@@ -328,7 +299,8 @@ class Solver:
                 if i % 25 == 0:
                     stands = self.stance(feet.detach(), float(scale.detach()), loose)
                 total = total + self.feet_cost(now, feet, stands, scale, loose)
-                total = total + self.balance_cost(now, joints, stands, scale)
+                placed, up, spread = self.to_world(now, joints, scale), self.world.up, self.world.up_spread
+                total = total + balance_cost(placed, stands, self.world.times, up, spread, self.size(betas))
             adam.zero_grad()
             total.backward()
             adam.step()

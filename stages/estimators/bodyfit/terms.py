@@ -32,18 +32,6 @@ SPREAD = {
 HINGES = (("left_knee", 0, 1.0), ("right_knee", 0, 1.0), ("left_elbow", 1, -1.0), ("right_elbow", 1, 1.0))
 """Joint, axis and sign of its bend, which goes from 0 to BEND_MOST."""
 BEND_MOST, BEND_SLACK = 2.6, 0.06  # rad
-SEGMENTS = (
-    # share of the body's mass, ends, share of the way from the first end to the second
-    (0.0694, "neck", "head", 1.0),
-    (0.4346, "shoulder", "hip", 0.45),
-    (0.0542, "shoulder", "elbow", 0.577),
-    (0.0324, "elbow", "wrist", 0.457),
-    (0.0122, "wrist", "hand", 1.0),
-    (0.2832, "hip", "knee", 0.41),
-    (0.0866, "knee", "ankle", 0.446),
-    (0.0274, "ankle", "foot", 0.5),
-)
-"""Of a grown man, both sides together: P. de Leva, "Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters", 1996."""
 CONTOUR_POINTS = 160
 FIELD_SIDE = 256  # px of the longer side of the distance fields
 
@@ -57,31 +45,6 @@ def joint_spreads() -> Tensor:
     """SPREAD for the 23 joints [23,3]."""
     rows = [SPREAD.get(name) or SPREAD[name.partition("_")[2]] for name in JOINT_NAMES[1:]]
     return torch.tensor(rows)
-
-
-def mass_shares() -> Tensor:
-    """Weights [24] of the joints whose mean is the body's center of mass; they add up to 1."""
-    shares = torch.zeros(len(JOINT_NAMES))
-    for mass, first, last, way in SEGMENTS:
-        for end, part in ((first, 1 - way), (last, way)):
-            rows = [i for i, name in enumerate(JOINT_NAMES) if name in (end, f"left_{end}", f"right_{end}")]
-            shares[rows] += mass * part / len(rows)
-    return shares / shares.sum()
-
-
-def smooth_acceleration(x: Tensor, times: Tensor, reach: float) -> Tensor:
-    """Acceleration [F,3] of `x` [F,3] m at `times` [F] s: of the parabola through each point's neighbours within `reach` s.
-
-    Zero where fewer than five neighbours make one.
-    """
-    apart = times - times[:, None]
-    near = (apart.abs() <= reach).to(x.dtype)
-    powers = torch.stack([apart**0, apart, apart**2 / 2], -1)
-    normal = torch.einsum("fn,fna,fnb->fab", near, powers, powers)
-    right = torch.einsum("fn,fna,nc->fac", near, powers, x)
-    enough = near.sum(1) >= 5
-    normal = torch.where(enough[:, None, None], normal, torch.eye(3))
-    return torch.linalg.solve(normal, right)[:, 2] * enough[:, None]
 
 
 def pose_prior(body_pose: Tensor, spread: Tensor) -> Tensor:
