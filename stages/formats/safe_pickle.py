@@ -25,6 +25,7 @@ _MODULES = ("numpy.core.multiarray", "numpy._core.multiarray")
 _BROKEN = (*BROKEN, pickle.UnpicklingError, AttributeError, ImportError, IndexError, AssertionError, struct.error)
 _ELSEWHERE = (pickle.NEXT_BUFFER, pickle.READONLY_BUFFER)
 """Opcodes for content outside of the pickle."""
+_BUILD: Callable[[Any], None] = pickle._Unpickler.dispatch[pickle.BUILD[0]]
 _TYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}|O8?")
 _DENSE = 1 << 24
 """Most numbers of a sparse matrix made dense; SMPL-X's largest has half a million."""
@@ -220,7 +221,7 @@ class ArraysOnly(pickle._Unpickler):
         if isinstance(holder, dict):
             self.stack.pop()
         elif isinstance(holder, self.stand_ins):
-            pickle._Unpickler.dispatch[pickle.BUILD[0]](self)  # type: ignore[arg-type]  # typeshed knows the C class only
+            _BUILD(self)
         else:
             raise pickle.UnpicklingError(f"it changes {getattr(holder, '__name__', type(holder).__name__)!r}")
 
