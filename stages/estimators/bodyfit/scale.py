@@ -70,10 +70,8 @@ def find_scale(
     floor = None
     if points is not None:
         floor = find_floor(points, path.viewmats, path.Ks, pixels, height, ups)
-    shown = path.show(pixels)
-    on_floor = (
-        None if floor is None else floor_scale(floor, soles[shown].reshape(shown.sum(), -1, 3), path.centers[shown])
-    )
+    shown, both = path.show(pixels), soles.reshape(len(soles), -1, 3)
+    on_floor = None if floor is None else floor_scale(floor, both[shown], path.centers[shown])
     if floor is not None and on_floor is not None:
         found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
         return found | {"how": "the feet stand on the floor's SfM points"}, floor

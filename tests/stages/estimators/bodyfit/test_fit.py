@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import Body
+from stages.avatar.cameras.pinhole import project
 from stages.estimators.bodyfit import fit as fitting
 from stages.estimators.bodyfit.evidence import (
     LandmarkEvidence,
@@ -20,7 +21,7 @@ from stages.estimators.bodyfit.evidence import (
 )
 from stages.estimators.bodyfit.fit import fit_body
 from stages.estimators.bodyfit.quality import fast_joints, measure_quality
-from stages.estimators.bodyfit.scale import Floor, find_floor, floor_scale, still_scale
+from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_floor, find_scale, floor_scale, still_scale
 from stages.estimators.bodyfit.silhouette import silhouette
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, unwrap_rotations
 from stages.estimators.bodyfit.terms import acceleration, geman_mcclure, joint_spreads, outlines, pose_prior
@@ -153,8 +154,6 @@ def test_j02_j03_j04_the_floor_is_found_beside_a_wall_and_gives_the_scale(held):
     lowest = (clip.vertices @ up).argsort(1)[:, :16]
     soles = np.take_along_axis(clip.vertices, lowest[..., None], 1).astype(np.float64)
     views, centers = clip.cameras.viewmats, clip.cameras.centers
-    from stages.avatar.cameras.pinhole import project
-
     pixels, _ = project(soles / clip.scale, views, clip.cameras.Ks)
     floor = find_floor(clip.points, views, clip.cameras.Ks, pixels, np.full(12, 400.0), up[None])
     assert floor is not None and floor.normal @ up > 0.99
@@ -165,6 +164,21 @@ def test_j02_j03_j04_the_floor_is_found_beside_a_wall_and_gives_the_scale(held):
     held(abs(floor_scale(floor, relative, centers)[0] / scale - 1), 0.01)
     assert floor_scale(floor, relative * 0, centers) is None  # at the camera's height: no ray meets the floor
     assert floor_scale(replace(floor, offset=floor.offset - 100), relative, centers) is None  # camera below the floor
+
+
+def test_feet_that_are_never_in_the_picture_give_no_scale_by_the_floor():
+    clip = bodyfit_clips.make(MODEL, frames=8)
+    up = clip.joints[:, 15].mean(0) - clip.joints[:, 0].mean(0)
+    up /= np.linalg.norm(up)
+    lowest = (clip.vertices @ up).argsort(1)[:, :16]
+    soles = np.take_along_axis(clip.vertices, lowest[..., None], 1).astype(np.float64).reshape(8, 2, 8, 3)
+    views, Ks, centers = clip.cameras.viewmats, clip.cameras.Ks, clip.cameras.centers
+    pixels, _ = project(soles.reshape(8, 16, 3) / clip.scale, views, Ks)
+    relative = soles - clip.scale * centers[:, None, None]
+    for size, floored in (((480, 864), True), ((480, 400), False)):  # the picture ends at the hips
+        path = TimedCameras(views, Ks, centers, clip.times, size)
+        found, floor = find_scale(path, clip.points, relative, pixels, np.full(8, 400.0), up[None])
+        assert (floor is not None) == floored and found["how"].startswith("the feet stand") == floored
 
 
 def test_j04_no_floor_among_few_or_upright_points():
