@@ -7,6 +7,7 @@ import numpy as np
 from stages.contract import Job, StageError
 from stages.estimators.person.blazepose import Pose, Sighting, pick_clearest, torso_share
 
+ENOUGH = 4  # frames checked, of which one alone that shows somebody else makes no second person
 JUMP = 0.5  # of the crop's side between neighbouring frames: a person does not move that far, so it is somebody else
 
 
@@ -23,9 +24,11 @@ class Company:
         if fullest is not None and len(people) > 1:
             people_list = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1))
             frames = sum(n > 1 for n in count.values())
-            job.note(
-                f"{len(people)} people in frame {names[fullest]}, several in {frames} of {len(count)} frames checked: {people_list}"
-            )
+            where = f"{len(people)} people in frame {names[fullest]}"
+            if frames == 1 and len(count) >= ENOUGH:
+                job.note(f"perhaps {where}, but in none of the other {len(count) - 1} frames checked: {people_list}")
+                return
+            job.note(f"{where}, several in {frames} of {len(count)} frames checked: {people_list}")
             whom = "the largest" if person is None else f"person {person}"
             job.warn(f"{len(people)} people are in view: following {whom}; `--person N` picks another from the list")
 

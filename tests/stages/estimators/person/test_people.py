@@ -53,6 +53,14 @@ def test_another_is_picked_by_number_and_an_unknown_one_is_refused():
         company([], 1)
 
 
+def test_one_doubtful_sighting_is_no_second_person():
+    alone = [seen(i, 50 + i, 80) for i in range(5)]
+    one, said = company([*alone, seen(3, 250, 60)])
+    assert one.start in alone and len(said) == 1
+    assert said[0].startswith("perhaps 2 people in frame 000009, but in none of the other 4 frames checked: 1 at")
+    assert "following the largest" in company([*alone, seen(2, 240, 60), seen(3, 250, 60)])[1][1]
+
+
 def test_one_person_is_not_worth_a_word():
     one, said = company([seen(0, 50, 80), seen(3, 60, 80)])
     assert one.start.frame in (0, 3) and said == []
