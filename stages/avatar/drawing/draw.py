@@ -62,9 +62,7 @@ def motion_at(
     i: int,
     shows_person: bool,
 ) -> FrameMotion | None:
-    """The motion at frame `i` of F, taken by `cameras` in metres at `moments` int[F]; None where no effect needs
-    it.
-    """
+    """The motion at frame `i` of F, taken by `cameras` in metres at `moments` int[F]; None where no effect needs it."""
     if not learned.effects.takes_time:
         return None
     Ks = torch.as_tensor(cameras.Ks).to(learned.avatar.joints)

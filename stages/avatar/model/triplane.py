@@ -59,7 +59,7 @@ def _read(u, table, r, out):
 
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
 def _read_backward(u, table, r, grad, d_table, d_along, d_across):
-    """Fill d_table, and each job's slopes at the points: d_along, d_across [jobs,N]; a job is PART channels a plane."""
+    """Fill d_table, and slopes d_along, d_across [jobs,N] at the points; a job takes PART channels of one plane."""
     n, channels = len(u), table.shape[1]
     parts = (channels + PART - 1) // PART
     for job in prange(3 * parts):

@@ -28,8 +28,8 @@ FLIGHT = 0.7
 class Placed(NamedTuple):
     """A motion for a body of known shape: y up, floor at y = 0, the first frame over the origin and facing +z.
 
-    global_orient [F,3] and body_pose [F,69] rad, transl [F,3] m; `drift` m: the range of the floor's
-    heights in the motion itself.
+    global_orient [F,3] and body_pose [F,69] rad, transl [F,3] m; `drift` m: the range of the floor's heights
+    in the motion itself.
     """
 
     global_orient: np.ndarray
