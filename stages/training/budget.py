@@ -13,7 +13,7 @@ from stages.training.settings import Params
 
 
 def chosen_sizes(steps: int, params: Params) -> dict[str, int]:
-    """The settings of size that change where so many steps of the settings' own sizes fit into the time."""
+    """The sizes to change where so many steps at the sizes of `params` fit into the time."""
     if SMALL_UNDER <= steps < LARGE_FROM:
         return {}
     pick, wanted = (min, SMALL) if steps < SMALL_UNDER else (max, LARGE)

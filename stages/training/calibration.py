@@ -1,4 +1,4 @@
-"""What a training within a time reaches, measured, and the sizes chosen by it.
+"""Measured results of trainings with a time limit, and the sizes they ask for.
 
 Of 21 to 23 November 2026, on two cores of an AMD EPYC without a GPU: the hand-held phone clip of tests/benchmarks
 (480x864, 80 frames). Another machine changes the seconds of a step, which are timed anew each time, not these figures;
@@ -21,5 +21,5 @@ SHORT_OF = {360: 3.1, 560: 2.6, 1100: 1.8, 3000: 0.8, 8500: 0.2, 10_000: 0.0}
 
 
 def short_of(steps: int) -> float:
-    """About how many dB `steps` are short of 10,000: read off SHORT_OF between logarithms, its ends beyond."""
+    """About how many dB `steps` are short of 10,000: SHORT_OF, linear in log(steps), clamped at its ends."""
     return float(np.interp(math.log(steps), [math.log(known) for known in SHORT_OF], list(SHORT_OF.values())))

@@ -1,6 +1,6 @@
 """A training cut short: everything that the rest of it depends on, in one file that is whole or not there.
 
-Same state, same threads: the same rest, bit for bit on a CPU.
+On a CPU with as many threads the rest is the same to the bit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Checkpoint:
         os.replace(partial, self.path)
 
     def load(self, more: tuple[str, ...]) -> dict[str, Any] | None:
-        """What `save` wrote, with the names in `more`; None if nothing was, StageError where it cannot be read."""
+        """What `save` wrote, with the names in `more`; None without a file, StageError where it cannot be read."""
         self.path.with_suffix(".part").unlink(missing_ok=True)
         if not self.path.exists():
             return None

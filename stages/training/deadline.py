@@ -13,20 +13,20 @@ from stages.training.fit import Fit
 from stages.training.schedule import LATE, SCENE_GROWTH, SETTLE
 
 WARM_UP = 2  # steps that no clock sees
-TIMED = 4  # steps of one timing, at least: whole groups of all that comes every few steps
+TIMED = 4  # least steps of one timing, rounded up to whole periods of decoding and LPIPS
 LONG = 24  # steps; an LPIPS that comes more rarely is not waited for
-TIMINGS = 3  # at each corner of a Pace, before sizes are chosen: the middle one counts, so one disturbance does not
+TIMINGS = 3  # of each of a Pace's four numbers before sizes are chosen; their median ignores one disturbance
 OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer
-HASTE = 300  # seconds; a training that has fewer times its steps once
+HASTE = 300  # seconds; a shorter training makes only one timing
 
 
 class Pace:
     """Seconds a step takes, by the share of the schedule that is behind it.
 
     `half` and `full` are seconds a step at each resolution, before and after the share `half_until`, with as many
-    Gaussians as at the start and as at the end; in between they grow evenly. `slow` is what steps were found to take,
-    as a multiple of that.
+    Gaussians as at the start and as at the end; in between they grow evenly. `slow` is the factor by
+    which real steps were slower.
     """
 
     def __init__(self, half: tuple[float, float], full: tuple[float, float], half_until: float, slow: float = 1.0):
@@ -60,8 +60,8 @@ class Pace:
 class Deadline:
     """The time that a training may take. Its steps are fitted into it before the first one, and again on the way.
 
-    `seconds` from `began` (of time.perf_counter) on; the time of `reserve` full, grown steps of them is left over. `pauses`
-    are still to come, in which accuracy is measured.
+    It ends `seconds` after `began` (of time.perf_counter) and leaves over the time of `reserve` full, grown steps.
+    `pauses` measurements of accuracy are to come.
     """
 
     def __init__(self, seconds: float, reserve: float, began: float, pauses: int):
@@ -121,9 +121,9 @@ class Deadline:
 
 
 def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
-    """Time real steps of a training that has not begun, small and grown; it is then as it was, bit for bit.
+    """Time real steps of a training that has not begun, with few and many Gaussians; leaves it as it was, bit for bit.
 
-    Each kind is timed `timings` times, and the middle one counts.
+    The median of `timings` of each kind counts.
     """
     before, half_until = copy.deepcopy(fit.state()), fit.half_until
     fit.half_until = late = min(half_until, LATE)  # a full step is timed even where training has none: films are full
@@ -136,7 +136,7 @@ def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
 
 
 def _timed(fit: Fit, done: float, timings: int) -> float:
-    """Seconds a step at a share of the schedule, at which it is frozen; the middle one of `timings`."""
+    """Seconds a step, the median of `timings`, with the schedule frozen at its share `done`."""
     fit.progress.freeze(done)
     for _ in range(WARM_UP):
         fit.advance()

@@ -205,7 +205,7 @@ def displacement(axes: Tensor, rows: Plan, generator: torch.Generator) -> Tensor
 
 
 class Densifier:
-    """Adds and removes Gaussians on schedule, up to their caps, and says when the scene has its last ones.
+    """Adds and removes Gaussians on schedule, up to their caps, and settles the scene's last colours.
 
     `statistics` are by set, "human" and "scene". `settled` [N], or None until then, are the Gaussians of the scene with
     their last colours.

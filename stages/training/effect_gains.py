@@ -31,11 +31,11 @@ PARTS = {
 """Effect -> where a training has it: the option, or the part of its `FrameEffects`; `transients` are its own."""
 ONLY_TAUGHT = ("transients",)  # held-out frames are drawn the same without
 TURNS = 4  # of steps with an effect and without: the fastest of each, which nothing has disturbed, counts
-PAUSES = 4  # of a training, each as long as measuring its accuracy: what `effect_gains` takes for an effect
+PAUSES = 4  # `effect_gains` takes as long for an effect as so many measurements of accuracy
 
 
 def effects_of(fit: Fit) -> list[str]:
-    """The effects that a training has and can be taken out of it; the lens is sfm's, and a sky nothing takes the place of."""
+    """The effects that a training can do without: not the lens, which is sfm's, nor a sky, which nothing replaces."""
     found = [name for name, option in OPTIONS.items() if getattr(fit.options, option)]
     found += [name for name, part in PARTS.items() if getattr(_owner(fit, name), part) is not None]
     return found + ["view_dependence"] * (fit.scene is not None and fit.scene.shN.shape[1] > 0)
@@ -47,7 +47,7 @@ def _owner(fit: Fit, effect: str) -> Fit | FrameEffects:
 
 @contextmanager
 def without(fit: Fit, effect: str) -> Iterator[None]:
-    """A training as it is, but for one of its `effects_of`; afterwards it has it again."""
+    """Take one of its `effects_of` out of a training, and put it back afterwards."""
     options, owner, scene, speeds = fit.options, _owner(fit, effect), fit.scene, fit.speeds
     part = getattr(owner, PARTS[effect]) if effect in PARTS else None
     colors = None if scene is None else (scene.shN, scene.antialias)
@@ -101,7 +101,7 @@ def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | Non
 
 
 def _seconds(fit: Fit) -> float:
-    """Seconds of a group of steps on the same frames, whichever is asked; of the processor, if that does the drawing."""
+    """Seconds of a group of steps, always on the same frames; processor time where the CPU draws."""
     clock = time.process_time if fit.full.viewmats.device.type == "cpu" else time.perf_counter
     count = fit.params.views_per_decode
     fit.order, began = torch.tensor(spread_evenly(list(range(len(fit.train))), count)), clock()

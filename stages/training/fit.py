@@ -56,7 +56,7 @@ class Fit:
         self.full, self.small = views, views.half()
         self.train, self.scene, self.params, self.options = train, scene, params, options
         self.generator, self.perceptual, self.transients = generator, perceptual, transients
-        self.half_until = params.half_until  # but while it is timed
+        self.half_until = params.half_until  # `rehearse` lowers it
         self.progress = Progress(params.steps, params.joint)
         self.guard, self.clock = Guard(), Clock()
         self.learner = None if body is None or human is None else PersonLearner(body, human, self.guard)
@@ -252,7 +252,7 @@ class Fit:
             self.adam["effects"].zero_grad(set_to_none=True)
 
     def _inpaint(self, scene: SceneModel) -> Tensor:
-        """What the person hides or shades of the scene has its last colours; tells which Gaussians [N]."""
+        """Inpaint what the person hides or shades of the scene; returns which Gaussians, bool[N]."""
         views, points = self.full._replace(viewmats=self.cameras()), scene.means.detach()
         return inpaint_occluded(scene, views, self.train, lambda frame: self._shadow_depth(frame, points))
 

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 ABSURD = 300.0  # times the usual largest entry; trainings of good clips stay under 30 times
-QUIET = 0.01  # of the loudest tensor of its owner every tensor is taken to be: one that begins at 0 may wake
-YOUNG = 20  # comparisons in which an owner's rows are also compared with each other, there being little else yet
+QUIET = 0.01  # a tensor counts as this share of its owner's loudest at least: one that begins at 0 may wake
+YOUNG = 20  # first comparisons, in which an owner's rows are also compared with each other, for want of a past
 SPIKE = 10.0  # gradients of shared networks are clipped to this many times their usual norm
 MANY = 0.01  # of the rows: then the whole step counts as bad
 BAD_STEPS = 20  # in a row, after which training stops
@@ -117,7 +117,7 @@ def _sizes(grad: Tensor) -> Tensor:
 
 
 def _common(grads: Mapping[str, Tensor]) -> float:
-    """What all but MANY of the rows with a gradient, and all but one, stay under; infinite where there is only one."""
+    """What the rows with a gradient stay under, but for a share MANY, at least one; infinite for a single row."""
     rows = torch.cat([_sizes(grad) for grad in grads.values()])
     rows = rows[rows.isfinite() & (rows > 0)]
     rank = len(rows) - max(1, int(MANY * len(rows)))

@@ -45,8 +45,8 @@ class DrawnFrame(NamedTuple):
 def foreground_occluders(scene: Splats, person: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int) -> Tensor:
     """Which Gaussians of the scene are nearer to a camera than the person's means[N,3] in the same cell of the picture.
 
-    Where the person is seen nothing can be in front of them. Person pixels teach the scene nothing, so a loss must remove
-    it. In cells without the person, a Gaussian counts if it is nearer than the whole person. One depth for the whole
+    Nothing can be in front of a person who is seen. Person pixels teach the scene nothing, so a loss removes what is
+    there. In cells without the person, a Gaussian counts if it is nearer than the whole person. One depth for the whole
     person would also remove the floor under their feet, and shadows fall into the hole.
     """
     size = max(width, height) / CELLS

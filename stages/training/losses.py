@@ -9,10 +9,10 @@ from stages.avatar.measures.ssim import ssim
 
 SSIM_SHARE = 0.2
 ALPHA = 0.2  # weight of |alpha - mask|: an opaque person, and nothing of them outside the mask
-WHOLE = 0.98  # covered so much, or less than 1 - WHOLE: a pixel of a blurred image shows the person or the scene alone
+WHOLE = 0.98  # a pixel of a blurred image whose mask is over this, or under 1 - WHOLE, shows person or scene alone
 SEAM = 0.001  # of the longer side: the width around the person from which the scene learns nothing
-# On the mean squared difference: more drowns colours in the triplane that both share. In 900 steps 100 loses 0.4 dB of
-# the person for 30, 1000 more than that (G19); 10 wins nothing more.
+# Weight of the mean squared difference: more drowns colours in the triplane that both share. In 900 steps 100 costs
+# the person 0.4 dB against 30, 1000 more (G19); 10 wins nothing more.
 LBS = 30.0
 OCCLUDERS = 1.0  # on the coverage of scene Gaussians where the person is seen, down to the person's depth
 OUTSIDE = 10.0  # per metre^2 outside the triplane's box

@@ -18,7 +18,7 @@ from stages.training.finishing.bake import as_body_where_unseen
 from stages.training.guard import Guard
 from stages.training.views import Person
 
-NEIGHBOURS = 8  # of which a Gaussian of the surface is the middle
+NEIGHBOURS = 8  # a surface Gaussian is held at their mean height
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 

@@ -68,7 +68,7 @@ class FrameCorrections(nn.Module):
 def agreement(rows: Tensor) -> Tensor:
     """How much of a row [D] of rows[F,D] its neighbour tells, 0..1: the correlation of rows that follow each other.
 
-    Errors that drift agree, those of each frame's own say nothing of the next; 0 for rows of zeros.
+    Errors that drift agree; errors of single frames say nothing of the next. 0 for rows of zeros.
     """
     return ((rows[1:] * rows[:-1]).sum() / rows.square().sum().clamp_min(1e-30)).clamp(0, 1)
 

@@ -116,7 +116,7 @@ def result_of(
 
 
 def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener) -> dict[str, dict[str, Any]]:
-    """What train.json says of the `effect_gains` of a training: dB on the curve's frames, and of its `seconds`."""
+    """What train.json says of `effect_gains`: dB on the curve's frames, and each one's part of `seconds`."""
     facts = {}
     for name, effect in found.items():
         gains = {key: None if effect[key] is None else round(effect[key], 3) for key in ("psnr", "psnr_person")}

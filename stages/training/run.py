@@ -84,7 +84,7 @@ def run(
     """Train, from the start or from where a checkpoint left it.
 
     The time of `task.params.seconds` counts from `began` (of time.perf_counter; None: now). Raises Breakdown, Stopped
-    when asked to stop, StageError where the clip or the time does not do.
+    when asked to stop, StageError where clip or time is not enough.
     """
     training = begin(task, hooks, checkpoint, time.perf_counter() if began is None else began)
     learn(training, hooks, checkpoint, checkpoint_seconds)
@@ -179,14 +179,14 @@ def finish(training: Training, hooks: Hooks) -> Result:
     fit, curve = training.fit, training.curve
     try:
         effects = effect_facts(effect_gains(fit, training.heldout), curve[-1]["seconds"], hooks)
-    except (FloatingPointError, ValueError) as error:  # of a step taken to be timed: the training is over, and is kept
+    except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
         hooks.warn(f"what effects are worth could not be measured: {error}")
         effects = {}
     return result_of(fit, training.task.clip, curve, effects, hooks)
 
 
 def _measured(fit: Fit, frames: list[int]) -> dict[str, Any]:
-    """What the curve tells of one step, but for the step and its time."""
+    """A row of the curve, without its step and seconds."""
     found = heldout_accuracy(fit, frames)
     numbers = {key: "" if value is None else round(value, 4) for key, value in found.items()}
     return {key: numbers[key] for key in COLUMNS[2:6]} | fit.sizes() | {"memory_bytes": peak_memory()}

@@ -43,7 +43,7 @@ LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rate
 SETTLE = 0.65
 SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
 HUMAN_GROWTH = (0.15, SETTLE)
-LATE = 0.99  # share of the schedule, the last at which steps are timed
+LATE = 0.99  # last share of the schedule at which steps are timed
 FROZEN = 10**9  # steps of a schedule that hardly moves
 SCENE_FIRST = 0.5  # share of the steps that the scene has to itself where the two are not learned jointly
 
@@ -60,7 +60,7 @@ class Options(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """Steps from `first` on, `steps` in number, with their schedule's share from `start` to 1; which sets learn in them."""
+    """`steps` steps from `first` on, over the schedule's shares `start` to 1; `human`, `scene`: which sets learn."""
 
     first: int
     steps: int
@@ -137,7 +137,7 @@ class Progress:
 
 
 def rate(name: str, done: float) -> float:
-    """Factor on the learning rate of `name` after the share `done` of a phase: from 1 to the LAST ones."""
+    """Factor on the rate of `name` at the share `done` of a phase: 1 down to LAST_MEANS or LAST_OTHERS."""
     if name in ("means", "xyz", "offset"):
         return LAST_MEANS**done
     return LAST_OTHERS ** max(0.0, (done - SETTLE) / (1 - SETTLE))

@@ -40,7 +40,7 @@ FILLED = 16  # frames from which points of the scene are filled in
 class Task:
     """What a training is to learn, and how.
 
-    `decisions`, and where to begin, `starts`, are those of survey.json, by effect; `perceptual` is the network of the
+    `decisions` and first values (`starts`) are those of survey.json, by effect; `perceptual` is the network of the
     perceptual loss, where the settings ask for it.
     """
 

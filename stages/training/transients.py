@@ -21,8 +21,8 @@ from stages.training.views import Views
 WARM_UP = 0.05  # share of a phase's steps that trust every pixel: at first what is drawn says nothing
 CELLS = 48  # along the longer side
 LEAST = 0.06  # of the brightest colour: a smaller mean difference of a cell is worth no vote
-NEARER = 0.4  # of the difference: what is drawn lies so near to what a frame shows that votes for it
-EDGE = 0.1  # of a bad cell, between it and a good one: nearly half a cell around what passes by
+NEARER = 0.4  # share of the difference within which another frame votes for what is drawn
+EDGE = 0.1  # share of a bad cell from which a pixel is bad: adds nearly half a cell around it
 VOTERS = 3  # frames at least that see a place, of which more than half must be against
 
 

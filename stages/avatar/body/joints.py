@@ -1,4 +1,4 @@
-"""SMPL's joints as rows of `records.JOINT_NAMES`, those of both sides as (left, right)."""
+"""SMPL's joints as indices into `records.JOINT_NAMES`; paired joints as (left, right)."""
 
 from __future__ import annotations
 

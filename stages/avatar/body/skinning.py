@@ -27,8 +27,8 @@ def skin(points: Tensor, weights: Tensor, bones: Tensor) -> tuple[Tensor, Tensor
 def knn_weights(points: Tensor, vertices: Tensor, vertex_weights: Tensor, k: int = 6) -> Tensor:
     """What the body's own skinning weights [V,24] say at `points` [N,3]: [N,24], rows sum to 1, no gradient.
 
-    Among the k nearest of `vertices` [V,3] m, those that move almost as the nearest does (WEIGHT_GAP), averaged with
-    exp(-d^2) (HUGS supplement). The exponents are shifted by their largest, so a point 20 m away gets weights too.
+    Averages, by exp(-d^2) (HUGS supplement), those of the k nearest `vertices` [V,3] m that move almost as the nearest
+    does (WEIGHT_GAP). The exponents are shifted by their largest, so a point 20 m away gets weights too.
     Raises ValueError for points that are not finite, or fewer vertices than k.
     """
     if not 1 <= k <= len(vertices):

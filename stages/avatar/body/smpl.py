@@ -16,7 +16,7 @@ DA_POSE[2], DA_POSE[5] = 1.0, -1.0
 class Body(nn.Module):
     """Vertices and joints of an SMPL-format body from its shape and pose; metres, y up, all buffers, no parameters.
 
-    Joints come from all vertices, whatever `vertices` is kept.
+    Joints come from all vertices, also after `subset`.
     """
 
     v_template: Tensor

@@ -52,7 +52,7 @@ def pinhole_focal(focal: float, center: np.ndarray, k: float, width: int, height
 
 
 def focal_within(outline: np.ndarray, width: int, height: int) -> float:
-    """The same for any lens, from the ideal points [4*steps,2] that it shows along `border`, normalised by a focal length of 1.
+    """As `pinhole_focal`, for any lens: from the ideal points [4*steps,2] that it shows along `border`, at focal 1.
 
     Raises ValueError where no rectangle fits.
     """

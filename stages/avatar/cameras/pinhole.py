@@ -1,7 +1,7 @@
 """Pinhole cameras: projection and placing.
 
-Axes are OpenCV's (x right, y down, z forward); the centre of the first pixel is at (0.5, 0.5). What is not marked
-otherwise takes numpy arrays and torch tensors alike and returns the same kind.
+Axes are OpenCV's (x right, y down, z forward); the centre of the first pixel is at (0.5, 0.5). Functions of
+`Array` take numpy arrays or torch tensors and return the same kind.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def pinhole(focal: float, width: int, height: int) -> np.ndarray:
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
     """camera_from_world [4,4] float64 of a camera at `eye` [3] that looks at `target` [3] with `up` [3] upwards.
 
-    Looking along `up`, the world axis least aligned with the view takes its place. Raises ValueError if eye is target.
+    If `up` is along the view, the world axis farthest from the view replaces it. Raises ValueError if eye is target.
     """
     forward = np.asarray(target, np.float64) - eye
     distance = np.linalg.norm(forward)

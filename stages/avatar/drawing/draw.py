@@ -62,9 +62,7 @@ def motion_at(
     i: int,
     shows_person: bool,
 ) -> FrameMotion | None:
-    """How everything moves at frame `i` of F, taken by `cameras` in metres at `moments` int[F]; None without a shutter
-    or readout that takes time.
-    """
+    """The motion at frame `i` of F, taken by `cameras` in metres at `moments` int[F]; None where no effect needs it."""
     if not learned.effects.takes_time:
         return None
     Ks = torch.as_tensor(cameras.Ks).to(learned.avatar.joints)
@@ -82,7 +80,7 @@ def draw(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours [H,W,3] over a grey `background` and coverage [H,W], float32.
 
-    Sharp, and all at one moment, unless the shutter of `effects` and a `motion` are given.
+    Draws a single moment, unless `effects` take time and a `motion` is given.
     """
     first = human or scene
     if first is None:

@@ -15,10 +15,10 @@ from stages.avatar.model.person import Resting
 from stages.avatar.splats.neighbours import farthest_points
 
 NODES = 160  # about 0.1 m apart on a body
-REACH = 0.07  # m: the width of a node's bell
+REACH = 0.07  # m: a node's Gaussian sigma
 FEATURES = 6
 FLOOR = 1e-6  # of the weights' sum: far from all nodes nothing moves, and nothing is divided by 0
-PRIOR = 0.1  # on the mean squared offset in units of LOOSE; a 20th, at 3 times the rate, lost 1.1 dB of the person
+PRIOR = 0.1  # weight of the mean squared offset / LOOSE; a 20th of it, at 3 times the rate, cost the person 1.1 dB
 LOOSE = 0.05  # m
 
 
@@ -43,7 +43,7 @@ class Clothing(nn.Module):
 
     @classmethod
     def start(cls, points: Tensor, poses: Tensor) -> Clothing:
-        """Without any offset, for points[P,3] of a body at rest and the training frames' body poses[F,69] in rad."""
+        """Clothes at offset 0 for points[P,3] of a body at rest and the training frames' body poses[F,69] in rad."""
         mean = poses.mean(0)
         _, spread, axes = torch.linalg.svd((poses - mean).double(), full_matrices=False)
         kept = (spread[:FEATURES] > 1e-3 * len(poses) ** 0.5).sum()
@@ -60,7 +60,7 @@ class Clothing(nn.Module):
         return cls(*(torch.as_tensor(array, dtype=torch.float32) for array in arrays)).requires_grad_(False)
 
     def features(self, body_pose: Tensor) -> Tensor:
-        """Features [K] of a pose [69] in rad, within those of the training poses."""
+        """Features [K] of a pose [69] in rad, clamped to the limits of training."""
         return ((body_pose - self.mean) @ self.axes).clamp(self.low, self.high)
 
     @torch.no_grad()

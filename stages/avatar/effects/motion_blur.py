@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stages.avatar.rasterize import Rendering
 
-MOMENTS = 3  # drawn while the shutter is open: within 50 dB of the mean of 16, where the motion is 7 px; 2 within 42 dB
+MOMENTS = 3  # pictures while the shutter is open: at 7 px of motion 50 dB from a mean of 16; with 2 only 42 dB
 START = 0.5  # of the time between frames: the usual shutter of films (180 degrees)
 
 

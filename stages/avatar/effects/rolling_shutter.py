@@ -22,7 +22,7 @@ def roll_shutter(
     readout: Tensor,
     time: Tensor,
 ) -> Splats:
-    """The Gaussians where a shutter meets them that reads `height` rows in the share `readout` of a moment.
+    """The Gaussians as seen by a shutter that reads `height` rows in the share `readout` of a moment.
 
     speeds[N,3] m a moment past the camera, spin[3,3] their change with place; the middle row is read `time` moments
     after that of viewmat[4,4]. Each Gaussian is moved by the time of its own row, and sheared as that time changes

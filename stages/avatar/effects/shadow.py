@@ -15,7 +15,7 @@ from stages.avatar.splats.sh import SH_C0
 DARKNESS, SOFTNESS, DENSITY, SIZE = 0.5, 0.04, 3.0, 0.6  # to begin with
 REACH = 3.0  # standard deviations beyond which a bone casts nothing
 LEAST = 1e-6  # share of the vertices under which a bone casts nothing
-ABOVE = 0.05  # m over which a bone comes between a point and the light
+ABOVE = 0.05  # m: width of the sigmoid that tells before from behind
 
 
 class Casters(NamedTuple):
@@ -25,7 +25,7 @@ class Casters(NamedTuple):
     covariances: Tensor
 
     def posed(self, bones: Tensor, transl: Tensor | float = 0.0) -> Casters:
-        """Each part with its bone [J,4,4], then by transl[3] m."""
+        """Parts moved by bones[J,4,4], then by transl[3] m."""
         turns = bones[:, :3, :3]
         middles = (turns @ self.middles[..., None])[..., 0] + bones[:, :3, 3] + transl
         return Casters(middles, turns @ self.covariances @ turns.mT)

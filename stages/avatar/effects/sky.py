@@ -19,9 +19,9 @@ CELLS = 24  # along a picture's longer side, to look for SfM points in
 
 
 def open_sky(points: np.ndarray, mask: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Pixels bool[H,W] that cells without any of SfM's points[P,3] m join to the top border; the person is left out.
+    """Pixels bool[H,W] off the person, in cells without SfM points[P,3] m that connect to the top border.
 
-    mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3] px. The picture is taken to stand upright.
+    mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3] px. It assumes an upright picture.
     """
     height, width = mask.shape
     cell = max(1, round(max(height, width) / CELLS))

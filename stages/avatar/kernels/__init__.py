@@ -1,4 +1,4 @@
-"""Code that Numba compiles. Take `njit` from here: importing this room names the folder where compiled code is kept."""
+"""Code that Numba compiles. Take `njit` from here: importing this package sets the folder that keeps compiled code."""
 
 from numba import njit, prange
 

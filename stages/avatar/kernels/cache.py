@@ -1,6 +1,6 @@
 """Where compiled kernels are kept: a folder whose name is a digest of all their sources.
 
-Numba does not notice an edit of a function that another file's kernel calls (numba #1833); a new folder makes it.
+Numba misses an edit of a function that another file's kernel calls (numba #1833); in a new folder it recompiles.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ KEPT = 30 * 86400.0  # s; a process marks its folder when it begins, and none ru
 
 
 def sources(house: Path = HOUSE) -> list[Path]:
-    """The files of the house `avatar` that define kernels, or constants that kernels read: those that import this room,
+    """Files of the package `avatar` that define kernels, or constants that kernels read: those that import `kernels`,
     and what they import.
     """
     texts = {file: file.read_text() for file in sorted(house.rglob("*.py"))}
@@ -35,7 +35,7 @@ def sources(house: Path = HOUSE) -> list[Path]:
 def folder() -> Path:
     """A writable folder for the kernels of exactly these sources: the user's cache, or else the machine's temporary one.
 
-    Folders of other sources that no process has begun with for KEPT seconds are removed.
+    Removes folders of other sources that no process has begun with for KEPT seconds.
     """
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in sources())).hexdigest()[:16]
     home = Path(os.environ.get("HUGS_CACHE") or Path.home() / ".cache" / "hugs")

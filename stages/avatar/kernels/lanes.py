@@ -265,7 +265,7 @@ def bits_between(typingctx, first, last):
         low = _call(builder, "llvm.smax.v16i32", _VI, [low, zero])
         high = _call(builder, "llvm.smin.v16i32", _VI, [high, seven])
         some = builder.icmp_signed("<=", low, high)
-        # where there is none the numbers are meaningless, but must be good for a shift
+        # without any bit these mean nothing, but must still be valid shifts
         low, high = (builder.and_(v, seven) for v in (low, high))
         bits = builder.sub(builder.shl(ir.Constant(_VI, [2] * LANES), high), builder.shl(one, low))
         bytes_ = builder.trunc(builder.select(some, bits, zero), ir.VectorType(_I8, LANES))

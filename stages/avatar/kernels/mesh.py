@@ -1,4 +1,4 @@
-"""Truth without a GPU: a z-buffer for triangle meshes, and rays cast against textured boxes.
+"""Ground truth on a CPU: a z-buffer for triangle meshes, and rays against textured boxes.
 
 Axes are OpenCV's; the centre of the first pixel is at (0.5, 0.5); depths are z in metres. Doubles in a fixed order, so
 the same input gives the same bytes.

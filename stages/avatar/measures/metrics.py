@@ -20,9 +20,9 @@ def psnr_per_channel(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def scores(image: Tensor, truth: Tensor, lpips: Lpips | None = None) -> dict[str, float | None]:
-    """psnr, psnr_per_channel, ssim, lpips and lpips_legacy of pictures [H,W,3] in [0, 1]; None where one cannot be had.
+    """psnr, psnr_per_channel, ssim, lpips and lpips_legacy of pictures [H,W,3] in [0, 1].
 
-    That is LPIPS without weights, and for pictures under `lpips.smallest` px.
+    LPIPS is None without weights, and for pictures under `lpips.smallest` px.
     """
     perceptual = lpips if lpips is not None and min(image.shape[:2]) >= lpips.smallest else None
     with torch.no_grad():

@@ -65,10 +65,10 @@ class Decoders(nn.Module):
 
 
 class Residuals(nn.Module):
-    """Corrections without triplane and networks: parameters, 0 at first, with one row a Gaussian.
+    """Corrections as parameters: one row a Gaussian, 0 at first; all of them if `alone`, without networks.
 
-    Beside networks (`alone` false) they bring what is finer than a triplane's cells; place and skinning weights are
-    then left to the points themselves and to the networks.
+    Beside networks they add detail finer than a triplane's cells; `HumanModel.xyz` and the networks then correct
+    places and skinning weights.
     """
 
     def __init__(self, rows: int, sh_degree: int, joints: int, alone: bool):

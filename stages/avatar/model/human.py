@@ -17,7 +17,7 @@ from stages.avatar.splats.sh import bases
 MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
-DEFECT = 0.5  # sum of absolute differences; kitchen draft: 2 % go, the specks around him with them, +0.2 dB over white
+DEFECT = 0.5  # sum of |differences|; kitchen clip: 2 % of Gaussians go, and his specks with them; +0.2 dB over white
 OFFSET = 0.05  # metres; a usual thickness of clothes
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
@@ -114,7 +114,7 @@ class HumanModel(nn.Module):
     def initial(self) -> Canonical:
         """The canonical person before training: the right answer where no frame has shown them.
 
-        There the networks read features that are still random, and Adam turns gradients of nothing into steps.
+        There the networks' features are still random, and Adam turns gradients near 0 into full steps.
         """
         sh = torch.zeros(len(self), self.coefficients, 3).to(self.homes)
         sh[:, 0] = self.sh_starts

@@ -17,7 +17,7 @@ from stages.avatar.splats.gaussians import Splats, spacing
 from stages.avatar.splats.neighbours import nearest
 from stages.avatar.splats.sh import bases, sh_from_rgb
 
-MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat, what is opaque would freeze (C04)
+MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat and opacities would freeze (C04)
 START_OPACITY = 0.5
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
 NEAREST = 0.02  # of the extent: nearer to a camera is no surface, see `clear_of_cameras`
@@ -62,9 +62,9 @@ def fill_points(
     """Points [<=count,3] m and colours [.,3] uint8 of background at random pixels, as deep as the SfM points around.
 
     points[P,3] m; per view: image uint8[H,W,3], mask uint8[H,W] (255 = person), viewmat[4,4], K[3,3] and the place of the
-    person[3] m. Inverse depth is linear between the SfM points of a view and that of the nearest one beyond them. On
-    person pixels the colour is that of the nearest background pixel, and the depth lies beyond the person. Views with
-    under 8 points are skipped, and pixels bool[H,W] of `skies`.
+    person[3] m. Inverse depth is linear between the SfM points of a view; outside them the nearest one gives it. On
+    person pixels the colour is that of the nearest background pixel, and the depth lies beyond the person. It skips
+    views with under 8 points, and pixels of `skies` bool[H,W].
     """
     xyz, rgb = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     share = max(1, count // max(1, len(images)))
@@ -138,8 +138,8 @@ class SceneModel(nn.Module):
     def add_sparsity_gradient(self, weight: float) -> None:
         """Add the gradient of weight x (mean opacity + mean scale in extents) to Gaussians that the picture shows.
 
-        The regularizer of 3DGS-MCMC, section 3.4 (https://arxiv.org/abs/2404.09591). There it acts on all Gaussians; here
-        those that no picture shows would vanish.
+        The regularizer of 3DGS-MCMC, section 3.4 (https://arxiv.org/abs/2404.09591). The paper's
+        acts on all: those that no picture shows vanish.
         """
         assert self.logit_opacities.grad is not None and self.log_scales.grad is not None, "after a backward pass"
         taught = self.logit_opacities.grad != 0

@@ -14,7 +14,7 @@ from stages.avatar.kernels import njit, prange
 
 AXES = ((0, 1), (0, 2), (1, 2))  # along and across each plane
 CHUNKS = 16  # ranges of points
-PART = 16  # channels that one thread adds up: nobody else writes there, so the order never changes
+PART = 16  # channels that one thread sums alone, so that the order of additions never changes
 
 
 def features_reference(u: Tensor, table: Tensor, resolution: int) -> Tensor:
@@ -59,7 +59,7 @@ def _read(u, table, r, out):
 
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
 def _read_backward(u, table, r, grad, d_table, d_along, d_across):
-    """Fills d_table, and what each part of the channels of each plane says of the point: d_along, d_across [jobs,N]."""
+    """Fill d_table, and slopes d_along, d_across [jobs,N] at the points; a job takes PART channels of one plane."""
     n, channels = len(u), table.shape[1]
     parts = (channels + PART - 1) // PART
     for job in prange(3 * parts):
@@ -131,9 +131,9 @@ class Triplane(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         """Bilinear features [N, 3*channels] at canonical `points`[N,3] in metres.
 
-        A point outside the box reads the nearest face and still has a gradient, so it can return. Points that are not
-        finite raise ValueError before any table is read, and so does a table that is not: a weight of 0 would hide no
-        NaN. Nodes lie on the faces of the box (align_corners).
+        A point outside the box reads the nearest face and still has a gradient, so it can return. The outermost nodes
+        lie on the faces of the box (align_corners). Raises ValueError for points or a table that are not finite: a
+        weight of 0 hides no NaN.
         """
         if not points.isfinite().all():
             bad = int((~points.isfinite().all(1)).nonzero()[0])

@@ -16,9 +16,9 @@ from stages.avatar.motion.retarget import Performance, leg_of
 
 UPS = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
 SURE = 0.8
-"""Cosine between the mean up of the pelvis and an axis from which that axis is up: 37 degrees off."""
+"""Least cosine between the pelvis's mean up and an axis that counts as up: 37 degrees."""
 SOLE = 0.03
-"""What stands this little over the lowest point of the feet at rest is the sole, m."""
+"""The sole is all skin less than this over the feet's lowest point at rest, m."""
 SOLE_POINTS = 150
 """At most so many points of the skin of both soles are followed; long motions need memory for each."""
 FLIGHT = 0.7
@@ -28,8 +28,8 @@ FLIGHT = 0.7
 class Placed(NamedTuple):
     """A motion for a body of known shape: y up, floor at y = 0, the first frame over the origin and facing +z.
 
-    global_orient [F,3] and body_pose [F,69] rad, transl [F,3] m; `drift` m: how far apart the heights are at which the
-    motion itself has its floor.
+    global_orient [F,3] and body_pose [F,69] rad, transl [F,3] m; `drift` m: the range of the floor's heights
+    in the motion itself.
     """
 
     global_orient: np.ndarray
@@ -39,7 +39,7 @@ class Placed(NamedTuple):
 
 
 def which_is_up(motion: Performance) -> str | None:
-    """The key of UPS that pelvises point along on average, or None where none is clear: people mostly stand."""
+    """The key of UPS nearest to the pelvis's mean up, or None where none is SURE: people mostly stand."""
     mean = motion.rotations[:, 0, :, 1].mean(0)
     name = max(UPS, key=lambda up: mean @ UPS[up])
     return name if mean @ UPS[name] > SURE else None
@@ -82,8 +82,8 @@ class Soles:
 def on_floor(motion: Performance, fps: float, soles: Soles) -> Placed:
     """A motion with y up for the body of `soles`: steps scaled by the length of its legs, a sole on the floor or over it.
 
-    The floor under a frame is an opening of the lowest sole's height over FLIGHT (grey morphology): never over it, equal
-    to it where a foot stands or slowly floats, level under a jump.
+    The floor is a grey opening (morphology) of the lowest sole's height over FLIGHT: never above the sole, equal to it
+    where a foot stands or slowly floats, level under a jump.
     """
     rotvecs = Rotation.from_matrix(motion.rotations.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 72)
     orient, pose = rotvecs[:, :3], rotvecs[:, 3:]

@@ -3,8 +3,8 @@
 The rest poses of two skeletons differ (T or A, joints turned into their bones). So both are brought into one reference
 pose, and from there SMPL's joints turn with theirs: R = G G_ref^T R_ref, with G the source's turns in the world. Twist
 is thereby the source's own. The reference is the zero pose, where nothing is turned, if a person could stand like that.
-Else the skeleton's joints are turned into their bones: limbs take the frame that looks most like standing, and the
-joints of the trunk are taken as turned by right angles, those that meet the trunk's mean best.
+Else the skeleton's joint axes follow its bones: limbs then refer to the frame most like standing, and each joint of
+the trunk is turned by the right angles that fit the trunk's mean best.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LIMBS = {
 }
 """Joint at which a limb's bone begins -> joint at its end: these bones keep their direction in the world."""
 STANDING = 0.7
-"""Mean cosine between the bones of both legs and straight down from which the zero pose counts as a stand."""
+"""The zero pose is a stand where leg bones have over this mean cosine with the trunk's down."""
 SMPL_LEG = 0.79
 """Hip to knee to ankle of SMPL's mean body, m: the scale of a motion whose body is not known."""
 
@@ -107,7 +107,7 @@ def from_skeleton(
     for joint in (*COLLARS, *HIPS, *SHOULDERS, *KNEES, *ELBOWS, *ANKLES, *WRISTS, *FEET, *HANDS):
         mapped = joint in limbs and joint not in FEET
         world[:, joint] = follow(joint, limbs[joint]) if mapped else world[:, parents[joint]]
-        if joint in LIMBS:  # a bone that has joints of its own inside (twist bones) bends: keep to where its end is
+        if joint in LIMBS:  # twist bones inside a limb let it bend: aim at where its end is
             bone = joints[LIMBS[joint]] - joints[joint]
             world[:, joint] = turn_between(world[:, joint] @ bone, at[LIMBS[joint]] - at[joint]) @ world[:, joint]
     above = world[:, [max(parent, 0) for parent in parents]]

@@ -1,4 +1,4 @@
-"""3D Gaussians to pixels: one signature, several makers. The torch reference is the specification."""
+"""Draws 3D Gaussians: one signature, three implementations. The torch reference specifies them."""
 
 from __future__ import annotations
 

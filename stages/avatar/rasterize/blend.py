@@ -1,8 +1,8 @@
-"""The blend on a CPU: tiles of 32x32 px, Gaussians outside, blocks of 4x4 px inside, one lane a pixel.
+"""The blend on a CPU: tile by tile (32x32 px), Gaussian by Gaussian, block by block (4x4 px), one lane a pixel.
 
 A 64-bit word says which of a tile's 64 blocks a Gaussian reaches; most reach one or two, and only those are computed.
-Exponents are kept in log2. Front to back, T of a pixel that is finished is kept as a negative number, and where in the
-list it ended is noted once. Back to front, one number S a pixel stands for all that lies behind, and only moments of
+Exponents are in log2. Front to back, the transmittance T of a finished pixel turns negative, and its place in the list
+is noted once. Back to front, one number S a pixel stands for all that lies behind, and only moments of
 g = alpha dL/dalpha are summed for each Gaussian.
 """
 

@@ -31,7 +31,7 @@ def _rows(n: int) -> np.ndarray:
 class _Rasterize(torch.autograd.Function):
     """Inputs end in the layers' backgrounds; outputs are image, alpha and depth of each layer in turn.
 
-    `viewmat` is that of `camera`, once more for its gradient.
+    `viewmat` repeats `camera.viewmat`, for its gradient.
     """
 
     @staticmethod
@@ -112,7 +112,7 @@ def rasterize(
 ) -> list[Rendering]:
     """As `stages.avatar.rasterize.rasterize`; float32 tensors on the CPU.
 
-    Pictures are the same to the bit for any number of threads; gradients are for a fixed number.
+    Pictures are the same to the bit for any number of threads, gradients for a fixed number.
     """
     if len(layers) > LAYERS:
         raise ValueError(f"{len(layers)} layers, a row of gradients has room for {LAYERS}")

@@ -103,7 +103,7 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             log_opacity = math.log2(opacity)
             cut = max(0.0, 2 / LOG2E * (log_opacity - math.log2(ALPHA_MIN)))
             reach_x, reach_y = math.sqrt(cut * aa), math.sqrt(cut * bb)
-            # so that what is no number is out of view too
+            # `not`, so that NaN is out of view, too
             if not (px + reach_x > 0 and px - reach_x < width and py + reach_y > 0 and py - reach_y < height):
                 continue
             half = 0.5 * (aa + bb)

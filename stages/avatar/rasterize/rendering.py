@@ -12,7 +12,7 @@ from torch import Tensor
 BLUR = 0.3
 """px^2 added to each screen covariance, so that no Gaussian falls between pixels (gsplat's eps2d)."""
 PIXEL = 0.1
-"""The same where pictures are antialiased: the spread of a pixel itself, 1/12, about (Yu et al. 2024, Mip-Splatting)."""
+"""BLUR where pictures are antialiased: about a pixel's own variance, 1/12 (Yu et al. 2024, Mip-Splatting)."""
 ALPHA_MIN = 1 / 255
 """Fainter than one grey step of an 8-bit picture: left out."""
 ALPHA_MAX = 0.999

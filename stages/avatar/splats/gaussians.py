@@ -53,7 +53,7 @@ def finite_rows(parts: Iterable[Tensor]) -> Tensor:
 def spacing(points: Tensor, extent: float, neighbours: int = 3) -> Tensor:
     """Root mean square distance [N] in metres to the nearest other `points`[N,3], within 1e-7 and 0.1 of `extent`.
 
-    With fewer than 2 points, or only duplicates, the limits answer.
+    Fewer than 2 points get the upper limit, duplicates the lower.
     """
     if len(points) < 2:
         return torch.full((len(points),), 0.1 * extent).to(points)

@@ -60,7 +60,7 @@ def sh_colors(sh: Tensor, directions: Tensor | None) -> Tensor:
     """Colours [N,3], not below 0, of coefficients `sh`[N,K,3] seen along unit `directions`[N,3], or None for K = 1.
 
     The gradient passes through the clamp at 0 where it brightens, so that a colour that became too dark can return. One
-    that darkens ends there: black that is wanted darker still would sink for ever, and the person's networks with it.
+    that darkens ends there: else a black colour would sink for ever, and the person's networks with it.
     """
     if directions is None or sh.shape[1] == 1:
         colors = 0.5 + SH_C0 * sh[:, 0]

@@ -20,21 +20,21 @@ from stages.training.views import Person, Views, person_frames
 OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
 SEEN = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
-EDGE_DOUBT = 0.05  # neighbours' pixels for each at an outline; with 1 twice the accuracy is lost, for the same look
+EDGE_DOUBT = 0.05  # weight of neighbours per pixel at an outline; 1 loses twice the accuracy and looks the same
 DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 NEIGHBOURS = 24  # that are asked
-FAR = 0.05  # metres to the nearest of them, from where the median of so few is a chance: a pale collar became a stripe
-SPOTS = 200  # spread over what is seen, each the median of its neighbours: far ones ask the nearest of these
+FAR = 0.05  # metres to the nearest: beyond, a median of so few is chance, and a pale collar became a stripe
+SPOTS = 200  # spread over what is seen, each the median of its neighbours; Gaussians beyond FAR ask these
 ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
 COMPANY = 8  # neighbours of a Gaussian of a surface
-APART = 1.2  # times as far away as a body vertex has them: what floats beside the person, if it is small, too
+APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
 THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
 INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
 THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
-PEELS = 8  # times at most: what goes may have hidden others
+PEELS = 8  # rounds at most: what goes may have hidden more
 
 
 class Finished(NamedTuple):
@@ -70,8 +70,8 @@ def far_from_body(means: Tensor, vertices: Tensor) -> Tensor:
 
 
 def floating(person: Canonical, body: Person) -> Tensor:
-    """Which rows [N] are no part of a surface: farther from their neighbours than the body's nearest vertex is from its own,
-    and than they reach, or thick across the skin.
+    """Which rows [N] are no part of a surface: far from their neighbours by the body's spacing there (APART) and by
+    their own size (SMALL), or THICK across the skin.
     """
     under = nearest(body.vertices, person.means, 1)[1][:, 0]
     usual = nearest(body.vertices, body.vertices, COMPANY + 1)[0][under, -1]
@@ -82,7 +82,7 @@ def floating(person: Canonical, body: Person) -> Tensor:
 
 
 def as_body_where_unseen(decoded: Canonical, initial: Canonical, color_grad_sum: Tensor) -> Canonical:
-    """The person as `decoded`, but `initial`, as the body says, in rows where no training frame has shown it.
+    """The `decoded` person, but with the `initial` values in rows that no training frame has shown.
 
     There the networks' features are still random.
     """

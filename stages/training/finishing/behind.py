@@ -15,7 +15,7 @@ from stages.training.losses import dilated
 from stages.training.views import LOOKS, Views
 
 HIDDEN = 4.0  # times as many pixels behind the person as beside; with 1 a phone clip loses 0.5 dB, with 4 it loses 0.1
-ALWAYS = 0.7  # of the depth of the person's shadow, in the mean of all frames: such a place is never seen lit
+ALWAYS = 0.7  # mean depth of the person's shadow over all frames: from there on a place is never seen lit
 LIT = 0.3  # of it: neighbours that are asked for a colour are in less
 SURE = 0.3  # of the mean of pixels painted: neighbours that are asked for a colour paint this many
 NEIGHBOURS = 24  # that are asked
@@ -26,7 +26,7 @@ def inpaint_occluded(
 ) -> Tensor:
     """Give Gaussians that `frames` of `views` always hide or shade the colours around; returns which, bool[N].
 
-    Behind the person, only a fringe around them has gradients, and Adam takes steps as large for a fringe: unchecked, a
+    Behind the person only a fringe around them has gradients. Adam steps as far for a fringe as for all: they leave a
     bright ghost. In the person's shadow (`shadow_depth(frame)` [N] 0..1), no picture tells a dark surface from a dark
     shadow. A colour becomes the median of the nearest that are seen well; places and sizes stay.
     """

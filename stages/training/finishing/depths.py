@@ -15,15 +15,15 @@ UNDER = 4  # vertices of the body that tell where its skin is
 AROUND = 24  # neighbours over the skin whose middle height is that of the surface
 OUT = 0.005  # metres from it that a Gaussian may stand out. Phone clip, 10,000 steps: 0.06 / 0.07 dB; 0.01 leaves dots
 FACING = 0.5  # least cosine between sight and skin: what is seen edge-on is held by outlines. With 0.3 it costs 0.2 dB
-ONE_SIDE = 0.8  # least share of the main one in all sights: what is seen from elsewhere too has a depth that is known
+ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from elsewhere, too, tell the depth
 
 
 @torch.no_grad()
 def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
     """Move Gaussians that stand out of the canonical person's surface back along the sights of `frames`; also how many.
 
-    To those frames it looks the same; from the side it was a dot off the outline, and more of them the longer one
-    trains. Along the normal of the skin the same move costs ten times as much.
+    Those frames see no change; from the side it was a dot off the outline, and longer training makes more of
+    them. Along the normal of the skin the same move costs ten times as much.
     """
     distance, under = nearest(body.vertices, person.means, UNDER)
     share = F.normalize(1 / (distance.to(person.means) + 1e-3), p=1, dim=1)[..., None]
