@@ -1,6 +1,6 @@
 """Fits of WHAM, GVHMR and TRAM: one track of poses a person, in the camera of each frame.
 
-Each tool has its own world, so its poses are read in the camera, and this clip's cameras place them.
+Each tool has its own world, so poses are read in the camera, and this clip's cameras place them.
 Sources: WHAM demo.py and lib/utils/imutils.py, GVHMR tools/demo/demo.py, TRAM scripts/estimate_humans.py and
 lib/models/hmr_vimo.py.
 """

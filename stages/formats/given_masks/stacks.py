@@ -20,7 +20,7 @@ NAMES = ("names", "frame_names", "file_names", "filenames", "frames", "frame_ids
 def read_stack(path: Path, frames: int) -> MaskSet:
     """Read a .npy with a stack, or a .npz with a stack and names, or with one array named after each frame.
 
-    Raises StageError for pickled or damaged files, other shapes, names that are not as many as masks, and a stack
+    Raises StageError for pickled or damaged files, other shapes, more or fewer names than masks, and a stack
     without names that has not a mask for each of the video's `frames`.
     """
     if path.suffix.lower() == ".npy":

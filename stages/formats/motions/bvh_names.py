@@ -101,7 +101,7 @@ def _ancestors(bvh: Bvh, joint: int) -> list[int]:
 
 
 def _meet(a: list[int], b: list[int]) -> int:
-    """The last joint that two chains from the root share."""
+    """The last joint that two root chains share."""
     return [x for x, y in zip(a, b) if x == y][-1]
 
 
