@@ -236,7 +236,7 @@ def _scores(
 
 
 def _masked(shot: Shot, pose: Pose, lpips: Lpips | None) -> Iterator[tuple[str, dict[str, float | None]]]:
-    """Scores of the person over black, and the picture, both times the mask: whole, and in its box."""
+    """Scores of the person over black against the picture, both times the mask: whole, and in its box."""
     import torch
 
     if shot.box is None:

@@ -145,7 +145,7 @@ def gains(effects: ClipEffects, frames: int, rng: np.random.Generator) -> np.nda
     waves = np.sin(2 * np.pi * u + phase[0]) + 0.7 * np.sin(5 * np.pi * u + phase[1])
     waves = (waves - waves.mean(0)) / waves.std(0)
     color = waves[:, 1:] - waves[:, 1:].mean(1, keepdims=True)
-    tint = waves[:, 1:] - waves[:, 1:] @ [[0.299], [0.587], [0.114]]  # none in grey: BT.601's luma weights
+    tint = waves[:, 1:] - waves[:, 1:] @ [[0.299], [0.587], [0.114]]  # of grey, by BT.601's weights
     return np.exp(effects.exposure * (waves[:, :1] + DRIFT * color) + effects.white_balance * tint)
 
 

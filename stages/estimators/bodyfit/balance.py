@@ -52,7 +52,7 @@ def smooth_acceleration(x: Tensor, times: Tensor, reach: float) -> Tensor:
 
 
 def balance_cost(placed: Tensor, stands: Tensor, times: Tensor, up: Tensor, up_spread: float, size: Tensor) -> Tensor:
-    """Cost of a mass that is not over the standing feet; one number.
+    """Cost of a center of mass beside the standing feet; one number.
 
     Joints `placed` [F,24,3] m in the world; `stands` [F,2] 0..1; `times` [F] s; `up` [3] is known to `up_spread` rad; `size`
     is the stature over that of the mean body. The mass may stand over any point between the feet; over one foot it stands

@@ -107,7 +107,7 @@ def fill_poses(
 
 
 def unwrap_rotations(rotvecs: np.ndarray) -> np.ndarray:
-    """The same rotations [F,J,3] with each vector taken a whole turn further where that is nearer to the frame before."""
+    """The same rotations [F,J,3] with a whole turn taken off a vector where that is nearer to the frame before."""
     out = rotvecs.copy()
     for i in range(1, len(out)):
         angle = np.linalg.norm(out[i], axis=-1, keepdims=True)

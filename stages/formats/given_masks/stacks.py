@@ -47,7 +47,7 @@ def read_stack(path: Path, frames: int) -> MaskSet:
 
 
 def as_stack(array: np.ndarray) -> np.ndarray | None:
-    """The array as [N,H,W] if it has three axes that count, an axis of channels of length 1 left out; else None."""
+    """The array as [N,H,W] with N > 1, a channel axis of length 1 dropped; None for any other shape."""
     if array.ndim == 4 and 1 in (array.shape[1], array.shape[3]):
         array = array[:, 0] if array.shape[1] == 1 else array[..., 0]
     return array if array.ndim == 3 and array.shape[0] > 1 else None
