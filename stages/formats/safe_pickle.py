@@ -1,7 +1,7 @@
 """Arrays out of pickles, without running what the pickle asks for.
 
 Pickles name functions to call. This reader makes arrays only: stand-ins of ours replace numpy's functions that rebuild
-them, and inert ones the chumpy and scipy.sparse objects found in SMPL files (neither package is needed). Every other name is
+them, inert ones the chumpy and scipy.sparse objects of SMPL files (neither package is needed). Every other name is
 refused, and so is a size that the file itself does not hold: numpy's own classes and the unpickler in C trust both.
 """
 

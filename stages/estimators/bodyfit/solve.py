@@ -206,7 +206,7 @@ class Solver:
         return 1 + (grown @ betas) / tall
 
     def motion_cost(self, state: State, joints: Tensor, scale: Tensor | None) -> Tensor:
-        """Cost of the joints' accelerations, in the world if `scale` is given, else about the pelvis, and of turning."""
+        """Cost of joint accelerations, in the world if `scale` is given, else about the pelvis, and of turning."""
         if len(joints) < 3:
             return joints.new_zeros(())
         place = (joints - joints[:, :1]) @ self.world.turn if scale is None else self.to_world(state, joints, scale)

@@ -48,7 +48,7 @@ class ClipEvidence:
 
     @cached_property
     def light(self) -> np.ndarray:
-        """Log gains [F,3] of each frame, brightness, red / green and blue / green; NaN where too few points are seen."""
+        """Log gains [F,3] of each frame: brightness, red/green, blue/green; NaN where too few points are seen."""
         return frame_gains(self.clip)
 
     @property
