@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import ClipEvidence
 
 SWING = 0.03  # between poses, of the body's area
-# Of bare bodies with our own fit: 0.02 to 0.21 on twelve synthetic clips to set limits, 0.13 and less on nine; with true
+# Of bare bodies with our own fit: 0.02 to 0.21 on twelve synthetic clips to set limits, 0.13 or less on nine; with true
 # poses 0.000. A skirt 20 cm wide swings by 0.12. So with our own fit only what is wider still can be told from its errors.
 SWING_OF_FIT = 0.15
 OUTWARDS = 3.0  # the mask must miss so many times less of the body than it adds; a wrong pose does both
