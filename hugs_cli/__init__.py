@@ -4,7 +4,7 @@ import sys
 
 
 def main() -> None:
-    """The command `hugs`. Ctrl-C ends it in words also in the first tenths of a second, while the rest is loaded."""
+    """The command `hugs`. Ctrl-C ends it with a message even in the first tenths of a second, while it loads."""
     try:
         from hugs_cli import app
 

@@ -24,7 +24,7 @@ DISTRIBUTIONS = {
     **{name: name for name in ("typer", "pydantic", "typing_extensions", "jinja2", "matplotlib")},
     "yaml": "PyYAML",
 }
-MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # the bar of the whole flow; results of one clip and its copies
+MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # to run all stages; for the results of one clip and copies
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Where `hugs render` and `hugs animate` write: over nothing but what they wrote there themselves, unless forced."""
+"""Where `hugs render` and `hugs animate` write: they overwrite only what they drew themselves, unless forced."""
 
 from __future__ import annotations
 

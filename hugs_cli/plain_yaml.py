@@ -30,7 +30,7 @@ for name, (form, first) in FORMS.items():
 
 
 def read(text: str) -> Any:
-    """The value of a YAML document; ValueError or yaml.YAMLError where it has none, or none of a bearable size."""
+    """The value of a YAML document; ValueError or yaml.YAMLError where it has none or is too large."""
     check_size(text)
     return yaml.load(text, Loader)
 

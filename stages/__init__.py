@@ -13,7 +13,7 @@ and body poses of the data set. `pipelines.yaml` says which stages run and with 
 No pipeline names animate, views, demo, models and costs_page: a command of its own runs each of them.
 
 contract.py  what a stage is: its settings, its job, its error
-records.py   plain numpy records that the houses below hand each other
+records.py   plain numpy records that the packages below exchange
 avatar/      what person and scene are: tensors in, tensors out
 training/    how they are learned
 synthetic/   the demo clip, made by computer with its truth

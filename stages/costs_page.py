@@ -62,7 +62,7 @@ def panels(result: Mapping[str, Any], regions: Mapping[str, str]) -> list[Panel]
 
 
 def best(result: Mapping[str, Any], dots: dict[str, Dot], region: str) -> list[Line]:
-    """The front of a region joined, its knee in a colour of its own; grey under the lines of a sweep."""
+    """A region's Pareto front as a line, its knee in its own colour; grey under the lines of a sweep."""
     inks = ("soft", "soft") if "pipeline" in result else ("blue", "mark")
     front = [bare(dots, row["pipeline"]) for row in result["rows"] if region in row["front"]]
     lines = [Line("Pareto front", tuple(sorted(front)), ink=inks[0])]

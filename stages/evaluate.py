@@ -180,7 +180,7 @@ class Shot:
 
 
 def fit_pose(shot: Shot, steps: int) -> Pose:
-    """The pose after `steps` of Adam on the absolute difference around the person, the best one seen; no Gaussian moves."""
+    """The best pose in `steps` of Adam on the absolute difference around the person; no Gaussian moves."""
     import torch
 
     from stages.avatar.drawing.avatar import pose_avatar
@@ -236,7 +236,7 @@ def _scores(
 
 
 def _masked(shot: Shot, pose: Pose, lpips: Lpips | None) -> Iterator[tuple[str, dict[str, float | None]]]:
-    """The person alone over black and the picture, both times the mask: whole, and in the mask's box."""
+    """Scores of the person over black against the picture, both times the mask: whole, and in its box."""
     import torch
 
     if shot.box is None:

@@ -1,4 +1,4 @@
-"""What the houses hand each other: plain arrays with names, shapes and units. No files, no tensors, no mathematics."""
+"""What the packages exchange: plain arrays with names, shapes and units. No files, no tensors, no mathematics."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class Scene:
 
     means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
     with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms. `antialias`: they were learned with opacities
-    lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493), and want to be drawn so.
+    lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493); draw them so.
     """
 
     means: np.ndarray
@@ -159,7 +159,7 @@ class Avatar(Scene):
 
 @dataclass(frozen=True)
 class Effects:
-    """What a clip called for; None for what is off.
+    """Effects as learned from a clip; None if off.
 
     The person's shadow: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of
     all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the

@@ -130,7 +130,7 @@ def _broken_down(job: Job, broken: Breakdown, folders: dict[str, Path]) -> Stage
 
 
 def replay(path: Path) -> None:
-    """Take the step again that broke a training, from its `failure.npz` and the inputs where they were: the same error.
+    """Repeat the step that broke a training, from its `failure.npz` and the inputs where they were: the same error.
 
     Bit for bit on a CPU. StageError when the step goes well, as it may after a change of the code.
     """

@@ -38,7 +38,7 @@ def file_digest(path: Path) -> str:
 def files_under(path: Path) -> dict[str, Path]:
     """The files of a folder by relative name, without hidden ones. For a file: itself, named ''.
 
-    Linked folders are gone into, as stages do, but no folder is gone into inside itself.
+    Follows links to folders, as stages do, but enters no folder again inside itself.
     """
     if path.is_file():
         return {"": path}
@@ -56,7 +56,7 @@ def files_under(path: Path) -> dict[str, Path]:
 
 
 def identity(folder: str) -> tuple[int, int]:
-    """What a folder has in common with no other, by whatever name it is reached."""
+    """What tells a folder from all others, by whatever name it is reached."""
     stat = os.stat(folder)
     return stat.st_dev, stat.st_ino
 

@@ -242,7 +242,7 @@ class Session:
         return self.workspace.source(need, self.sources.get(need))
 
     def with_decisions(self, reason: Reason, last: Stamp | None, before: dict[str, Verdict]) -> Reason:
-        """The reason; for a changed input with the decisions that its stage takes differently now."""
+        """The reason; a changed input also gets the decisions its stage now takes differently."""
         if last is None or not isinstance(reason, InputChanged) or reason.name not in before:
             return reason
         old = next(self.workspace.with_content(reason.name, last.inputs.get(reason.name)), None)

@@ -214,7 +214,7 @@ class Workspace:
                 yield folder, stamp
 
     def films(self, stamp: Stamp) -> set[str]:
-        """Digests of the films that a result goes back to through the stored results before it; empty where these are
+        """Digests of the films behind a result, found through the stored results before it; empty where these are
         gone. Films that give the same frames share all later results."""
         found, open_ = set(), list(stamp.inputs.items())
         for need, content in open_:
@@ -317,7 +317,7 @@ def size_of(folder: Path) -> int:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The values of a JSON file that one can do without: empty if it is missing or broken."""
+    """The values of a JSON file that is not essential: empty if it is missing or broken."""
     try:
         content = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError):

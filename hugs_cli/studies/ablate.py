@@ -21,7 +21,7 @@ NEEDS_SCENE = ("no_human_loss", "no_joint")
 
 
 def cases(session: Session, parts: Sequence[str], seeds: int) -> list[Case]:
-    """Every training of a comparison, seed by seed, the full method first; of all `parts`, or of these.
+    """Every training of a comparison, seed by seed, the full method first; without `parts`, of all.
 
     UsageError for a part that is not known; "none" is no part.
     """

@@ -98,7 +98,7 @@ def run_of(links: Path) -> Run | None:
 
 
 def read(path: Path, form: type[F]) -> F:
-    """A .json file of that form; StageError where it has another."""
+    """A .json file read as `form`; StageError if it does not fit."""
     try:
         return form.model_validate_json(path.read_bytes(), strict=True)
     except (OSError, ValidationError) as error:
@@ -166,7 +166,7 @@ def row(name: str, same: Sequence[Run]) -> dict[str, Any]:
     """One pipeline over its seeds: the least `seconds` of each stage, and their `total`; the mean of `gaussians`, the most
     of `peak_memory_bytes`, and `scores`, region -> metric -> `over_seeds`.
 
-    What is beside a training only makes it slower, and so does the first one, which compiles: the least is its cost.
+    Other load makes a training slower, and so does compiling in the first one: the least is its cost.
     """
     seconds = {stage: min(run.seconds[stage] for run in same) for stage in same[0].seconds}
     return {
@@ -245,7 +245,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def factor(row: dict[str, Any], part: str) -> str:
-    """'4m 10s x0.52': a time, and how many times that of the pipeline around which a sweep goes."""
+    """'4m 10s x0.52': a time, and how many times that of the pipeline that the sweep varies."""
     times = row.get("times", {}).get(part)
     return duration(row["seconds"][part]) + ("" if times is None else f"  x{times:.2f}")
 

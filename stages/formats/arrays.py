@@ -29,14 +29,14 @@ PIECE = 1 << 20
 def read_npz(path: Path, hint: str = "", only: Collection[str] = (), most: int = BUDGET) -> dict[str, np.ndarray]:
     """All arrays of an .npz file, or those named in `only`; StageError for a missing, broken or pickled one, with the key.
 
-    Memory is taken for bytes that are there, never for what a header promises, and for `most` bytes that were packed.
+    A header cannot claim memory: the file's own bytes count, and at most `most` bytes of packed content.
     """
     arrays = {}
     key = ""
     try:
         data = Path(path).read_bytes()
         budget = Budget(path, len(data), most)
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:  # of a file it reads what headers promise
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:  # from disk zipfile trusts the headers
             for member in archive.infolist():
                 key = member.filename.removesuffix(".npy")
                 if only and key not in only:
@@ -89,7 +89,7 @@ def _array_in(file: IO[bytes], length: int) -> np.ndarray:
 
 
 def check_letters(array: np.ndarray) -> None:
-    """ValueError for texts of numbers that are no letters in Unicode: numpy makes broken Python texts of them."""
+    """ValueError for text with code points outside Unicode: numpy would make broken Python strings."""
     if array.dtype.kind == "U" and array.size:
         codes = np.frombuffer(array.tobytes(), np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
         wrong = codes[(codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))]

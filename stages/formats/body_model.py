@@ -97,7 +97,7 @@ def _from_arrays(arrays: Mapping[str, Any], path: Path, name: str) -> BodyModel:
 def _parents(arrays: Mapping[str, Any], path: Path) -> np.ndarray:
     table = checked(take(arrays, "kintree_table", path, HINT), (2, JOINTS), "kintree_table", path, HINT)
     parents = table[0].astype(np.int64)
-    parents[parents == 2**32 - 1] = -1  # the root, kept unsigned
+    parents[parents == 2**32 - 1] = -1  # the root's -1, unsigned
     joint = np.arange(JOINTS)
     wrong = np.flatnonzero(np.where(joint == 0, parents != -1, (parents < 0) | (parents >= joint)))
     if len(wrong):

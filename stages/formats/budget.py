@@ -1,4 +1,4 @@
-"""How much memory a file may ask for: what it holds itself, and BUDGET more that is packed or multiplied.
+"""Limits the memory a file may take: its own bytes, and BUDGET more for what is packed or repeated.
 
 A few bytes can stand for any number of them: a packed array, a joint for each frame, a size in a header. Readers ask here
 before they take memory.
@@ -19,7 +19,7 @@ HINT = "no file of a phone clip needs that much; if it is right, make it of a sh
 
 
 class Budget:
-    """The bytes of memory that the file `path` may still ask for; `there` are those that it holds itself."""
+    """Counts the bytes of memory that the file `path` may still take; `there` is its own size."""
 
     def __init__(self, path: Path | str, there: int = 0, most: int = BUDGET):
         self.path, self.most, self.spent = path, there + most, 0

@@ -13,7 +13,7 @@ from stages.formats.facts import is_file_name
 from stages.records import Cameras
 
 LARGEST_SIDE = 1 << 16  # px
-PIXEL = 12  # bytes of a pixel that is drawn: three floats
+PIXEL = 12  # bytes of a drawn pixel: three floats
 
 
 def write_cameras(path: Path, cameras: Cameras) -> None:

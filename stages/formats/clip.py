@@ -17,7 +17,7 @@ from stages.formats.poses import read_poses
 from stages.formats.splits import read_split
 from stages.records import BodyModel, BodyPoses, Cameras, Split
 
-FARTHEST = 1000.0  # metres from a world's origin: there float32 knows a place to 0.06 mm
+FARTHEST = 1000.0  # metres from a world's origin: there a step of float32 is 0.06 mm
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,17 @@ class Clip:
 
     @cached_property
     def split(self) -> Split:
-        """Of split.json where there is one, else every 5th frame is held out."""
+        """split.json's split; without the file every 5th frame is held out."""
         return read_split(self.folder / "split.json", self.names)
 
     @property
     def training(self) -> np.ndarray:
-        """bool [C]: what is trained on."""
+        """bool [C]: frames to train on."""
         return self.split.training
 
     @property
     def heldout(self) -> np.ndarray:
-        """bool [C]: never trained on, and measured."""
+        """bool [C]: frames only for measuring."""
         return self.split.heldout
 
     def images(self, i: int) -> np.ndarray:

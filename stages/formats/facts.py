@@ -1,4 +1,4 @@
-"""The .json files that stages leave each other: one form for each file, checked when it is read."""
+"""The .json files that stages write for each other: one model a file, checked when it is read."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ Scores = dict[str, dict[str, Number | None]]
 
 
 class Facts(BaseModel):
-    """The keys of a file that are read; others may be there."""
+    """The keys that are read; the file may hold others."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
 
@@ -211,7 +211,7 @@ F = TypeVar("F", bound=Facts)
 
 
 def read_facts(path: Path, form: type[F]) -> F:
-    """Read a .json file of that form; StageError where it cannot be read, or with the place that has not the form."""
+    """Read a .json file as `form`; StageError where it cannot be read, or with the place that does not fit."""
     try:
         return parse(path.read_bytes(), form)
     except OSError as error:
@@ -223,7 +223,7 @@ def read_facts(path: Path, form: type[F]) -> F:
 
 
 def not_as_written(path: Path, fact: str) -> StageError:
-    """The error of a file that has not the form that its stage gives it; `fact` names the place in it."""
+    """The error for a file that is not as its stage writes it; `fact` names the place in it."""
     return StageError(f"{path} is not as its stage writes it", _again(path), [fact])
 
 
@@ -236,7 +236,7 @@ class NotJson(ValueError):
 
 
 def parse(text: str | bytes, form: type[F]) -> F:
-    """The facts in a JSON text; NotJson, or ValueError with the first place that has not the form and its value."""
+    """The facts in a JSON text; NotJson, or ValueError with the first place that does not fit and its value."""
     try:
         return form.model_validate_json(text)
     except ValidationError as error:

@@ -16,7 +16,7 @@ DIGITS = 30  # of a number in a name; a time in nanoseconds has 19, and Python r
 
 
 def stem(name: str | PurePath) -> str:
-    """A file's name without folders and endings, those of the picture it belongs to included (frame.jpg.png -> frame)."""
+    """A file's name without folders and endings, its picture's ending too (frame.jpg.png -> frame)."""
     name = PurePath(name).name
     while PurePath(name).suffix.lower() in ENDINGS:
         name = name[: -len(PurePath(name).suffix)]
@@ -35,13 +35,13 @@ def has_sources(listing: Listing) -> bool:
 
 
 def count_from_one(listing: Listing, stems: Sequence[str]) -> bool:
-    """True if the stems are surely numbered from 1 to the number of the video's frames: the last is there, 0 is not."""
+    """True if the stems surely count from 1: one equals the number of the video's frames, and none is 0."""
     numbers = {number(name) for name in stems}
     return not has_sources(listing) and 0 not in numbers and listing.video.frames in numbers
 
 
 def join(listing: Listing, stems: Sequence[str], first: int, what: str) -> dict[str, int]:
-    """Frame name -> which of `stems` is its: by the same name, else by the frame's number in the video plus `first`.
+    """Frame name -> place of its stem in `stems`: by name, else by the frame's number in the video plus `first`.
 
     `listing` is frames.json. Raises StageError where two stems are one name; `what` says what they name.
     """

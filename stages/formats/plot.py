@@ -175,7 +175,7 @@ def _draw(axes: Axes, line: Line, ink: str) -> Line2D:
 
 
 def _label(axes: Axes, panel: Panel, inks: dict[str, str], canvas: FigureCanvasAgg) -> None:
-    """The label of each point where nothing else is, as near as can be; none where there is no room."""
+    """Label each point at the nearest free place, or not at all where there is no room."""
     dots = [(dot, inks[line.name]) for line in panel.lines for dot in line.dots]
     taken = [Bbox([at - 4, at + 4]) for at in axes.transData.transform([dot[:2] for dot, _ in dots])]
     room, renderer = axes.get_window_extent().padded(10), canvas.get_renderer()

@@ -36,7 +36,7 @@ def read_poses(path: Path) -> BodyPoses:
 
 
 def poses_from_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> BodyPoses:
-    """The same from arrays in memory; `confidence` may be absent and is then 1."""
+    """As `read_poses`, from arrays; `confidence` may be absent and is then 1."""
     listed = np.asarray(take(arrays, "names", path, HINT))
     if listed.ndim != 1:
         raise StageError(

@@ -1,7 +1,7 @@
 """Arrays out of pickles, without running what the pickle asks for.
 
-Pickles name functions to call. This reader knows arrays only: stand-ins of our own for what numpy rebuilds them by, and
-inert ones for the chumpy and scipy.sparse objects found in SMPL files (neither package is needed). Every other name is
+Pickles name functions to call. This reader makes arrays only: stand-ins of ours replace numpy's functions that rebuild
+them, inert ones the chumpy and scipy.sparse objects of SMPL files (neither package is needed). Every other name is
 refused, and so is a size that the file itself does not hold: numpy's own classes and the unpickler in C trust both.
 """
 
@@ -76,7 +76,7 @@ def _named(path: Path, hint: str, kind: str, load: Callable[[bytes], Any]) -> di
 def _load(data: bytes) -> Any:
     content = ArraysOnly(io.BytesIO(data), encoding="latin1").load()
     open_, seen = [content], 0
-    while open_:  # lists that hold each other stand for more than any memory has
+    while open_:  # lists in lists can unfold to more than any memory holds
         value = open_.pop()
         seen += 1
         if seen > len(data):
@@ -195,7 +195,7 @@ def _latin1(text: str, encoding: str = "latin1") -> bytes:
 
 
 class ArraysOnly(pickle._Unpickler):
-    """The unpickler in Python: it keeps what it has seen by number in a dictionary, the one in C in a table of any size."""
+    """Python's own unpickler: its memo is a dictionary, while C's is a table as large as the file asks."""
 
     read: Callable[[int], bytes]
     append: Callable[[Any], None]
@@ -206,7 +206,7 @@ class ArraysOnly(pickle._Unpickler):
     }
 
     def load_bytearray8(self) -> None:
-        """As the base class does, but for memory: it is taken for bytes that are there."""
+        """As the base class does, but takes memory only for bytes that are there."""
         (length,) = struct.unpack("<Q", self.read(8))
         self.append(bytes(self.read(length)))
 
@@ -215,7 +215,7 @@ class ArraysOnly(pickle._Unpickler):
     def load_build(self) -> None:
         """As the base class does, for stand-ins alone; what a dictionary has beside its entries is left out.
 
-        A function that is built anew would be another one for every file that follows.
+        Setting a function's state would change it for every file that follows.
         """
         holder = self.stack[-2]
         if isinstance(holder, dict):

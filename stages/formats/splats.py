@@ -31,7 +31,7 @@ S = TypeVar("S", bound=Scene)
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
 
-    `antialias` and `clothes` have arrays only where they are.
+    `antialias` and `clothes` get arrays only where set.
     """
     arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
     if splats.antialias:

@@ -60,7 +60,7 @@ def picture_files(folder: Path) -> list[Path]:
 
 
 def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream.VideoStream]:
-    """Open a video's container and its first moving stream; StageError if there is none or the file is no video."""
+    """Open a video's container and its first video stream; StageError for a file without one, or a list of films."""
     path = Path(path)
     if not path.exists():
         raise StageError(f"no video at {path}", "check the path")

@@ -102,7 +102,7 @@ class Course:
 
 
 def open_times(effects: ClipEffects) -> np.ndarray:
-    """Moments at which a shutter is open, in frames around the frame's own time; only that without motion blur."""
+    """Moments at which a shutter is open, in frames around the frame's own time; [0.0] without motion blur."""
     if not effects.motion_blur:
         return np.zeros(1)
     return effects.motion_blur * ((np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5)
@@ -145,7 +145,7 @@ def gains(effects: ClipEffects, frames: int, rng: np.random.Generator) -> np.nda
     waves = np.sin(2 * np.pi * u + phase[0]) + 0.7 * np.sin(5 * np.pi * u + phase[1])
     waves = (waves - waves.mean(0)) / waves.std(0)
     color = waves[:, 1:] - waves[:, 1:].mean(1, keepdims=True)
-    tint = waves[:, 1:] - waves[:, 1:] @ [[0.299], [0.587], [0.114]]  # of grey, as pictures are made grey
+    tint = waves[:, 1:] - waves[:, 1:] @ [[0.299], [0.587], [0.114]]  # of grey, by BT.601's weights
     return np.exp(effects.exposure * (waves[:, :1] + DRIFT * color) + effects.white_balance * tint)
 
 

@@ -1,4 +1,4 @@
-"""The synthetic clip on disk: clip.mp4, and truth/ with what is true of it.
+"""The synthetic clip on disk: clip.mp4, and truth/ with the exact answers.
 
 clip.mp4                 frame i of the video is the view named "%06d" % i
 truth/cameras.npz        as formats.cameras, metres, y up

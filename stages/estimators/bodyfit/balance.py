@@ -8,7 +8,7 @@ from torch import Tensor
 from stages.estimators.bodyfit.terms import geman_mcclure
 from stages.records import JOINT_NAMES
 
-BALANCE, STRIDE = 0.04, 0.5  # m, the body's mass beside the standing feet, in the mean from s before to s after
+BALANCE, STRIDE = 0.04, 0.5  # m, spread of the mass beside the standing feet; s, half the window of the mean
 ANKLES, BALLS = ([JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "foot"))
 LOAD = 0.33  # people stand 4 to 5 cm before the ankle (Winter 1995)
 GRAVITY = 9.81  # m/s^2
@@ -52,7 +52,7 @@ def smooth_acceleration(x: Tensor, times: Tensor, reach: float) -> Tensor:
 
 
 def balance_cost(placed: Tensor, stands: Tensor, times: Tensor, up: Tensor, up_spread: float, size: Tensor) -> Tensor:
-    """The body's mass beside the feet that stand, square to gravity; one number.
+    """Cost of a center of mass beside the standing feet; one number.
 
     Joints `placed` [F,24,3] m in the world; `stands` [F,2] 0..1; `times` [F] s; `up` [3] is known to `up_spread` rad; `size`
     is the stature over that of the mean body. The mass may stand over any point between the feet; over one foot it stands

@@ -21,8 +21,8 @@ STAND_INS = {
 """Model landmarks that BlazePose knows under another name, or as the middle of two (the knuckles)."""
 ARMS, LEGS = ("elbow", "wrist", "hand"), ("knee", "ankle", "heel", "big_toe", "foot")
 SWAP_COST = 1.0  # cost of exchanging the sides of one frame, in units of a body height moved by the landmarks that swap
-STRANGER_JUMP = 0.75  # body heights from the middle of the neighbours to another person
-WINDOW = 4  # neighbours on each side for that middle
+STRANGER_JUMP = 0.75  # body heights from the neighbours' median; farther is a stranger
+WINDOW = 4  # neighbours on each side for that median
 # BlazePose draws people flat. Five synthetic clips: joints 4.16 cm off as it says, 3.99 with depths 1.3 times as large (3.96
 # with 1.4), and people stand 1.5 cm too far away instead of 2.3. Where there is no truth (the kitchen), outlines, motion and
 # feet agree best with 1.2 to 1.4 too.

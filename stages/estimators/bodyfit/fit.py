@@ -20,9 +20,7 @@ from stages.estimators.bodyfit.solve import Solver, State, World
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, solve_places, start_pose, unwrap_rotations
 from stages.records import BodyModel, BodyPoses, Cameras
 
-SOLE_SPREAD = (
-    0.015  # m, that a sole may be thicker or thinner: what it leaves open of the scale, the more the lower the camera
-)
+SOLE_SPREAD = 0.015  # m, that a sole may be thicker or thinner; the lower the camera, the more it leaves the scale open
 SCALE_SHARE = 0.5  # of how far frames on the floor differ in their scale
 FLOOR_TILT = 0.02  # rad, that a floor may lie off level
 FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, then feet and scale as well

@@ -69,7 +69,7 @@ def _change_camera(
     """Points `seen` [N,3] m by cameras of `focal` [N] and `center` [N,2] px, where cameras `Ks` see them as large and
     on the same pixel; and how bodies there must turn to be seen from the same side.
 
-    Another focal length puts a point that is as large at another depth, z' = z f'/f, and its ray at another angle.
+    With another focal length a point as large lies at another depth, z' = z f'/f, and its ray at another angle.
     """
     pixels = focal[:, None] * seen[:, :2] / seen[:, 2:] + center
     depth = seen[:, 2] * Ks[:, 0, 0] / focal

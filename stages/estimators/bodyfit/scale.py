@@ -44,7 +44,7 @@ class TimedCameras:
     size: tuple[int, int]
 
     def show(self, pixels: np.ndarray) -> np.ndarray:
-        """Of which frames [F] the picture holds most of `pixels` [F,N,2]."""
+        """bool [F]: frames whose picture holds most of `pixels` [F,N,2]."""
         return ((pixels >= 0) & (pixels <= np.array(self.size))).all(-1).mean(1) > 0.5
 
 
@@ -59,7 +59,7 @@ def find_scale(
     """Metres per SfM unit (`initial`), `how` it was found with numbers, and the floor if there is one.
 
     `path` None: one fixed camera. `soles` [F,2,S,3] m of both feet from the camera, world axes, seen at `pixels`
-    [F,2S,2]; `height` [F] px of the person; `ups` [U,3]: what may be up.
+    [F,2S,2]; `height` [F] px of the person; `ups` [U,3]: likely up axes.
     """
     if path is None:
         return {"initial": 1.0, "how": "one fixed camera: the world is its frame, in metres"}, None

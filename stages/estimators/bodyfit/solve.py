@@ -20,8 +20,8 @@ from stages.records import JOINT_NAMES
 
 # Standard deviations; lengths in the picture are shares of the person's height there.
 LANDMARK, OUTLINE = 0.010, 0.008
-# Of BlazePose's guess at where a part points, rad, by the landmark at its end; as measured on the synthetic clip. There
-# is none for feet: it has toes point at the camera, whatever they do (median 28 degrees off, one in ten 130).
+# Error in rad of a part's direction by BlazePose, by the landmark at its end; measured on the synthetic clip. Feet have
+# none: BlazePose points toes at the camera, whatever they do (median 28 degrees off, one in ten 130).
 DIRECTION = {
     "shoulder": 0.18, "elbow": 0.2, "wrist": 0.3, "hand": 0.35, "hip": 0.12, "knee": 0.17, "ankle": 0.17, "ear": 0.18,
     "eye": 0.22,
@@ -177,7 +177,7 @@ class Solver:
         return torch.nn.functional.normalize(unbiased @ self.sight.mT, dim=-1)
 
     def picture_cost(self, state: State, points: Tensor) -> Tensor:
-        """Landmarks and limb directions [F]."""
+        """Cost [F] of landmarks and limbs."""
         off = (self.pixels(points) - self.xy).norm(dim=-1) / (LANDMARK * self.height[:, None])
         cost = (self.weight * terms.geman_mcclure(off.square(), 5.0)).sum(1)
         along = torch.nn.functional.normalize(points[:, self.head] - points[:, self.tail], dim=-1)
@@ -185,7 +185,7 @@ class Solver:
         return cost + DIRECTION_SHARE * (self.segment_weight * terms.geman_mcclure(turned, 3.0)).sum(1)
 
     def outline_cost(self, state: State, outlines: terms.Outlines) -> Tensor:
-        """Contour points off their vertices along the normal, and vertices outside the mask [F]."""
+        """Cost [F]: contour points off their vertices along the normal, vertices off the mask."""
         chosen, count = torch.cat([self.rim, self.coarse.expand(len(state.pose), -1)], 1), self.rim.shape[1]
         skin, normals = self.surface(state, chosen)
         cloth = (self.body.lbs_weights[self.rim] @ state.cloth)[..., None] * normals[:, :count]
@@ -206,7 +206,7 @@ class Solver:
         return 1 + (grown @ betas) / tall
 
     def motion_cost(self, state: State, joints: Tensor, scale: Tensor | None) -> Tensor:
-        """Accelerations of the joints, in the world if `scale` is given, else about the pelvis, and turning; one number."""
+        """Cost of joint accelerations, in the world if `scale` is given, else about the pelvis, and of turning."""
         if len(joints) < 3:
             return joints.new_zeros(())
         place = (joints - joints[:, :1]) @ self.world.turn if scale is None else self.to_world(state, joints, scale)
@@ -231,7 +231,7 @@ class Solver:
             return middle.new_zeros(middle.shape[:2])
         speed, past = (
             (middle[gap:] - middle[:-gap]).norm(dim=-1) / (self.world.times[gap:] - self.world.times[:-gap])[:, None]
-            for gap in (1, 2)  # past: of the neighbours, where one frame puts the foot elsewhere
+            for gap in (1, 2)  # past: between the neighbours, in case one frame errs
         )
         slow = torch.cat([speed[:1], torch.minimum(torch.minimum(speed[1:], speed[:-1]), past), speed[-1:]])
         stands = torch.sigmoid((SLOW * loose - slow) / (0.08 * loose))
@@ -243,7 +243,7 @@ class Solver:
         return stands
 
     def feet_cost(self, state: State, feet: Tensor, stands: Tensor, scale: Tensor, loose: float = 1.0) -> Tensor:
-        """Standing feet that slide, hover or sink; one number."""
+        """Cost of standing feet that slide, hover or sink."""
         pair = (stands[1:] * stands[:-1])[..., None]
         size = self.size(state.betas)
         slide = (feet[1:] - feet[:-1]).square().sum(-1) / (STILL * size) ** 2

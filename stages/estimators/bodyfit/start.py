@@ -54,7 +54,7 @@ def start_pose(evidence: LandmarkEvidence, joints: np.ndarray) -> tuple[np.ndarr
 def fill_limbs(pose: np.ndarray, evidence: LandmarkEvidence, times: np.ndarray) -> np.ndarray:
     """Local rotation vectors [F,23,3] in which limbs that hide turn evenly between the frames that show them.
 
-    Started from a guess, a hidden arm may stay on the wrong side of the body: no cost there but its jump, which is
+    Started from a guess, a hidden arm may stay on the wrong side of the body: only its jump has a cost, which is
     bounded. Before the first and after the last frame that shows it the guesses stay. `times` [F] s.
     """
     filled = pose.copy()
@@ -107,7 +107,7 @@ def fill_poses(
 
 
 def unwrap_rotations(rotvecs: np.ndarray) -> np.ndarray:
-    """The same rotations [F,J,3] with each vector taken a whole turn further where that is nearer to the frame before."""
+    """The same rotations [F,J,3] with a whole turn taken off a vector where that is nearer to the frame before."""
     out = rotvecs.copy()
     for i in range(1, len(out)):
         angle = np.linalg.norm(out[i], axis=-1, keepdims=True)

@@ -20,8 +20,8 @@ from stages.formats.given_cameras.record import Lens, widest_angles
 
 SEED = 1  # of every random draw in COLMAP
 MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
-TRACKS = 200  # a frame, the longest, place it; all take four times as long and are 0.65 mm off in 2.6 m all the same
-DENSE = 200  # frames; up to so many, their equations are solved as if each saw what each other sees: they nearly do
+TRACKS = 200  # longest tracks a frame to map with; all take four times as long and are as far off: 0.65 mm in 2.6 m
+DENSE = 200  # frames; up to so many, the solver takes each pair of frames to share points: nearly all do
 CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
 
 
@@ -310,6 +310,6 @@ def posed_model(
 
 
 def add_points(model: pycolmap.Reconstruction, cloud: Cloud, keep: np.ndarray) -> None:
-    """Put points of another model into one with cameras only; without tracks, whose features are not at hand."""
+    """Put points of another model into one with cameras only; without tracks, as their features are missing."""
     for xyz, rgb in zip(cloud.xyz[keep], cloud.rgb[keep], strict=True):
         model.add_point3D(xyz, pycolmap.Track(), rgb)

@@ -58,9 +58,9 @@ def weigh(focal: float, k: float, covariance: np.ndarray, side: int) -> Intrinsi
 
 
 def settle(job: Job, model: Model, width: int, height: int) -> dict[str, float]:
-    """Hold the lens of a model that hardly tells it near what cameras have, and adjust the model; facts for sfm.json.
+    """Pull a lens that the model hardly fixes toward what cameras have, and adjust the model; facts for sfm.json.
 
-    Where the model tells its lens within SETTLED, nothing of it changes.
+    A model that fixes its lens within SETTLED is not changed.
     """
     camera = next(iter(model.reconstruction.cameras.values()))
     focal, _, _, k = (float(value) for value in camera.params)

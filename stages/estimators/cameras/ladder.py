@@ -76,7 +76,7 @@ class Rung:
         return {"how": self.how, "models": [model.facts() for model in self.models]}
 
     def describe(self, matched: Matched) -> str:
-        """In a few words: the best model's frames, and what is wrong with it if they do not say it."""
+        """In a few words: how many frames the best model has, and what makes it look unreliable."""
         if not self.models:
             return f"{self.how}: no model of {FEW_POINTS} points in {self.seconds:.0f} s"
         best = self.models[0]
@@ -99,7 +99,7 @@ def by_incremental(matched: Matched, out: Path, placed: Callable[[], None], clos
 
 
 def after_matching(mapping: Mapping, matched: Matched, out: Path, placed: Callable[[], None]) -> list[Model]:
-    """The same after each frame has been matched with more that follow; pairs that are matched already stay."""
+    """`mapping` after each frame is matched with more later frames; pairs matched before stay."""
     colmap.match(matched.database, max(MORE, 2 * matched.overlap), growing=False, side=matched.side)
     return mapping(matched, out, placed)
 

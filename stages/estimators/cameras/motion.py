@@ -20,7 +20,7 @@ STATIC_PX = 0.0015  # of the longer side: 1.4 px at 960; compression noise is 0.
 ROTATION_PX = 0.0015  # of the longer side: what a pure rotation may leave unexplained (0.2-0.5 px is usual)
 MIN_FOCAL, MAX_FOCAL = 0.4, 2.2  # of the longer side: 100 to 26 degrees, every phone lens but the long tele
 ROTATION_SHARE = 0.03  # and of the displacement: a hand that moves leaves 0.1 and more
-NEARLY = 3  # times that: the most a rotation may leave that stands in where nothing can be mapped
+NEARLY = 3  # times that: the limit for a rotation that stands in where mapping fails
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class BundleResiduals:
 
 
 def adjust_bundle(tracks: Tracks, viewmats: np.ndarray, Ks: np.ndarray, height: int) -> BundleResiduals | None:
-    """Solve for it; None if too few points could be placed."""
+    """Adjust the bundle; None if too few points are placed."""
     placed = np.isfinite(tracks.points).all(1)
     if placed.sum() < FEWEST:
         return None

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import ClipEvidence
 
 SWING = 0.03  # between poses, of the body's area
-# Of bare bodies with our own fit: 0.02 to 0.21 on the twelve clips of the family for setting, 0.13 and less on nine; with true
+# Of bare bodies with our own fit: 0.02 to 0.21 on twelve synthetic clips to set limits, 0.13 or less on nine; with true
 # poses 0.000. A skirt 20 cm wide swings by 0.12. So with our own fit only what is wider still can be told from its errors.
 SWING_OF_FIT = 0.15
 OUTWARDS = 3.0  # the mask must miss so many times less of the body than it adds; a wrong pose does both
@@ -21,9 +21,9 @@ UNIT = "of the body's area, between poses"
 
 
 def detect(evidence: ClipEvidence) -> Finding:
-    """How the area of the mask outside the posed body varies: its 90 % quantile over frames less that of 10 %.
+    """How the mask's area off the posed body, less what it misses, varies: 90 % quantile of frames less 10 %.
 
-    Poses that we fitted ourselves err, and so does this: they take a larger swing.
+    Poses that we fitted ourselves err, so their swing must exceed a higher limit.
     """
     clip, limit = evidence.clip, SWING_OF_FIT if evidence.fitted else SWING
     outside, missed = np.full((2, len(clip.names)), np.nan)

@@ -48,12 +48,12 @@ class ClipEvidence:
 
     @cached_property
     def light(self) -> np.ndarray:
-        """Log gains [F,3] of each frame, of all light and of red and blue beside green; NaN where too few points are seen."""
+        """Log gains [F,3] of each frame: brightness, red/green, blue/green; NaN where too few points are seen."""
         return frame_gains(self.clip)
 
     @property
     def gains(self) -> np.ndarray:
-        """Log gain [F] of each frame, of all light."""
+        """Log gain [F] of each frame's brightness."""
         return self.light[:, 0]
 
     @cached_property

@@ -28,6 +28,6 @@ def detect(evidence: ClipEvidence) -> Finding:
 
 
 def _drift(series: np.ndarray) -> float:
-    """Standard deviation of log gains [F], NaN left out; that for which a jump stands, if it is more."""
+    """Standard deviation of log gains [F], NaN left out; or the largest jump x STD / STEP, if more."""
     seen = series[np.isfinite(series)]
     return max(seen.std(), np.abs(np.diff(seen)).max() * STD / STEP) if len(seen) > 1 else 0.0

@@ -17,7 +17,7 @@ MIN_SAMPLES = 30  # points that must be seen in a frame before its exposure is b
 
 
 def frame_gains(clip: Clip) -> np.ndarray:
-    """Log gains [F,3] of each frame: of all light, of red and of blue beside green; from SfM points outside the person."""
+    """Log gains [F,3] of each frame: brightness, red / green and blue / green; from SfM points outside the person."""
     logs = np.full((3, len(clip.names), len(clip.points)), np.nan)
     for i in range(len(clip.names) if len(clip.points) else 0):
         pixels, z = project(clip.points, clip.viewmats[i], clip.Ks[i])

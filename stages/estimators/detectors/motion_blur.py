@@ -19,7 +19,7 @@ SHARE = 0.2  # of the frames that must be blurred by as much
 UNIT = "px on a fifth of the frames"
 REACH = 10  # px on either side of an edge in which its foot and top are looked for
 EDGES, LEAST = 1500, 40  # of each kind, looked at in a frame and needed
-SLOWEST = 0.5  # px a frame: the direction of less is not known
+SLOWEST = 0.5  # px a frame: slower has no sure direction
 ALONG, ACROSS = 0.85, 0.35  # |cosine| of an edge's normal and the motion
 SHARPEST = 0.25  # quantile of the widths: what is soft by itself says nothing
 

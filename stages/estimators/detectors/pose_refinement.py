@@ -18,9 +18,9 @@ NEAR = np.ones((3, 3), np.uint8)
 
 
 def detect(evidence: ClipEvidence) -> Finding:
-    """How much of posed body and mask lies apart from the other, the median over frames.
+    """The median over frames of the share in which posed body and mask differ.
 
-    A fit made from outlines agrees with them and still errs along the view, so little has to be seen: refining is cheap.
+    A fit made from outlines agrees with them and errs along the view, so a small gap is enough: refining is cheap.
     """
     clip, gaps = evidence.clip, np.full(len(evidence.clip.names), np.nan)
     for i, drawn in zip(evidence.sampled, evidence.outlines):

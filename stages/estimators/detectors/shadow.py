@@ -29,7 +29,7 @@ LARGEST = 1.0  # log brightness: more than this is something else that hides the
 
 
 def detect(evidence: ClipEvidence) -> Finding:
-    """How much light the lamp that explains the floor's changes best loses to the body.
+    """How much of the best-fitting lamp's light the body takes from the floor.
 
     Spots of the floor are compared with themselves in other frames only, so its pattern does not matter. Tried are lamps
     in all directions; the shadow of each is the body laid down on the floor along its light.

@@ -58,5 +58,5 @@ def find_infinite(tracks: Tracks, viewmats: np.ndarray) -> tuple[np.ndarray, np.
     away = np.linalg.norm(tracks.points - centers[first], axis=1)
     usual = np.nanmedian(away[np.isfinite(away)]) if np.isfinite(away).any() else np.nan
     told = baseline / usual > EXPECTED
-    behind = ~np.isfinite(away)  # no point before all cameras fits: the rays part
+    behind = ~np.isfinite(away)  # no point is in front of all cameras: rays spread
     return told, told & (behind | (away > FAR * usual))

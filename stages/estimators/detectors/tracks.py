@@ -150,7 +150,7 @@ def project_with_slopes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixels [F,T,2] of `points` [T,3], their depths [F,T], and the pixels' slopes [F,T,2,3] by the points.
 
-    Apart from `pinhole.project`, whose pixels differ in their last bits, because the slopes need its steps.
+    Repeats `pinhole.project`, equal but for the last bits, because the slopes need its steps.
     """
     local = points @ viewmats[:, :3, :3].mT + viewmats[:, None, :3, 3]
     z = local[..., 2]

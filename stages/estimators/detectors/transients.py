@@ -69,7 +69,7 @@ def _picture(evidence: ClipEvidence, i: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _warp_neighbour(evidence: ClipEvidence, i: int, j: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Frame `j` where frame `i` has it, by the motion of the tracks between them, and where it is known."""
+    """Frame `j` warped onto frame `i` by the motion of the tracks between them, and where it is known."""
     pixels, clip = evidence.tracks.pixels, evidence.clip
     both = np.isfinite(pixels[i, :, 0]) & np.isfinite(pixels[j, :, 0])
     if both.sum() < 20:

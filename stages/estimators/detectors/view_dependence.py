@@ -21,7 +21,7 @@ UNIT = "of 255, std over views of a tenth of the points"
 
 
 def detect(evidence: ClipEvidence) -> Finding:
-    """By how much the brightness of the most changing tenth of the points goes along with the view, gains taken off."""
+    """How much the brightness of the most changing tenth of the points follows the view, gains taken off."""
     if not evidence.moving:
         return unmeasured(UNIT, CHANGE, "the camera does not move")
     clip, tracks = evidence.clip, evidence.tracks
@@ -49,7 +49,7 @@ def greys_at(evidence: ClipEvidence, pixels: np.ndarray) -> np.ndarray:
 
 
 def changes(pixels: np.ndarray, greys: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
-    """Standard deviation [T] of what of `greys` [F,T] goes linearly with the direction of view; 0 where little does."""
+    """Standard deviation [T] of the part of `greys` [F,T] that is linear in the view direction; 0 where little is."""
     known = np.isfinite(greys) & np.isfinite(pixels[..., 0])
     rays = np.where(known[..., None], bearings(pixels, viewmats, Ks), 0)
     count = np.maximum(known.sum(0), 1)

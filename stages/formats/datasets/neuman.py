@@ -75,7 +75,7 @@ def read_neuman(folder: Path) -> Capture:
 
 
 def paper_split(count: int) -> tuple[list[int], list[int]]:
-    """The frames of `count` that HUGS measures, and those that it neither measures nor trains on."""
+    """HUGS's split of `count` frames: those that it measures, and those that it does not use."""
     stride = count // max(count // 5, 1)
     apart = list(range(count))[stride // 2 :: stride]
     return apart[: len(apart) // 2], apart[len(apart) // 2 :]

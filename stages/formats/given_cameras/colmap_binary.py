@@ -1,7 +1,7 @@
 """COLMAP's binary model: the rows of cameras.bin, images.bin and points3D.bin, little-endian and without padding.
 
 Source: COLMAP, src/colmap/scene/reconstruction_io_binary.cc. Rigs and frames of newer models stand in files of their
-own; images.bin keeps each picture's pose. pycolmap reads a file that was cut short without an end, so it is not asked.
+own; images.bin keeps each picture's pose. pycolmap never stops reading a file that was cut short, so it is not used.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Bytes:
         return struct.unpack_from("<" + layout, self.data, start)
 
     def skip(self, count: int) -> int:
-        """Pass over `count` bytes; where they began."""
+        """Skip `count` bytes; returns their start."""
         if count > len(self.data) - self.at:
             facts = [f"{count} bytes are wanted from byte {self.at} on, the file has {len(self.data)}"]
             raise StageError(f"{self.path} is cut short or not a COLMAP file", HINT, facts)
@@ -53,7 +53,7 @@ class Bytes:
             raise StageError(f"{self.path} has a picture name that is not text", HINT, [fact]) from error
 
     def rows(self) -> Iterator[int]:
-        """The numbers of the rows that the next count announces; StageError if bytes are left after the last."""
+        """The row numbers below the count that is read next; StageError if bytes are left after the last."""
         (count,) = self.take("Q")
         yield from range(count)
         if self.at != len(self.data):

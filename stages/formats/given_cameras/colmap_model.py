@@ -22,7 +22,7 @@ def is_model(folder: Path) -> bool:
 def read_colmap(folder: Path) -> GivenCameras:
     """Read a model's three files, the binary ones where both are there, in the order of the pictures' names.
 
-    StageError with file and line or byte for what cannot be read, with the picture's name for a pose that is none, and
+    StageError with file and line or byte for what cannot be read, with the picture's name for an invalid pose, and
     for pictures of several sizes.
     """
     suffix = ".bin" if (folder / "images.bin").is_file() else ".txt"

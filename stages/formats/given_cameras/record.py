@@ -109,7 +109,7 @@ def widest_angles(points: np.ndarray, tracks: Sequence[np.ndarray], centers: np.
 
 
 def checked_lens(model: str, params: Sequence[float], width: int, height: int, what: str, hint: str) -> Lens:
-    """The lens if its numbers can be those of a picture of that size, else StageError; `what` names it."""
+    """The lens if its numbers can belong to a picture of that size, else StageError; `what` names it."""
     if model not in PARAMS:
         facts = [f"it is {model}, known are {', '.join(PARAMS)}"]
         raise StageError(f"the camera model of {what} is not supported", hint, facts)

@@ -25,7 +25,7 @@ ROMP_HINT = "give what ROMP wrote: video_results.npz, VIDEO_results.npz, or the 
 
 
 def read_phalp(content: dict[Any, Any], path: str, size: tuple[int, int]) -> SmplFit:
-    """Picture's path -> lists tid, tracked_time, smpl, camera, size, 2d_joints: an entry a person; time: its number.
+    """Picture's path -> tid, tracked_time, smpl, camera, size, 2d_joints (lists over people) and time (its number).
 
     `camera` [3] m is the translation before a camera of focal length PHALP_FOCAL; people of whom only a prediction is
     kept (tracked_time > 0) are left out.
@@ -90,7 +90,7 @@ def read_romp(content: dict[str, Any], path: str, size: tuple[int, int], name: s
     """`results` of any of ROMP's files, of its first version and of simple-romp; `name` is the picture's if there is one only.
 
     Of a person: cam (s, tx, ty) on the picture padded to a square of -1..1, poses [72], betas [10]. The file's own
-    translation is left aside: ROMP itself draws by `cam`.
+    translation is ignored: ROMP itself draws by `cam`.
     """
     results = content["results"]
     tracks, several = content.get("sequence_results"), isinstance(results, Mapping) and "cam" not in results

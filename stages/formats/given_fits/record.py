@@ -173,7 +173,7 @@ def _kind(value: Any) -> str:
 
 
 def same_picture(theirs: np.ndarray, ours: tuple[int, int], where: str, hint: str) -> np.ndarray:
-    """Our px per px of the tool's pictures [N], whose sizes (width, height) are `theirs` [N,2].
+    """Factor [N] from the tool's px to ours; `theirs` [N,2] are its pictures' (width, height).
 
     StageError if their shape is another, or no size at all.
     """

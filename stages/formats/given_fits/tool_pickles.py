@@ -73,7 +73,7 @@ def read_tool_file(path: Path, hint: str = "") -> Any:
 
 
 def _load(data: bytes, budget: Budget) -> Any:
-    """What is in a file; what it unpacks to is spent of `budget`."""
+    """The content of a file; `budget` pays for what unpacks."""
     if data[:2] == b"PK":
         return _unzip(zipfile.ZipFile(io.BytesIO(data)), budget)
     if data[:6] == b"\x93NUMPY":
@@ -86,7 +86,7 @@ def _load(data: bytes, budget: Budget) -> Any:
 
 
 def _unpacked(data: bytes, budget: Budget) -> bytes:
-    """What zlib packed, which says nowhere how long it is: taken piece by piece."""
+    """What zlib packed, piece by piece, as the stream does not tell its length."""
     unpacker, pieces = zlib.decompressobj(), []
     while data and not unpacker.eof:
         pieces.append(unpacker.decompress(data, PIECE))
@@ -210,7 +210,7 @@ class ToolObjects(ArraysOnly):
 def _tensor(budget: Budget, storage: np.ndarray, offset: int, shape: tuple, stride: tuple, *rest: Any) -> np.ndarray:
     """The tensor [shape] that lies in flat `storage` from `offset` on, `stride` elements apart; a view.
 
-    Its numbers are made Python's: numpy's own wrap at 64 bits, and a tensor outside of its storage would seem to fit.
+    Computes with Python's int: numpy's wraps at 64 bits, and a tensor outside its storage would seem to fit.
     """
     if not isinstance(storage, np.ndarray) or storage.ndim != 1 or not storage.flags.c_contiguous:
         raise pickle.UnpicklingError("a tensor's numbers are not where they should be")

@@ -1,6 +1,6 @@
 """Fits of WHAM, GVHMR and TRAM: one track of poses a person, in the camera of each frame.
 
-Their worlds are their own, so the poses in the camera are taken and this clip's cameras place them.
+Each tool has its own world, so poses are read in the camera, and this clip's cameras place them.
 Sources: WHAM demo.py and lib/utils/imutils.py, GVHMR tools/demo/demo.py, TRAM scripts/estimate_humans.py and
 lib/models/hmr_vimo.py.
 """
@@ -51,7 +51,7 @@ def read_wham(content: dict[Any, Any], path: str, size: tuple[int, int]) -> Smpl
 def read_gvhmr(content: dict[str, Any], path: str, size: tuple[int, int]) -> SmplFit:
     """hmr4d_results.pt: smpl_params_incam (body_pose [N,63], betas, global_orient, transl of SMPL-X), K_fullimg [N,3,3].
 
-    Row i is frame i of the video; the optical axis is the middle of the picture.
+    Row i is frame i of the video; the principal point is the picture's middle.
     """
     file = Fields(content, path, GVHMR_HINT)
     person = Fields(file.take("smpl_params_incam"), f"smpl_params_incam of {path}", GVHMR_HINT)

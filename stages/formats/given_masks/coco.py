@@ -3,8 +3,8 @@
 {"images": [{"id", "file_name", "height", "width"}], "categories": [{"id", "name"}],
  "annotations": [{"image_id", "category_id", "segmentation", "track_id" or "instance_id" where there is one}]}
 
-Run lengths count background and object in turn, down the columns; as text, each is 5 bits a letter from 48 on, the
-lowest first, 32 means that more follow, with sign, and from the fourth on as the difference to the one two before.
+Run lengths count background and object in turn, down the columns. As text: 5 bits a letter (its code less 48),
+lowest first, bit 32 if more follow, signed; from the fourth run on, the difference to the run two before.
 Polygons are x y x y ... with the first pixel's corner at (0, 0); a pixel belongs to one if its centre does.
 Source: https://cocodataset.org/#format-data and cocoapi, common/maskApi.c.
 """
@@ -119,7 +119,7 @@ def _track(
     images: dict[int | str, tuple[str, int, int]],
     shown: dict[int | str, list[tuple[dict, str]]],
 ) -> Iterator[tuple[int, str, tuple[Any, str]]]:
-    """(row of the picture, id, part) of each annotation, followed by the boxes."""
+    """(row of the picture, id, part) of each annotation; the boxes give the id."""
     tracker = BoxTracker()
     for row, image in enumerate(order):
         _, height, width = images[image]
@@ -129,7 +129,7 @@ def _track(
 
 
 def decode(segmentation: object, height: int, width: int, what: str) -> np.ndarray:
-    """The mask bool [height,width] of run lengths or polygons; StageError where they do not belong to that size."""
+    """The mask bool [height,width] of run lengths or polygons; StageError where they do not fit that size."""
     if isinstance(segmentation, list):
         return polygons(segmentation, height, width, what)
     counts, size = _taken(segmentation, "counts", what), _taken(segmentation, "size", what)
@@ -191,7 +191,7 @@ def polygons(parts: list, height: int, width: int, what: str) -> np.ndarray:
 
 
 def _crossings(corners: np.ndarray, height: int, width: int, budget: Budget) -> np.ndarray:
-    """Where a polygon's sides cross the middles of the rows, in order: row (width + 1) + the first pixel behind."""
+    """Sorted crossings of a polygon's sides and the rows' middles: row * (width + 1) + the first pixel behind."""
     x0, y0 = corners.T
     x1, y1 = np.roll(corners, -1, axis=0).T
     low, high = (np.clip(np.ceil(y - 0.5), 0, height).astype(int) for y in (np.minimum(y0, y1), np.maximum(y0, y1)))

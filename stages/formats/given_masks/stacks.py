@@ -18,9 +18,9 @@ NAMES = ("names", "frame_names", "file_names", "filenames", "frames", "frame_ids
 
 
 def read_stack(path: Path, frames: int) -> MaskSet:
-    """Read a .npy with a stack, or a .npz with a stack and names, or with an array for each frame, named as it.
+    """Read a .npy with a stack, or a .npz with a stack and names, or with one array named after each frame.
 
-    Raises StageError for pickled or damaged files, other shapes, names that are not as many as masks, and a stack
+    Raises StageError for pickled or damaged files, other shapes, more or fewer names than masks, and a stack
     without names that has not a mask for each of the video's `frames`.
     """
     if path.suffix.lower() == ".npy":
@@ -47,7 +47,7 @@ def read_stack(path: Path, frames: int) -> MaskSet:
 
 
 def as_stack(array: np.ndarray) -> np.ndarray | None:
-    """The array as [N,H,W] if it has three axes that count, an axis of channels of length 1 left out; else None."""
+    """The array as [N,H,W] with N > 1, a channel axis of length 1 dropped; None for any other shape."""
     if array.ndim == 4 and 1 in (array.shape[1], array.shape[3]):
         array = array[:, 0] if array.shape[1] == 1 else array[..., 0]
     return array if array.ndim == 3 and array.shape[0] > 1 else None

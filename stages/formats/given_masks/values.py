@@ -213,7 +213,7 @@ class ForeignMasks:
         return np.rint(values.clip(0, top) * (255.0 / top)).astype(np.uint8)
 
     def encodings(self) -> dict[str, int]:
-        """What was found: encoding in words -> files."""
+        """Encoding in words -> number of files."""
         words = {}
         for kind, levels in self.kinds.items():
             few, high = levels.few, f"0..{levels.highest:g}"

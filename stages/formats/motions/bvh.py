@@ -1,6 +1,6 @@
 """BVH motion capture: any skeleton, any order of channels.
 
-Format as its inventors left it: https://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/BVH.html
+Format by its inventors: https://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/BVH.html
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Bvh:
 def read_bvh(path: Path) -> Bvh:
     """Read a BVH file; StageError with the line and what was expected there.
 
-    A position channel takes the place of the offset in its axis. The unit of length is never said in a BVH.
+    A position channel replaces the offset along its axis. A BVH does not say its unit of length.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

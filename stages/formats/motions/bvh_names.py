@@ -101,10 +101,10 @@ def _ancestors(bvh: Bvh, joint: int) -> list[int]:
 
 
 def _meet(a: list[int], b: list[int]) -> int:
-    """The last joint that two lines from the root share."""
+    """The last joint that two root chains share."""
     return [x for x, y in zip(a, b) if x == y][-1]
 
 
 def _path(start: list[int], end: list[int]) -> tuple[int, ...]:
-    """What `end` has below where it leaves `start`."""
+    """The joints of `end` after those of `start`."""
     return tuple(joint for joint in end if joint not in start)

@@ -1,4 +1,4 @@
-"""SMPL motions of other programs: the .npz families, from which only how the body moves is taken.
+"""SMPL motions of other programs: the .npz families, read only for the body's motion.
 
 | family   | keys                                                                               | metres        |
 |----------|------------------------------------------------------------------------------------|---------------|
