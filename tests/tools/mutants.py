@@ -388,6 +388,41 @@ MUTANTS = (
         "if px + reach_x <= 0 or px - reach_x >= width or py + reach_y <= 0 or py - reach_y >= height:",
         "tests/stages/avatar/rasterize/test_rasterize.py::what_the_projection_makes_of_an_absurd_camera_is_nowhere_in_the_picture",
     ),
+    Mutant(
+        "L08 a number of thousands of digits",
+        "stages/formats/motions/bvh.py",
+        " or len(words[0]) > DIGITS or",
+        " or",
+        "tests/stages/formats/motions/test_bvh.py::a_number_of_frames_with_thousands_of_digits_is_refused",
+    ),
+    Mutant(
+        "L08 a name of thousands of digits",
+        "stages/formats/frame_names.py",
+        " if digits and len(digits[-1]) <= DIGITS else",
+        " if digits else",
+        "tests/stages/formats/given_masks/test_values.py::names_and_ids_of_odd_digits_are_compared_and_no_more",
+    ),
+    Mutant(
+        "L08 a camera of any size",
+        "stages/formats/cameras.py",
+        'Budget(path).spend(width * height * PIXEL, f"a picture of {width}x{height} px")',
+        "pass",
+        "tests/stages/formats/test_cameras.py::wrong_cameras_are_refused_by_name",
+    ),
+    Mutant(
+        "L08 a run length of any number of letters",
+        "stages/formats/given_masks/coco.py",
+        "if counts.max() > LETTERS:",
+        "if False:",
+        "tests/stages/formats/given_masks/test_coco.py::a_run_length_of_many_letters_is_refused_at_once",
+    ),
+    Mutant(
+        "L08 masks of any number of pixels",
+        "stages/formats/given_masks/coco.py",
+        'budget.spend(images[image][1] * images[image][2], f"the mask of annotation {i}, a byte a pixel,")',
+        "pass",
+        "tests/stages/formats/given_masks/test_coco.py::masks_together_larger_than_any_clip_are_refused",
+    ),
 )
 
 
