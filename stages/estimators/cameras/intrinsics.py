@@ -17,7 +17,7 @@ from stages.estimators.cameras.colmap import Model
 
 USUAL_FOCAL, FOCAL_SPREAD = 0.85, 0.35  # of the longer side, and of its logarithm: 24 mm to 85 mm lie within two of it
 K_SPREAD = 0.02  # phones and cameras straighten their films; what is left is small
-TRACK_ERROR = 1.0  # px: tracks drift together, so a model knows its lens no better than if each point were so far off
+TRACK_ERROR = 0.001  # of the longer side: tracks drift together, so a lens is known no better than by points so far off
 SETTLED = (
     1.0  # px at the corners, and per cent of the focal length, by which SfM's values may differ from the weighed ones
 )
@@ -46,7 +46,7 @@ def weigh(focal: float, k: float, covariance: np.ndarray, side: int) -> Intrinsi
     Raises ValueError for a covariance that is not one.
     """
     scale = np.diag([1 / focal, 1.0])
-    seen = scale @ covariance @ scale * TRACK_ERROR**2
+    seen = scale @ covariance @ scale * (TRACK_ERROR * side) ** 2
     if not np.isfinite(seen).all() or (np.linalg.eigvalsh(seen) <= 0).any():
         raise ValueError(f"no covariance: {covariance.tolist()}")
     found, usual = np.array([np.log(focal), k]), np.array([np.log(USUAL_FOCAL * side), 0.0])
