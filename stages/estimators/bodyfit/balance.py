@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 from torch import Tensor
 
@@ -12,7 +14,7 @@ BALANCE, STRIDE = 0.04, 0.5  # m, spread of the mass beside the standing feet; s
 ANKLES, BALLS = ([JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "foot"))
 LOAD = 0.33  # people stand 4 to 5 cm before the ankle (Winter 1995)
 GRAVITY = 9.81  # m/s^2
-SEGMENTS = (
+BODY_PARTS = (
     # share of the body's mass, ends, share of the way from the first end to the second
     (0.0694, "neck", "head", 1.0),
     (0.4346, "shoulder", "hip", 0.45),
@@ -26,10 +28,11 @@ SEGMENTS = (
 """Of a grown man, both sides together: P. de Leva, "Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters", 1996."""
 
 
+@cache
 def mass_shares() -> Tensor:
     """Weights [24] of the joints whose mean is the body's center of mass; they add up to 1."""
     shares = torch.zeros(len(JOINT_NAMES))
-    for mass, first, last, way in SEGMENTS:
+    for mass, first, last, way in BODY_PARTS:
         for end, part in ((first, 1 - way), (last, way)):
             rows = [i for i, name in enumerate(JOINT_NAMES) if name in (end, f"left_{end}", f"right_{end}")]
             shares[rows] += mass * part / len(rows)

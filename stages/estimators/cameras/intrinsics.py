@@ -18,9 +18,10 @@ from stages.estimators.cameras.colmap import Model
 USUAL_FOCAL, FOCAL_SPREAD = 0.85, 0.35  # of the longer side, and of its logarithm: 24 mm to 85 mm lie within two of it
 K_SPREAD = 0.02  # phones and cameras straighten their films; what is left is small
 TRACK_ERROR = 0.001  # of the longer side: tracks drift together, so a lens is known no better than by points so far off
-SETTLED = (
-    1.0  # px at the corners, and per cent of the focal length, by which SfM's values may differ from the weighed ones
-)
+CORNERS, FOCAL = (
+    1.0,
+    0.01,
+)  # px of bend, and share of the focal length: lenses that differ by less take the same pictures
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,9 @@ class Intrinsics:
     k_spread: float
 
     def same_pictures(self, other: Intrinsics, width: int, height: int) -> bool:
-        """Whether both lenses take nearly the same pictures: within SETTLED."""
+        """Whether both lenses take nearly the same pictures."""
         bent = [lens.max_shift(one.focal, one.k, width, height) for one in (self, other)]
-        return abs(bent[0] - bent[1]) < SETTLED and abs(self.focal / other.focal - 1) < 0.01 * SETTLED
+        return abs(bent[0] - bent[1]) < CORNERS and abs(self.focal / other.focal - 1) < FOCAL
 
 
 def weigh(focal: float, k: float, covariance: np.ndarray, side: int) -> Intrinsics:
@@ -60,15 +61,16 @@ def weigh(focal: float, k: float, covariance: np.ndarray, side: int) -> Intrinsi
 def settle(job: Job, model: Model, width: int, height: int) -> dict[str, float]:
     """Pull a lens that the model hardly fixes toward what cameras have, and adjust the model; facts for sfm.json.
 
-    A model that fixes its lens within SETTLED is not changed.
+    A model that fixes its lens so well that both take the same pictures is not changed.
     """
     camera = next(iter(model.reconstruction.cameras.values()))
     focal, _, _, k = (float(value) for value in camera.params)
     covariance = colmap.lens_covariance(model.reconstruction)
-    if covariance is None:
-        job.warn(f"how well the clip fixes the focal length could not be computed; it is {focal:.0f} px")
+    try:
+        likely = weigh(focal, k, np.full((2, 2), np.nan) if covariance is None else covariance, max(width, height))
+    except ValueError:
+        job.warn(f"how well the clip fixes the focal length could not be computed; it is taken as {focal:.0f} px")
         return {}
-    likely = weigh(focal, k, covariance, max(width, height))
     facts = {"focal_spread_px": round(likely.focal_spread, 3), "k_spread": round(likely.k_spread, 5)}
     if likely.same_pictures(replace(likely, focal=focal, k=k), width, height):
         return facts

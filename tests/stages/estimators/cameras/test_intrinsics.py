@@ -10,6 +10,7 @@ import pytest
 
 from stages.avatar.cameras.pinhole import look_at
 from stages.contract import Job
+from stages.estimators.cameras import colmap
 from stages.estimators.cameras.colmap import Model, lens_covariance
 from stages.estimators.cameras.intrinsics import USUAL_FOCAL, settle, weigh
 
@@ -86,6 +87,15 @@ def test_no_evidence_gives_what_cameras_have_and_much_gives_what_was_found():
     usual, found = (weigh(1810.0, 1.4, covariance, 960) for covariance in (nothing, much))
     assert usual.focal == pytest.approx(USUAL_FOCAL * 960, rel=1e-3) and usual.k == pytest.approx(0, abs=1e-3)
     assert found.focal == pytest.approx(1810) and found.k == pytest.approx(1.4, abs=1e-4)
+
+
+@pytest.mark.parametrize("bad", [None, np.zeros((2, 2)), np.full((2, 2), np.inf)])
+def test_a_lens_whose_error_cannot_be_computed_is_kept_and_said(tmp_path, monkeypatch, bad):
+    model = model_of(10, 30, views=4)
+    before = lens_of(model)
+    monkeypatch.setattr(colmap, "lens_covariance", lambda model: bad)
+    facts, said = settled(tmp_path, model)
+    assert facts == {} and lens_of(model) == before and "could not be computed" in said[0]
 
 
 @pytest.mark.parametrize("bad", [np.diag([np.nan, 1]), np.diag([-1.0, 1]), np.zeros((2, 2))])
