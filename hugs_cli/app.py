@@ -17,7 +17,9 @@ from typer import Option
 from hugs_cli import options, pipelines, words
 from hugs_cli.app_compare import ablate, costs
 from hugs_cli.app_draw import animate, render
+from hugs_cli.app_fleet import fleet
 from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
+from hugs_cli.app_view import view
 from hugs_cli.cache import child, engine
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Session
@@ -251,6 +253,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "costs": costs,
     "render": render,
     "animate": animate,
+    "view": view,
+    "fleet": fleet,
 }
 for name, command in COMMANDS.items():
     app.command(name)(command)

@@ -17,40 +17,68 @@ from hugs_cli.outputs import check_out, remember_out
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
 
+Clip = Annotated[
+    Path | None, Argument(metavar="[VIDEO]", help="The video of `hugs run`; not with --avatar.", show_default=False)
+]
+AvatarFile = Annotated[
+    Path | None, Option("--avatar", help="An exported avatar.npz or .glb in place of VIDEO; needs no work folder.")
+]
+SceneFile = Annotated[
+    Path | None, Option("--scene", help="A scene of Gaussians (.ply, .spz, .npz) in place of the trained one.")
+]
 Overwrite = Annotated[bool, Option("--force", help="Write over what others made; never over a source or a result.")]
 
 
 def render(
-    video: options.Video,
-    cameras: Annotated[
-        Path, Option(help="Views to draw (npz: viewmats [C,4,4], Ks [C,3,3], width, height; the clip's world).")
-    ],
     out: Annotated[Path, Option(help="Folder for the PNGs (with alpha).")],
+    video: Clip = None,
+    cameras: Annotated[
+        Path | None,
+        Option(help="Views to draw (npz: viewmats [C,4,4], Ks [C,3,3], width, height; the clip's world)."),
+    ] = None,
     poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
+    avatar: AvatarFile = None,
+    scene: SceneFile = None,
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
     force: Overwrite = False,
     pipeline: PipelineName = "default",
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
-    """Render the result of `hugs run` for your own cameras and poses.
+    """Render the result for your own cameras and poses.
 
-    Pictures that it made itself are drawn again; a folder with anything else in it needs --force.
+    An exported avatar (--avatar) without cameras is drawn from all sides. Pictures that it made itself are drawn again;
+    a folder with anything else in it needs --force.
     """
-    (train,) = finished(video, work, pipeline, "train")
-    check_files(cameras, poses)
-    check_out(out, work, (video, cameras, poses), force, is_folder=True)
+    check_source(video, avatar)
+    if cameras is None and (avatar is None or scene is not None):
+        raise UsageError("no cameras to draw for", "`--cameras views.npz`; only an avatar alone is drawn without")
+    if only is options.Only.scene and avatar is not None and scene is None:
+        raise UsageError(f"{avatar} has no scene", "`--only human`, or a scene with `--scene room.ply`")
+    train = None if video is None else finished(video, work, pipeline, "train")[0]
+    check_files(cameras, poses, avatar, scene)
+    check_out(out, work, (video, cameras, poses, avatar, scene), force, is_folder=True)
     where = engine.device_of(device.value)
     console = Console()
     job = Job(out, where, emit=lambda event: console.say(event["text"]))
-    run_directly("stages.views", job, {"only": only.value}, train=train, cameras=cameras, poses=poses)
+    only = options.Only.human if avatar and not scene else only
+    inputs = {"train": train, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
+    run_directly("stages.views", job, {"only": only.value}, **inputs)
     remember_out(out, work)
     console.result(words.relative(out))
 
 
 def animate(
-    video: options.Video,
-    motion: Annotated[Path, Argument(help="A BVH of any person's skeleton, or an npz of SMPL poses.")],
+    video: Clip = None,
+    motion: Annotated[
+        Path | None,
+        Argument(metavar="MOTION", help="A BVH of any person's skeleton, or an npz of SMPL poses.", show_default=False),
+    ] = None,
+    avatar: AvatarFile = None,
+    scene: SceneFile = None,
+    at: Annotated[
+        tuple[float, float, float], Option(help="With --avatar and --scene: where the soles stand, m, in its axes.")
+    ] = (0, 0, 0),
     out: Annotated[Path | None, Option(help="The video to write (mp4).", show_default="CLIP-MOTION.mp4")] = None,
     only: Annotated[options.Only, Option(help="human: over white; both: in the scene.")] = options.Only.both,
     fps: Annotated[float, Option(min=0.1, max=240, help="Frames a second of the video.")] = 30,
@@ -68,17 +96,24 @@ def animate(
 ) -> None:
     """Let the person perform a motion file.
 
-    They stay where they stood in the clip. No network runs. A video that it made itself is drawn again; any other file
-    needs --force.
+    `hugs animate VIDEO MOTION`, or `hugs animate --avatar FILE MOTION`. They stay where they stood in the clip. No
+    network runs. A video that it made itself is drawn again; any other file needs --force.
     """
-    train, sfm, smpl = finished(video, work, pipeline, "train", "sfm", "smpl")
-    check_files(motion, cameras)
+    if avatar is not None and motion is None:
+        video, motion = None, video
+    check_source(video, avatar)
+    if motion is None:
+        raise UsageError("no motion to perform", "`hugs animate VIDEO moves.bvh`")
+    stages = ("train", "sfm", "smpl")
+    clip = dict(zip(stages, finished(video, work, pipeline, *stages), strict=True)) if video else {}
+    check_files(motion, cameras, avatar, scene)
     if only is options.Only.scene:
         raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
-    out = out or Path(f"{clip_name(video)}-{motion.stem}.mp4")
+    who = clip_name(video) if video else Path(avatar or "avatar").stem
+    out = out or Path(f"{who}-{motion.stem}.mp4")
     if out.suffix.lower() != ".mp4":
         raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
-    check_out(out, work, (video, motion, cameras), force)
+    check_out(out, work, (video, motion, cameras, avatar, scene), force)
     where = engine.device_of(device.value)
     console = Console()
     console.started("animate", ())
@@ -92,12 +127,19 @@ def animate(
             frames = event["total"]
             console.heard("animate", event)
 
-    settings = {"fps": fps, "motion_fps": motion_fps, "up": up and up.value, "only": only.value}
-    inputs = {"motion": motion, "train": train, "sfm": sfm, "smpl": smpl, "cameras": cameras}
+    settings = {"fps": fps, "motion_fps": motion_fps, "up": up and up.value, "only": only.value, "at": at}
+    inputs = {**clip, "motion": motion, "avatar": avatar, "scene": scene, "cameras": cameras}
     run_directly("stages.animate", Job(out, where, emit=heard), settings, **inputs)
     remember_out(out, work)
     console.say(f"{words.count(frames, 'frame')}, {words.duration(frames / fps)} at {fps:g} fps")
     console.result(words.relative(out))
+
+
+def check_source(video: Path | None, avatar: Path | None) -> None:
+    """UsageError unless there is either a video or an avatar file."""
+    if (video is None) == (avatar is None):
+        problem = "nobody to draw" if video is None else f"{video} and {avatar} are two people"
+        raise UsageError(problem, "give a VIDEO that `hugs run` has finished, or `--avatar avatar.npz`")
 
 
 def finished(video: Path, work: Path, pipeline: str, *stages: str) -> list[Path]:

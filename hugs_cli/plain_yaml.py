@@ -29,13 +29,13 @@ for name, (form, first) in FORMS.items():
     Loader.add_implicit_resolver(f"tag:yaml.org,2002:{name}", re.compile(rf"({form})\Z"), list(first))
 
 
-def read(text: str) -> Any:
-    """The value of a YAML document; ValueError or yaml.YAMLError where it has none or is too large."""
-    check_size(text)
+def read(text: str, most: int = MOST) -> Any:
+    """The value of a YAML document; ValueError or yaml.YAMLError where it has none or more than `most` values."""
+    check_size(text, most)
     return yaml.load(text, Loader)
 
 
-def check_size(text: str) -> None:
+def check_size(text: str, most: int = MOST) -> None:
     """ValueError for a document that is too deep, or too large with its aliases unfolded; builds nothing of it."""
     sizes: dict[str | None, int] = {}  # of what aliases stand for
     open_: list[tuple[str | None, int]] = []  # anchor of each list or mapping not yet ended, and values before it
@@ -45,7 +45,7 @@ def check_size(text: str) -> None:
             count += sizes.get(event.anchor, 0)
         elif isinstance(event, yaml.NodeEvent):
             count += 1
-            sizes[event.anchor] = 1 if isinstance(event, yaml.ScalarEvent) else MOST  # MOST: it may not hold itself
+            sizes[event.anchor] = 1 if isinstance(event, yaml.ScalarEvent) else most  # most: it may not hold itself
         if isinstance(event, yaml.CollectionStartEvent):
             open_.append((event.anchor, count))
         elif isinstance(event, yaml.CollectionEndEvent):
@@ -53,5 +53,5 @@ def check_size(text: str) -> None:
             sizes[anchor] = count - before + 1
         if len(open_) > DEEPEST:
             raise ValueError(f"more than {DEEPEST} lists and mappings in one another")
-        if count > MOST:
-            raise ValueError(f"more than {MOST} values, with aliases unfolded")
+        if count > most:
+            raise ValueError(f"more than {most} values, with aliases unfolded")

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from stages.avatar.motion.placing import Placed, Soles
     from stages.avatar.motion.retarget import Performance
     from stages.avatar.rasterize import Camera
-    from stages.formats.clip import Clip
 
 DEFAULT_FPS = 30.0  # of a motion file that does not say
 
@@ -31,35 +30,65 @@ class Params(contract.Params):
     """The axis that points up in the motion, in place of the direction in which its pelvis points."""
     only: Literal["human", "both"] = "both"
     """human: over white; both: in the scene."""
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where an avatar of a file stands: its soles, m, in the axes of the scene."""
 
 
 def run(
-    job: Job, params: Params, *, motion: Path, train: Path, sfm: Path, smpl: Path, cameras: Path | None = None
+    job: Job,
+    params: Params,
+    *,
+    motion: Path,
+    train: Path | None = None,
+    sfm: Path | None = None,
+    smpl: Path | None = None,
+    avatar: Path | None = None,
+    scene: Path | None = None,
+    cameras: Path | None = None,
 ) -> None:
-    """Write the video `job.out` of the person performing `motion` (.bvh or .npz) where they stood in the clip.
+    """Write the video `job.out` of the person performing `motion` (.bvh or .npz), by skinning alone.
 
-    Seen by the camera of the clip's middle frame, or by `cameras` (npz) in the clip's world, one or one a frame. Only
-    skinning poses the person, no network runs. StageError for files that cannot be used.
+    Either of a clip (`train`, `sfm` and `smpl`): where they stood in it, seen by the camera of its middle frame. Or of the
+    file `avatar`: at `params.at` of the `scene`, whose y is down, or without one at the origin of a world whose y is up,
+    with the floor at 0, seen from before them. `scene` is a file in place of a clip's trained scene; `cameras` (npz) in
+    the same world are one or one a frame. StageError for files that cannot be used.
     """
+    import numpy as np
+
     from stages.avatar.drawing.draw import load_learned, perform
+    from stages.avatar.drawing.rig import rig_of
+    from stages.avatar.motion.moves import spot_of
     from stages.avatar.motion.placing import Soles
+    from stages.avatar.rasterize import Camera
+    from stages.avatar.splats.turn import OVER
     from stages.formats.clip import load_clip
-    from stages.formats.trained import check_scene, read_trained
+    from stages.formats.exchange.read import lacks, read_given
+    from stages.formats.trained import check_scene
     from stages.formats.video import write_video
 
-    clip = load_clip(sfm, smpl, train)
-    learned = load_learned(*read_trained(train), job.device)
-    if params.only != "human":
-        check_scene(train)
-    soles = Soles(clip.body_model, clip.body.betas)
-    placed = _placed(job, params, motion, soles, clip.body_model.parents)
+    given = read_given(train, avatar, scene)
+    for fact in lacks(avatar, scene):
+        job.note(fact, at_once=True)
+    learned = load_learned(*given, job.device)
+    if train is None or sfm is None or smpl is None:
+        soles = Soles.of_rig(rig_of(given[0]))
+        stand, spot = np.eye(3) if scene is None else OVER, np.array(params.at)
+        view = None
+    else:
+        if params.only != "human" and scene is None:
+            check_scene(train)
+        clip = load_clip(sfm, smpl, train)
+        soles = Soles.of_model(clip.body_model, clip.body.betas)
+        stand, spot = spot_of(clip.body, soles)
+        middle = len(clip.names) // 2
+        view = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
+    placed = _placed(job, params, motion, soles, given[0].parents)
     count = len(placed.transl)
-    views = _views(clip, cameras, count)
-    stand, spot = _spot(clip, soles)
+    views = _views(cameras, count) or [view or _before(placed, soles, stand, spot)] * count
     pelvis = soles.joints[0]  # about which global_orient turns
     moves = (placed.global_orient, placed.body_pose, placed.transl + pelvis)
-    scene = None if params.only == "human" else learned.scene
-    pictures = perform(learned, scene, moves, stand, spot - pelvis, views)
+    shown = None if params.only == "human" else learned.scene
+    pictures = perform(learned, shown, moves, stand, spot - pelvis, views)
     job.out.parent.mkdir(parents=True, exist_ok=True)
     write_video(job.out, _counted(job, pictures, count), params.fps)
 
@@ -116,14 +145,13 @@ def _read(path: Path, fps: float | None, soles: Soles, parents: np.ndarray) -> t
     return performance, rate, [f"{length} frames, {(length - 1) / rate:.1f} s at {rate:.4g} fps", *notes]
 
 
-def _views(clip: Clip, cameras: Path | None, count: int) -> list[Camera]:
-    """A camera for each of `count` pictures."""
+def _views(cameras: Path | None, count: int) -> list[Camera]:
+    """The user's camera for each of `count` pictures; none where they gave none."""
     from stages.avatar.rasterize import Camera
     from stages.formats.cameras import read_cameras
 
     if cameras is None:
-        middle = len(clip.names) // 2
-        return [Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)] * count
+        return []
     path = read_cameras(cameras)
     if len(path) not in (1, count):
         facts = [f"{len(path)} cameras in {cameras}", f"{count} pictures of the motion"]
@@ -132,18 +160,19 @@ def _views(clip: Clip, cameras: Path | None, count: int) -> list[Camera]:
     return views * count if len(views) == 1 else views
 
 
-def _spot(clip: Clip, soles: Soles) -> tuple[np.ndarray, np.ndarray]:
-    """Where the person stood in the middle frame: rotation [3,3] from a motion's frame, and the point [3] on the floor, m."""
+def _before(placed: Placed, soles: Soles, stand: np.ndarray, spot: np.ndarray) -> Camera:
+    """A camera before the person that sees them throughout the motion."""
     import numpy as np
 
-    from stages.avatar.motion.formulas import upright
+    from stages.avatar.drawing.turntable import before
+    from stages.avatar.rasterize import Camera
 
-    body, middle, present = clip.body, len(clip.names) // 2, clip.body.confidence > 0
-    stand = upright(body.global_orient[present], body.global_orient[middle])
-    points, joints = soles.at(body.global_orient, body.body_pose, body.transl)
-    up = stand[:, 1]
-    floor = np.median((points @ up).min(1)[present])  # a jump in the middle frame does not raise it
-    return stand, joints[middle, 0] + up * (floor - up @ joints[middle, 0])
+    _, joints = soles.at(placed.global_orient, placed.body_pose, placed.transl)
+    crown = joints[:, 15] + [0, 0.25, 0]
+    seen = before(np.concatenate([joints.reshape(-1, 3), crown]))
+    into = np.eye(4)
+    into[:3, :3], into[:3, 3] = stand, spot
+    return Camera.of(seen.viewmat.numpy() @ np.linalg.inv(into), seen.K.numpy(), seen.width, seen.height)
 
 
 def _counted(job: Job, pictures: Iterator[np.ndarray], count: int) -> Iterator[np.ndarray]:

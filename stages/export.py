@@ -3,36 +3,246 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
 
 from stages import contract
-from stages.contract import Job
+from stages.contract import Job, StageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stages.formats.facts import Listing
+    from stages.records import Avatar, BodyModel, BodyPoses, Rig, Scene, Take
+
+MOVING = ("usd_motion", "ply_motion", "spz_motion")
+ACCOUNT = 10  # pictures of a motion between two reports
 
 
 class Params(contract.Params):
-    pass
+    formats: list[Literal["ply", "spz", "glb", "viewer", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"]] = (
+        Field(["ply", "spz", "glb", "viewer"])
+    )
+    """What to write beside avatar.npz. viewer is the page viewer.html; usd needs the extra `usd`, sog the extra `sog`;
+    ..._motion is a file, or a folder of numbered files, of the person in `motion`."""
+    names: Literal["smpl", "mixamo", "vrm"] = "smpl"
+    """What the joints in avatar.glb are called."""
+    motion: Literal["clip", "jumping_jacks", "walk_in_place", "wave", "squats"] = "clip"
+    """The motion of the formats ..._motion; clip: the clip's own."""
 
 
-def run(job: Job, params: Params, *, train: Path) -> None:
-    """Write avatar.ply (canonical pose, y up), avatar.npz (skeleton and weights) and scene.ply (world), in metres."""
-    from stages.formats.ply import write_ply
+def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train: Path) -> None:
+    """Write avatar.npz (skeleton and weights), avatar and scene as .ply, .spz, .glb or other formats, and viewer.html."""
+    from stages.avatar.drawing.rig import rig_of
+    from stages.formats.body_model import read_body_model
     from stages.formats.splats import read_avatar, read_scene
 
-    avatar = read_avatar(train / "avatar.npz")
-    bounded = write_ply(job.out / "avatar.ply", avatar)
+    formats: set[str] = set(params.formats)
+    _check(formats)
+    avatar, model = read_avatar(train / "avatar.npz"), read_body_model(smpl / "body_model.npz")
+    scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     shutil.copyfile(train / "avatar.npz", job.out / "avatar.npz")
-    sizes = f"avatar {len(avatar)} Gaussians"
-    if (train / "scene.npz").exists():
-        scene = read_scene(train / "scene.npz")
-        bounded += write_ply(job.out / "scene.ply", scene)
-        sizes += f", scene {len(scene)}"
-    job.note(sizes)
+    job.note(f"avatar {len(avatar)} Gaussians" + (f", scene {len(scene)}" if scene else ""))
+    _still(job, formats, avatar, scene)
+    rig = rig_of(avatar)
+    takes = _takes(frames, train, model, avatar) if formats & {"glb", *MOVING} else []
+    if "glb" in formats:
+        _rigged(job, params, rig, model, takes)
+    if formats & set(MOVING):
+        _moving(job, params, avatar, takes)
+    _lacks(job, formats, avatar, rig, scene)
+    if "viewer" in formats:
+        _viewer(job, frames, sfm, smpl, train, avatar, rig, scene)
+
+
+def _check(formats: set[str]) -> None:
+    """StageError where a format needs a package that is missing, before anything is written."""
+    from stages.formats.exchange.sog import check_sog
+    from stages.formats.exchange.usd import check_usd
+
+    if formats & {"usd", "usd_motion"}:
+        check_usd()
+    if "sog" in formats:
+        check_sog()
+
+
+def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None) -> None:
+    """The person in the canonical pose, and the scene. Viewers take ply, spz and sog as y down; y is up in USD.
+
+    The scene's world has y down, as its cameras.
+    """
+    from stages.avatar.splats.turn import OVER, turned
+    from stages.formats.exchange.ply import write_ply
+    from stages.formats.exchange.sog import write_sog
+    from stages.formats.exchange.spz import write_spz
+    from stages.formats.exchange.usd import write_usd
+
+    down = {"avatar": turned(avatar, OVER)} | ({"scene": scene} if scene else {})
+    bounded = 0
+    for name, splats in down.items():
+        if "ply" in formats:
+            bounded += write_ply(job.out / f"{name}.ply", splats)
+        if "spz" in formats:
+            _say_clamped(job, f"{name}.spz", write_spz(job.out / f"{name}.spz", splats))
+        if "sog" in formats:
+            write_sog(job.out / f"{name}.sog", splats)
+        if "usd" in formats:
+            write_usd(job.out / f"{name}.usdc", name, [turned(splats, OVER)])
+    if bounded:
+        job.note(f"{bounded} opacities of 0 or 1 written to .ply as logits of +-15")
+
+
+def _say_clamped(job: Job, name: str, clamped: dict[str, int]) -> None:
+    if clamped:
+        said = ", ".join(f"{count} Gaussians {what}" for what, count in clamped.items())
+        job.note(f"{name} has {said}: held at the limit")
+
+
+def _takes(frames: Path, train: Path, model: BodyModel, avatar: Avatar) -> list[Take]:
+    """The clip's own motion, if anybody was seen, and the made ones."""
+    from stages.avatar.motion.placing import Soles
+    from stages.avatar.motion.takes import clip_take, made_takes
+    from stages.formats.facts import Listing, read_facts
+    from stages.formats.poses import read_poses
+
+    body: BodyPoses = read_poses(train / "body.npz")
+    soles = Soles.of_model(model, avatar.betas)
+    clip = clip_take(body, _times(read_facts(frames / "frames.json", Listing), body.names), soles)
+    return [*([clip] if clip else []), *made_takes(soles.joints[0])]
+
+
+def _times(listing: Listing, names: tuple[str, ...]) -> np.ndarray:
+    """When the frames `names` were taken, s."""
+    import numpy as np
+
+    known = {frame.name: frame.time_s for frame in listing.frames}
+    missing = [name for name in names if name not in known]
+    if missing:
+        facts = [f"{len(missing)} frames, first {missing[0]}"]
+        raise StageError("train has poses of frames that are not of this clip", "hugs run VIDEO train --force", facts)
+    return np.array([known[name] for name in names])
+
+
+def _rigged(job: Job, params: Params, rig: Rig, model: BodyModel, takes: list[Take]) -> None:
+    from stages.avatar.drawing.surface import surface_of
+    from stages.formats.exchange.avatar_glb import write_avatar_glb
+
+    write_avatar_glb(job.out / "avatar.glb", rig, surface_of(model, rig), takes, params.names)
+    listed = ", ".join(take.name for take in takes)
+    job.note(f"avatar.glb: mesh, {params.names} skeleton, Gaussians as points; motions {listed}")
+    if model.name != "free body":
+        job.warn(f"the mesh in avatar.glb is of the body model {model.name}: its licence says who may have the file")
+
+
+def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take]) -> None:
+    """The person in one motion: a USD with a sample a frame, folders of numbered PLY or SPZ."""
+    from stages.avatar.drawing.avatar import load_avatar
+    from stages.avatar.drawing.takes import posed
+    from stages.avatar.splats.turn import OVER, turned
+    from stages.formats.exchange.ply import write_ply
+    from stages.formats.exchange.spz import write_spz
+    from stages.formats.exchange.usd import write_usd
+
+    take = next((take for take in takes if take.name == params.motion), None)
+    if take is None:
+        raise StageError("nobody is seen in this clip, so it has no motion", "--set export.motion=wave")
+    baked, name = load_avatar(avatar, job.device), f"avatar_{take.name}"
+    numbered: dict[str, tuple[str, Callable[[Path, Scene], object]]] = {
+        "ply_motion": ("ply", write_ply),
+        "spz_motion": ("spz", write_spz),
+    }
+    chosen = [numbered[one] for one in params.formats if one in numbered]
+    for ending, _ in chosen:
+        (job.out / f"{name}_{ending}").mkdir()
+
+    def pictures() -> Iterator[Scene]:
+        for number, splats in enumerate(posed(baked, take)):
+            for ending, write in chosen:
+                write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
+            if number % ACCOUNT == 0:
+                job.progress(number, len(take))
+            yield splats
+
+    if "usd_motion" in params.formats:
+        write_usd(
+            job.out / f"{name}.usdc", "avatar", pictures(), (len(take) - 1) / take.times[-1] if len(take) > 1 else 1
+        )
+    else:
+        for _ in pictures():
+            pass
+    job.note(f"{name}: {len(take)} poses, clothes as they move")
+
+
+def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene | None) -> None:
+    """Say once what each format that was written does not hold, and which way up it stands."""
+    if formats & {"ply", "spz", "sog"}:
+        names = ", ".join(f".{name}" for name in ("ply", "spz", "sog") if name in formats)
+        job.note(
+            f"{names}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
+        )
+    if "glb" in formats:
+        job.note(
+            "avatar.glb: y up; eight bones a Gaussian, and the first four "
+            f"hold {100 * rig.kept.mean():.1f} % of its weights"
+        )
     if avatar.clothes is not None:
         away = 100 * avatar.clothes.largest
-        job.note(
-            f"clothes that move with the pose (by up to {away:.1f} cm) are only in avatar.npz: a .ply has no poses"
-        )
-    if avatar.antialias:
-        job.note("learned with anti-aliasing: enable it in the viewer, or thin parts look too opaque")
-    if bounded:
-        job.note(f"{bounded} opacities of 0 or 1 written as logits of +-15")
+        job.note(f"clothes that move with the pose (by up to {away:.1f} cm) are in avatar.npz and ..._motion only")
+    if avatar.shN.shape[1] and "glb" in formats:
+        job.note("avatar.glb: view-dependent colours turn with the person, not with each bone")
+    antialias = avatar.antialias or (scene is not None and scene.antialias)
+    if antialias and formats - {"spz", "spz_motion"}:
+        job.note("learned with anti-aliasing, which only .spz and avatar.npz say: enable it in the viewer for others")
+
+
+def _viewer(
+    job: Job, frames: Path, sfm: Path, smpl: Path, train: Path, avatar: Avatar, rig: Rig, scene: Scene | None
+) -> None:
+    """The page on which person and scene move: viewer.html."""
+    from importlib.metadata import version
+
+    import numpy as np
+
+    from stages.avatar.motion.moves import clip_move, made_moves, spot_of
+    from stages.avatar.motion.placing import Soles
+    from stages.formats import viewer
+    from stages.formats.clip import load_clip
+    from stages.formats.effects import read_effects
+    from stages.formats.facts import Listing, read_facts
+
+    clip, listing = load_clip(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
+    title, made_by = Path(listing.video.path).name, f"hugs {version('hugs-avatar')}"
+    soles = Soles.of_model(clip.body_model, clip.body.betas)
+    spot, path = spot_of(clip.body, soles), job.out / "viewer.html"
+    around = "none" if scene is None else f"{len(scene):,} Gaussians"
+    facts = {
+        "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
+        "Person": f"{len(rig):,} Gaussians",
+        "Scene": around,
+        "Result": train.resolve().name,
+        "Made by": made_by,
+    }
+    shown = viewer.Exhibit(
+        title=title,
+        subtitle=f"{len(rig):,} Gaussians in the person" + ("" if scene is None else f", {len(scene):,} in the scene"),
+        facts=list(facts.items()),
+        rig=rig,
+        weights=avatar.lbs_weights,
+        scene=scene,
+        effects=read_effects(train / "effects.npz"),
+        cameras=clip.world_cameras,
+        images=clip.images,
+        absent=np.flatnonzero(clip.body.confidence <= 0).tolist(),
+        moves=[clip_move(clip.body, _times(listing, clip.names)), *made_moves(spot, soles)],
+        turn=spot.turn,
+        spot=spot.place,
+        soles=soles.at_rest(),
+        made_by=made_by,
+    )
+    lacks = viewer.write_viewer(path, shown)
+    job.note(f"viewer.html, {path.stat().st_size / 1e6:.1f} MB")
+    for line in lacks:
+        job.note(f"not in viewer.html: {line}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +51,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     cut short, or has too few frames.
     """
     from stages.formats.images import shrink, write_image
+    from stages.formats.told_focal import told_focal
     from stages.formats.video import decode, probe
 
     info = probe(video)
@@ -97,6 +98,8 @@ def run(job: Job, params: Params, *, video: Path) -> None:
             "blurred": len(blurred),
         },
     }
+    if told := told_focal(video, width, height):
+        facts["focal"] = asdict(told)
     (job.out / "frames.json").write_text(json.dumps(facts, indent=1) + "\n")
     job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
     if picker.copies or blurred:

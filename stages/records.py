@@ -158,6 +158,74 @@ class Avatar(Scene):
 
 
 @dataclass(frozen=True)
+class Rig(Scene):
+    """An avatar as engines skin it: N Gaussians in the T-pose, metres, y up, facing +z, four bones each, or eight.
+
+    A pose moves a Gaussian by the sum of weight x transform of its bones; at rest all transforms are the identity, and
+    bone k turns about joints[k]. joints[24,3] m, named by JOINT_NAMES; parents[24] (root -1); bones[N,4] uint8,
+    the heaviest first; weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four
+    have; bones8[N,8] and words8[N,8] uint16, rows adding up to 65535, for who skins with eight; betas[10]. `clothes`, or
+    None, move before skinning, as an Avatar's.
+    """
+
+    joints: np.ndarray
+    parents: np.ndarray
+    bones: np.ndarray
+    weights: np.ndarray
+    kept: np.ndarray
+    bones8: np.ndarray
+    words8: np.ndarray
+    betas: np.ndarray
+    clothes: Clothes | None = field(default=None, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A skinned surface in a rig's T-pose: V vertices, T triangles.
+
+    `vertices` [V,3] m, `normals` [V,3] unit, `faces` [T,3] int32, `colors` [V,3] as shown on a display, 0..1; `bones` and
+    `weights` [V,4] uint8 as a Rig's.
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+    colors: np.ndarray
+    bones: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class Move:
+    """A motion in the world of a clip, F poses at `fps` frames a second.
+
+    `rotvecs` [F,72] rad, the root's first, and `steps` [F,3] m: global_orient, body_pose and transl of `BodyPoses`.
+    """
+
+    name: str
+    fps: float
+    rotvecs: np.ndarray
+    steps: np.ndarray
+
+
+@dataclass(frozen=True)
+class Take:
+    """What a rig does for a while: y up, on the floor and at the place where it stands in the T-pose.
+
+    `times` [F] s, rising from 0; `rotations` [F,24,4] w x y z, unit, of each joint in its parent's axes, the root's in
+    the world's; `pelvis` [F,3] m, where the root joint is. Between two poses turns are slerped, places linear.
+    """
+
+    name: str
+    times: np.ndarray
+    rotations: np.ndarray
+    pelvis: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+@dataclass(frozen=True)
 class Effects:
     """Effects as learned from a clip; None if off.
 

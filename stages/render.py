@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from stages.avatar.drawing.draw import Learned, Pose
     from stages.formats.clip import Clip
 
-A_POSE = {2: 0.25, 5: -0.25, 47: -0.9, 50: 0.9}  # entries of body_pose, rad: a relaxed stand for the turntable
-
 
 class Params(contract.Params):
     fps: int = Field(24, gt=0)
@@ -101,26 +99,14 @@ def _empty(clip: Clip, learned: Learned) -> Iterator[np.ndarray]:
         yield to_uint8(draw(None, learned.scene, Camera.of(viewmat, K, clip.width, clip.height))[0])
 
 
-def _turntable(learned: Learned, count: int, side: int = 640) -> Iterator[np.ndarray]:
-    """The person, standing relaxed, from all sides over white. In the canonical frame y is up and they look along z."""
-    import numpy as np
-
+def _turntable(learned: Learned, count: int) -> Iterator[np.ndarray]:
+    """The person, standing relaxed, from all sides over white."""
     from stages.avatar.drawing.draw import draw, to_uint8
-    from stages.avatar.rasterize import Camera
+    from stages.avatar.drawing.turntable import around, standing
 
-    stand = np.zeros(69)
-    stand[list(A_POSE)] = list(A_POSE.values())
-    human = learned.person((np.zeros(3), stand, np.zeros(3)))
-    points = human.means.cpu().numpy()
-    low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
-    focal, away = 2.2 * side, 2.7 * max(high - low)
-    K = np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
-    for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
-        cos, sin = np.cos(angle), np.sin(angle)
-        view = np.eye(4)
-        view[:3, :3] = np.diag([1.0, -1, -1]) @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
-        view[:3, 3] = [0, 0, away] - view[:3, :3] @ ((low + high) / 2)
-        yield to_uint8(draw(human, None, Camera.of(view, K, side, side), 1.0)[0])
+    human = learned.person(standing())
+    for camera in around(human.means.cpu().numpy(), count):
+        yield to_uint8(draw(human, None, camera, 1.0)[0])
 
 
 def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params) -> Iterator[np.ndarray]:

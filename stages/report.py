@@ -25,6 +25,8 @@ FILMS = {
 COSTS = "../../costs"
 """Where `hugs costs --plot` draws, seen from the report. Pipelines that run later are no input of this stage, so the page
 can only point at the plot; the browser shows it once it is there."""
+VIEWER = "../export/viewer.html"
+"""The page of the stage export, seen from the report."""
 AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
     "heldout": "held out",
@@ -52,7 +54,7 @@ def run(
     render: Path,
     evaluate: Path,
 ) -> None:
-    """Write report.html, one self-contained page. Of `export` it shows only the cost."""
+    """Write report.html, one self-contained page. Of `export` it shows the cost, and points at its page."""
     from stages.formats import page
     from stages.formats.clip import load_clip
     from stages.formats.datasets.published import COMPARED
@@ -71,6 +73,7 @@ def run(
         headline=_headline(metrics),
         warnings=[(stage, text) for stage, record in job.upstream.items() for text in record.warnings],
         films=_films(render),
+        viewer=VIEWER if (export / "viewer.html").is_file() else None,
         comparisons=_comparisons(evaluate),
         accuracy=_accuracy(metrics),
         protocol=metrics.protocol,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from pydantic import Field
+
 from stages import contract
 from stages.contract import Job, StageError
 
@@ -12,47 +14,72 @@ from stages.contract import Job, StageError
 class Params(contract.Params):
     only: Literal["human", "scene", "both"] = "both"
     """What to show."""
+    turntable: int = Field(24, gt=0)
+    """Pictures around an avatar for which no cameras are given."""
 
 
-def run(job: Job, params: Params, *, train: Path, cameras: Path, poses: Path | None) -> None:
+def run(
+    job: Job,
+    params: Params,
+    *,
+    train: Path | None = None,
+    avatar: Path | None = None,
+    scene: Path | None = None,
+    cameras: Path | None = None,
+    poses: Path | None = None,
+) -> None:
     """Write one PNG with alpha (not multiplied into color) for each camera.
 
-    `cameras` is a cameras.npz in the clip's world (metres); `poses` a body.npz with one pose or one per camera. Without
-    it a camera named as a frame of the clip gets that frame's pose, any other the middle frame's. Raises StageError when
-    the counts differ, or when the scene is asked for and there is none.
+    Of what training left in `train`, or of the file `avatar` alone (y up, standing at the origin, facing z); `scene` is a
+    file in place of the trained scene. `cameras` is a cameras.npz in the clip's world (metres), with `avatar` in the
+    avatar's or the scene's; without it the avatar is seen from all sides. `poses` is a body.npz with one pose or one per
+    camera. Without it a camera named as a frame of the clip gets that frame's pose, any other the middle frame's, and an
+    avatar stands relaxed. Raises StageError when the counts differ, or when the scene is asked for and there is none.
     """
     import numpy as np
 
     from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+    from stages.avatar.drawing.turntable import around, standing
     from stages.avatar.rasterize import Camera
     from stages.formats.cameras import read_cameras
+    from stages.formats.exchange.read import lacks, read_given
     from stages.formats.images import write_image
     from stages.formats.poses import read_poses
-    from stages.formats.trained import check_scene, read_trained, read_trained_poses
+    from stages.formats.trained import check_scene, read_trained_poses
 
-    path, only = read_cameras(cameras), params.only
-    learned, known = load_learned(*read_trained(train), job.device), read_trained_poses(train)
-    if only != "human":
+    only = params.only
+    learned = load_learned(*read_given(train, avatar, scene), job.device)
+    for fact in lacks(avatar, scene):
+        job.note(fact)
+    if only != "human" and train is not None and scene is None:
         check_scene(train)
-    middle = list(known.values())[len(known) // 2]
-    chosen = [known.get(name, middle) for name in path.names]
+    if cameras is None:
+        seen = around(learned.person(standing()).means.cpu().numpy(), params.turntable)
+        views = {f"{i:03d}": view for i, view in enumerate(seen)}
+    else:
+        path = read_cameras(cameras)
+        each = zip(path.names, path.viewmats, path.Ks, strict=True)
+        views = {name: Camera.of(viewmat, K, path.width, path.height) for name, viewmat, K in each}
+    known = {} if train is None else read_trained_poses(train)
+    middle = list(known.values())[len(known) // 2] if known else standing()
+    chosen = [known.get(name, middle) for name in views]
     if poses is not None:
         given = read_poses(poses)
-        if len(given) not in (1, len(path)):
+        if len(given) not in (1, len(views)):
             raise StageError(
                 "poses and cameras do not belong together",
                 "give one pose, or one per camera",
-                [f"{len(path)} cameras in {cameras}", f"{len(given)} poses in {poses}"],
+                [f"{len(views)} cameras in {cameras}", f"{len(given)} poses in {poses}"],
             )
         rows = list(zip(given.global_orient, given.body_pose, given.transl, strict=True))
-        chosen = rows * len(path) if len(rows) == 1 else rows
+        chosen = rows * len(views) if len(rows) == 1 else rows
     job.out.mkdir(parents=True, exist_ok=True)
-    for i, name in enumerate(path.names):
-        human = learned.person(chosen[i]) if only != "scene" else None
-        scene = learned.shade(learned.scene, None if human is None else chosen[i]) if only != "human" else None
-        image, alpha = draw(human, scene, Camera.of(path.viewmats[i], path.Ks[i], path.width, path.height))
+    for (name, view), pose in zip(views.items(), chosen, strict=True):
+        human = learned.person(pose) if only != "scene" else None
+        behind = learned.shade(learned.scene, None if human is None else pose) if only != "human" else None
+        image, alpha = draw(human, behind, view)
         color = image / np.maximum(alpha, 1 / 255)[..., None]
         picture = job.out / f"{name}.png"
         picture.unlink(missing_ok=True)  # it may be a link to somebody's picture
         write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
-    job.note(f"{len(path)} picture{'' if len(path) == 1 else 's'} of {only}")
+    job.note(f"{len(views)} picture{'' if len(views) == 1 else 's'} of {only}")

@@ -82,6 +82,14 @@ class Frame(Facts):
     """The picture's own name without suffix, where a folder of pictures was given."""
 
 
+class Told(Facts):
+    """A focal length that the file tells, as a share of the picture's longer side, its spread (of the logarithm), and where."""
+
+    share: Number
+    spread: Number
+    words: str
+
+
 class Listing(Facts):
     """frames.json of the stages frames, neuman and zju."""
 
@@ -90,6 +98,7 @@ class Listing(Facts):
     video: Video
     frames: tuple[Frame, ...]
     dataset: Dataset | None = None
+    focal: Told | None = None
 
 
 class DatasetFrame(Frame):
@@ -122,6 +131,12 @@ class SparseModel(Facts):
 class Rung(Facts):
     how: str
     models: tuple[SparseModel, ...]
+
+
+class MaskFacts(Facts):
+    """masks.json; `source` is blazepose or imported."""
+
+    source: str
 
 
 class Sfm(GivenSfm):

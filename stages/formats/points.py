@@ -48,7 +48,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not mark or lines[:1] != [["ply"]] or ["format", "binary_little_endian", "1.0"] not in lines:
         raise StageError(f"{path} is not a binary little-endian PLY", hint)
     try:
-        dtype, count = _vertices(lines)
+        dtype, count = vertex_layout(lines)
     except (ValueError, IndexError) as error:
         raise StageError(f"the header of {path} cannot be read", hint, [str(error)]) from error
     names = dtype.names or ()
@@ -64,7 +64,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return xyz, np.stack([table[name].astype(np.uint8) for name in ("red", "green", "blue")], 1)
 
 
-def _vertices(lines: list[list[str]]) -> tuple[np.dtype, int]:
+def vertex_layout(lines: list[list[str]]) -> tuple[np.dtype, int]:
     """Layout and number of the vertices, the first element of a PLY; ValueError or IndexError for any other header."""
     starts = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
     if not starts or lines[starts[0]][1:2] != ["vertex"]:

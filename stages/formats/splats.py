@@ -13,6 +13,8 @@ from stages.formats.arrays import checked, read_npz, write_npz
 from stages.formats.clothes import clothes_of
 from stages.records import Avatar, Scene
 
+WHOLE = ("parents", "version")
+VERSION = 1  # of the files; those of 0.1.0 and 0.2.0 say none
 HINT = "train again: `hugs run VIDEO train --force`"
 _ROWS = {
     "means": (3,),
@@ -31,14 +33,15 @@ S = TypeVar("S", bound=Scene)
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
 
-    `antialias` and `clothes` get arrays only where set.
+    `antialias` and `clothes` get arrays only where set; `version` is VERSION.
     """
     arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
+    arrays["version"] = np.asarray(VERSION)
     if splats.antialias:
         arrays["antialias"] = np.ones(())
     if isinstance(splats, Avatar) and splats.clothes is not None:
         arrays |= splats.clothes.arrays()
-    write_npz(path, {k: v.astype(np.int32 if k == "parents" else np.float32) for k, v in arrays.items()})
+    write_npz(path, {k: v.astype(np.int32 if k in WHOLE else np.float32) for k, v in arrays.items()})
 
 
 def read_scene(path: Path) -> Scene:
@@ -62,6 +65,11 @@ def read_avatar(path: Path) -> Avatar:
 def _read(path: Path, kind: type[S]) -> S:
     names = _always(kind)
     data = read_npz(path, HINT)
+    version = int(checked(data.get("version", np.zeros(())), (), "version", path.name, HINT))
+    if version > VERSION:
+        raise StageError(
+            f"{path.name} was made by a newer hugs", "update hugs", [f"its version is {version}, {VERSION} known"]
+        )
     more: dict[str, Any] = {
         "antialias": bool(checked(data.get("antialias", np.zeros(())), (), "antialias", path.name, HINT))
     }

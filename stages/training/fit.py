@@ -25,6 +25,7 @@ from stages.training.finishing.behind import inpaint_occluded
 from stages.training.guard import Guard
 from stages.training.layers import DrawnFrame, layers_of
 from stages.training.optimizers import optimizers
+from stages.training.patches import PatchLoss
 from stages.training.person import PersonLearner
 from stages.training.refine import FrameCorrections
 from stages.training.schedule import Options, Progress, rate
@@ -55,7 +56,7 @@ class Fit:
     ):
         self.full, self.small = views, views.half()
         self.train, self.scene, self.params, self.options = train, scene, params, options
-        self.generator, self.perceptual, self.transients = generator, perceptual, transients
+        self.generator, self.patches, self.transients = generator, PatchLoss(perceptual, params, generator), transients
         self.half_until = params.half_until  # `rehearse` lowers it
         self.progress = Progress(params.steps, params.joint)
         self.guard, self.clock = Guard(), Clock()
@@ -190,6 +191,8 @@ class Fit:
                 rendered = losses.outside_person(rendered, image, mask)
             if self.transients is not None:
                 rendered = self.transients.replace(rendered, drawn["all"], image, shot.frame, self.progress.done)
+            if self.params.perceptual_whole:
+                terms.append(self.patches(self.progress.step, rendered, image))
             whole = losses.photometric(rendered, image)
             terms.append(whole)
             numbers["image"] = whole.item()
@@ -202,17 +205,12 @@ class Fit:
                 rendered = losses.unmixed(rendered, *target)
             apart = losses.person_only(rendered, only.alpha, *target)
             terms.append(trust * apart)
+            terms.append(trust * self.patches(self.progress.step, rendered, *target))
             numbers["person"] = apart.item()
         if "occluders" in drawn:
             there = mask[shot.window("occluders")]
             terms.append(losses.OCCLUDERS * (drawn["occluders"].alpha * there).mean())
         self.clock.lap("losses")
-        if "person" in drawn and self.perceptual and self.progress.step % self.params.perceptual_every == 0:
-            at = losses.random_patch(target[1], losses.PATCH, self.generator)
-            patch = losses.over_background(*target)[at]
-            if min(patch.shape[:2]) >= self.perceptual.smallest:
-                terms.append(trust * losses.PERCEPTUAL * self.perceptual(rendered[at], patch))
-            self.clock.lap("perceptual loss")
         return torch.as_tensor(sum([*terms, self.effects.prior()])), numbers
 
     def _teach(self, shot: DrawnFrame) -> None:

@@ -20,8 +20,6 @@ REGULAR = 0.02  # on corrections of the initial body, see HumanModel.forward: ho
 ROUGH = 0.01  # metres; a usual depth of folds
 SMOOTH = 0.03  # on the roughness of the person's surface
 FRUGAL = 0.01  # on opacities and scales of the scene, see SceneModel.add_sparsity_gradient
-PERCEPTUAL = 0.2  # of LPIPS on a patch
-PATCH = 128  # px
 
 
 def photometric(image: Tensor, target: Tensor) -> Tensor:

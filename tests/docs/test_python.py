@@ -1,5 +1,6 @@
 """Every line of Python in the documents is run, on a small avatar; so is the stage that architecture.md adds."""
 
+import shutil
 import sys
 from types import ModuleType
 
@@ -18,9 +19,12 @@ LINES = 8  # of the example in README, without its imports
 
 @pytest.fixture
 def work(tmp_path, monkeypatch):
-    """A folder in which work/dance/default has the stages up to train."""
+    """A folder in which work/dance/default has the stages up to train, and the avatar of export."""
     monkeypatch.chdir(tmp_path)
-    tiny.make(tmp_path / "work" / "dance" / "default")
+    folders = tiny.make(tmp_path / "work" / "dance" / "default")
+    export = tmp_path / "work" / "dance" / "default" / "export"
+    export.mkdir()
+    shutil.copy(folders["train"] / "avatar.npz", export)
     return tmp_path
 
 
@@ -35,7 +39,8 @@ def test_readme(work):
     names: dict = {}
     exec(block, names)
     person = names["person"]
-    assert person.means.shape == (len(person.opacities), 3)
+    n = len(person.opacities)
+    assert [part.shape for part in names["arrays"]] == [(n, 3), (n, 4), (n, 3), (n,), (n, 3)]
     image = read_image(work / "pose.png")
     assert image.shape == (512, 512, 3)
     assert_in_the_middle(names["coverage"])

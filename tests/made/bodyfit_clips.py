@@ -12,7 +12,8 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
 from stages.estimators.bodyfit.evidence import NAMES, STAND_INS, model_landmarks
 from stages.estimators.bodyfit.scale import SOLE
-from stages.estimators.person.blazepose import Pose, Roi
+from stages.estimators.person.blazepose import Pose
+from stages.estimators.person.crops import Roi
 from stages.records import BodyModel, Cameras
 
 WIDTH, HEIGHT, FOCAL = 480, 864, 760.0

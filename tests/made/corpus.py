@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import pickle
@@ -17,6 +18,9 @@ from stages.formats import images
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.effects import read_effects, write_effects
+from stages.formats.exchange.avatar_glb import read_avatar_glb, write_avatar_glb
+from stages.formats.exchange.ply import read_ply, write_ply
+from stages.formats.exchange.spz import read_spz, write_spz
 from stages.formats.facts import Facts, Listing, Metrics, Survey, read_facts
 from stages.formats.failure import read_failure, write_failure
 from stages.formats.given_fits.recognize import read_smpl_fit
@@ -28,7 +32,7 @@ from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.formats.splits import read_split, write_split
 from stages.formats.video import write_video
-from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Scene
+from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Mesh, Rig, Scene
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
 SIDE = 24  # px of the pictures
@@ -152,6 +156,13 @@ def facts(file: str, form: type[Facts]) -> Kind:
     return Kind(file, lambda root: read_facts(root / file, form))
 
 
+def read_unpacked(root: Path) -> Any:
+    """An .spz whose damage lies under its packing."""
+    packed = root / "out" / "splats.spz"
+    packed.write_bytes(gzip.compress((root / "unpacked.spz").read_bytes(), 1, mtime=0))
+    return read_spz(packed)
+
+
 def read_stamp(root: Path) -> Any:
     """A result's stamp, as `status` and `why` show it."""
     from hugs_cli.cache.freshness import Verdict
@@ -201,6 +212,10 @@ KINDS = [
     one("body.npz", read_poses),
     one("avatar.npz", read_avatar),
     one("scene.npz", read_scene),
+    one("splats.ply", read_ply),
+    one("splats.spz", read_spz),
+    Kind("unpacked.spz", read_unpacked),
+    one("avatar.glb", read_avatar_glb),
     one("effects.npz", read_effects),
     one("body_model.npz", read_body_model),
     one("body_model.pkl", read_body_model),
@@ -294,6 +309,7 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         np.zeros((rows, 3, 3)),
     )
     write_splats(root / "scene.npz", Scene(*look))
+    write_gaussians(root, Scene(*(part.astype(np.float32) for part in look)), rng)
     write_effects(
         root / "effects.npz",
         Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, np.zeros((24, 3)), np.zeros((24, 3, 3)), 0.5, -0.3),
@@ -314,6 +330,22 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
         write_body_model(root / name, model)
     with np.load(root / "body_model.npz") as arrays, open(root / "body_model.pkl", "wb") as file:
         pickle.dump(dict(arrays), file, protocol=2)
+
+
+def write_gaussians(root: Path, scene: Scene, rng: np.random.Generator) -> None:
+    """Gaussians as other programs have them."""
+    n, f32 = len(scene), np.float32
+    write_ply(root / "splats.ply", scene)
+    write_spz(root / "splats.spz", scene)
+    (root / "unpacked.spz").write_bytes(gzip.decompress((root / "splats.spz").read_bytes()))
+    four = rng.integers(0, 24, (n, 8)).astype(np.uint8)
+    bytes_, words = np.tile([255, 0, 0, 0], (n, 1)), np.tile([65535] + 7 * [0], (n, 1))
+    weights = (four[:, :4], bytes_.astype(np.uint8), np.ones(n), four, words.astype(np.uint16))
+    rig = Rig(**vars(scene), joints=rng.normal(size=(24, 3)).astype(f32), parents=np.arange(-1, 23).astype(np.int32),
+              **dict(zip(("bones", "weights", "kept", "bones8", "words8"), weights)), betas=np.zeros(10, f32))  # fmt: skip
+    up, three = np.tile(np.array([0, 1, 0], f32), (3, 1)), (four[:3, :4], bytes_[:3].astype(np.uint8))
+    mesh = Mesh(rng.normal(size=(3, 3)).astype(f32), up, np.arange(3)[None].astype(np.int32), np.abs(up), *three)
+    write_avatar_glb(root / "avatar.glb", rig, mesh, [])
 
 
 def write_facts(root: Path) -> None:

@@ -1,6 +1,7 @@
 """Clips of a corner of a room, photographed by a camera that walks or turns, and stage sfm run on them."""
 
 import json
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -33,20 +34,33 @@ WALLS = [  # plane n.x = d with its texture; a corner of a room with a screen in
 ]
 
 
-def photograph(view: np.ndarray) -> np.ndarray:
-    """The room through a SIMPLE_RADIAL lens, uint8 [H,W,3]."""
-    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    ideal = lens.undistort(np.stack([x - WIDTH / 2, y - HEIGHT / 2], -1) / FOCAL, K1)
-    rays = np.concatenate([ideal, np.ones((HEIGHT, WIDTH, 1))], -1) @ view[:3, :3]
+def photograph(
+    view: np.ndarray,
+    focal: float = FOCAL,
+    k: float | None = None,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+    screens: Sequence[tuple[float, float, float, np.ndarray]] = (),
+) -> np.ndarray:
+    """The room through a SIMPLE_RADIAL lens, uint8 [H,W,3]; `k` is K1 by default; `size` is width and height.
+
+    `screens` stand before the wall: at what z, from which x to which, and their texture.
+    """
+    width, height = size
+    k = K1 if k is None else k
+    y, x = np.mgrid[:height, :width] + 0.5
+    ideal = lens.undistort(np.stack([x - width / 2, y - height / 2], -1) / focal, k)
+    rays = np.concatenate([ideal, np.ones((height, width, 1))], -1) @ view[:3, :3]
     eye = cameras.camera_centers(view)
-    image, nearest = np.zeros((HEIGHT, WIDTH, 3), np.uint8), np.full((HEIGHT, WIDTH), np.inf)
-    for normal, offset, picture in WALLS:
+    image, nearest = np.zeros((height, width, 3), np.uint8), np.full((height, width), np.inf)
+    walls = [(*wall, -np.inf, np.inf) for wall in WALLS]
+    walls += [(np.array([0.0, 0, 1]), z, picture, low, high) for z, low, high, picture in screens]
+    for normal, offset, picture, low, high in walls:
         distance = (offset - eye @ normal) / np.where(abs(rays @ normal) < 1e-9, 1e-9, rays @ normal)
         hit = eye + rays * distance[..., None]
         axes = np.delete(np.arange(3), abs(normal).argmax())
         grid = (hit[..., axes] * 40 % 1023).astype(np.float32)
         seen = cv2.remap(picture, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR)
-        front = (distance > 0) & (distance < nearest)
+        front = (distance > 0) & (distance < nearest) & (hit[..., 0] > low) & (hit[..., 0] < high)
         image[front], nearest[front] = seen[front], distance[front]
     return image
 
@@ -67,6 +81,7 @@ def write_clip(folder, views: np.ndarray, person: bool = True) -> None:
     facts = {"width": WIDTH, "height": HEIGHT, "frames": listing, "dropped": {}}
     facts["video"] = {"path": "clip.mp4", "frames": 3 * len(views)}
     (folder / "frames/frames.json").write_text(json.dumps(facts))
+    (folder / "masks/masks.json").write_text(json.dumps({"source": "blazepose"}))
 
 
 def walk(count: int, travel: float, turn: float = 6.0) -> np.ndarray:

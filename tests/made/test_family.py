@@ -126,7 +126,8 @@ def test_what_is_off_is_told_with_its_sign():
 
 
 def test_landmarks_come_back_from_the_disk(tmp_path):
-    from stages.estimators.person.blazepose import Pose, Roi
+    from stages.estimators.person.blazepose import Pose
+    from stages.estimators.person.crops import Roi
 
     rng = np.random.default_rng(0)
     parts = rng.standard_normal((33, 2)), rng.random(33), rng.random(33), rng.standard_normal((33, 3))

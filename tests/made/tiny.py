@@ -130,6 +130,7 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
 def write_facts(folders: dict[str, Path], scene: bool) -> None:
     """The JSON files."""
     video = {"path": "/clips/dance <1>.mp4", "width": WIDTH, "height": HEIGHT, "fps": 30, "frames": 24}
+    listed = [{"name": name, "index": 3 * i, "time_s": 3 * i / 30} for i, name in enumerate(NAMES)]
     measures = {"points": {"value": 63, "unit": "", "threshold": 100, "verdict": "few", "frames": []}}
     effect = {"value": 0.21, "unit": "of the light", "threshold": 0.08, "verdict": "darkens", "confidence": 0.5}
     effects = {
@@ -137,7 +138,7 @@ def write_facts(folders: dict[str, Path], scene: bool) -> None:
         "sky": effect | {"value": None, "frames": [], "on": False},
     }
     facts = {
-        "frames/frames.json": {"video": video, "width": WIDTH, "height": HEIGHT, "frames": []},
+        "frames/frames.json": {"video": video, "width": WIDTH, "height": HEIGHT, "frames": listed},
         "sfm/sfm.json": {"verdict": "moving", "distortion": {"max_shift_px": 0.0}},
         "survey/survey.json": {
             "measures": measures,

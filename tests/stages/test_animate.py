@@ -12,10 +12,13 @@ from scipy.spatial.transform import Rotation
 from hugs_cli.app import main
 from hugs_cli.cache.fingerprint import content_digest
 from hugs_cli.cache.workspace import Stamp
+from stages import export
 from stages.avatar.motion.formulas import MOTIONS
+from stages.contract import Job
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.clip import load_clip
+from stages.formats.images import read_pixels
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, write_splats
 from stages.formats.video import decode
@@ -71,10 +74,10 @@ def move_pelvis(made, shift):
 def hugs(trained, monkeypatch, capsys):
     """Runs `hugs animate clip.mp4 ...`, or another command, in this process; its stdout and stderr."""
 
-    def run(*args, code=0, command="animate"):
+    def run(*args, code=0, command="animate", source=("clip.mp4",)):
         monkeypatch.chdir(trained)
         monkeypatch.setattr("signal.signal", lambda number, handler: None)  # Ctrl-C stays pytest's
-        monkeypatch.setattr(sys, "argv", ["hugs", command, "clip.mp4", *args])
+        monkeypatch.setattr(sys, "argv", ["hugs", command, *source, *args])
         with pytest.raises(SystemExit) as end:
             main()
         out, err = capsys.readouterr()
@@ -222,3 +225,81 @@ def test_pictures_go_to_a_folder_of_their_own(trained, hugs):
 def test_a_video_needs_a_name_that_is_no_folder(trained, hugs):
     (trained / "folder.mp4").mkdir()
     assert "a folder, and a video is a file" in hugs("amass.npz", "--out", "folder.mp4", "--force", code=2)[1]
+
+
+@pytest.fixture(scope="module")
+def exported(trained):
+    """A folder with what `export` writes of the trained clip, and nothing of the work folder."""
+    out = trained / "exported"
+    out.mkdir()
+    made = {name: trained / "made" / name for name in ("frames", "sfm", "smpl", "train")}
+    export.run(Job(out), export.Params(), **made)
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["npz", "glb"])
+def test_an_exported_avatar_performs_without_its_clip(trained, exported, hugs, kind):
+    args = ("amass.npz", "--fps", "2", "--out", f"alone.{kind}.mp4")
+    out, _ = hugs("--avatar", f"exported/avatar.{kind}", *args, source=())
+    frames = film(trained / out.strip())
+    seen = [colour_of(frame) for frame in frames]
+    assert frames.shape == (4, 640, 640, 3) and (frames[:, :8, :8] > 245).all()
+    assert (seen[0] == RED_SIDE).sum() > 2 * (seen[0] == BLUE_SIDE).sum(), "it looks at the camera"
+    person = np.argwhere(np.stack(seen) >= 0)
+    assert person[:, 1:].min() > 10 and person[:, 1:].max() < 630 and np.ptp(person[:, 1]) > 250
+    head, feet = middle(seen[0] == HEAD)[0], np.argwhere(seen[0] >= 0)[:, 0].max()
+    assert head < feet - 200, "upright"
+    hand = [np.argwhere((s >= 0) & (np.arange(640) < middle(s == HEAD)[1] - 30))[:, 0].min() for s in seen]
+    assert hand[2] < hand[0] - 40, "the right hand, on our left, goes up"
+
+
+@pytest.mark.slow
+def test_an_exported_avatar_in_an_exported_scene(trained, exported, hugs):
+    """The wall is 4.5 m ahead, y down: the person stands on y = 1, 3 m ahead, and is seen from the clip's camera."""
+    clip = load_clip(*(trained / "work/clip/default" / name for name in ("sfm", "smpl")))
+    write_cameras(trained / "there.npz", Cameras(("a",), clip.viewmats[4:5], clip.Ks[:1], WIDTH, HEIGHT))
+    args = ("amass.npz", "--fps", "1", "--cameras", "there.npz", "--at", "0", "1", "3", "--out", "there.mp4")
+    hugs("--avatar", "exported/avatar.npz", "--scene", "exported/scene.spz", *args, source=())
+    picture = film(trained / "there.mp4")[0]
+    seen = colour_of(picture)
+    feet = np.argwhere(seen >= 0)[:, 0].max()
+    expected = clip.viewmats[4] @ [0, 1, 3, 1]
+    assert feet == pytest.approx((clip.Ks[0] @ expected[:3])[1] / expected[2], abs=5), "soles at the point"
+    assert middle(seen == HEAD)[0] < feet - 30 and picture[:4, :4].max() < 140, "upright, before the wall"
+
+
+@pytest.mark.slow
+def test_the_clips_person_in_a_scene_that_was_edited(trained, exported, hugs):
+    for scene, name in (((), "own.mp4"), (("--scene", "exported/scene.ply"), "file.mp4")):
+        hugs("amass.npz", "--fps", "1", *scene, "--out", name)
+    own, other = film(trained / "own.mp4"), film(trained / "file.mp4")
+    assert np.abs(own.astype(int) - other).mean() < 1
+
+
+@pytest.mark.slow
+def test_an_exported_avatar_is_drawn_from_all_sides(trained, exported, hugs):
+    args = ("--avatar", "exported/avatar.glb", "--out", "around")
+    assert hugs(*args, command="render", source=())[0] == "around\n"
+    pictures = [read_pixels(path) for path in sorted((trained / "around").iterdir())]
+    assert len(pictures) == 24 and pictures[0].shape == (640, 640, 4) and (pictures[0][0, 0] == 0).all()
+    front, back = (colour_of(picture[..., :3]) for picture in (pictures[0], pictures[12]))
+    assert (front == RED_SIDE).sum() > 5 * (front == BLUE_SIDE).sum()
+    assert (back == BLUE_SIDE).sum() > 5 * (back == RED_SIDE).sum()
+
+
+@pytest.mark.parametrize(
+    ("command", "args", "problem"),
+    [
+        ("animate", ("clip.mp4", "amass.npz", "--avatar", "made/train/avatar.npz"), "are two people"),
+        ("animate", (), "nobody to draw"),
+        ("animate", ("--avatar", "made/train/avatar.npz"), "no motion to perform"),
+        ("animate", ("clip.mp4",), "no motion to perform"),
+        ("animate", ("--avatar", "none.glb", "amass.npz"), "no file at none.glb"),
+        ("render", ("clip.mp4", "--out", "x"), "no cameras to draw for"),
+        ("render", ("--out", "x"), "nobody to draw"),
+        ("render", ("--avatar", "made/train/avatar.npz", "--only", "scene", "--out", "x"), "has no scene"),
+    ],
+)
+def test_a_person_is_a_clips_or_a_files(hugs, command, args, problem):
+    assert problem in hugs(*args, command=command, code=2, source=())[1]

@@ -1,47 +1,151 @@
-"""Files for other programs, read back without our reader."""
+"""Files for other programs: what is written, which way up, and what is said about it."""
 
+import os
+import shutil
+import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stages import export
-from stages.contract import Job
-from stages.formats.splats import read_avatar, write_splats
+from stages.contract import Job, StageError
+from stages.formats.exchange.avatar_glb import read_avatar_glb
+from stages.formats.exchange.glb import Glb
+from stages.formats.exchange.ply import read_ply
+from stages.formats.exchange.read import read_any_scene
+from stages.formats.exchange.spz import read_spz
+from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Clothes
 
 
-def read(path):
-    head, _, body = path.read_bytes().partition(b"end_header\n")
-    names = [line.split()[-1] for line in head.decode().splitlines() if line.startswith("property float")]
-    return np.frombuffer(body, np.dtype([(name, "<f4") for name in names]))
+def made(clip, out, **settings):
+    """Run the stage; what it said."""
+    said: list[str] = []
+    out.mkdir(exist_ok=True)
+    needs = {name: clip[name] for name in ("frames", "sfm", "smpl", "train")}
+    export.run(Job(out, emit=lambda e: said.append(e.get("text", ""))), export.Params(**settings), **needs)
+    return said
 
 
-def test_person_and_scene_are_written_for_viewers(tiny, tmp_path):
-    said = []
-    export.run(Job(tmp_path, emit=lambda e: said.append(e["text"])), export.Params(), train=tiny["train"])
-    avatar, person, scene = (
-        read_avatar(tmp_path / "avatar.npz"),
-        read(tmp_path / "avatar.ply"),
-        read(tmp_path / "scene.ply"),
-    )
-    assert len(person) == len(avatar) and person["y"].max() - person["y"].min() > 1.2, "canonical pose, metres, y up"
-    np.testing.assert_array_equal(np.stack([person[c] for c in "xyz"], 1), avatar.means)
-    assert scene["z"].min() > 4.4 and said == [f"avatar {len(person)} Gaussians, scene {len(scene)}"]
-    assert (tmp_path / "avatar.npz").read_bytes() == (tiny["train"] / "avatar.npz").read_bytes()
+@pytest.fixture(scope="module")
+def clip(tiny, tmp_path_factory):
+    """The tiny clip with colours that depend on the view, as a trained person with clothes has them."""
+    train = tmp_path_factory.mktemp("export") / "train"
+    train.mkdir()
+    for path in tiny["train"].iterdir():
+        (train / path.name).write_bytes(path.read_bytes())
+    avatar, rng = read_avatar(train / "avatar.npz"), np.random.default_rng(0)
+    clothes = Clothes(*(np.zeros(s) for s in ((2, 3), 69, (69, 1), 1)), np.array([2.0]), np.full((2, 3, 1), 0.01))
+    more = {"shN": rng.normal(0, 0.1, (len(avatar), 3, 3)), "quats": rng.normal(size=(len(avatar), 4))}
+    write_splats(train / "avatar.npz", replace(avatar, **more, antialias=True, clothes=clothes))
+    return tiny | {"train": train}
+
+
+@pytest.fixture(scope="module")
+def out(clip, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exported")
+    folder.joinpath("said.txt").write_text("\n".join(made(clip, folder / "out")))
+    return folder / "out"
+
+
+def test_what_is_written_by_default(clip, out):
+    wanted = ["avatar.glb", "avatar.npz", "avatar.ply", "avatar.spz", "scene.ply", "scene.spz", "viewer.html"]
+    assert sorted(path.name for path in out.iterdir()) == wanted
+    assert (out / "avatar.npz").read_bytes() == (clip["train"] / "avatar.npz").read_bytes()
+
+
+def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
+    """The head is yellow: it has the smallest y of the turned person; the scene is the world with y down, as it was."""
+    avatar = read_avatar(out / "avatar.npz")
+    for path in (out / "avatar.ply", out / "avatar.spz"):
+        found = read_any_scene(path)
+        np.testing.assert_allclose(found.means, avatar.means * [1, -1, -1], atol=2e-4)
+        yellow = np.flatnonzero((0.5 + 0.28209479 * found.sh0 > [0.8, 0.8, -1]).all(1))
+        assert found.means[yellow, 1].max() < np.median(found.means[:, 1])
+        turns = [Rotation.from_quat(one.quats, scalar_first=True) for one in (avatar, found)]
+        half = Rotation.from_matrix(np.diag([1.0, -1, -1]))
+        assert (turns[1].inv() * half * turns[0]).magnitude().max() < 0.01
+        np.testing.assert_allclose(found.shN, avatar.shN * np.array([-1, -1, 1])[:, None], atol=5 / 128)
+    np.testing.assert_allclose(read_ply(out / "scene.ply").means, read_ply(out / "scene.ply").means)
+    assert read_spz(out / "avatar.spz").antialias
+
+
+def test_the_scene_stays_as_it_is(clip, out):
+    scene = read_scene(clip["train"] / "scene.npz")
+    np.testing.assert_array_equal(read_ply(out / "scene.ply").means, scene.means)
+    np.testing.assert_allclose(read_spz(out / "scene.spz").means, scene.means, atol=2e-4)
+
+
+def test_the_rig_stands_up_and_has_the_clips_motion(out):
+    rig, glb = read_avatar_glb(out / "avatar.glb"), Glb(out / "avatar.glb")
+    assert np.ptp(rig.means[:, 1]) > 1.2 and rig.means[:, 1].max() < 1
+    names = [move["name"] for move in glb.content["animations"]]
+    assert names == ["clip", "jumping_jacks", "walk_in_place", "wave", "squats"]
+    accessors = glb.content["accessors"]
+    times = accessors[glb.content["animations"][0]["samplers"][0]["input"]]
+    assert times["count"] == 7 and times["min"] == [0] and times["max"][0] == pytest.approx(18 / 30)
+
+
+def test_what_a_viewer_cannot_show_is_said_once(out):
+    said = (out.parent / "said.txt").read_text()
+    for words in ("up to 3.5 cm", "anti-aliasing", "y down", "eight bones", "view-dependent"):
+        assert said.count(words) == 1, words
+
+
+def test_the_same_result_makes_the_same_bytes(clip, out, tmp_path):
+    made(clip, tmp_path)
+    for path in out.iterdir():
+        assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
 
 
 def test_a_person_only_has_no_scene_file(tiny_human, tmp_path):
-    export.run(Job(tmp_path), export.Params(), train=tiny_human["train"])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["avatar.npz", "avatar.ply"]
+    made(tiny_human, tmp_path)
+    assert not list(tmp_path.glob("scene.*")) and (tmp_path / "avatar.glb").exists()
 
 
-def test_what_a_viewer_cannot_show_is_said(tiny, tmp_path):
-    avatar, said = read_avatar(tiny["train"] / "avatar.npz"), []
-    clothes = Clothes(*(np.zeros(s) for s in ((2, 3), 69, (69, 1), 1)), np.array([2.0]), np.full((2, 3, 1), 0.01))
-    write_splats(tmp_path / "avatar.npz", replace(avatar, antialias=True, clothes=clothes))
-    out = tmp_path / "out"
-    out.mkdir()
-    export.run(Job(out, emit=lambda e: said.append(e["text"])), export.Params(), train=tmp_path)
-    assert "up to 3.5 cm" in said[1] and "anti-aliasing" in said[2]
-    assert read_avatar(out / "avatar.npz").clothes.largest == pytest.approx(clothes.largest)
+def test_a_motion_as_numbered_files(clip, tmp_path):
+    said = made(clip, tmp_path, formats=["ply_motion", "spz_motion"], motion="clip")
+    assert "avatar_clip: 7 poses, clothes as they move" in said
+    for ending in ("ply", "spz"):
+        files = sorted((tmp_path / f"avatar_clip_{ending}").iterdir())
+        assert [path.name for path in files] == [f"frame{i:05d}.{ending}" for i in range(7)]
+        first, last = (read_any_scene(path).means for path in (files[0], files[-1]))
+        assert np.abs(first - last).max() > 0.2 and first[:, 1].min() < -0.4, "it moves, and its head is up"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["avatar.npz", "avatar_clip_ply", "avatar_clip_spz"]
+
+
+def test_a_format_whose_package_is_missing_is_refused_before_anything_is_written(clip, tmp_path, monkeypatch):
+    def missing(name):
+        raise ImportError(f"No module named {name!r}")
+
+    monkeypatch.setattr("stages.formats.exchange.usd.importlib.import_module", missing)
+    for name, package in (("usd", "usd-core"), ("sog", "gaussforge")):
+        with pytest.raises(StageError, match=package):
+            made(clip, tmp_path / name, formats=["ply", name])
+        assert not list((tmp_path / name).iterdir())
+
+
+def test_a_body_model_with_a_licence_of_its_own_is_named(clip, tmp_path):
+    from stages.formats.body_model import read_body_model, write_body_model
+
+    write_body_model(tmp_path / "body_model.npz", replace(read_body_model(), name="SMPL_NEUTRAL"))
+    said = made(clip | {"smpl": tmp_path}, tmp_path / "out")
+    assert [line for line in said if "SMPL_NEUTRAL" in line and "licence" in line]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["avatar.ply", "avatar.spz", "scene.ply"])
+def test_supersplats_converter_stands_them_upright(out, tmp_path, name):
+    """Where Node is, and HUGS_NODE_MODULES names a folder with the npm package @playcanvas/splat-transform: .glb is y up."""
+    modules = os.environ.get("HUGS_NODE_MODULES")
+    if not modules or not shutil.which("node"):
+        pytest.skip("HUGS_NODE_MODULES names no folder with splat-transform, or there is no node")
+    command = ["node", f"{modules}/.bin/splat-transform", "-q", str(out / name), str(tmp_path / "a.glb")]
+    subprocess.run(command, check=True, capture_output=True)
+    glb = Glb(tmp_path / "a.glb")
+    places = glb.array(glb.content["meshes"][0]["primitives"][0]["attributes"]["POSITION"], "<f4", 3)
+    ours = read_any_scene(out / name).means
+    assert len(places) == len(ours)
+    np.testing.assert_allclose(np.sort(places[:, 1]), np.sort(-ours[:, 1]), atol=1e-5, err_msg="what we say is up, is")

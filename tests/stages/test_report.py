@@ -23,7 +23,8 @@ def make(clip, folder):
         place.mkdir()
     shots = {name: clip[name] for name in ("sfm", "smpl", "train")}
     quick = render.Params(fps=8, turntable_frames=8, motion_seconds=1.0)
-    export.run(Job(done["export"]), export.Params(), train=clip["train"])
+    needs = {name: clip[name] for name in ("frames", "sfm", "smpl", "train")}
+    export.run(Job(done["export"]), export.Params(), **needs)
     render.run(Job(done["render"]), quick, **shots)
     evaluate.run(Job(done["evaluate"], upstream=tiny_clip.UPSTREAM), evaluate.Params(fit_steps=1), **shots)
     upstream = tiny_clip.UPSTREAM | {name: StageRecord(1.0, 200 << 20) for name in ("export", "render", "evaluate")}
@@ -48,7 +49,8 @@ def test_everything_is_told(page):
     assert [name for name in tiny_clip.STAGES if f"<td>{name}</td>" not in text] == []
     assert text.count(">whole picture</text>") == text.count(">box of the person</text>") == 1, "two lines of the curve"
     assert "Training, step by step" in text and "<td>drawing</td><td class=n>9.0 s</td><td class=n>75 %</td>" in text
-    beside = ["../../costs.html", "../../costs.svg"]
+    beside = ["../export/viewer.html", "../../costs.html", "../../costs.svg"]
+    assert (page.parent / beside[0]).is_file()
     assert re.findall(r'(?:src|href|action)="((?!data:|#)[^"]*)', text) == beside, "that is all it looks for"
     assert not re.search(r"url\((?!#)|@import|https?://", text), "nothing is fetched"
 

@@ -13,6 +13,7 @@ from stages import smpl
 from stages.avatar.body.rotations import rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.contract import Job, StageError
+from stages.estimators.bodyfit.resting import carry_over, smpl_rest
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
@@ -125,19 +126,22 @@ def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp
 def test_of_two_people_in_a_folder_of_easymocap_the_masked_one_is_taken(folders, tmp_path):
     clip, frames, sfm = folders
     fit = camera_fit(clip)
-    pelvis = (MODEL.J_regressor @ MODEL.v_template)[0].astype(float)
+    rest = (MODEL.J_regressor @ MODEL.v_template).astype(float)
+    orient, pose, way = carry_over(
+        fit["global_orient"], fit["body_pose"], rest, smpl_rest()
+    )  # as SMPL's body would do it
     (tmp_path / "fit").mkdir()
     for i, name in enumerate(clip.cameras.names):
-        turned = Rotation.from_rotvec(fit["global_orient"][i]).apply(pelvis)
+        turned = Rotation.from_rotvec(orient[i]).apply(smpl_rest()[0])
         people = []
         for who, aside in ((0, 1.3), (1, 0.0)):
-            place = fit["transl"][i] + pelvis - turned + [aside, 0, 0]
-            row = {"Rh": fit["global_orient"][i], "Th": place, "poses": np.append([0, 0, 0], fit["body_pose"][i])}
+            place = fit["transl"][i] + rest[0] + way[i] - turned + [aside, 0, 0]
+            row = {"Rh": orient[i], "Th": place, "poses": np.append([0, 0, 0], pose[i])}
             people.append({"id": who, "shapes": [[0.0] * 10], **{key: [value.tolist()] for key, value in row.items()}})
         (tmp_path / "fit" / f"{name}.json").write_text(json.dumps(people))
     poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit")
     error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
-    assert error.mean() < 0.05 and facts["mean_iou"] > 0.9
+    assert error.mean() < 0.04 and facts["mean_iou"] > 0.85
     assert facts["person"] == "1" and facts["overlap"] > 0.8 and facts["people"]["0"] < 0.3
     texts = [event["text"] for event in said if event["event"] in ("note", "warning")]
     assert any(text.startswith("person 1 of EasyMocap is the masked one; overlap with the masks: ") for text in texts)

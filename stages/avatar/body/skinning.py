@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -10,6 +11,8 @@ from stages.avatar.splats.neighbours import nearest
 WEIGHT_GAP = 0.0021
 """A neighbour counts if its weights are this close (sum of absolute differences) to the nearest vertex's: HUGS keeps
 exp(-gap / (2 * 0.1**2)) > 0.9, so that a finger does not borrow from the thigh it touches."""
+
+BYTES, WORDS = 255, 65535  # what a row of weights adds up to
 
 
 def skin(points: Tensor, weights: Tensor, bones: Tensor) -> tuple[Tensor, Tensor]:
@@ -43,3 +46,27 @@ def knn_weights(points: Tensor, vertices: Tensor, vertex_weights: Tensor, k: int
     share = exponents.softmax(-1).to(points)  # the nearest is always kept, so no row is empty
     blended = (share[..., None] * around).sum(1)
     return blended / blended.sum(-1, keepdim=True)
+
+
+def heaviest(weights: np.ndarray, count: int = 4, full: int = BYTES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The `count` heaviest of weights[N,24]: bones uint8[N,count], whole weights that add up to `full`, their share [N].
+
+    Rounded by largest remainder, since engines do not make them add up. A bone without weight is bone 0.
+    """
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
+    chosen = np.take_along_axis(weights, order, 1)
+    kept = chosen.sum(1)
+    exact = chosen / kept[:, None] * full
+    whole = np.floor(exact).astype(np.int64)
+    rank = np.argsort(np.argsort(whole - exact, axis=1, kind="stable"), axis=1)
+    whole += rank < (full - whole.sum(1))[:, None]
+    bones = np.where(whole > 0, order, 0)
+    return bones.astype(np.uint8), whole.astype(np.uint8 if full == BYTES else np.uint16), kept.astype(np.float32)
+
+
+def all_bones(bones: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
+    """Weights [N,count], rows summing to 1, of the bones and whole weights that `heaviest` gives."""
+    found, shares = np.zeros((len(bones), count)), weights / weights.sum(1, keepdims=True)
+    for column in range(bones.shape[1]):
+        found[np.arange(len(bones)), bones[:, column]] += shares[:, column]
+    return found

@@ -40,6 +40,20 @@ class Body(nn.Module):
             self.register_buffer(name, value.to(dtype).contiguous(), persistent=False)
         self.parents = [int(p) for p in model.parents]
 
+    @classmethod
+    def still(cls, vertices: Tensor, weights: Tensor, joints: Tensor, parents: list[int]) -> Body:
+        """A body of one shape, which no `betas` change: vertices[V,3] m, weights[V,24], joints[24,3] m, parents[24]."""
+        body = cls.__new__(cls)
+        nn.Module.__init__(body)
+        shapedirs, joint_dirs = vertices.new_zeros(len(vertices), 3, 10), joints.new_zeros(len(joints), 3, 10)
+        posedirs = vertices.new_zeros(len(vertices), 3, 0)
+        for name, value in (("v_template", vertices), ("shapedirs", shapedirs), ("posedirs", posedirs)):
+            body.register_buffer(name, value, persistent=False)
+        for name, value in (("lbs_weights", weights), ("joint_template", joints), ("joint_dirs", joint_dirs)):
+            body.register_buffer(name, value, persistent=False)
+        body.parents = parents
+        return body
+
     def subset(self, vertices: Tensor) -> Body:
         """The same body with only `vertices` [M] (indices); its joints do not change."""
         part = Body.__new__(Body)

@@ -49,8 +49,8 @@ def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
     """Take the person back to the rest pose: the inverse of the blend of `canonical_bones`[J,4,4] (rest to canonical).
 
     HUGS blends products of bone transforms, which shrinks the hips by 23 % at half weights; with the inverse of the
-    blend the untrained model is exactly SMPL in every pose. The da-pose blends at most +-1 rad about z, so no blend
-    has a determinant under 0.29.
+    blend the untrained model is SMPL in every pose, up to the floor under its weights. The da-pose blends at most +-1 rad
+    about z, so no blend has a determinant under 0.29.
     """
     blend = (person.weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
     rotations = _inverse(blend[..., :3])

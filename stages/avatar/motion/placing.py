@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stages import records
 from stages.avatar.body.joints import ANKLES, FEET, HIPS
+from stages.avatar.body.skinning import all_bones
 from stages.avatar.body.smpl import Body
 from stages.avatar.motion.retarget import Performance, leg_of
 
@@ -19,6 +20,10 @@ SURE = 0.8
 """Least cosine between the pelvis's mean up and an axis that counts as up: 37 degrees."""
 SOLE = 0.03
 """The sole is all skin less than this over the feet's lowest point at rest, m."""
+SOLID = 0.3
+"""Opacity from which a Gaussian counts as skin."""
+STRAY = 0.01
+"""The share of the feet's Gaussians, the lowest, that may hang below the sole: a floater does not lift the person."""
 SOLE_POINTS = 150
 """At most so many points of the skin of both soles are followed; long motions need memory for each."""
 FLIGHT = 0.7
@@ -63,15 +68,35 @@ def face_ahead(motion: Performance, up: str) -> Performance:
 class Soles:
     """The soles of a body of one shape, as points of its skin."""
 
-    def __init__(self, model: records.BodyModel, betas: np.ndarray):
-        """`betas` [10] give the body its shape."""
-        body = Body(model, torch.float64)
+    def __init__(self, body: Body, betas: np.ndarray):
+        """`body` is float64; `betas` [10] give it its shape. `floor` m: how high the lowest sole is at rest."""
         self.betas = torch.as_tensor(betas, dtype=torch.float64)
         skin, joints = body.rest(self.betas)
         feet = body.lbs_weights[:, [*ANKLES, *FEET]].sum(1) > 0.5
-        low = skin[:, 1] < skin[feet, 1].min() + SOLE
-        points = (feet & low).nonzero()[:, 0]
+        self.floor = skin[feet, 1].min().item()
+        points = (feet & (skin[:, 1] < self.floor + SOLE)).nonzero()[:, 0]
         self.joints, self.body = joints.numpy(), body.subset(points[:: len(points) // SOLE_POINTS + 1])
+
+    @classmethod
+    def of_model(cls, model: records.BodyModel, betas: np.ndarray) -> Soles:
+        """The soles of a body model's skin."""
+        return cls(Body(model, torch.float64), betas)
+
+    @classmethod
+    def of_rig(cls, rig: records.Rig) -> Soles:
+        """The soles of an avatar's own Gaussians; of an avatar without feet, its joints."""
+        f64 = torch.float64
+        feet = np.isin(rig.bones[:, 0], [*ANKLES, *FEET]) & (rig.opacities > SOLID)
+        heights = rig.means[feet, 1]
+        kept = np.flatnonzero(feet)[heights >= np.quantile(heights, STRAY)] if len(heights) else feet.nonzero()[0]
+        joints, stiff = torch.as_tensor(rig.joints, dtype=f64), torch.eye(len(rig.joints), dtype=f64)
+        points = torch.cat([torch.as_tensor(rig.means[kept], dtype=f64), joints])
+        weights = torch.cat([torch.as_tensor(all_bones(rig.bones8[kept], rig.words8[kept], len(joints))), stiff])
+        return cls(Body.still(points, weights, joints, rig.parents.tolist()), rig.betas)
+
+    def at_rest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the soles [P,3] m in the T-pose and their skinning weights [P,24]."""
+        return self.body.rest(self.betas)[0].numpy(), self.body.lbs_weights.numpy()
 
     def at(self, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points of the soles [F,P,3] and all joints [F,24,3] for orient [F,3], pose [F,69] rad, transl [F,3] m."""

@@ -14,6 +14,8 @@ _C2 = math.sqrt(15 / (4 * math.pi))
 _C2Z = math.sqrt(5 / (16 * math.pi))
 _C3 = tuple(math.sqrt(x / math.pi) for x in (35 / 32, 105 / 4, 21 / 32, 7 / 16, 105 / 16))
 
+TURNED_AT_ONCE = 1 << 13  # Gaussians: `rotate_sh` needs some kilobytes for each
+
 
 def bases(degree: int) -> int:
     """Number of basis functions of all degrees up to `degree`."""
@@ -68,6 +70,27 @@ def sh_colors(sh: Tensor, directions: Tensor | None) -> Tensor:
         basis = sh_basis(directions, math.isqrt(sh.shape[1]) - 1)
         colors = 0.5 + torch.einsum("nk,nkc->nc", basis, sh)
     return _NotBelowBlack.apply(colors)
+
+
+def rotate_sh(higher: Tensor, rotations: Tensor) -> Tensor:
+    """Higher coefficients [N,K-1,3] of Gaussians that were turned by rotations[N,3,3] or [3,3], K = (degree+1)^2.
+
+    What a Gaussian showed towards d it then shows towards R d. Each degree turns into itself, and its values in more
+    directions than it has functions fix it: solved by least squares, exact but for rounding.
+    """
+    degree = math.isqrt(higher.shape[1] + 1) - 1
+    if degree == 0 or len(higher) == 0:
+        return higher
+    i = torch.arange(4 * bases(degree), dtype=torch.float64, device=higher.device) + 0.5
+    z, around = 1 - 2 * i / len(i), i * (math.pi * (1 + math.sqrt(5)))  # a spiral: directions spread evenly
+    spread = torch.stack([around.cos() * (1 - z * z).sqrt(), around.sin() * (1 - z * z).sqrt(), z], 1)
+    solve = torch.linalg.pinv(sh_basis(spread, degree)[:, 1:])
+    turned = torch.empty_like(higher)
+    for rows in torch.arange(len(higher), device=higher.device).split(TURNED_AT_ONCE):
+        before = spread @ (rotations if rotations.dim() == 2 else rotations[rows]).to(spread)  # R^T d
+        basis = sh_basis(before.flatten(0, -2), degree)[:, 1:].unflatten(0, before.shape[:-1])
+        turned[rows] = (solve @ basis @ higher[rows].to(spread)).to(higher)
+    return turned
 
 
 def sh_from_rgb(rgb: Tensor) -> Tensor:

@@ -15,12 +15,15 @@ from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.person import choose_person
 from stages.estimators.bodyfit.placing import median_shape, place_in_world
+from stages.estimators.bodyfit.resting import onto_body
 from stages.estimators.bodyfit.scale import TimedCameras, find_scale
 from stages.estimators.bodyfit.silhouette import posed_vertices
 from stages.estimators.bodyfit.solve import sole_vertices
 from stages.estimators.bodyfit.start import fill_poses
 from stages.formats.given_fits.record import SmplFit
 from stages.records import BodyModel, BodyPoses, Cameras
+
+FREE_BODY, OWN = "free body", ("npz",)  # the body that is not SMPL, and fits whose poses may be of any body
 
 
 def import_fit(
@@ -40,6 +43,8 @@ def import_fit(
     without a row are filled in between with confidence 0.
     """
     fit, frames = join_frames(fit, cameras.names, times, sources)
+    if model.name == FREE_BODY and fit.tool not in OWN:
+        fit = onto_body(fit, model)
     fit, rows, person = choose_person(fit, frames, cameras, masks, model)
     names = tuple(cameras.names[i] for i in rows)
     poses = place_in_world(fit, names, cameras.viewmats[rows], cameras.Ks[rows], model, 1.0)

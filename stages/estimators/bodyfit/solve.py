@@ -36,8 +36,9 @@ ACCELERATION_REST = 4.2  # m/s^2, limbs
 TURNING = 18.0  # rad/s^2, of each joint's rotation vector
 TURN_SPEED = 3.0  # rad/s; keeps a limb that goes out of sight from swinging on until the clip ends
 BETAS = 0.4  # weight of one squared beta against one frame's evidence: at 0.12 clothes make odd bodies
-# Shares of the whole: 160 contour points are not 160 independent observations. With outlines at 120, joints of courtyard are
-# 4.8 cm off in place of 4.5; at 300 and without room for clothes 14.4.
+# Shares of the whole: 160 contour points are not 160 independent observations. With outlines at 100, joints of courtyard are
+# 4.1 cm off in place of 4.4, but the twelve clips for setting stand 1 cm nearer: clothes pull. At 300 and without room for
+# clothes 14.4.
 OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 60.0, 100.0, 0.5, 0.5
 COARSE, DENSE = 300, 2500  # vertices held inside the masks, and vertices the outlines may choose from
 SEGMENTS = (

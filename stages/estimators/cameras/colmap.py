@@ -1,4 +1,4 @@
-"""COLMAP's features, matches and mappers through pycolmap: the only module that imports it.
+"""COLMAP's features, matches and mappers through pycolmap: with `colmap_lens` the only module that imports it.
 
 pycolmap must come after something that loads the system zlib: imported first, its own static copy answers for the
 system's and the next PNG write aborts the process.
@@ -6,21 +6,28 @@ system's and the next PNG write aborts the process.
 
 from __future__ import annotations
 
+import math
 import zlib  # noqa: F401  before pycolmap, see above
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pycolmap
 
 from stages.avatar.cameras import lens
+from stages.estimators.cameras.features import sift
 from stages.estimators.cameras.motion import Pair
 from stages.formats.given_cameras.record import Lens, widest_angles
+from stages.formats.images import read_image, read_mask
 
 SEED = 1  # of every random draw in COLMAP
 MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
 TRACKS = 200  # longest tracks a frame to map with; all take four times as long and are as far off: 0.65 mm in 2.6 m
+TOLERANCE = 1e-4  # of the cost: smaller changes end the global mapper's adjustments; 1e-5 takes 10 to 20 % longer
+ADJUSTMENTS = 8  # bundle adjustments of the global mapper, of which each gets this part of its time
+TRIALS = 30, 1.5  # at least, and how many times as many as needed; COLMAP's 100 and 3 find 0.4 % more matches
 DENSE = 200  # frames; up to so many, the solver takes each pair of frames to share points: nearly all do
 CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
 
@@ -81,31 +88,28 @@ def extract(
     camera: list[float],
     model: str = "SIMPLE_RADIAL",
     shared: bool = True,
+    extracted: Callable[[int], None] = lambda done: None,
 ) -> None:
     """SIFT features of `files` in `images` outside the person, into `database`, for one camera, or one a file.
 
     `masks` holds a file of the same name for each image, 0 = ignore. `camera` has the numbers of its `model` (focal,
-    cx, cy, k), or none for COLMAP's guess of 1.2 times the longer side.
+    cx, cy, k), or none for COLMAP's guess of 1.2 times the longer side. `extracted(done)` is called after each file.
     """
     reader = pycolmap.ImageReaderOptions()
-    reader.mask_path, reader.camera_model = str(masks), model
+    reader.camera_model = model
     reader.camera_params = ",".join(repr(float(value)) for value in camera)
     mode = pycolmap.CameraMode.SINGLE if shared else pycolmap.CameraMode.PER_IMAGE
     pycolmap.Database.open(database).close()
-    pycolmap.import_images(
-        database, images, camera_mode=mode, image_names=files, options=reader
-    )  # in order, so that identifiers do not depend on which thread is faster
-    extraction = pycolmap.FeatureExtractionOptions()
-    extraction.use_gpu, extraction.sift.max_num_features = False, features
-    pycolmap.extract_features(
-        database,
-        images,
-        image_names=files,
-        camera_mode=mode,
-        reader_options=reader,
-        extraction_options=extraction,
-        device=pycolmap.Device.cpu,
-    )
+    pycolmap.import_images(database, images, camera_mode=mode, image_names=files, options=reader)
+    with pycolmap.Database.open(database) as store:
+        stored = {image.name: image.image_id for image in store.read_all_images()}
+        for done, file in enumerate(files, 1):
+            grey = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY)
+            spots, descriptors = sift(grey, read_mask(masks / file), features)
+            store.write_keypoints(stored[file], spots)
+            kind = pycolmap.FeatureExtractorType.SIFT
+            store.write_descriptors(stored[file], pycolmap.FeatureDescriptors(kind, descriptors))
+            extracted(done)
 
 
 def match(database: Path, overlap: int, growing: bool, side: int) -> None:
@@ -119,6 +123,7 @@ def match(database: Path, overlap: int, growing: bool, side: int) -> None:
     pairing.overlap, pairing.quadratic_overlap = overlap, growing
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = SEED
+    verification.ransac.min_num_trials, verification.ransac.dyn_num_trials_multiplier = TRIALS
     verification.ransac.max_error = max(MATCH_ERROR * side, LEAST_ERROR)
     pycolmap.match_sequential(
         database,
@@ -149,15 +154,23 @@ def read_pairs(database: Path, files: list[str]) -> tuple[list[Pair], np.ndarray
 
 
 def map_incremental(
-    database: Path, images: Path, out: Path, fixed_focal: bool, registered: Callable[[], None], close: bool = False
+    database: Path,
+    images: Path,
+    out: Path,
+    fixed_focal: bool,
+    registered: Callable[[], None],
+    limit: float,
+    close: bool = False,
 ) -> list[Model]:
     """Every model that COLMAP's incremental mapper makes; `registered()` is called for each frame it places.
 
-    `close` lets it start with two frames that see their points at CLOSE_ANGLE and share CLOSE_INLIERS of them.
+    `close` lets it start with two frames that see their points at CLOSE_ANGLE and share CLOSE_INLIERS of them. After
+    `limit` seconds it stops with what it has.
     """
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed, options.num_threads = SEED, 1  # more threads sum in another order
     options.ba_refine_focal_length = not fixed_focal
+    options.max_runtime_seconds = math.ceil(limit)
     if close:
         options.mapper.init_min_tri_angle, options.mapper.init_min_num_inliers = CLOSE_ANGLE, CLOSE_INLIERS
     out.mkdir()
@@ -165,44 +178,21 @@ def map_incremental(
     return [Model(model) for model in models.values()]
 
 
-def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal: bool) -> list[Model]:
-    """Every model that COLMAP's global mapper (GLOMAP) makes of `count` frames."""
+def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal: bool, limit: float) -> list[Model]:
+    """Every model that COLMAP's global mapper (GLOMAP) makes of `count` frames in about `limit` seconds at most."""
     options = pycolmap.GlobalPipelineOptions()
     options.random_seed, options.num_threads = SEED, 1
     options.mapper.track_required_tracks_per_view = TRACKS
+    options.mapper.ba_num_iterations = 1  # two more do not change a pose by a thousandth of the path
     adjustment = options.mapper.bundle_adjustment
     adjustment.refine_focal_length = not fixed_focal
+    adjustment.ceres.solver_options.function_tolerance = TOLERANCE
+    adjustment.ceres.solver_options.max_solver_time_in_seconds = limit / ADJUSTMENTS
     if count <= DENSE:
         adjustment.ceres.solver_options.linear_solver_type = "DENSE_SCHUR"  # type: ignore[assignment]  # takes names
     out.mkdir()
     models = pycolmap.global_mapping(database, images, out, options)
     return [Model(model) for model in models.values()]
-
-
-def lens_covariance(model: pycolmap.Reconstruction) -> np.ndarray | None:
-    """Covariance [2,2] of focal length (px) and k of a model's one SIMPLE_RADIAL camera, for points that are 1 px off.
-
-    Poses and points are free as well. None where the equations do not determine it.
-    """
-    model = pycolmap.Reconstruction(model)  # the adjuster normalises what it holds
-    options, config = pycolmap.BundleAdjustmentOptions(), pycolmap.BundleAdjustmentConfig()
-    for i in model.reg_image_ids():
-        config.add_image(i)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
-    found = pycolmap.estimate_ba_covariance(pycolmap.BACovarianceOptions(), model, adjuster)
-    camera = next(iter(model.cameras.values()))
-    return None if found is None else found.get_other_params_cov(camera.params)
-
-
-def hold_lens(model: pycolmap.Reconstruction, focal: float, k: float) -> None:
-    """Give a model's one SIMPLE_RADIAL camera this lens, and adjust poses and points to it."""
-    for camera in model.cameras.values():
-        camera.params = [focal, *camera.params[1:3], k]
-    options = pycolmap.BundleAdjustmentOptions()
-    options.refine_focal_length = options.refine_extra_params = False
-    options.ceres.solver_options.num_threads = 1  # more threads sum in another order
-    pycolmap.bundle_adjustment(model, options)
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,15 @@ import numpy as np
 
 from stages.avatar.cameras import lens
 from stages.contract import Job
-from stages.estimators.cameras import colmap
+from stages.estimators.cameras import colmap_lens
 from stages.estimators.cameras.colmap import Model
 
 USUAL_FOCAL, FOCAL_SPREAD = 0.85, 0.35  # of the longer side, and of its logarithm: 24 mm to 85 mm lie within two of it
 K_SPREAD = 0.02  # phones and cameras straighten their films; what is left is small
+ZOOM = 0.08  # of the focal length, by which halves of a clip without a zoom do not differ
 TRACK_ERROR = 0.001  # of the longer side: tracks drift together, so a lens is known no better than by points so far off
-CORNERS, FOCAL = (
-    1.0,
-    0.01,
-)  # px of bend, and share of the focal length: lenses that differ by less take the same pictures
+# px of bend, and share of the focal length: lenses that differ by less take the same pictures
+CORNERS, FOCAL = 1.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,27 @@ class Intrinsics:
         return abs(bent[0] - bent[1]) < CORNERS and abs(self.focal / other.focal - 1) < FOCAL
 
 
-def weigh(focal: float, k: float, covariance: np.ndarray, side: int) -> Intrinsics:
-    """The most likely lens, of what SfM found and of what cameras have.
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a focal length (px) before the frames are seen: `spread` of its logarithm, and from where."""
+
+    focal: float
+    spread: float
+    words: str
+
+    @property
+    def said(self) -> str:
+        """In words for the user."""
+        return f"{self.focal:.0f} px, give or take {self.focal * self.spread:.0f} ({self.words})"
+
+
+def usual(side: int) -> Prior:
+    """What phones and cameras have, for frames of `side` px at the longer side."""
+    return Prior(USUAL_FOCAL * side, FOCAL_SPREAD, "what phones and cameras have")
+
+
+def weigh(focal: float, k: float, covariance: np.ndarray, side: int, prior: Prior) -> Intrinsics:
+    """The most likely lens, of what SfM found and of what was known before.
 
     `covariance` [2,2] of focal length (px) and k for points 1 px off; `side` px is the frames' longer one. Both are normal
     distributions, of the focal length's logarithm and k (Bishop, Pattern Recognition and Machine Learning, eq. 2.116).
@@ -50,32 +68,54 @@ def weigh(focal: float, k: float, covariance: np.ndarray, side: int) -> Intrinsi
     seen = scale @ covariance @ scale * (TRACK_ERROR * side) ** 2
     if not np.isfinite(seen).all() or (np.linalg.eigvalsh(seen) <= 0).any():
         raise ValueError(f"no covariance: {covariance.tolist()}")
-    found, usual = np.array([np.log(focal), k]), np.array([np.log(USUAL_FOCAL * side), 0.0])
-    evidence, prior = np.linalg.inv(seen), np.diag([1 / FOCAL_SPREAD**2, 1 / K_SPREAD**2])
-    left = np.linalg.inv(evidence + prior)
-    likely, spread = left @ (evidence @ found + prior @ usual), np.sqrt(np.diag(left))
+    found, before = np.array([np.log(focal), k]), np.array([np.log(prior.focal), 0.0])
+    evidence, known = np.linalg.inv(seen), np.diag([1 / prior.spread**2, 1 / K_SPREAD**2])
+    left = np.linalg.inv(evidence + known)
+    likely, spread = left @ (evidence @ found + known @ before), np.sqrt(np.diag(left))
     best = float(np.exp(likely[0]))
     return Intrinsics(best, float(likely[1]), best * float(spread[0]), float(spread[1]))
 
 
-def settle(job: Job, model: Model, width: int, height: int) -> dict[str, float]:
-    """Pull a lens that the model hardly fixes toward what cameras have, and adjust the model; facts for sfm.json.
+def compare_halves(job: Job, model: Model, likely: Intrinsics) -> dict[str, float]:
+    """Say if the clip's halves have focal lengths that differ by more than their errors, as those of a zoom do.
+
+    Returns a spread that has half of their difference in it, for sfm.json.
+    """
+    halves = colmap_lens.half_focals(model.reconstruction)
+    if halves is None:
+        return {}
+    apart = abs(halves[0] - halves[1])
+    if apart > max(ZOOM * likely.focal, 4 * likely.focal_spread):
+        job.warn(
+            f"the focal length seems to change, from {halves[0]:.0f} to {halves[1]:.0f} px in the clip's halves, but is "
+            "modelled as one: does the camera zoom while filming? Cut the clip to a part without"
+        )
+    return {"focal_spread_px": round(float(np.hypot(likely.focal_spread, apart / 2)), 3)}
+
+
+def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None = None) -> dict[str, float]:
+    """Pull a lens that the model hardly fixes toward the prior, and adjust the model; facts for sfm.json.
+
+    Without a prior it is what cameras have.
 
     A model that fixes its lens so well that both take the same pictures is not changed.
     """
     camera = next(iter(model.reconstruction.cameras.values()))
     focal, _, _, k = (float(value) for value in camera.params)
-    covariance = colmap.lens_covariance(model.reconstruction)
+    side = max(width, height)
+    prior = prior or usual(side)
+    covariance = colmap_lens.lens_covariance(model.reconstruction)
     try:
-        likely = weigh(focal, k, np.full((2, 2), np.nan) if covariance is None else covariance, max(width, height))
+        likely = weigh(focal, k, np.full((2, 2), np.nan) if covariance is None else covariance, side, prior)
     except ValueError:
         job.warn(f"how well the clip fixes the focal length could not be computed; it is taken as {focal:.0f} px")
         return {}
     facts = {"focal_spread_px": round(likely.focal_spread, 3), "k_spread": round(likely.k_spread, 5)}
+    facts |= compare_halves(job, model, likely)
     if likely.same_pictures(replace(likely, focal=focal, k=k), width, height):
         return facts
     bent = lens.max_shift(focal, k, width, height)
-    colmap.hold_lens(model.reconstruction, likely.focal, likely.k)
+    colmap_lens.hold_lens(model.reconstruction, likely.focal, likely.k)
     job.warn(
         f"the clip hardly tells its focal length: {likely.focal:.0f} px is likely, give or take {likely.focal_spread:.0f}; "
         f"SfM alone gave {focal:.0f} px and a lens that bends the corners by {bent:.1f} px. "

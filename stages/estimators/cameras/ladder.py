@@ -22,6 +22,7 @@ MAX_ERROR = 2.0  # px: a model that is off by more on average is not believed
 FEW_POINTS = 100  # with fewer, poses hang in the air and are no model: a turn mapped as a walk had 0, at 0 px error
 SANE_FOCAL = (0.3, 3.0)  # of the longer side; a phone has 0.75 to 2
 MORE = 10  # frames that follow, with which each is matched when the first matches did not do
+SECONDS = 120  # about how long a mapper may take; it stops with what it has
 FIRST, LAST = 60, 85  # per cent of the stage's progress between which the rungs lie
 
 
@@ -90,12 +91,12 @@ Mapping = Callable[[Matched, Path, Callable[[], None]], list[Model]]
 
 def by_global(matched: Matched, out: Path, placed: Callable[[], None]) -> list[Model]:
     """COLMAP's global mapper (GLOMAP)."""
-    return colmap.map_global(matched.database, matched.images, out, matched.count, matched.fixed_focal)
+    return colmap.map_global(matched.database, matched.images, out, matched.count, matched.fixed_focal, SECONDS)
 
 
 def by_incremental(matched: Matched, out: Path, placed: Callable[[], None], close: bool = False) -> list[Model]:
     """COLMAP's incremental mapper; `close` lets it start with two frames that lie close together."""
-    return colmap.map_incremental(matched.database, matched.images, out, matched.fixed_focal, placed, close)
+    return colmap.map_incremental(matched.database, matched.images, out, matched.fixed_focal, placed, SECONDS, close)
 
 
 def after_matching(mapping: Mapping, matched: Matched, out: Path, placed: Callable[[], None]) -> list[Model]:
@@ -118,7 +119,7 @@ def climb(job: Job, matched: Matched) -> list[Rung]:
     tried: list[Rung] = []
     for how, mapping in RUNGS.items():
         if tried:
-            job.note(f"{tried[-1].describe(matched)}; trying the {how}")
+            job.note(f"{tried[-1].describe(matched)}; trying the {how}, {SECONDS} s at most", at_once=True)
         placed = _counter(job, len(tried), matched.count)
         began = perf_counter()
         made = mapping(matched, matched.scratch / f"rung{len(tried)}", placed)

@@ -15,18 +15,20 @@ import numpy as np
 from ai_edge_litert.interpreter import Interpreter
 
 from stages.estimators import assets
+from stages.estimators.person.crops import Roi, crop, to_picture
 
 LANDMARKS = 33
 DETECTOR_SIDE, CROP_SIDE, HEATMAP_SIDE = 224, 256, 64  # px, the networks' own
-ROI_MARGIN = 1.25  # the person's circle is enlarged by this to make a crop
 SURE = 0.5  # probability from which a detection, a tracked person or a heat map counts
 NEIGHBOURHOOD = 3  # heat map cells on each side of the peak that take part in its mean
 PAINTED = 0.1  # of a person's height: how far beyond the joints a person is painted over
-APART = 0.3  # of a crop's side: people whose crops' centres are nearer are the same
 SEEDS = 9  # frames in which the person to follow is looked for
 # Looks at the person that are averaged: (side as a share of the fitting crop, turn in degrees, mirrored). Measured on the
 # kitchen clip, five looks halve the jitter of one (second difference 2.4 -> 1.2 px, 19 -> 10 mm).
 LOOKS = ((1.0, 0, False), (0.9, 8, False), (0.9, -8, True), (1.1, 4, True), (1.1, -4, False))
+SLACK, TURN = 0.15, np.radians(15)  # of a crop's side, and rad: crops that differ by more show the person differently
+WIDER = 1.6  # times the side of a person's crop in which they are detected again
+BETTER = 0.005  # by which the probability of a person must grow to leave the crop that the frames before led to
 STRAY = 0.03  # share of the crop's side by which one look's landmark may differ from the middle one to be averaged
 
 # fmt: off
@@ -51,38 +53,6 @@ class Images(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, i: int, /) -> np.ndarray: ...
-
-
-@dataclass(frozen=True)
-class Roi:
-    """A square of the picture: centre in px, side in px, and the turn of its up direction in radians (clockwise)."""
-
-    x: float
-    y: float
-    side: float
-    angle: float
-
-    def matrix(self) -> np.ndarray:
-        """[2,3] taking crop coordinates in 0..1 to picture px."""
-        c, s = np.cos(self.angle) * self.side, np.sin(self.angle) * self.side
-        return np.array([[c, -s, self.x - (c - s) / 2], [s, c, self.y - (s + c) / 2]])
-
-    def reframe(self, side: float = 1.0, turn: float = 0.0, shift: float = 0.0) -> Roi:
-        """A crop of `side` times the size, turned by degrees, moved down the body by `shift` of the old side."""
-        reach = shift * self.side
-        x, y = self.x - reach * np.sin(self.angle), self.y + reach * np.cos(self.angle)
-        return Roi(x, y, self.side * side, self.angle + np.radians(turn))
-
-    def covers(self, other: Roi) -> bool:
-        """True if the other crop's centre is so near that it shows the same person."""
-        return bool(np.hypot(self.x - other.x, self.y - other.y) <= APART * self.side)
-
-    @staticmethod
-    def around(center: np.ndarray, top: np.ndarray) -> Roi:
-        """The crop of a person whose circle has this centre and reaches to `top`; `top` points up in the crop."""
-        dx, dy = top - center
-        side = 2 * float(np.hypot(dx, dy)) * ROI_MARGIN
-        return Roi(float(center[0]), float(center[1]), side, float(np.arctan2(dx, -dy)))
 
 
 @dataclass(frozen=True)
@@ -127,20 +97,6 @@ def anchors() -> np.ndarray:
         y, x = np.divmod(np.arange(cells * cells), cells)
         grids.append(np.repeat(np.stack([x + 0.5, y + 0.5], 1) / cells, each, 0))
     return np.concatenate(grids)
-
-
-def crop(image: np.ndarray, roi: Roi, side: int, border: int) -> np.ndarray:
-    """Cut a Roi out as [side,side,3], first shrunk by area means so that nothing aliases."""
-    factor = max(1, int(roi.side / side))
-    height, width = image.shape[:2]
-    if factor > 1:
-        image = cv2.resize(image, (-(-width // factor), -(-height // factor)), interpolation=cv2.INTER_AREA)
-    scale = np.array([[image.shape[1] / width], [image.shape[0] / height]])
-    matrix = roi.matrix() * scale
-    matrix[:, :2] /= side
-    matrix[:, 2] += matrix[:, :2].sum(1) / 2 - 0.5  # cv2 counts pixel centres at whole numbers
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(image, matrix, (side, side), flags=flags, borderMode=border)
 
 
 class BlazePose:
@@ -251,8 +207,22 @@ class BlazePose:
                 first, _ = self.look(image, start)
                 pose = self.average_looks(image, first.next_roi) if first.presence >= SURE else None
                 if pose is not None:
-                    return pose
+                    return self.unstuck(image, pose)
         return None
+
+    def unstuck(self, image: np.ndarray, pose: Pose) -> Pose:
+        """The pose, or that in the detector's crop where the person is surer there.
+
+        Somebody who bends is followed into a crop of the trunk, which leads to the next, and stays one when they rise.
+        """
+        around = pose.next_roi
+        for _, roi in self.detect(image, Roi(around.x, around.y, WIDER * around.side, 0.0)):
+            if around.covers(roi) and not around.resembles(roi, SLACK, TURN):
+                first, _ = self.look(image, roi)
+                other = self.average_looks(image, first.next_roi) if first.presence >= SURE else None
+                if other is not None and other.presence > pose.presence + BETTER:
+                    return other
+        return pose
 
     def sightings(self, images: Images) -> list[Sighting]:
         """Everybody who is surely seen in a few frames spread over the clip, each frame's people from large to small."""
@@ -326,12 +296,6 @@ def infer(network: Interpreter, pixels: np.ndarray) -> list[np.ndarray]:
     network.set_tensor(network.get_input_details()[0]["index"], np.ascontiguousarray(pixels[None], np.float32))
     network.invoke()
     return [network.get_tensor(output["index"])[0] for output in network.get_output_details()]
-
-
-def to_picture(points: np.ndarray, roi: Roi) -> np.ndarray:
-    """Take points [N,2] in 0..1 of a crop to picture px."""
-    matrix = roi.matrix()
-    return points @ matrix[:, :2].T + matrix[:, 2]
 
 
 def refine(points: np.ndarray, heat: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -34,7 +35,8 @@ def write_undistorted(
     """
     for kind in ("images", "masks"):
         (out / kind).mkdir()
-    for done, name in enumerate(names, 1):
+
+    def write(name: str) -> None:
         grid, image, mask = grid_of(name), Path("images", f"{name}.png"), Path("masks", f"{name}.png")
         if grid is None:
             link(frames / image, out / image)
@@ -44,7 +46,10 @@ def write_undistorted(
             person = cv2.remap(read_mask(masks / mask), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             write_image(out / image, sampled)
             write_mask(out / mask, person)
-        yield done
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(write, names), 1):
+            yield done
 
 
 def link(source: Path, target: Path) -> None:

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stages.estimators.person.blazepose import NAMES, Pose, Roi
+from stages.estimators.person.blazepose import NAMES, Pose
+from stages.estimators.person.crops import Roi
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras

@@ -1,7 +1,7 @@
 """What the body fit is given of a clip, on disk: made once, by what the stages masks and smpl call.
 
 A clip's folder:
-  images/%06d.png, masks/%06d.png   pictures, and our own masks of them
+  images/%06d.png, masks/%06d.png   pictures, and our own masks of them, corrected by the scene as sfm does
   cameras.npz, points.ply           as the sfm stage has them
   tracks.npz                        BlazePose's landmarks of the masked person
   facts.json                        fps, moving, half
@@ -21,7 +21,9 @@ from stages import masks as masks_stage
 from stages.contract import Job
 from stages.estimators.bodyfit.evidence import LandmarkEvidence, drop_strangers, gather, model_landmarks, vote_sides
 from stages.estimators.bodyfit.fit import BodyFit, fit_body
-from stages.estimators.person.blazepose import BlazePose, Pose, Roi, pick_masked
+from stages.estimators.person.blazepose import BlazePose, Pose, pick_masked
+from stages.estimators.person.crops import Roi
+from stages.estimators.person.static_scene import corrected
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import read_cameras, write_cameras
@@ -71,6 +73,9 @@ def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
     write_cameras(folder / "cameras.npz", made.placed)
     write_points(folder / "points.ply", made.points, made.colors)
     find_person(folder, list(names))
+    masks = [read_mask(folder / "masks" / f"{name}.png") for name in names]
+    for name, mask in zip(names, corrected(masks, made.images, made.placed, made.points), strict=True):
+        write_mask(folder / "masks" / f"{name}.png", mask)
     (folder / "facts.json").write_text(json.dumps({"fps": FPS, "moving": made.moving, "half": shot.half}) + "\n")
 
 

@@ -118,7 +118,7 @@ def moved(
         raise ValueError(f"{shot.name} needs the folder of captured motions")
     else:
         rate = CAPTURE_FPS if shot.motion.endswith(".npz") else None
-        params, soles = animate.Params(fps=FPS, motion_fps=rate), Soles(model, betas)
+        params, soles = animate.Params(fps=FPS, motion_fps=rate), Soles.of_model(model, betas)
         placed = animate._placed(Job(out=captures), params, captures / shot.motion, soles, model.parents)
         first = round(shot.start * FPS)
         motion = tuple(

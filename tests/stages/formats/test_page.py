@@ -15,7 +15,10 @@ EVIL = "<script>\"&'"
 
 def report(figures=(), **values):
     """A report with evil text wherever there is text."""
-    row, texts = [EVIL] * 9, dict.fromkeys(("title", "video", "protocol", "compared", "costs", "mapper"), EVIL)
+    row, texts = (
+        [EVIL] * 9,
+        dict.fromkeys(("title", "video", "protocol", "compared", "costs", "mapper", "viewer"), EVIL),
+    )
     rows = {name: [row] for name in ("accuracy", "beside_paper", "effects", "measures")}
     pairs = {name: [(EVIL, EVIL)] for name in ("headline", "warnings", "notes")}
     pictures = dict.fromkeys(("films", "comparisons", "overlays"), figures)
@@ -61,4 +64,5 @@ def test_an_edit_of_a_template_makes_reports_stale():
         *page.SHARED,
         "report.html",
         "costs.html",
+        "fleet.html",
     }

@@ -65,3 +65,22 @@ def test_a19_a_zero_quaternion_is_no_rotation(tmp_path):
     with pytest.raises(StageError, match="damaged") as error:
         read_scene(tmp_path / "scene.npz")
     assert error.value.facts[2] == "rows whose quaternion is zero: 3"
+
+
+def test_files_of_earlier_versions_are_read_and_newer_ones_refused(tmp_path):
+    for name, value in (("old.npz", {}), ("now.npz", {"version": 1}), ("new.npz", {"version": 2})):
+        np.savez(tmp_path / name, **avatar(), **{key: np.int32(number) for key, number in value.items()})
+    assert len(read_avatar(tmp_path / "old.npz")) == len(read_avatar(tmp_path / "now.npz")) == 5
+    with pytest.raises(StageError, match=r"new.npz was made by a newer hugs"):
+        read_avatar(tmp_path / "new.npz")
+    write_splats(tmp_path / "written.npz", Avatar(**avatar()))
+    with np.load(tmp_path / "written.npz") as data:
+        assert data["version"] == 1
+
+
+def test_an_avatar_of_0_1_0_and_0_2_0_still_reads(tmp_path):
+    """As those versions wrote it: these arrays, float32, parents int32, no other."""
+    old = {name: value.astype(np.int32 if name == "parents" else np.float32) for name, value in avatar().items()}
+    np.savez(tmp_path / "avatar.npz", **old)
+    back = read_avatar(tmp_path / "avatar.npz")
+    assert not back.antialias and back.clothes is None and np.array_equal(back.means, old["means"])

@@ -14,6 +14,7 @@ from stages.avatar.model.human import HumanModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.training import densify, losses
+from stages.training.patches import SIDE
 from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
 from tests.made.lpips_weights import small_weights
 from tests.made.training import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, states
@@ -126,8 +127,8 @@ def test_defect_11_the_principal_point_counts(clip):
 def test_defect_12_a_patch_is_cut_wherever_the_person_is(where):
     mask = torch.zeros(50, 300)
     mask[{"nowhere": [], "everywhere": slice(None), "corner": slice(-3, None), "one pixel": [49]}[where], -1] = 1
-    rows, columns = losses.random_patch(mask, losses.PATCH, torch.Generator().manual_seed(0))
-    assert mask[rows, columns].shape == (50, losses.PATCH)
+    rows, columns = losses.random_patch(mask, SIDE, torch.Generator().manual_seed(0))
+    assert mask[rows, columns].shape == (50, SIDE)
 
 
 def test_defect_13_lpips_takes_the_range_it_was_made_for_and_the_other_by_name():

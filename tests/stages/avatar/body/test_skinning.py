@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.skinning import WEIGHT_GAP, knn_weights, skin
+from stages.avatar.body.skinning import WEIGHT_GAP, WORDS, all_bones, heaviest, knn_weights, skin
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.model.person import bone_transforms
 
@@ -195,3 +195,23 @@ def test_e08_refuses_what_has_no_answer(skinned_cloud):
     broken[4, 1] = math.nan
     with pytest.raises(ValueError, match="point 4 is not finite"):
         knn_weights(broken, vertices, weights)
+
+
+def test_bytes_of_weights_add_up_and_are_nearest():
+    rng = np.random.default_rng(2)
+    weights = rng.dirichlet(np.full(24, 0.1), 2000)
+    weights[0] = np.eye(24)[7]
+    weights[1] = 1 / 24
+    bones, bytes_, kept = heaviest(weights)
+    assert bones.dtype == bytes_.dtype == np.uint8 and (bytes_.astype(int).sum(1) == 255).all()
+    assert bones[0].tolist() == [7, 0, 0, 0] and bytes_[0].tolist() == [255, 0, 0, 0] and kept[0] == 1
+    assert bones[1].tolist() == [0, 1, 2, 3] and kept[1] == pytest.approx(4 / 24)
+    assert (np.diff(bytes_.astype(int), axis=1) <= 0).all(), "heaviest first"
+    exact = np.take_along_axis(weights, bones.astype(int), 1) / kept[:, None] * 255
+    assert np.abs(np.where(bytes_ > 0, exact - bytes_, 0)).max() < 1
+    back = all_bones(bones, bytes_, 24)
+    np.testing.assert_allclose(back.sum(1), 1)
+    assert np.abs(back * kept[:, None] - weights)[kept > 0.999].max() < 1 / 255 + 1e-3
+    words = heaviest(weights, 8, WORDS)[1]
+    assert words.dtype == np.uint16 and (words.astype(int).sum(1) == 65535).all()
+    assert back[0, 7] == 1, "a bone without weight is bone 0, and takes nothing from it"

@@ -16,7 +16,7 @@ TO_FILE = {"y": [0, 0, 0], "-y": [np.pi, 0, 0], "z": [np.pi / 2, 0, 0], "-z": [-
 
 @pytest.fixture(scope="module")
 def soles():
-    return placing.Soles(read_body_model(), np.linspace(-1, 1, 10))
+    return placing.Soles.of_model(read_body_model(), np.linspace(-1, 1, 10))
 
 
 def performance(soles, name="jumping_jacks", turned=(0, 0, 0)):

@@ -4,8 +4,9 @@ import math
 
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
-from stages.avatar.splats.sh import SH_C0, bases, sh_basis, sh_colors, sh_from_rgb
+from stages.avatar.splats.sh import SH_C0, bases, rotate_sh, sh_basis, sh_colors, sh_from_rgb
 
 
 def sphere(n: int = 4000) -> torch.Tensor:
@@ -56,3 +57,18 @@ def test_b15_black_that_is_wanted_darker_still_does_not_sink():
         (sh_colors(sh, None).sum(0) - 0.5).clamp_min(0).sum().backward()
         adam.step()
     assert (0.5 + SH_C0 * sh[0]).min() > -0.05 and (sh_colors(sh, None).sum(0) < 0.51).all()
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_turned_coefficients_show_towards_the_turned_direction_what_they_showed(degree):
+    higher = torch.randn(40, bases(degree) - 1, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    turns = torch.as_tensor(Rotation.random(40, random_state=1).as_matrix())
+    seen = sphere(40)
+    before = torch.einsum("nk,nkc->nc", sh_basis(seen, degree)[:, 1:], higher)
+    towards = (turns @ seen[..., None])[..., 0]
+    after = torch.einsum("nk,nkc->nc", sh_basis(towards, degree)[:, 1:], rotate_sh(higher, turns))
+    assert torch.allclose(after, before, atol=1e-12)
+    over = rotate_sh(higher, torch.diag(torch.tensor([1.0, -1, -1])))
+    signs = over / higher
+    assert torch.allclose(signs.abs(), torch.ones_like(signs)), "half a turn about an axis only changes signs"
+    assert rotate_sh(higher[:, :0], turns).shape == (40, 0, 3)

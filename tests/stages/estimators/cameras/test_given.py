@@ -63,6 +63,7 @@ def stages(clip, truth, tmp_path_factory):
     for name, image, mask in zip(truth.names, clip.images, clip.masks, strict=True):
         write_image(folder / "frames/images" / f"{name}.png", image)
         write_mask(folder / "masks/masks" / f"{name}.png", mask)
+    (folder / "masks/masks.json").write_text(json.dumps({"source": "imported"}))
     (folder / "frames/frames.json").write_text(json.dumps(listing(truth)))
     return folder
 

@@ -10,9 +10,10 @@ import pytest
 
 from stages.avatar.cameras.pinhole import look_at
 from stages.contract import Job
-from stages.estimators.cameras import colmap
-from stages.estimators.cameras.colmap import Model, lens_covariance
-from stages.estimators.cameras.intrinsics import USUAL_FOCAL, settle, weigh
+from stages.estimators.cameras import colmap_lens
+from stages.estimators.cameras.colmap import Model
+from stages.estimators.cameras.colmap_lens import lens_covariance
+from stages.estimators.cameras.intrinsics import USUAL_FOCAL, Prior, settle, usual, weigh
 
 WIDTH, HEIGHT, FOCAL = 960, 540, 760.0
 
@@ -75,17 +76,25 @@ def test_a_camera_that_hardly_travels_is_held_near_what_cameras_have(tmp_path):
     assert Model(model).error < 2, "poses and points follow the lens that is held"
 
 
+def test_what_the_file_tells_holds_a_lens_that_the_clip_does_not_fix(tmp_path):
+    model = model_of(0.3, 60, noise=0.5)
+    told = Prior(FOCAL * 1.02, 0.05, "EXIF")
+    facts = settle(Job(tmp_path), Model(model), WIDTH, HEIGHT, told)
+    assert lens_of(model)[0] == pytest.approx(told.focal, rel=0.03) and facts["focal_spread_px"] < 0.06 * FOCAL
+    assert told.said == "775 px, give or take 39 (EXIF)"
+
+
 def test_the_stated_error_holds_where_the_clip_fixes_the_lens():
     model = model_of(12, 200)
     (focal, k), covariance = lens_of(model), lens_covariance(model)
-    likely = weigh(focal, k, covariance, WIDTH)
+    likely = weigh(focal, k, covariance, WIDTH, usual(WIDTH))
     assert abs(likely.focal - FOCAL) < 2 * likely.focal_spread and abs(likely.k) < 2 * likely.k_spread
 
 
 def test_no_evidence_gives_what_cameras_have_and_much_gives_what_was_found():
     nothing, much = np.diag([1e12, 1e6]), np.diag([1e-4, 1e-8])
-    usual, found = (weigh(1810.0, 1.4, covariance, 960) for covariance in (nothing, much))
-    assert usual.focal == pytest.approx(USUAL_FOCAL * 960, rel=1e-3) and usual.k == pytest.approx(0, abs=1e-3)
+    nowhere, found = (weigh(1810.0, 1.4, covariance, 960, usual(960)) for covariance in (nothing, much))
+    assert nowhere.focal == pytest.approx(USUAL_FOCAL * 960, rel=1e-3) and nowhere.k == pytest.approx(0, abs=1e-3)
     assert found.focal == pytest.approx(1810) and found.k == pytest.approx(1.4, abs=1e-4)
 
 
@@ -93,7 +102,7 @@ def test_no_evidence_gives_what_cameras_have_and_much_gives_what_was_found():
 def test_a_lens_whose_error_cannot_be_computed_is_kept_and_said(tmp_path, monkeypatch, bad):
     model = model_of(10, 30, views=4)
     before = lens_of(model)
-    monkeypatch.setattr(colmap, "lens_covariance", lambda model: bad)
+    monkeypatch.setattr(colmap_lens, "lens_covariance", lambda model: bad)
     facts, said = settled(tmp_path, model)
     assert facts == {} and lens_of(model) == before and "could not be computed" in said[0]
 
@@ -101,4 +110,19 @@ def test_a_lens_whose_error_cannot_be_computed_is_kept_and_said(tmp_path, monkey
 @pytest.mark.parametrize("bad", [np.diag([np.nan, 1]), np.diag([-1.0, 1]), np.zeros((2, 2))])
 def test_what_is_no_covariance_is_refused(bad):
     with pytest.raises(ValueError, match="no covariance"):
-        weigh(800.0, 0.0, bad, 960)
+        weigh(800.0, 0.0, bad, 960, usual(960))
+
+
+@pytest.mark.parametrize(("halves", "words"), [((700.0, 900.0), "from 700 to 900 px"), ((755.0, 765.0), "")])
+def test_halves_of_a_clip_that_disagree_are_said_and_widen_the_error(tmp_path, monkeypatch, halves, words):
+    model = model_of(40, 200)
+    monkeypatch.setattr(colmap_lens, "half_focals", lambda model: halves)
+    facts, said = settled(tmp_path, model)
+    assert bool(said) == bool(words) and all(words in text for text in said)
+    assert facts["focal_spread_px"] >= (halves[1] - halves[0]) / 2
+
+
+def test_halves_of_a_clip_without_a_zoom_agree_and_few_pictures_have_none():
+    first, second = colmap_lens.half_focals(model_of(40, 200))
+    assert first == pytest.approx(FOCAL, rel=0.02) and second == pytest.approx(FOCAL, rel=0.02)
+    assert colmap_lens.half_focals(model_of(40, 60, views=8)) is None

@@ -85,7 +85,10 @@ def test_every_rung_after_the_first_is_said_and_kept(monkeypatch, tmp_path):
     assert [rung.how for rung in rungs] == [f"way {i}" for i in range(6)], "the sixth is good, the seventh not tried"
     notes = [event["text"] for event in events if event["event"] == "note"]
     assert len(notes) == 6
-    assert notes[0] == "way 0: no model of 100 points in 0 s; trying the way 1" and "71 of 80 frames" in notes[1]
+    assert (
+        notes[0] == "way 0: no model of 100 points in 0 s; trying the way 1, 120 s at most"
+        and "71 of 80 frames" in notes[1]
+    )
     assert "4000 px" in notes[2] and "2.5 px off" in notes[3] and "no model" in notes[4] and "75 of 80" in notes[5]
     kept = json.loads(json.dumps([rung.facts() for rung in rungs]))
     assert kept[1] == {"how": "way 1", "models": [asdict(Made(71))]} and kept[0]["models"] == kept[4]["models"] == []

@@ -8,17 +8,8 @@ import pytest
 
 from stages.contract import StageError
 from stages.estimators import assets
-from stages.estimators.person.blazepose import (
-    LANDMARKS,
-    LOOKS,
-    NAMES,
-    BlazePose,
-    Roi,
-    anchors,
-    crop,
-    refine,
-    to_picture,
-)
+from stages.estimators.person.blazepose import LANDMARKS, LOOKS, NAMES, BlazePose, anchors, refine
+from stages.estimators.person.crops import Roi, crop, to_picture
 
 at = {name: i for i, name in enumerate(NAMES)}
 
@@ -95,6 +86,26 @@ def test_the_kitchen_man_is_followed(blazepose, kitchen):
     assert (np.abs(ankles - 627) < 25).all() and first.visibility.min() > 0.5
     heights = [np.ptp(pose.world[:, 1]) for pose in poses]
     assert min(heights) > 1.3 and max(heights) < 2.0
+
+
+@pytest.mark.slow
+def test_a_crop_of_the_trunk_is_left_when_the_whole_person_shows(blazepose, kitchen):
+    image = next(iter(kitchen.values()))
+    whole = blazepose.track([image])[0]
+    trunk = whole.next_roi.reframe(0.65, 35, -0.15)  # as after somebody bent
+    stuck = blazepose.average_looks(image, trunk)
+    assert stuck.presence < whole.presence - 0.005
+    found = blazepose.unstuck(image, stuck)
+    assert np.abs(found.xy[at["left_ankle"]] - whole.xy[at["left_ankle"]]).max() < 15
+    assert blazepose.unstuck(image, whole) is whole  # nothing to mend
+
+
+def test_crops_resemble_each_other_across_the_turn_of_half_a_circle():
+    roi = Roi(100, 100, 50, np.pi - 0.05)
+    assert roi.resembles(Roi(103, 100, 52, 0.05 - np.pi), 0.15, 0.2)
+    assert not roi.resembles(Roi(103, 100, 52, 0.3 - np.pi), 0.15, 0.2)
+    assert not roi.resembles(Roi(108, 100, 50, roi.angle), 0.15, 0.2)
+    assert not roi.resembles(Roi(100, 100, 58, roi.angle), 0.15, 0.2)
 
 
 def test_a_look_that_swaps_sides_is_left_out(blazepose, kitchen, monkeypatch):

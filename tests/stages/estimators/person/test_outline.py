@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from stages.estimators.person.blazepose import Roi
+from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import near_edge, outline, paste, rim_fade, without_islands
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from stages.contract import Job, StageError
-from stages.estimators.person.blazepose import NAMES, Pose, Roi, Sighting, pick_clearest, pick_masked
+from stages.estimators.person.blazepose import NAMES, Pose, Sighting, pick_clearest, pick_masked
+from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import outline
 from stages.estimators.person.people import Company
 from stages.formats.body_model import read_body_model

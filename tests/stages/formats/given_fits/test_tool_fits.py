@@ -126,7 +126,8 @@ def test_joints_that_the_tool_drew_elsewhere_are_noticed(truth, tmp_path, aside,
         entry["2d_joints"] = [joints + np.float32(aside) for joints in entry["2d_joints"]]
     fit = read_smpl_fit(fits.write("PHALP", content, tmp_path), truth.size)
     cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
-    given = (truth.model, cameras, truth.numbers / truth.fps, list(truth.views.masks), None, False)
+    smpl = replace(truth.model, name="SMPL")  # the tool's own body
+    given = (smpl, cameras, truth.numbers / truth.fps, list(truth.views.masks), None, False)
     _, facts = import_fit(fit, *given)
     assert least <= facts["tool_joints_off"] < most and facts["person"] == "7"
     assert facts["notes"] == ["1 poses that the tracker only predicted are left out"]

@@ -1,0 +1,120 @@
+"""The command fleet."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Argument, Option
+
+from hugs_cli import options, pipelines, words
+from hugs_cli.console import Console
+from hugs_cli.options import AsJson, BodyModel, DeviceName, DryRun, PipelineName, PipelinesFile, Settings, Work
+from hugs_cli.pipelines import NAME, UsageError
+
+if TYPE_CHECKING:
+    from hugs_cli.fleet.plan import Planned
+
+
+class Split(StrEnum):
+    """Where a clip's work is cut into two jobs."""
+
+    train = "train"
+
+
+def fleet(
+    clips: Annotated[
+        list[str],
+        Argument(help="Clips, patterns, a list (.txt), or a table (.csv, .yaml).", show_default=False),
+    ],
+    jobs: Annotated[
+        int | None,
+        Option(min=1, help="Clips at a time, at most.", show_default="what memory and processors allow"),
+    ] = None,
+    profile: Annotated[
+        str | None, Option(metavar="FOLDER", help="A Snakemake profile, for a cluster; slurm is an example.")
+    ] = None,
+    split: Annotated[Split | None, Option(help="Two jobs a clip: what comes before training, and the rest.")] = None,
+    name: Annotated[str, Option(help="Of the page, NAME.html in the work folder.")] = "fleet",
+    device: DeviceName = options.Device.cpu,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+    pipeline: PipelineName = "default",
+    set_: Settings = None,
+    body_model: BodyModel = None,
+    work: Work = Path("work"),
+    pipelines_file: PipelinesFile = pipelines.FILE,
+) -> None:
+    """Run many clips, side by side or on a cluster.
+
+    What is fresh is left out, a clip that fails stops no other, and a second call does what is left.
+    The page fleet.html in the work folder shows how far each clip is.
+    """
+    from hugs_cli.fleet import board, history, plan, runner
+    from hugs_cli.fleet.clips import read
+    from hugs_cli.fleet.run import Fleet, counts
+
+    if not NAME.fullmatch(name):
+        raise UsageError(f"{name!r} cannot name a fleet", "use small letters, digits and _")
+    console, past = Console(), history.history(work)
+    if jobs and jobs > 1 and not runner.has_snakemake():
+        raise UsageError("clips run side by side only with Snakemake", f"{runner.EXTRA}, or leave out `--jobs`")
+    if profile:
+        if not runner.has_snakemake():
+            raise UsageError("a profile is for Snakemake", f"{runner.EXTRA}, or leave out `--profile`")
+        runner.profile_folder(profile)
+    pipelines.load(pipeline, set_ or (), pipelines_file)  # refuses at once what no clip could run with
+    rows = read(clips, pipeline, set_ or (), work)
+    common = plan.Common(work, pipelines_file, body_model, device.value)
+    planned = plan.plan(rows, common, past, split is not None)
+    todo = [one for one in planned if one.state == "todo"]
+    at_a_time, why = (jobs or 0, "") if profile else runner.side_by_side(jobs, [one.megabytes for one in todo])
+    if not profile and not runner.has_snakemake():
+        at_a_time, why = 1, f"{runner.EXTRA} lets clips run side by side"
+    if dry_run:
+        lines = [plan_line(one) for one in planned]
+        found = [plan.as_json(one) for one in planned]
+        console.result(json.dumps(found, indent=1) if as_json else "\n".join([*lines, summary(planned, at_a_time)]))
+        return
+    console.say(summary(planned, at_a_time))
+    if todo and not profile and (jobs is None or at_a_time < jobs):
+        console.say(f"{words.count(at_a_time, 'clip')} at a time: {why}")
+    done, total = Fleet(name, common, planned, past, split is not None, at_a_time, profile).run(console)
+    console.say(counts(total))
+    for kind, number in total["failures"].items():
+        console.say(f"  {number:>4} x {kind}")
+    console.result(board.as_json(done, total) if as_json else words.relative(work / f"{name}.html"))
+    if not all(row["state"] in board.WELL for row in done):
+        raise typer.Exit(1)
+
+
+def plan_line(one: Planned) -> str:
+    """A row of the dry run: fresh, or how many stages are left and about how long they take."""
+    clip = f"  {words.relative(one.row.root):<32}  {one.row.pipeline:<12}  "
+    if one.state == "failed":
+        return f"{clip}cannot begin: {one.problem}"
+    if one.state == "fresh":
+        return f"{clip}fresh"
+    about = "not known how long" if one.seconds is None else f"about {words.duration(one.seconds)}"
+    return f"{clip}{words.count(len(one.todo), 'stage')} to do, {about}"
+
+
+def summary(planned: Sequence[Planned], at_a_time: int) -> str:
+    """All rows in a line."""
+    states = Counter(one.state for one in planned)
+    said = [f"{words.count(len(planned), 'clip')}: {states['fresh']} fresh, {states['todo']} to do"]
+    said += [f"{states['failed']} cannot begin"] if states["failed"] else []
+    times = [one.seconds for one in planned if one.state == "todo"]
+    known = [seconds for seconds in times if seconds is not None]
+    if known and len(known) == len(times):
+        said.append(
+            f"about {words.duration(sum(known) / max(1, at_a_time))}" + ("" if at_a_time else " of machine time")
+        )
+    elif times:
+        said.append("how long is not known before a first clip was run")
+    return ", ".join(said)

@@ -1,0 +1,174 @@
+"""How a fleet is doing: a row a clip, from the plan and from what its jobs report; as a page, a table and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import re
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from hugs_cli.cache.workspace import read_json
+from hugs_cli.direct import run_directly
+from hugs_cli.fleet.history import History
+from hugs_cli.fleet.job import ROWS, STOP
+from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
+from stages.contract import Job
+
+SILENT = 60.0  # s without a beat, after which a page says that there is no sign of life
+OPEN = ("waiting", "running", "before")  # states of jobs that may still end well
+WELL = ("fresh", "done")
+NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|`[^`]*`|\S*/\S*|\S+\.\w{2,4}\b")
+AGAIN = "call the fleet again: what is finished is kept"
+NEVER: dict[str, Any] = {
+    "problem": "its job never began",
+    "hint": AGAIN,
+    "facts": ["snakemake.log in the run's folder says why"],
+}
+GONE: dict[str, Any] = {"problem": "its process ended without a word", "hint": AGAIN,
+        "facts": ["the machine is gone, or something killed the process"]}  # fmt: skip
+CSV = ("clip", "folder", "pipeline", "state", "stage", "seconds_left", "seconds", "psnr", "psnr_person", "effects",
+       "warnings", "kind", "problem", "hint", "log")  # fmt: skip
+
+
+class Board:
+    """The rows of a fleet's run. Reads only the reports that have changed."""
+
+    def __init__(self, folder: Path, work: Path, token: str, planned: Sequence[Planned], history: History):
+        self.folder, self.work, self.token = folder, work, token
+        self.planned, self.history = planned, history
+        self.reports: dict[str, dict[str, Any]] = {}
+        self.changed: dict[
+            str, tuple[int, float]
+        ] = {}  # row -> mtime of its report, and when that was seen, by our clock
+
+    def look(self) -> None:
+        """Read what jobs report now."""
+        with suppress(OSError), os.scandir(self.folder / ROWS) as files:
+            for file in files:
+                row, suffix = os.path.splitext(file.name)
+                if suffix != ".json":
+                    continue
+                with suppress(OSError):
+                    stamp = file.stat().st_mtime_ns
+                    if stamp != self.changed.get(row, (0, 0))[0]:
+                        report = read_json(Path(file.path))
+                        if report.get("token") == self.token:
+                            self.reports[row], self.changed[row] = report, (stamp, time.monotonic())
+
+    def kind(self, row: str) -> str:
+        """The kind of a row's failure, from its report as it is now; '' where it has not failed."""
+        report = read_json(self.folder / ROWS / f"{row}.json")
+        return str(report.get("kind", "")) if report.get("state") == "failed" else ""
+
+    def rows(self, over: bool = False) -> list[dict[str, Any]]:
+        """A row a clip, in order. `over`: no job runs any more, so one that did not end is lost."""
+        return [self.row(one, over) for one in self.planned]
+
+    def row(self, one: Planned, over: bool) -> dict[str, Any]:
+        """What is known of one clip."""
+        report = self.reports.get(one.row.id, {})
+        state, stage = report.get("state", one.state), report.get("stage", "")
+        said: dict[str, Any] = report or {"problem": one.problem, "hint": one.hint, "facts": one.facts}
+        logs = (self.folder / "logs" / f"{one.row.id}.{step}.log" for step in (AFTER, BEFORE, WHOLE))
+        log = next((file for file in logs if file.exists()), None) if state == "failed" else None
+        if over and state in (*OPEN, "todo"):
+            if (self.folder / STOP).exists() and state != "running":
+                state = "stopped"
+            else:
+                said, state = NEVER if state == "todo" else GONE, "lost"
+        result = report.get("result") or one.result
+        silent = self.silent(one.row.id) if state == "running" else 0.0
+        return {
+            "clip": one.row.name,
+            "folder": os.path.relpath(one.row.root, self.work),
+            "pipeline": one.row.pipeline,
+            "state": state,
+            "stage": stage if state in (*OPEN, "failed", "lost") else "",
+            "percent": round(100 * report["done"] / report["total"]) if report.get("total") else None,
+            "silent": round(silent) if silent > SILENT else None,
+            "seconds_left": self.left(one, report, state),
+            "seconds": result.get("seconds"),
+            "spent": report.get("spent", 0.0),
+            "psnr": result.get("psnr"),
+            "psnr_person": result.get("psnr_person"),
+            "effects": result.get("effects", []),
+            "warnings": result.get("warnings", []),
+            "kind": kind_of(stage, said.get("problem", "")) if state in ("failed", "lost") else "",
+            "problem": said.get("problem", "") if state in ("failed", "lost") else "",
+            "hint": said.get("hint", "") if state in ("failed", "lost") else "",
+            "facts": said.get("facts", []) if state in ("failed", "lost") else [],
+            "log": os.path.relpath(log, self.work) if log else "",
+            "picture": result.get("picture", ""),
+            "pages": result.get("pages", []),
+        }
+
+    def silent(self, row: str) -> float:
+        """Seconds since a report last changed. Our clock alone: machines may differ about the time."""
+        return time.monotonic() - self.changed[row][1]
+
+    def left(self, one: Planned, report: dict[str, Any], state: str) -> float | None:
+        """Seconds until a row is done, once it runs; None where that is not known, 0 where nothing is left."""
+        if state not in (*OPEN, "todo"):
+            return 0.0
+        finished = {*report.get("finished", ()), report.get("stage", "")}
+        rest = self.history.expected(one.row.pipeline, [stage for stage in one.todo if stage not in finished])
+        if state != "running" or rest is None:
+            return rest
+        now = report.get("left")
+        if now is None:
+            now = self.history.expected(one.row.pipeline, [report["stage"]])
+        return None if now is None else rest + now
+
+
+def kind_of(stage: str, problem: str) -> str:
+    """A failure without what differs from clip to clip: names and numbers."""
+    plain = re.sub(r"\d+(\.\d+)?", "N", NAMES.sub("...", problem))
+    return f"{stage}: {plain}" if stage else plain
+
+
+def totals(rows: Sequence[dict[str, Any]], side_by_side: int) -> dict[str, Any]:
+    """Counts of states and of kinds of failure, machine time, and about how long it will still take: with `side_by_side`
+    clips at a time, or as many as run now."""
+    left = [row["seconds_left"] for row in rows]
+    kinds = Counter(row["kind"] for row in rows if row["kind"])
+    known = [seconds for seconds in left if seconds is not None]
+    together = max(1, side_by_side, sum(row["state"] == "running" for row in rows))
+    return {
+        "states": dict(Counter(row["state"] for row in rows)),
+        "failures": dict(kinds.most_common()),
+        "machine_seconds": round(sum(row["seconds"] or 0.0 for row in rows), 1),
+        "spent_seconds": round(sum(row["spent"] for row in rows), 1),
+        "seconds_left": round(max([sum(known) / together, *known])) if known and len(known) == len(left) else None,
+    }
+
+
+def write(work: Path, name: str, rows: Sequence[dict[str, Any]], total: dict[str, Any], live: bool) -> None:
+    """Write NAME.html and NAME.csv into the work folder, each whole and in one step."""
+    inputs = {"name": name, "rows": rows, "totals": total, "live": live}
+    run_directly("stages.fleet_page", Job(work), None, **inputs)
+    text = io.StringIO()
+    table = csv.DictWriter(text, CSV, extrasaction="ignore", lineterminator="\n")
+    table.writeheader()
+    for row in rows:
+        joined = {column: "; ".join(row[column]) for column in ("effects", "warnings")}
+        table.writerow(row | joined)
+    replace(work / f"{name}.csv", text.getvalue())
+
+
+def replace(path: Path, text: str) -> None:
+    """Write a file whole, in one step."""
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def as_json(rows: Sequence[dict[str, Any]], total: dict[str, Any]) -> str:
+    """The same for programs."""
+    return json.dumps({"totals": total, "rows": list(rows)}, indent=1)

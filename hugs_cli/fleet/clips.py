@@ -1,0 +1,197 @@
+"""The clips of a fleet: from paths, globs, list files and tables, each with a folder of its own for its results."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hugs_cli import plain_yaml
+from hugs_cli.cache.fingerprint import digest
+from hugs_cli.cache.workspace import clip_name, read_json
+from hugs_cli.pipelines import UsageError, unknown
+
+COLUMNS = ("clip", "pipeline", "settings", "masks", "fit", "person")
+TABLES = (".csv", ".yaml", ".yml")
+LISTS = (".txt",)
+LARGEST = 2_000_000  # values of a table
+UNSAFE = re.compile(r"[^A-Za-z0-9_.-]")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One clip with one pipeline: what `hugs run` is asked to do."""
+
+    video: Path
+    work: Path
+    pipeline: str
+    settings: tuple[str, ...] = ()
+    masks: Path | None = None
+    fit: Path | None = None
+    person: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The clip as pages name it."""
+        return clip_name(self.video)
+
+    @property
+    def root(self) -> Path:
+        """The folder of the clip's results."""
+        return self.work / self.name
+
+    @property
+    def id(self) -> str:
+        """What tells this row from all others of its fleet: safe as a file's name."""
+        told = f"{self.name}.{self.pipeline}"
+        return f"{UNSAFE.sub('_', told)[:80]}.{digest([str(self.work), told])[:6]}"
+
+
+def read(given: Iterable[str], pipeline: str, settings: Iterable[str], work: Path) -> list[Row]:
+    """The rows of all clips given, in order, none twice; UsageError where a table or a pattern cannot be understood.
+
+    What a table leaves open is taken from `pipeline`, and its settings are added to `settings`.
+    """
+    rows: dict[Row, None] = {}
+    for text in given:
+        for entry, where in entries(text):
+            rows[row_of(entry, where, pipeline, tuple(settings), work)] = None
+    return told_apart(list(rows))
+
+
+def entries(text: str) -> Iterator[tuple[dict[str, Any], str]]:
+    """The clips that one argument stands for, each with its columns and the place that names it. Paths in a list or table
+    are seen from its folder."""
+    path = Path(text)
+    kind = path.suffix.lower()
+    if not path.exists() and glob.has_magic(text):
+        found = sorted(glob.glob(text, recursive=True))
+        if not found:
+            raise UsageError(f"no clip fits {text}", "check the pattern")
+        yield from (({"clip": Path(one)}, one) for one in found)
+    elif kind in (*TABLES, *LISTS) and not path.is_dir():
+        for number, entry in enumerate(listed(path) if kind in LISTS else tabled(path), 1):
+            where = f"{path}, clip {number}"
+            yield beside(entry, path.parent, where), where
+    else:
+        yield {"clip": path}, text
+
+
+def listed(path: Path) -> list[dict[str, Any]]:
+    """A clip a line; empty lines and those that begin with # are left out."""
+    lines = (line.strip() for line in text_of(path).splitlines())
+    return [{"clip": line} for line in lines if line and not line.startswith("#")]
+
+
+def tabled(path: Path) -> list[dict[str, Any]]:
+    """The rows of a table: columns by name."""
+    text = text_of(path)
+    if path.suffix.lower() == ".csv":
+        try:
+            return [{str(k): v for k, v in row.items()} for row in csv.DictReader(io.StringIO(text), strict=True)]
+        except csv.Error as error:
+            raise UsageError(f"{path} is not valid CSV", "mend what is named above", [str(error)]) from error
+    try:
+        content = plain_yaml.read(text, LARGEST)
+    except (yaml.YAMLError, ValueError) as error:
+        raise UsageError(f"{path} is not valid YAML", "mend what is named above", str(error).splitlines()) from error
+    if not isinstance(content, list) or not all(isinstance(entry, dict) for entry in content):
+        raise UsageError(f"{path} holds no list of clips", "write each as `- {clip: dance.mp4, pipeline: draft}`")
+    return content
+
+
+def text_of(path: Path) -> str:
+    """The text of a list or table; UsageError if it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise UsageError(f"cannot read {path}", "check the path; it must be text in UTF-8", [str(error)]) from error
+
+
+def beside(entry: dict[str, Any], folder: Path, where: str) -> dict[str, Any]:
+    """The columns of a clip, checked: paths seen from the table's folder, settings as a list."""
+    for column in entry:
+        if column not in COLUMNS:
+            raise unknown("column", column, COLUMNS, where)
+    known = {column: value for column, value in entry.items() if value not in (None, "")}
+    settings = known.get("settings", [])
+    settings = settings.split(";") if isinstance(settings, str) else settings
+    if not isinstance(settings, list) or not all(isinstance(one, str) for one in settings):
+        raise UsageError(f"{where}: settings are not understood", "write `train.steps=800; frames.count=40`")
+    known["settings"] = tuple(one.strip() for one in settings if one.strip())
+    for column in ("clip", "pipeline", "masks", "fit", "person"):
+        if isinstance(known.get(column, ""), dict | list):
+            raise UsageError(f"{where}: {column} is not a text", "give each clip one")
+    if "clip" not in known:
+        raise UsageError(f"{where} has no clip", f"columns are {', '.join(COLUMNS)}")
+    return known | {column: folder / str(known[column]) for column in ("clip", "masks", "fit") if column in known}
+
+
+def row_of(entry: dict[str, Any], where: str, pipeline: str, settings: tuple[str, ...], work: Path) -> Row:
+    """One row from its columns; UsageError for a path that names no clip."""
+    person = entry.get("person")
+    row = Row(
+        video=entry["clip"],
+        work=work,
+        pipeline=str(entry.get("pipeline", pipeline)),
+        settings=(*settings, *entry.get("settings", ())),
+        masks=entry.get("masks"),
+        fit=entry.get("fit"),
+        person=None if person is None else str(person),
+    )
+    try:
+        clip_name(row.video)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error.problem}", error.hint) from error
+    return row
+
+
+def told_apart(rows: list[Row]) -> list[Row]:
+    """The rows, those of other clips of the same name with a work folder of their own: `work/from-monday` for
+    monday/dance.mp4.
+
+    A clip keeps the folder that has its results. UsageError for one clip that is to run twice with one pipeline.
+    """
+    owners: dict[Path, str] = {}  # folder of results -> clip
+    places: dict[str, Path] = {}  # clip -> its work folder
+    paths = {os.path.abspath(row.video): row for row in rows}
+    for settled in (True, False):  # those that have results choose first
+        for path, row in paths.items():
+            for work in [] if path in places else work_folders(row.work, Path(path)):
+                root = work / row.name
+                if root not in owners and (recorded(root) == path if settled else recorded(root) in (None, path)):
+                    places[path], owners[root] = work, path
+                    break
+    found = [replace(row, work=places[os.path.abspath(row.video)]) for row in rows]
+    ids: dict[str, Row] = {}
+    for row in found:
+        if ids.setdefault(row.id, row) != row:
+            facts = [f"{' '.join(one.settings) or 'no settings'}, masks {one.masks}, fit {one.fit}, person {one.person}"
+                     for one in (ids[row.id], row)]  # fmt: skip
+            hint = "give each a pipeline of its own in a file, see `--pipelines-file`"
+            raise UsageError(f"{row.video} is there twice with pipeline {row.pipeline}", hint, facts)
+    return found
+
+
+def work_folders(work: Path, video: Path) -> Iterator[Path]:
+    """Where results of a clip may lie: in the work folder, else in one named after the folders that the clip lies in."""
+    yield work
+    parents = [UNSAFE.sub("_", part) for part in video.parent.parts[1:]]
+    for count in range(1, len(parents) + 1):
+        yield work / f"from-{'-'.join(parents[-count:])}"
+    yield work / f"from-{'-'.join([*parents, UNSAFE.sub('_', video.suffix[1:])])}"
+
+
+def recorded(root: Path) -> str | None:
+    """The clip whose results lie in a folder; None if there is none, or it is no longer where it was."""
+    entry = read_json(root / "sources.json").get("video")
+    path = entry.get("path") if isinstance(entry, dict) else None
+    return path if isinstance(path, str) and os.path.exists(path) else None

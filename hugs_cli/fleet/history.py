@@ -1,0 +1,86 @@
+"""What earlier runs in a work folder took: time and memory of each stage, as their runs.jsonl tell."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from statistics import median
+
+CLIPS = 500  # whose runs are read; more tell nothing new
+MARGIN = 1.25  # a clip may need more memory than those before it
+UNMEASURED_MB = 4000  # of a clip whose pipeline never ran here: twice what `default` took (README)
+OWN_MB = 200  # of the process that starts the stages of a clip
+
+
+@dataclass(frozen=True)
+class History:
+    """Medians of time, and the most memory; (pipeline, stage) -> seconds, pipeline -> bytes."""
+
+    seconds: dict[tuple[str, str], float]
+    memory: dict[str, int]
+
+    def expected(self, pipeline: str, stages: Iterable[str]) -> float | None:
+        """Seconds that stages will about take; None if one of them never ran here."""
+        times = [self.seconds.get((pipeline, stage), self.seconds.get(("", stage))) for stage in stages]
+        return None if None in times else sum(time for time in times if time is not None)
+
+    def megabytes(self, pipeline: str) -> int:
+        """Memory to keep free for a clip, in MB of 2**20 bytes."""
+        most = self.memory.get(pipeline, 0)
+        return OWN_MB + round(MARGIN * most / 2**20) if most else UNMEASURED_MB
+
+
+def history(work: Path) -> History:
+    """What the runs of up to CLIPS clips of a work folder tell. A line that cannot be read is left out."""
+    seconds: dict[tuple[str, str], list[float]] = defaultdict(list)
+    memory: dict[str, int] = defaultdict(int)
+    for file in islice(work.glob("*/runs.jsonl"), CLIPS):
+        for run in runs(file):
+            try:
+                pipeline, stage = run["pipeline"], run["stage"]
+                memory[pipeline] = max(memory[pipeline], int(run["peak_memory_bytes"]))
+                if run["result"] == "done":
+                    seconds[pipeline, stage].append(float(run["seconds"]))
+                    seconds["", stage].append(float(run["seconds"]))
+            except (KeyError, TypeError, ValueError):
+                continue
+    return History({key: median(times) for key, times in seconds.items()}, dict(memory))
+
+
+def runs(file: Path) -> list[dict]:
+    """The lines of one runs.jsonl that can be read."""
+    found = []
+    try:
+        lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+    for line in lines:
+        try:
+            run = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(run, dict):
+            found.append(run)
+    return found
+
+
+def free_megabytes() -> int:
+    """Memory that processes may still take here, in MB; 0 where the system does not say."""
+    free = []
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                free.append(int(line.split()[1]) // 1024)
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+        used = int(Path("/sys/fs/cgroup/memory.current").read_text())
+        free += [] if limit == "max" else [(int(limit) - used) // 2**20]
+    except (OSError, ValueError):
+        pass
+    if not free and "SC_PHYS_PAGES" in os.sysconf_names:
+        free = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**21]  # half of all
+    return max(0, min(free, default=0))

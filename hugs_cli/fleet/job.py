@@ -1,0 +1,230 @@
+"""One clip of a fleet, in a process of its own: `python -m hugs_cli.fleet.job RUN_FOLDER ROW STEP TOKEN THREADS`.
+
+The only thing that a fleet places on machines. It takes the clip's lease, runs the stages that are not fresh, and keeps
+`rows/ROW.json` in the run's folder up to date, from which the fleet's page is made. Exit code 0: done.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from hugs_cli.cache import child, engine
+from hugs_cli.cache.engine import RunStopped
+from hugs_cli.cache.freshness import Reason
+from hugs_cli.cache.workspace import Stamp, read_json
+from hugs_cli.console import Console
+from hugs_cli.fleet import lease as leases
+from hugs_cli.fleet.clips import Row
+from hugs_cli.fleet.lease import Lease
+from hugs_cli.fleet.plan import BEFORE, Common, result_of, session_of
+from stages.contract import StageError
+
+PLAN, STOP, ROWS = "plan.json", "stop", "rows"  # in the folder of a fleet's run
+BEAT_EVERY = 1.0  # s
+AGAIN = "memory"  # the one kind of failure that a second try, with more memory, may mend
+OUT_OF_MEMORY = (" was killed by ", "the machine has no memory left")  # in its problem
+
+
+class Report:
+    """What the fleet is told of this job: the content of its row's file. Written whole, by one thread at a time."""
+
+    def __init__(self, path: Path, token: str):
+        self.path = path
+        self.facts: dict[str, Any] = {"token": token, "state": "waiting", "pid": os.getpid(), "beat": 0}
+        self.changed = threading.Lock()
+
+    def say(self, **facts: Any) -> None:
+        """Change what is told, from the next beat on."""
+        with self.changed:
+            self.facts |= facts
+
+    def write(self, **facts: Any) -> None:
+        """Tell it now. A full disk, or one that does not answer, hurts the report, not the result."""
+        with self.changed:
+            self.facts |= facts | {"beat": self.facts["beat"] + 1}
+            part = self.path.with_name(f"{self.path.name}.{os.getpid()}")
+            with suppress(OSError):
+                part.write_text(json.dumps(self.facts))
+                os.replace(part, self.path)
+
+
+class Watch(Console):
+    """Prints as `hugs run` does, and reports."""
+
+    def __init__(self, report: Report):
+        super().__init__(out=sys.stderr)
+        self.report = report
+
+    def waiting(self, holder: str) -> None:
+        """Another process has the clip."""
+        super().waiting(holder)
+        self.report.write(state="waiting", stage=f"for {holder}")
+
+    def started(self, stage: str, reasons: tuple[Reason, ...]) -> None:
+        """A stage begins."""
+        super().started(stage, reasons)
+        self.report.write(state="running", stage=stage, done=0, total=0, left=None)
+
+    def cached(self, stage: str, stamp: Stamp) -> None:
+        """A stage is fresh."""
+        super().cached(stage, stamp)
+        self.report.say(finished=[*self.report.facts.get("finished", []), stage])
+
+    def heard(self, stage: str, event: dict[str, Any]) -> None:
+        """A stage reports something."""
+        super().heard(stage, event)
+        if event.get("event") == "progress":
+            left = self.progress.left(self.clock())
+            self.report.say(done=event["done"], total=event["total"], left=left)
+
+    def ended(self, stage: str, outcome: child.Outcome) -> None:
+        """A stage's process has ended."""
+        super().ended(stage, outcome)
+        facts = self.report.facts
+        spent = round(facts.get("spent", 0.0) + outcome.seconds, 1)
+        finished = [*facts.get("finished", []), *([stage] if outcome.kind == "done" else [])]
+        self.report.write(spent=spent, finished=finished, warnings=facts.get("warnings", 0) + len(outcome.warnings))
+
+
+class Heart(threading.Thread):
+    """Beats once a second: writes the report, touches the lease, and stops the run, as Ctrl-C would, when the fleet asks
+    for it or is gone, or when the lease is lost."""
+
+    def __init__(self, folder: Path, report: Report, owner: dict[str, Any]):
+        super().__init__(daemon=True)
+        self.folder, self.report, self.owner = folder, report, owner
+        self.lease: Lease | None = None
+        self.quiet = threading.Event()
+
+    def run(self) -> None:
+        """The thread."""
+        touched = 0.0
+        while not self.quiet.wait(BEAT_EVERY):
+            self.report.write()
+            lost = False
+            if self.lease and time.monotonic() - touched > leases.TOUCH_EVERY:
+                lost, touched = not self.lease.touch(), time.monotonic()
+            if lost or asked_to_stop(self.folder, self.owner):
+                os.kill(os.getpid(), signal.SIGTERM)
+                return
+
+
+def asked_to_stop(folder: Path, owner: dict[str, Any]) -> bool:
+    """Whether the fleet was stopped, or its process on this machine is gone. `owner` is empty for jobs that may outlive it."""
+    return (folder / STOP).exists() or (bool(owner) and leases.is_alive(owner) is False)
+
+
+def main(folder: Path, row_id: str, step: str, token: str, threads: str) -> int:
+    """The job."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ[name] = threads
+    child.prepare()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    plan = read_json(folder / PLAN)
+    if plan.get("token") != token or row_id not in plan["rows"]:
+        print("this job is of an earlier call of the fleet", file=sys.stderr)
+        return 1
+    os.chdir(plan["folder"])
+    report = Report(folder / ROWS / f"{row_id}.json", token)
+    before = read_json(report.path)
+    if before.get("token") == token and before.get("state") == "failed" and before.get("kind") != AGAIN:
+        return 1  # it would fail again
+    report.facts |= {name: before[name] for name in ("spent",) if before.get("token") == token and name in before}
+    heart = Heart(folder, report, plan["owner"])
+    report.write()
+    if asked_to_stop(folder, plan["owner"]):
+        report.write(state="stopped")
+        return 130
+    heart.start()
+    try:
+        work(row_of(plan["rows"][row_id]), common_of(plan), step, report, heart)
+        return 0
+    except RunStopped:
+        heart.quiet.set()
+        Console().stopped("", False)
+        report.write(state="stopped")
+        return 130
+    except Exception as error:
+        heart.quiet.set()
+        report.write(state="failed", **told(error))
+        return 1
+
+
+def work(row: Row, common: Common, step: str, report: Report, heart: Heart) -> None:
+    """Bring one clip, or the stages of a step, up to date."""
+    watch = Watch(report)
+    session = session_of(row, common)
+    session.check_sources()
+    session.workspace.create()
+    wanted = list(session.pipeline.stages)
+    device = common.device
+    if step == BEFORE:  # where there may be no GPU
+        wanted, device = [name for name in session.pipeline.upstream(["train"]) if name != "train"], "cpu"
+    with leases.lease(session.workspace.root / leases.NAME, watch.waiting) as held:
+        heart.lease = held
+        try:
+            ran = engine.run(session, wanted, frozenset(), device, watch)
+        finally:
+            heart.lease = None
+    heart.quiet.set()
+    if step == BEFORE:
+        report.write(state="before", stage="")
+        return
+    stamps = {one.stage: one.stamp for one in ran}
+    report.write(
+        state="done", stage="", finished=list(stamps), result=result_of(stamps, {one.stage: one.folder for one in ran})
+    )
+
+
+def told(error: Exception) -> dict[str, Any]:
+    """How a row's file tells of a failure, and the words for the log."""
+    if isinstance(error, OSError) and not isinstance(error, StageError):
+        error = child.file_error(error) or error
+    if not isinstance(error, StageError):
+        import traceback
+
+        traceback.print_exc()
+        problem = f"hugs has a bug: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+        return {"kind": "bug", "problem": problem, "hint": "please report it with the log", "facts": []}
+    Console().error(error)
+    kind = AGAIN if any(words in error.problem for words in OUT_OF_MEMORY) else "error"
+    return {"kind": kind, "problem": error.problem, "hint": error.hint, "facts": list(error.facts)}
+
+
+def row_of(facts: dict[str, Any]) -> Row:
+    """A row as the plan keeps it."""
+    paths = {name: Path(facts[name]) if facts[name] else None for name in ("masks", "fit")}
+    settings = tuple(facts["settings"])
+    return Row(
+        Path(facts["video"]),
+        Path(facts["work"]),
+        facts["pipeline"],
+        settings,
+        paths["masks"],
+        paths["fit"],
+        facts["person"],
+    )
+
+
+def common_of(plan: dict[str, Any]) -> Common:
+    """What all rows share, as the plan keeps it."""
+    body = plan["body_model"]
+    return Common(Path(plan["work"]), Path(plan["pipelines_file"]), Path(body) if body else None, plan["device"])
+
+
+def stop(signum: int, frame: Any) -> None:
+    """Ctrl-C or SIGTERM while no stage runs."""
+    raise RunStopped("", False)
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), *sys.argv[2:]))

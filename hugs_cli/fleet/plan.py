@@ -1,0 +1,197 @@
+"""What a fleet has to do: which rows are fresh, which stages are left, how long and how much memory they will take.
+
+All in this process: the cache's own verdicts, with the code and each pipeline read once for all clips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from hugs_cli import options, pipelines
+from hugs_cli.cache.fingerprint import Code
+from hugs_cli.cache.freshness import Session
+from hugs_cli.cache.workspace import Stamp, Workspace, decisions, read_json
+from hugs_cli.fleet.clips import Row
+from hugs_cli.fleet.history import History
+from hugs_cli.within import is_time
+from stages.contract import StageError
+
+BEFORE, AFTER, WHOLE = "before", "train", "clip"
+"""Steps of a clip: the stages before training, those from training on; or all."""
+PAGES = ("report/report.html", "export/viewer.html")
+"""Of a result, stage and file: what a fleet's page links to."""
+
+
+class FrozenCode(Code):
+    """The code of stages as it is now: each stage is looked at once, and nothing is written before the end."""
+
+    def __init__(self, memory: Path | None = None):
+        super().__init__(memory)
+        self.found: dict[str, dict[str, str]] = {}
+
+    def digests(self, module: str) -> dict[str, str]:
+        """As `Code.digests`, remembered."""
+        if module not in self.found:
+            self.found[module] = super().digests(module)
+        return self.found[module]
+
+    def save(self) -> None:
+        """Write nothing yet."""
+
+    def save_now(self) -> None:
+        """Write new digests to the memory."""
+        super().save()
+
+
+@dataclass
+class Planned:
+    """One row of the plan: fresh, todo, or failed where it cannot even begin."""
+
+    row: Row
+    state: str
+    stages: list[str] = field(default_factory=list)
+    """All of its pipeline."""
+    todo: list[str] = field(default_factory=list)
+    seconds: float | None = None
+    """That the stages to do will about take; None where they never ran here."""
+    megabytes: int = 0
+    result: dict[str, Any] = field(default_factory=dict)
+    """Of a fresh row, see `result_of`."""
+    problem: str = ""
+    hint: str = ""
+    facts: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Common:
+    """What all rows of a fleet share."""
+
+    work: Path
+    pipelines_file: Path = pipelines.FILE
+    body_model: Path | None = None
+    device: str = "cpu"
+
+
+def session_of(row: Row, common: Common) -> Session:
+    """The session of one row, as `hugs run` opens it."""
+    return options.open_session(
+        row.video,
+        row.pipeline,
+        list(row.settings),
+        row.masks,
+        row.person,
+        smpl_fit=row.fit,
+        body_model=common.body_model,
+        work=row.work,
+        pipelines_file=common.pipelines_file,
+    )
+
+
+def opener(common: Common) -> Callable[[Row], Session]:
+    """`session_of` for many rows: reads each pipeline, and the code, once."""
+    code = FrozenCode(common.work / options.CODE_MEMORY)
+    known: dict[tuple[Any, ...], Session] = {}
+
+    def open_(row: Row) -> Session:
+        if is_time(row.pipeline.rpartition(".")[2]):  # each clip has chosen its own settings for `--within`
+            return replace(session_of(row, common), code=code)
+        same = (row.pipeline, row.settings, row.person)
+        if same not in known:
+            known[same] = replace(session_of(row, common), code=code)
+        sources = known[same].sources | {"video": row.video, "mask_files": row.masks, "smpl_fit": row.fit}
+        return replace(known[same], sources=sources, workspace=Workspace(row.video, row.work, row.pipeline))
+
+    return open_
+
+
+def plan(rows: list[Row], common: Common, history: History, split: bool) -> list[Planned]:
+    """A verdict on each row. One that cannot begin, such as a clip that is not there, is failed and hurts no other."""
+    open_, found = opener(common), []
+    code: Code | None = None
+    for row in rows:
+        try:
+            session = open_(row)
+            code = session.code
+            found.append(verdict(row, session, history, split))
+        except (StageError, OSError) as error:
+            found.append(refused(row, error))
+    if isinstance(code, FrozenCode) and common.work.is_dir():
+        code.save_now()
+    return found
+
+
+def verdict(row: Row, session: Session, history: History, split: bool) -> Planned:
+    """What is left to do for one row."""
+    stages = list(session.pipeline.stages)
+    if split:
+        session.pipeline.upstream(["train"])  # refuses a pipeline without it
+    session.check_sources()
+    planned = Planned(row, "todo", stages, stages, megabytes=history.megabytes(row.pipeline))
+    if session.workspace.store.is_dir():  # else nothing was ever made, and the clip need not be read
+        verdicts = session.verdicts(stages)
+        planned.todo = [name for name, one in verdicts.items() if not one.fresh]
+        if not planned.todo:
+            stamps = {name: one.made for name, one in verdicts.items()}
+            folders = {name: one.folder for name, one in verdicts.items() if one.folder}
+            planned.state, planned.result = "fresh", result_of(stamps, folders)
+    planned.seconds = history.expected(row.pipeline, planned.todo)
+    return planned
+
+
+def refused(row: Row, error: Exception) -> Planned:
+    """The row of a clip that cannot begin."""
+    if isinstance(error, StageError):
+        return Planned(row, "failed", problem=error.problem, hint=error.hint, facts=list(error.facts))
+    return Planned(row, "failed", problem=f"cannot read it: {error}", hint="put it back, and call the fleet again")
+
+
+def result_of(stamps: Mapping[str, Stamp], folders: Mapping[str, Path]) -> dict[str, Any]:
+    """What a page shows of a finished row: seconds of all stages, PSNR, effects called for, warnings, pictures."""
+    heldout = read_json(folders["evaluate"] / "metrics.json").get("heldout") if "evaluate" in folders else {}
+    scores = heldout if isinstance(heldout, dict) else {}
+    called = decisions(folders["survey"], "survey") if "survey" in folders else {}
+    return {
+        "seconds": round(sum(stamp.seconds for stamp in stamps.values()), 1),
+        "peak_memory_bytes": max((stamp.peak_memory_bytes for stamp in stamps.values()), default=0),
+        "psnr": psnr(scores, "full"),
+        "psnr_person": psnr(scores, "person_crop"),
+        "effects": [name for name, on in called.items() if on and name != "scene"],
+        "warnings": [f"{name}: {text}" for name, stamp in stamps.items() for text in stamp.warnings],
+        "picture": picture_of(stamps, folders),
+        "pages": [page for page in PAGES if (folders.get(Path(page).parts[0], Path()) / Path(page).name).is_file()],
+    }
+
+
+def psnr(scores: Mapping[str, Any], region: str) -> float | None:
+    """PSNR on held-out frames; None where it was not measured."""
+    values = scores.get(region)
+    value = values.get("psnr") if isinstance(values, dict) else None
+    return round(value, 2) if isinstance(value, float) else None
+
+
+def picture_of(stamps: Mapping[str, Stamp], folders: Mapping[str, Path]) -> str:
+    """A picture of the result, as `evaluate-526d165d/heldout/000019.png` in the store: a held-out frame beside ours, else
+    a frame of the clip; '' for none."""
+    for stage, room in (("evaluate", "heldout/"), ("frames", "images/")):
+        files = sorted(name for name in stamps[stage].files if name.startswith(room)) if stage in stamps else []
+        if files:
+            return f"{folders[stage].name}/{files[len(files) // 2]}"
+    return ""
+
+
+def as_json(planned: Planned) -> dict[str, Any]:
+    """The row of a plan as plain values."""
+    row = {name: str(value) if isinstance(value, Path) else value for name, value in asdict(planned.row).items()}
+    return {
+        "clip": planned.row.name,
+        **row,
+        "state": planned.state,
+        "todo": planned.todo,
+        "seconds": planned.seconds,
+        "megabytes": planned.megabytes,
+        "problem": planned.problem,
+        "hint": planned.hint,
+    }

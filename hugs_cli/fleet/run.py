@@ -1,0 +1,190 @@
+"""A fleet from its plan to its page."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hugs_cli.cache.engine import RunStopped
+from hugs_cli.cache.workspace import write_json
+from hugs_cli.console import QUIET_EVERY, Console
+from hugs_cli.fleet import board, lease
+from hugs_cli.fleet.board import OPEN, Board
+from hugs_cli.fleet.history import History
+from hugs_cli.fleet.job import PLAN, ROWS, STOP
+from hugs_cli.fleet.plan import Common, Planned
+from hugs_cli.fleet.runner import Loop, Order, Runner, Snakemake
+from hugs_cli.pipelines import UsageError
+from hugs_cli.words import duration
+from stages.contract import StageError
+
+LOOK_EVERY, PAGE_EVERY = 0.2, 2.0  # s
+PAGE_SHARE = 20  # a page is written again after at least so many times what writing it took
+STOPPING = 90.0  # s until jobs that were asked to stop are ended
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """One call of `hugs fleet`: its plan and how it is run."""
+
+    name: str
+    common: Common
+    planned: list[Planned]
+    history: History
+    split: bool
+    jobs: int
+    profile: str | None
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: its plan, reports, logs, and the markers of Snakemake."""
+        return (self.common.work / ".fleet" / self.name).absolute()
+
+    def run(self, console: Console) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+        """Do what is left; returns the rows and totals. Raises RunStopped, with the page written, if it is stopped."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with lease.lease(self.folder / lease.NAME, self.refuse) as held:
+            token = held.me["token"]
+            todo = [one for one in self.planned if one.state == "todo"]
+            show = Board(self.folder, self.common.work, token, self.planned, self.history)
+            press = Press(self, show, console)
+            if todo:
+                press.print()
+                self.lay_out(held.me, token, todo)
+                order = Order(self.folder, token, todo, self.split, self.jobs, self.profile)
+                self.drive(self.runner(order, show), press, held)
+            return press.print(over=True)
+
+    def refuse(self, holder: str) -> None:
+        """UsageError where another fleet of this name is at work; nothing where its process is gone."""
+        if lease.lives(self.folder / lease.NAME):
+            hint = "wait until it is done, or give this one a `--name` of its own: they share the work"
+            raise UsageError(f"a fleet {self.name} is at work in this folder: {holder}", hint)
+
+    def lay_out(self, me: dict[str, Any], token: str, todo: list[Planned]) -> None:
+        """Write what jobs read, and take away what the last call of this fleet left."""
+        for room in (ROWS, "logs"):
+            (self.folder / room).mkdir(exist_ok=True)
+        old = [*self.folder.glob("*.done"), *self.folder.glob("*.before"), self.folder / STOP]
+        for file in [*old, *self.folder.glob(f"{ROWS}/*"), *self.folder.glob("logs/*")]:
+            file.unlink(missing_ok=True)
+        common = self.common
+        write_json(
+            self.folder / PLAN,
+            {
+                "token": token,
+                "owner": {} if self.profile else me,
+                "folder": os.getcwd(),
+                "work": str(common.work),
+                "pipelines_file": str(common.pipelines_file),
+                "body_model": str(common.body_model) if common.body_model else None,
+                "device": common.device,
+                "rows": {one.row.id: plain(one) for one in todo},
+            },
+        )
+
+    def runner(self, order: Order, show: Board) -> Runner:
+        """What places the jobs."""
+        return Snakemake(order) if self.profile or self.jobs > 1 else Loop(order, show.kind)
+
+    def drive(self, jobs: Runner, press: Press, held: lease.Lease) -> None:
+        """Wait until all jobs have ended, and keep the page up to date; on Ctrl-C let them stop."""
+        try:
+            try:
+                self.wait(jobs, press, held)
+            except RunStopped:
+                press.console.say("stopping: stages that can go on later write what they need (Ctrl-C again: at once)")
+                jobs.stop()
+                self.wait(jobs, press, held, STOPPING)
+                raise
+        except BaseException:
+            jobs.kill()
+            press.print(over=True)
+            raise
+        if isinstance(jobs, Snakemake) and not press.begun():
+            hint = "mend the profile, or try one machine: leave out `--profile`"
+            raise StageError("Snakemake placed no job", hint, jobs.complaint())
+
+    @staticmethod
+    def wait(jobs: Runner, press: Press, held: lease.Lease, longest: float = float("inf")) -> None:
+        """Until no job is left, or for so many seconds."""
+        end, touched = time.monotonic() + longest, 0.0
+        while jobs.going() and time.monotonic() < end:
+            if time.monotonic() - touched > lease.TOUCH_EVERY:
+                held.touch()
+                touched = time.monotonic()
+            press.print_if_due()
+            time.sleep(LOOK_EVERY)
+
+
+class Press:
+    """Prints the page while the fleet runs, and a line now and then."""
+
+    def __init__(self, fleet: Fleet, show: Board, console: Console):
+        self.fleet, self.show, self.console = fleet, show, console
+        self.due = 0.0
+        self.said: dict[str, str] = {}
+        self.last_line = time.monotonic()
+
+    def print(self, over: bool = False) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+        """Write page and table; returns the rows and totals."""
+        began = time.monotonic()
+        self.show.look()
+        rows = self.show.rows(over)
+        total = board.totals(rows, self.fleet.jobs)
+        try:
+            board.write(self.fleet.common.work, self.fleet.name, rows, total, live=not over)
+        except OSError as error:  # a full disk: the clips go on, and the page comes when there is room
+            self.console.say(f"the page cannot be written: {error.strerror}")
+        now = time.monotonic()
+        self.due = now + max(PAGE_EVERY, PAGE_SHARE * (now - began))
+        self.speak(rows, total)
+        return rows, total
+
+    def print_if_due(self) -> None:
+        """Write the page if it is time."""
+        if time.monotonic() > self.due:
+            self.print()
+
+    def begun(self) -> bool:
+        """Whether any job reported anything."""
+        self.show.look()
+        return bool(self.show.reports)
+
+    def speak(self, rows: list[dict[str, Any]], total: dict[str, Any]) -> None:
+        """A line for each clip that has ended, and one now and then for all."""
+        for one, row in zip(self.show.planned, rows, strict=True):
+            before, state = self.said.get(one.row.id, one.state), row["state"]
+            self.said[one.row.id] = state
+            if state != before and state not in (*OPEN, "todo"):
+                self.last_line = time.monotonic()
+                text = row["problem"] or (duration(row["seconds"]) if row["seconds"] else "")
+                self.console.say(f"  {state:<9}{row['folder']}  {row['pipeline']}  {text}".rstrip())
+        if time.monotonic() - self.last_line > QUIET_EVERY:
+            self.last_line = time.monotonic()
+            self.console.say(f"  {counts(total)}")
+
+
+def plain(one: Planned) -> dict[str, Any]:
+    """A row as jobs read it."""
+    row = one.row
+    return {
+        "video": str(row.video),
+        "work": str(row.work),
+        "pipeline": row.pipeline,
+        "settings": list(row.settings),
+        "masks": str(row.masks) if row.masks else None,
+        "fit": str(row.fit) if row.fit else None,
+        "person": row.person,
+    }
+
+
+def counts(total: dict[str, Any]) -> str:
+    """'3 done, 1 running, 8 to do; about 12m left'."""
+    words = {"todo": "to do"}
+    states = ", ".join(f"{number} {words.get(state, state)}" for state, number in total["states"].items())
+    left = total["seconds_left"]
+    return states + (f"; about {duration(left)} left" if left else "")

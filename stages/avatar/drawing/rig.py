@@ -1,0 +1,37 @@
+"""A trained avatar for engines that skin with four bones: in the T-pose, as arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stages import records
+from stages.avatar.body.skinning import WORDS, heaviest
+from stages.avatar.drawing.avatar import load_avatar
+from stages.avatar.splats.factor import factored
+from stages.avatar.splats.gaussians import Splats
+
+
+def rig_of(avatar: records.Avatar) -> records.Rig:
+    """The avatar in the T-pose, in which the transforms of all bones are the identity: not the canonical da-pose.
+
+    Where weights mix, skinning from the T-pose is what the avatar was trained with, and from any other pose it is not.
+    """
+    at_rest = load_avatar(avatar).resting
+    resting = factored(
+        Splats(at_rest.means, at_rest.axes, at_rest.opacities, at_rest.sh, at_rest.rotations, avatar.antialias)
+    )
+    all_weights = np.asarray(avatar.lbs_weights, np.float64)
+    bones, weights, kept = heaviest(all_weights)
+    bones8, words8, _ = heaviest(all_weights, 8, WORDS)
+    return records.Rig(
+        **vars(resting),
+        joints=np.asarray(avatar.joints, np.float32),
+        parents=np.asarray(avatar.parents, np.int32),
+        bones=bones,
+        weights=weights,
+        kept=kept,
+        bones8=bones8,
+        words8=words8,
+        betas=np.asarray(avatar.betas, np.float32),
+        clothes=avatar.clothes,
+    )

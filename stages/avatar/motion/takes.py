@@ -1,0 +1,50 @@
+"""Motions as engines play them: joint rotations over time, for the clip's own poses and for made motions."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stages import records
+from stages.avatar.motion.formulas import MOTIONS, upright
+from stages.avatar.motion.placing import Soles
+
+SECONDS, FPS = 4.0, 30.0  # of a made motion
+
+
+def clip_take(body: records.BodyPoses, times: np.ndarray, soles: Soles) -> records.Take | None:
+    """What the person did in the clip; `times` [F] s are those of the poses in `body`. None where nobody was seen.
+
+    Frames without evidence are left out, and so are those not later than one before them (other cameras of a moment).
+    Up is the mean up of the bodies; the median of the frames' lowest soles stands where the T-pose's lowest does.
+    """
+    seen = np.flatnonzero(body.confidence > 0)
+    seen = seen[np.argsort(times[seen], kind="stable")]
+    rows = seen[np.diff(times[seen], prepend=-np.inf) > 0]
+    if len(rows) == 0:
+        return None
+    stand = upright(body.global_orient[rows], body.global_orient[rows[0]])
+    turned = (Rotation.from_matrix(stand.T) * Rotation.from_rotvec(body.global_orient[rows])).as_rotvec()
+    moved = body.transl[rows] @ stand
+    points, joints = soles.at(turned, body.body_pose[rows], moved)
+    away = joints[0, 0] - soles.joints[0]
+    away[1] = np.median(points[..., 1].min(1)) - soles.floor
+    pelvis = joints[:, 0] - away
+    return _take("clip", times[rows] - times[rows[0]], turned, body.body_pose[rows], pelvis)
+
+
+def made_takes(pelvis: np.ndarray) -> list[records.Take]:
+    """The motions made by formula, for a body whose pelvis [3] m at rest is given."""
+    takes = []
+    for name, make in MOTIONS.items():
+        turns, poses, places = (part.numpy().astype(np.float64) for part in make(SECONDS, FPS))
+        takes.append(_take(name, np.arange(len(turns)) / FPS, turns, poses, pelvis + places))
+    return takes
+
+
+def _take(name: str, times: np.ndarray, orient: np.ndarray, pose: np.ndarray, pelvis: np.ndarray) -> records.Take:
+    rotvecs = np.concatenate([orient, pose], 1).reshape(-1, 3)
+    quats = Rotation.from_rotvec(rotvecs).as_quat(scalar_first=True).reshape(len(times), -1, 4)
+    near = np.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)  # q and -q are one turn; players interpolate
+    quats[1:] *= np.cumprod(near, axis=0)[..., None]
+    return records.Take(name, times, quats, pelvis)

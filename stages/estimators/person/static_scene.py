@@ -1,0 +1,205 @@
+"""What the static scene explains is not the person: masks seen again once cameras and points are known.
+
+Each frame is compared with the same piece of the scene in other frames, where the person does not hide it: warped over the
+depth of the sparse points, brought on the pixel by optical flow, and looked up within a pixel. Where they agree there is
+background, where nothing agrees there is somebody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import KDTree
+
+from stages.records import Cameras
+
+GAPS = (3, 7, 14, 28)  # frames before and after that a frame is compared with
+REACH = 0.05  # of the person's height, around the mask, in which pixels may change sides
+RING = 0.20  # of the person's height, beyond, where the flow of the scene is measured
+CELL = 6  # px; of the points in a cell the nearest counts
+BLUR = 0.7  # px, of the difference of colours
+NEAREST = 5  # points that a pixel's depth is the mean of, by their distance
+FLOW_BLUR = 9.0, 30.0  # px, over which the scene's flow is carried on behind the person: the nearer where it is known
+OUTSIDE = -1e4  # px: a place in no picture, for what lies behind the other camera
+FLOW_MOST = 10.0  # px that the points' depth may be off
+WORTH = 0.05  # share of the pixels in question that another frame must show
+DIFFERENT = 5.0  # times the difference that background shows, from which on a pixel is rather the person
+USUAL_LEAST = 4.0  # of that difference, summed over the three colours of 0..255
+SLOPE = 3.0  # log-odds for each factor of e
+DETAIL = 0.6  # power of the scene's detail, by which a pixel may differ more: flow is never quite right
+HALF, EDGE, SURE = 0.25, 2, 0.8  # of the difference within 2 px inside, where the mask is sure: an edge lies half-way
+MOST = 3.0  # log-odds
+DOUBT = 0.02  # of a mask's 0 and 255
+ADD = np.ones((1, 3), np.float32)
+GUIDE_RADIUS, GUIDE_EPS = 2, 2e-4 * 255**2
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of a frame around its mask: rows and columns, the pixels in question, and for each pixel its ray [h,w,3] and
+    the scene's inverse depth [h,w] per SfM unit."""
+
+    rows: slice
+    columns: slice
+    asked: np.ndarray
+    rays: np.ndarray
+    depth: np.ndarray
+
+
+def corrected(
+    masks: Sequence[np.ndarray], images: Sequence[np.ndarray], cameras: Cameras, points: np.ndarray
+) -> Iterator[np.ndarray]:
+    """The masks uint8 [H,W] of all frames, 255 = person, their edges moved to where the static scene ends.
+
+    `images` uint8 [H,W,3]; `points` [P,3] of the scene, SfM units; without any the camera may only turn.
+    """
+    hidden = [cv2.dilate(mask, disk(2)) for mask in masks]
+    for frame, mask in enumerate(masks):
+        window = _window(mask, frame, cameras, points)
+        yield mask if window is None else _compared(frame, mask, window, hidden, images, cameras)
+
+
+def _window(mask: np.ndarray, frame: int, cameras: Cameras, points: np.ndarray) -> Window | None:
+    """None for an empty mask."""
+    rows, columns = np.nonzero(mask > 127)
+    if len(rows) == 0:
+        return None
+    tall = np.ptp(rows) + 1
+    asked = cv2.dilate(mask, disk(max(REACH * tall, 3))) > 20
+    rows, columns = np.nonzero(asked)
+    ring = round(max(RING * tall, 20))
+    height, width = mask.shape
+    y = slice(max(rows.min() - ring, 0), min(rows.max() + ring, height))
+    x = slice(max(columns.min() - ring, 0), min(columns.max() + ring, width))
+    K = cameras.Ks[frame]
+    v, u = np.mgrid[y, x].astype(np.float32)
+    rays = np.stack([(u + 0.5 - K[0, 2]) / K[0, 0], (v + 0.5 - K[1, 2]) / K[1, 1], np.ones_like(u)], -1)
+    depth = inverse_depth(points, cameras.viewmats[frame], K, width, height)[y, x]
+    return Window(y, x, asked[y, x], rays.astype(np.float32), depth)
+
+
+def disk(radius: float) -> np.ndarray:
+    """A structuring element of this radius in px."""
+    side = 2 * round(radius) + 1
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+
+
+def inverse_depth(points: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Inverse depth [H,W] of the scene between its `points` [P,3]; zero, infinitely far, without points in view."""
+    camera = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    camera = camera[camera[:, 2] > 1e-3]
+    pixels = (camera @ K.T)[:, :2] / camera[:, 2:]
+    margin = np.array([width, height]) / 10
+    there = ((pixels > -margin) & (pixels < [width, height] + margin)).all(1)
+    pixels, z = pixels[there], camera[there, 2]
+    cells = np.floor(pixels / CELL).astype(int)
+    order = np.lexsort((z, cells[:, 0], cells[:, 1]))
+    _, first = np.unique(cells[order], axis=0, return_index=True)
+    pixels, z = pixels[order][first], z[order][first]
+    if len(z) < NEAREST:
+        return np.zeros((height, width), np.float32)
+    grid = np.stack(np.meshgrid(np.arange(2, width, 4), np.arange(2, height, 4)), -1) + 0.5
+    away, rows = KDTree(pixels).query(grid, NEAREST)
+    weight = 1 / (away + 1) ** 2
+    found = ((weight / z[rows]).sum(-1) / weight.sum(-1)).astype(np.float32)
+    return cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _compared(
+    frame: int,
+    mask: np.ndarray,
+    window: Window,
+    hidden: Sequence[np.ndarray],
+    images: Sequence[np.ndarray],
+    cameras: Cameras,
+) -> np.ndarray:
+    """The mask of a frame, compared with others, of which their own person hides what `hidden` [H,W] marks."""
+    image = np.ascontiguousarray(images[frame][window.rows, window.columns])
+    least = np.full(image.shape[:2], np.inf, np.float32)
+    for other in sorted({frame + sign * gap for gap in GAPS for sign in (-1, 1)} & set(range(len(images)))):
+        u, v = _lookup(window, frame, other, cameras)
+        scene = cv2.remap(images[other], u, v, cv2.INTER_LINEAR)
+        shown = cv2.remap(hidden[other], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255) < 60
+        if (shown & window.asked).sum() >= WORTH * window.asked.sum():
+            gap = _difference(image, scene, shown & ~window.asked)
+            least = np.where(shown, np.minimum(least, gap), least)
+    return _decided(mask, image, window, least)
+
+
+def _lookup(window: Window, frame: int, other: int, cameras: Cameras) -> tuple[np.ndarray, np.ndarray]:
+    """Where the window's pixels lie in another frame, by the scene's depth: columns and rows [h,w]."""
+    here, there, K = cameras.viewmats[frame], cameras.viewmats[other], cameras.Ks[other]
+    turn = there[:3, :3] @ here[:3, :3].T
+    shift = there[:3, 3] - turn @ here[:3, 3]
+    rays = window.rays @ turn.T.astype(np.float32) + window.depth[..., None] * shift.astype(np.float32)
+    ahead = rays[..., 2] > 0.01
+    z = np.where(ahead, rays[..., 2], 1)
+    u, v = (np.where(ahead, rays[..., i] / z * K[i, i] + K[i, 2] - 0.5, OUTSIDE) for i in (0, 1))
+    return u.astype(np.float32), v.astype(np.float32)
+
+
+def _difference(image: np.ndarray, scene: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """How far the colours of the image are from those of the warped scene, each pixel's best place within one pixel [h,w].
+
+    `known` [h,w] is where both show the scene: there the flow is measured, and carried on from there behind the person.
+    """
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    here, there = (cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (image, scene))
+    flow = search.calc(here, there, np.zeros((*here.shape, 2), np.float32))
+    known = known & (abs(flow).max(-1) < FLOW_MOST)
+    weight = known.astype(np.float32)
+    near, far = (_carried(flow, weight, sigma) for sigma in FLOW_BLUR)
+    share = (near[1] / 0.05).clip(0, 1)[..., None]
+    flow = np.where(known[..., None], flow, near[0] * share + far[0] * (1 - share)).astype(np.float32)
+    v, u = np.mgrid[: len(image), : image.shape[1]].astype(np.float32)
+    least = np.full(known.shape, np.inf, np.float32)
+    for right in (-1, 0, 1):
+        for down in (-1, 0, 1):
+            moved = cv2.remap(
+                scene, u + flow[..., 0] + right, v + flow[..., 1] + down, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
+            )
+            apart = cv2.transform(cv2.absdiff(moved, image).astype(np.float32), ADD)
+            least = np.minimum(least, cv2.GaussianBlur(apart, (0, 0), BLUR))
+            if right == down == 0:
+                detail = cv2.blur(_detail(moved), (5, 5))
+    usual = max(float(np.median(detail[known])), 1.0) if known.any() else 1.0
+    return least / np.maximum(detail / usual, 1) ** DETAIL
+
+
+def _carried(flow: np.ndarray, weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+    """The flow averaged where it is known, and how much is known around; computed at a quarter of the size."""
+    size = weight.shape[::-1]
+    weighted = np.dstack([flow * weight[..., None], weight])
+    small = cv2.resize(weighted, (max(size[0] // 4, 1), max(size[1] // 4, 1)), interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / 4), size, interpolation=cv2.INTER_LINEAR)
+    return mean[..., :2] / np.maximum(mean[..., 2:], 1e-4), mean[..., 2]
+
+
+def _detail(image: np.ndarray) -> np.ndarray:
+    """How much the colours of neighbouring pixels differ [h,w]: what flow that is a little off shows as a difference."""
+    brush = np.ones((3, 3), np.uint8)
+    spread = cv2.subtract(cv2.dilate(image, brush), cv2.erode(image, brush))
+    return cv2.transform(spread.astype(np.float32), ADD)
+
+
+def _decided(mask: np.ndarray, image: np.ndarray, window: Window, gap: np.ndarray) -> np.ndarray:
+    """The mask with the evidence of `gap` [h,w], infinite where nothing is known."""
+    known = np.isfinite(gap)
+    usual = gap[known & ~window.asked]
+    if len(usual) == 0:
+        return mask
+    before = mask[window.rows, window.columns] / np.float32(255)
+    least = max(float(np.median(usual)), USUAL_LEAST)
+    inside = cv2.dilate(np.where(known & (before > SURE), gap, 0).astype(np.float32), disk(EDGE))
+    limit = np.maximum(DIFFERENT * least, HALF * inside)
+    ratio = np.where(known, np.maximum(gap, 1e-3) / limit, 1)
+    evidence = (SLOPE * np.log(ratio)).clip(-MOST, MOST)
+    odds = np.log((before + DOUBT) / (1 + DOUBT - before)) + evidence
+    person = np.where(window.asked, 1 / (1 + np.exp(-odds)), before).astype(np.float32)
+    person = cv2.ximgproc.guidedFilter(image, person, GUIDE_RADIUS, GUIDE_EPS).clip(0, 1)
+    result = mask.copy()
+    result[window.rows, window.columns] = np.rint(255 * person)
+    return result

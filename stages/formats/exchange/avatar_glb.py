@@ -1,0 +1,221 @@
+"""avatar.glb: the avatar as glTF, to be posed by any program that skins.
+
+It holds the body's mesh, the skeleton, motions, and the Gaussians as points on the same skeleton with the extension
+KHR_gaussian_splatting (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos). Programs that know no
+Gaussians show points: their colour has the opacity for its alpha, and `_SCALE` is kept by Blender for geometry nodes. One
+such name only: the importer of Blender 5.0 mixes several up, in an order that changes from start to start.
+y is up, metres, the T-pose; the inverse bind matrices are plain steps, see `records.Rig`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.formats.exchange.bone_names import Names, bone_names
+from stages.formats.exchange.glb import HINT, Arrays, Glb, write_glb
+from stages.records import BETAS, JOINTS, Avatar, Mesh, Rig, Take
+
+SPLATS = "KHR_gaussian_splatting"
+FORMAT = 1  # of what stands under "hugs" in the file
+SH_C0 = 0.28209479
+VERTICES, TRIANGLES = 34962, 34963  # glTF's targets of buffer views
+POINTS = 0  # glTF's mode
+
+
+def write_avatar_glb(path: Path, rig: Rig, mesh: Mesh, takes: Sequence[Take], names: Names = "smpl") -> None:
+    """Write the avatar; the same avatar makes the same bytes."""
+    arrays = Arrays()
+    first = 2  # the nodes before the joints: mesh and Gaussians
+    content: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "hugs"},
+        "extensionsUsed": [SPLATS],
+        "extras": {"hugs": {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}},
+        "scene": 0,
+        "scenes": [{"name": "avatar", "nodes": [0, 1, first]}],
+        "nodes": [
+            {"name": "body", "mesh": 0, "skin": 0},
+            {"name": "gaussians", "mesh": 1, "skin": 0},
+            *_joints(rig, bone_names(names), first),
+        ],
+        "skins": [
+            {
+                "inverseBindMatrices": arrays.add(_inverse_binds(rig.joints)),
+                "skeleton": first,
+                "joints": list(range(first, first + JOINTS)),
+            }
+        ],
+        "materials": [{"name": "skin", "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}],
+        "meshes": [
+            {"name": "body", "primitives": [_surface(mesh, arrays)]},
+            {"name": "gaussians", "primitives": [_gaussians(rig, arrays)]},
+        ],
+    }
+    if takes:  # glTF knows no empty lists
+        content["animations"] = [_animation(take, arrays, first) for take in takes]
+    write_glb(path, content, arrays)
+
+
+def _joints(rig: Rig, names: Sequence[str], first: int) -> list[dict[str, Any]]:
+    """A node a joint, at rest: its step from its parent."""
+    nodes: list[dict[str, Any]] = []
+    for joint, (name, parent) in enumerate(zip(names, rig.parents.tolist(), strict=True)):
+        step = rig.joints[joint] - (rig.joints[parent] if parent >= 0 else 0)
+        nodes.append({"name": name, "translation": step.astype(float).tolist()})
+        children = [first + int(child) for child in np.flatnonzero(rig.parents == joint)]
+        nodes[-1] |= {"children": children} if children else {}
+    return nodes
+
+
+def _inverse_binds(joints: np.ndarray) -> np.ndarray:
+    """Rows [24,16] of the matrices, column by column."""
+    matrices = np.tile(np.eye(4, dtype=np.float32), (len(joints), 1, 1))
+    matrices[:, 3, :3] = -joints
+    return matrices.reshape(-1, 16)
+
+
+def _surface(mesh: Mesh, arrays: Arrays) -> dict[str, Any]:
+    narrow = np.uint16 if len(mesh.vertices) < 1 << 16 else np.uint32
+    attributes = {
+        "POSITION": arrays.add(mesh.vertices.astype(np.float32), bounds=True, target=VERTICES),
+        "NORMAL": arrays.add(mesh.normals.astype(np.float32), target=VERTICES),
+        "COLOR_0": arrays.add(_linear(mesh.colors, np.ones(len(mesh.colors))), scaled=True, target=VERTICES),
+        "JOINTS_0": arrays.add(mesh.bones, target=VERTICES),
+        "WEIGHTS_0": arrays.add(mesh.weights, scaled=True, target=VERTICES),
+    }
+    indices = arrays.add(mesh.faces.reshape(-1).astype(narrow), target=TRIANGLES)
+    return {"attributes": attributes, "indices": indices, "material": 0}
+
+
+def _gaussians(rig: Rig, arrays: Arrays) -> dict[str, Any]:
+    def add(values: np.ndarray) -> int:
+        return arrays.add(values.astype(np.float32), target=VERTICES)
+
+    shown = np.clip(0.5 + SH_C0 * rig.sh0, 0, 1)
+    attributes = {
+        "POSITION": arrays.add(rig.means.astype(np.float32), bounds=True, target=VERTICES),
+        "COLOR_0": arrays.add(_linear(shown, rig.opacities), scaled=True, target=VERTICES),
+        **_weights(rig, arrays),
+        f"{SPLATS}:ROTATION": add(rig.quats[:, [1, 2, 3, 0]]),
+        f"{SPLATS}:SCALE": add(rig.scales),
+        f"{SPLATS}:OPACITY": add(rig.opacities),
+        f"{SPLATS}:SH_DEGREE_0_COEF_0": add(rig.sh0),
+    }
+    for degree in range(1, 4):
+        for i, row in enumerate(range(degree**2 - 1, (degree + 1) ** 2 - 1)):
+            if row < rig.shN.shape[1]:
+                attributes[f"{SPLATS}:SH_DEGREE_{degree}_COEF_{i}"] = add(rig.shN[:, row])
+    attributes["_SCALE"] = attributes[f"{SPLATS}:SCALE"]
+    kind = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+    return {"mode": POINTS, "attributes": attributes, "extensions": {SPLATS: kind}}
+
+
+def _weights(rig: Rig, arrays: Arrays) -> dict[str, int]:
+    """Eight bones a Gaussian, in two sets: most programs skin with both, some with the first, whose four weigh most."""
+    found = {}
+    for i, four in enumerate((slice(0, 4), slice(4, 8))):
+        found[f"JOINTS_{i}"] = arrays.add(rig.bones8[:, four], target=VERTICES)
+        found[f"WEIGHTS_{i}"] = arrays.add(rig.words8[:, four], scaled=True, target=VERTICES)
+    return found
+
+
+def _linear(colors: np.ndarray, alphas: np.ndarray) -> np.ndarray:
+    """Colours [N,3] of a display, and alphas [N], as glTF's, linear: uint16 [N,4]."""
+    linear = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+    return np.rint(np.concatenate([linear, alphas[:, None]], 1) * 65535).astype(np.uint16)
+
+
+def _animation(take: Take, arrays: Arrays, first: int) -> dict[str, Any]:
+    times = arrays.add(take.times.astype(np.float32), bounds=True)
+    samplers = [{"input": times, "output": arrays.add(take.pelvis.astype(np.float32))}]
+    channels = [{"sampler": 0, "target": {"node": first, "path": "translation"}}]
+    for joint in range(JOINTS):
+        turns = take.rotations[:, joint, [1, 2, 3, 0]].astype(np.float32)
+        channels.append({"sampler": len(samplers), "target": {"node": first + joint, "path": "rotation"}})
+        samplers.append({"input": times, "output": arrays.add(turns)})
+    return {"name": take.name, "samplers": samplers, "channels": channels}
+
+
+def read_avatar_glb(path: Path) -> Avatar:
+    """The avatar in a .glb that `write_avatar_glb` wrote: in the T-pose, with eight bones a Gaussian and without clothes.
+
+    StageError for any other GLB, and for values that cannot be.
+    """
+    glb = Glb(path)
+    try:
+        marks = glb.content["extras"]["hugs"]
+        known = marks["format"] == FORMAT
+    except (KeyError, TypeError, IndexError) as error:
+        raise StageError(f"{path} is no avatar of hugs", HINT, ["it has no extras.hugs"]) from error
+    if not known:
+        facts = [f"its format is {marks['format']!r}, this hugs knows {FORMAT}"]
+        raise StageError(f"{path} was made by another version of hugs", "update hugs", facts)
+    try:
+        return _checked(_avatar(glb, marks), path)
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError) as error:
+        raise StageError(f"{path} is damaged", HINT, [f"{type(error).__name__}: {error}"]) from error
+
+
+def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
+    primitives = [one for mesh in glb.content["meshes"] for one in mesh["primitives"]]
+    marked = [one for one in primitives if SPLATS in one.get("extensions", {})]
+    attributes = marked[0]["attributes"]
+
+    def column(name: str, columns: int, kind: str = "<f4") -> np.ndarray:
+        return glb.array(attributes[name], kind, columns)
+
+    means = column("POSITION", 3)
+    n = len(means)
+    weights = np.zeros((n, JOINTS), np.float32)
+    for part in range(2):
+        bones, words = column(f"JOINTS_{part}", 4, "u1"), column(f"WEIGHTS_{part}", 4, "<u2")
+        for i in range(4):
+            weights[np.arange(n), bones[:, i]] += words[:, i] / np.float32(65535)
+    higher = [f"{SPLATS}:SH_DEGREE_{d}_COEF_{i}" for d in (1, 2, 3) for i in range(2 * d + 1)]
+    rest = [column(name, 3) for name in higher if name in attributes]
+    skin = glb.content["skins"][0]
+    binds = glb.array(skin["inverseBindMatrices"], "<f4", 16)
+    joints, parents = -binds[:, 12:15], np.full(JOINTS, -1, np.int32)
+    places = {node: joint for joint, node in enumerate(skin["joints"])}
+    for joint, node in enumerate(skin["joints"]):
+        for child in glb.content["nodes"][node].get("children", ()):
+            parents[places[child]] = joint
+    return Avatar(
+        means=means,
+        quats=column(f"{SPLATS}:ROTATION", 4)[:, [3, 0, 1, 2]],
+        scales=column(f"{SPLATS}:SCALE", 3),
+        opacities=column(f"{SPLATS}:OPACITY", 1)[:, 0],
+        sh0=column(f"{SPLATS}:SH_DEGREE_0_COEF_0", 3),
+        shN=np.stack(rest, 1) if rest else np.zeros((n, 0, 3), np.float32),
+        lbs_weights=weights,
+        joints=joints,
+        parents=parents,
+        betas=np.asarray(marks["betas"], np.float32),
+        canonical_pose=np.zeros(3 * (JOINTS - 1), np.float32),
+        antialias=bool(marks["antialias"]),
+    )
+
+
+def _checked(avatar: Avatar, path: Path) -> Avatar:
+    """The avatar, if it can be one; StageError or ValueError names what cannot be."""
+    n, facts = len(avatar), []
+    tables = ("quats", "scales", "opacities", "sh0", "shN", "lbs_weights")
+    facts += [f"{name}: {len(getattr(avatar, name))} rows of {n}" for name in tables if len(getattr(avatar, name)) != n]
+    for name in ("means", *tables, "joints", "betas"):
+        if not np.isfinite(getattr(avatar, name)).all():
+            facts.append(f"{name} has values that are not finite")
+    if avatar.joints.shape != (JOINTS, 3) or avatar.betas.shape != (BETAS,):
+        facts.append(f"{len(avatar.joints)} joints and {avatar.betas.size} betas, not {JOINTS} and {BETAS}")
+    if avatar.parents[0] != -1 or not all(0 <= parent < i for i, parent in enumerate(avatar.parents) if i):
+        facts.append("its joints are not a tree with each parent before its child")
+    if not (avatar.scales > 0).all() or not ((avatar.opacities >= 0) & (avatar.opacities <= 1)).all():
+        facts.append("a scale is not positive, or an opacity not in 0..1")
+    if n and (np.abs(avatar.lbs_weights.sum(1) - 1).max() > 1e-3 or not avatar.quats.any(1).all()):
+        facts.append("weights do not add up to 1, or a quaternion is zero")
+    if facts:
+        raise StageError(f"{path} is damaged", HINT, facts)
+    return avatar

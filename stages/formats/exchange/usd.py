@@ -1,0 +1,85 @@
+"""USD: Gaussians as ParticleField3DGaussianSplat (OpenUSD 26.03 and newer), still or with a sample a frame.
+
+https://openusd.org. It needs the package usd-core, the extra `usd`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.contract import StageError
+from stages.records import Scene
+
+
+def check_usd() -> None:
+    """StageError where usd-core is missing or older than Gaussians."""
+    try:
+        found = hasattr(importlib.import_module("pxr.UsdVol"), "ParticleField3DGaussianSplat")
+    except ImportError as error:
+        raise StageError("writing USD needs usd-core", "pip install 'hugs-avatar[usd]'", [str(error)]) from error
+    if not found:
+        raise StageError("this usd-core knows no Gaussians", "pip install 'usd-core>=26.3'")
+
+
+def write_usd(path: Path, name: str, frames: Iterable[Scene], fps: float | None = None) -> None:
+    """Write Gaussians, y up, metres, as /World/`name`; with `fps` one sample a frame, else the first alone.
+
+    The frames of one file have the same Gaussians: opacities and colours are the first one's. Moving places, turns and
+    scales are half floats. Colours are what was captured: lights do not change them.
+    """
+    Gf, Sdf, Usd, UsdGeom, UsdVol, Vt = (
+        importlib.import_module(f"pxr.{part}") for part in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdVol", "Vt")
+    )
+    path.unlink(missing_ok=True)  # a stage of that name in memory is not written over
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    world = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(world.GetPrim())
+    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, Sdf.Path(f"/World/{name}"))
+    count = 0
+    for number, splats in enumerate(frames):
+        time = Usd.TimeCode.Default() if fps is None else Usd.TimeCode(number)
+        _place(field, splats, time, Gf, Vt, half=fps is not None)
+        if number == 0:
+            field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(_f32(splats.opacities)))
+            sh = np.concatenate([splats.sh0[:, None], splats.shN], 1)
+            field.CreateRadianceSphericalHarmonicsDegreeAttr(round(sh.shape[1] ** 0.5) - 1)
+            coefficients = Vt.Vec3fArray.FromNumpy(_f32(sh.reshape(-1, 3)))
+            field.CreateRadianceSphericalHarmonicsCoefficientsAttr(coefficients)
+        count = number + 1
+        if fps is None:
+            break
+    if fps is not None:
+        stage.SetTimeCodesPerSecond(fps)
+        stage.SetStartTimeCode(0)
+        stage.SetEndTimeCode(max(count - 1, 0))
+    stage.GetRootLayer().Save()
+
+
+def _place(field: Any, splats: Scene, time: Any, Gf: Any, Vt: Any, half: bool) -> None:
+    """Where the Gaussians are, how turned and how large, at one time."""
+    means, scales = _f32(splats.means), _f32(splats.scales)
+    turns = _f32(splats.quats[:, [1, 2, 3, 0]])  # x y z w
+    if half:
+        field.CreatePositionshAttr().Set(Vt.Vec3hArray.FromNumpy(means.astype(np.float16)), time)
+        field.CreateOrientationshAttr().Set(Vt.QuathArray.FromNumpy(turns.astype(np.float16)), time)
+        field.CreateScaleshAttr().Set(Vt.Vec3hArray.FromNumpy(scales.astype(np.float16)), time)
+    else:
+        field.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(means), time)
+        field.CreateOrientationsAttr().Set(Vt.QuatfArray.FromNumpy(turns), time)
+        field.CreateScalesAttr().Set(Vt.Vec3fArray.FromNumpy(scales), time)
+    reach = 3 * scales.max(1, keepdims=True) if len(scales) else scales
+    low, high = ((means + sign * reach) for sign in (-1, 1))
+    if len(means):
+        extent = [Gf.Vec3f(*map(float, low.min(0))), Gf.Vec3f(*map(float, high.max(0)))]
+        field.CreateExtentAttr().Set(Vt.Vec3fArray(extent), time)
+
+
+def _f32(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32)

@@ -1,0 +1,182 @@
+"""viewer.html: the person, their scene and their motions in one file that a browser opens without a network."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from stages.formats.images import shrink
+from stages.formats.viewer.libraries import licences, packed
+from stages.formats.viewer.packing import Packer
+from stages.records import Cameras, Effects, Move, Rig, Scene
+
+ROOM = Path(__file__).parent / "page"
+TEMPLATE, STYLE, BOOT, ICONS = "viewer.html", "viewer.css", "boot.js", "icons.json"
+MODULES = (
+    "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "floor.js", "headset.js", "main.js",
+    "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "shadow.js", "skeleton.js", "skin.js",
+    "splats.js", "stage.js", "turns.js",
+)  # fmt: skip
+"""They import each other as hugs/NAME."""
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src data: blob:; worker-src blob: data:"
+)
+"""What the browser lets the page load: only what is in it."""
+TEN_BITS = 1023  # of a skinning weight; the page divides by their sum
+LARGEST_SCENE = 400_000  # Gaussians: what phones still draw
+PICTURES, SIDE, QUALITY, BYTES = 60, 480, 80, 900_000  # frames shown, px of their longer side, of JPEG, of all of them
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """All that the page shows. The world is that of the clip, in metres.
+
+    `weights` [N,24] skin the Gaussians of `rig`, rows sum to 1. `cameras` in metres, one a frame of the clip, and its
+    frames `images(i)` uint8 [H,W,3]; `absent` are frames that show nobody. The first of `moves` is the clip's own, a pose a
+    frame. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person stood. `soles`: points [P,3]
+    m of the body at rest, and their weights [P,24]. `facts` are names and values in words.
+    """
+
+    title: str
+    subtitle: str
+    facts: Sequence[tuple[str, str]]
+    rig: Rig
+    weights: np.ndarray
+    scene: Scene | None
+    effects: Effects
+    cameras: Cameras
+    images: Callable[[int], np.ndarray]
+    absent: Sequence[int]
+    moves: Sequence[Move]
+    turn: np.ndarray
+    spot: np.ndarray
+    soles: tuple[np.ndarray, np.ndarray]
+    made_by: str
+
+
+def write_viewer(path: Path, shown: Exhibit) -> list[str]:
+    """Write the page; returns what it lacks, in sentences. The same content gives the same bytes."""
+    scene, lacks = shown.scene, _lacks(shown)
+    if scene is not None and len(scene) > LARGEST_SCENE:
+        lacks.append(f"{len(scene) - LARGEST_SCENE:,} of {len(scene):,} Gaussians of the scene, the least seen.")
+        scene = _largest(scene, LARGEST_SCENE)
+    packer = _pack(shown, scene)
+    modules = {f"hugs/{Path(name).stem}": _text(name) for name in MODULES}
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page = environment.from_string(_text(TEMPLATE)).render(
+        title=shown.title, subtitle=shown.subtitle, facts=shown.facts, lacks=lacks, made_by=shown.made_by, policy=POLICY,
+        style=Markup(_text(STYLE)), boot=Markup(_text(BOOT)), licences=licences(),
+        icon={name: Markup(drawn) for name, drawn in json.loads(_text(ICONS)).items()},
+        facts_json=_json(_facts(shown, scene, packer)), modules_json=_json(modules), libraries_json=_json(packed()),
+        data=base64.b64encode(packer.data).decode(),
+    )  # fmt: skip
+    path.write_text(page, encoding="utf-8")
+    return lacks
+
+
+def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
+    packer, rig = Packer(), shown.rig
+    packer.gaussians("person", rig, 16)
+    packer.whole("person/weights", np.rint(np.asarray(shown.weights, np.float64) * TEN_BITS), 16)
+    packer.exact("person/joints", rig.joints)
+    if rig.clothes is not None:
+        for name in ("nodes", "mean", "axes", "low", "high", "offsets"):
+            packer.exact(f"person/{name}", getattr(rig.clothes, name))
+    if scene is not None:
+        packer.gaussians("scene", scene, 24)
+    if shown.effects.middles is not None and shown.effects.covariances is not None:
+        packer.exact("shadow/middles", shown.effects.middles)
+        packer.exact("shadow/covariances", shown.effects.covariances)
+    for i, move in enumerate(shown.moves):
+        packer.exact(f"motion{i}/rotvecs", move.rotvecs)
+        packer.exact(f"motion{i}/steps", move.steps)
+    Ks = shown.cameras.Ks
+    packer.exact("clip/views", shown.cameras.viewmats)
+    packer.exact("clip/lenses", np.stack([Ks[:, 0, 0], Ks[:, 1, 1], Ks[:, 0, 2], Ks[:, 1, 2]], 1))
+    for name, values in zip(("points", "weights"), shown.soles, strict=True):
+        packer.exact(f"soles/{name}", values)
+    return packer
+
+
+def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any]:
+    """What the modules need beside arrays."""
+    effects, cameras = shown.effects, shown.cameras
+    world = np.eye(4)
+    world[:3, :3], world[:3, 3] = shown.turn.T, -shown.turn.T @ shown.spot
+    shadow = None
+    if effects.light is not None:
+        names = ("darkness", "softness", "density", "size")
+        shadow = {name: getattr(effects, name) for name in names} | {"light": np.asarray(effects.light).tolist()}
+    return {
+        "title": shown.title,
+        "arrays": packer.table,
+        "parents": np.asarray(shown.rig.parents).tolist(),
+        "antialias": shown.rig.antialias or (scene is not None and scene.antialias),
+        "world": world.ravel().tolist(),
+        "stand": {"turn": shown.turn.ravel().tolist(), "spot": shown.spot.tolist()},
+        "shadow": shadow,
+        "motions": [{"name": move.name, "fps": move.fps} for move in shown.moves],
+        "clip": {
+            "names": cameras.names,
+            "size": [cameras.width, cameras.height],
+            "middle": len(cameras) // 2,
+            "absent": list(shown.absent),
+            "pictures": _pictures(shown),
+        },
+    }
+
+
+def _pictures(shown: Exhibit) -> list[tuple[int, str]]:
+    """Frames spread over the clip, (frame, data: URL) each: at most PICTURES and about BYTES."""
+    count = min(PICTURES, len(shown.cameras))
+    chosen = np.unique(np.linspace(0, len(shown.cameras) - 1, count).round().astype(int)).tolist()
+    jpegs = [(i, _jpeg(shrink(shown.images(i), SIDE))) for i in chosen]
+    while len(jpegs) > 1 and sum(len(data) for _, data in jpegs) > BYTES:
+        jpegs = jpegs[::2]
+    return [(i, f"data:image/jpeg;base64,{base64.b64encode(data).decode()}") for i, data in jpegs]
+
+
+def _jpeg(pixels: np.ndarray) -> bytes:
+    done, data = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not done:
+        raise ValueError(f"no JPEG of a picture of shape {pixels.shape}")
+    return data.tobytes()
+
+
+def _lacks(shown: Exhibit) -> list[str]:
+    """What was learned and the page does not show."""
+    found = {
+        "Colour of the person that changes with the view.": np.any(shown.rig.shN),
+        "Colour of the scene that changes with the view.": shown.scene is not None and np.any(shown.scene.shN),
+        "The person's shadow: there is no scene to fall on.": shown.effects.light is not None and shown.scene is None,
+        "Motion blur and rolling shutter of the clip's camera.": shown.effects.shutter or shown.effects.readout,
+    }
+    return [sentence for sentence, true in found.items() if true]
+
+
+def _largest(scene: Scene, count: int) -> Scene:
+    """The Gaussians that cover most: opacity times the area of their two longer axes. Their order stays."""
+    longest = np.sort(scene.scales, axis=1)[:, 1:]
+    kept = np.sort(np.argsort(-scene.opacities * longest.prod(1), kind="stable")[:count])
+    names = ("means", "quats", "scales", "opacities", "sh0", "shN")
+    rows: dict[str, Any] = {name: getattr(scene, name)[kept] for name in names}
+    return replace(scene, **rows)
+
+
+def _json(value: object) -> Markup:
+    """JSON that no HTML parser takes for the end of a script."""
+    return Markup(json.dumps(value, separators=(",", ":"), ensure_ascii=True).replace("<", "\\u003c"))
+
+
+def _text(name: str) -> str:
+    return (ROOM / name).read_text(encoding="utf-8").rstrip("\n")

@@ -1,0 +1,25 @@
+// The clip: the camera of each frame, and pictures of some.
+
+export class Clip {
+  /** `views` [16 a frame] camera from world, OpenCV's axes; `lenses` [4 a frame] fx, fy, cx, cy in px of `size`. */
+  constructor({ names, size, pictures, absent }, { views, lenses }) {
+    Object.assign(this, { names, size, pictures, views, lenses }); // pictures: [frame, data: URL] each
+    this.absent = new Set(absent); // frames that show nobody
+  }
+
+  /** The camera of a frame, as the stage takes it. */
+  lens(frame) {
+    const [fx, fy, cx, cy] = this.lenses.subarray(4 * frame, 4 * frame + 4), [width, height] = this.size;
+    return { view: Array.from(this.views.subarray(16 * frame, 16 * frame + 16)), fx, fy, cx, cy, width, height };
+  }
+
+  /** The latest frame with a picture up to a frame, or the first. */
+  pictured(frame) {
+    return this.pictures.findLast(([at]) => at <= frame) ?? this.pictures[0];
+  }
+
+  /** The frame with a picture that is nearest. */
+  nearest(frame) {
+    return this.pictures.reduce((best, [at]) => (Math.abs(at - frame) < Math.abs(best - frame) ? at : best), Infinity);
+  }
+}

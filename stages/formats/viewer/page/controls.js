@@ -1,0 +1,141 @@
+// Buttons, keys, dropped files: each changes the player, and the player's changes are shown on them.
+import { PARTS } from "hugs/skeleton";
+import { offerHeadset } from "hugs/headset";
+
+const SPEEDS = [0.25, 0.5, 1, 2];
+
+export function connect(player, read, facts) {
+  const $ = (id) => document.getElementById(id);
+  const press = (id, act) => $(id).addEventListener("click", act);
+  const list = (id, rows) => $(id).replaceChildren(...rows.map(([value, text]) => new Option(text, value)));
+  const say = (text) => {
+    $("message").textContent = text;
+    document.body.classList.toggle("told", Boolean(text));
+    clearTimeout(say.later);
+    if (text) say.later = setTimeout(() => say(""), 8000);
+  };
+  const names = () => list("motion", [...player.motions.map(({ name }, i) => [i, name]), ["open", "Open a BVH…"]]);
+  const go = (frames) => player.set({ playing: false, position: Math.round(player.position) + frames });
+
+  async function bring(file) {
+    if (!file) return;
+    say(`Reading ${file.name}…`);
+    try {
+      const motion = await read(file);
+      player.motions.push(motion);
+      names();
+      player.set({ motion, playing: true });
+      say("");
+    } catch (error) {
+      say(error.message);
+    }
+  }
+
+  names();
+  list("speed", SPEEDS.map((speed) => [speed, `${speed}×`]));
+  list("joint", PARTS.map((name, i) => [i, name.replaceAll("_", " ")]));
+  $("speed").value = 1;
+  $("joint").value = 18;
+  press("play", () => player.set({ playing: !player.playing }));
+  $("time").addEventListener("input", () => player.set({ playing: false, position: Number($("time").value) }));
+  $("motion").addEventListener("change", () => {
+    if ($("motion").value === "open") return $("file").click();
+    player.set({ motion: player.motions[$("motion").value] });
+  });
+  $("file").addEventListener("change", () => bring($("file").files[0]));
+  $("speed").addEventListener("change", () => player.set({ speed: Number($("speed").value) }));
+  for (const show of ["person", "both", "scene"]) press(show, () => player.set({ show }));
+  const look = () => {
+    if (player.view === "clip") return player.home(Math.floor(player.position));
+    player.set({ view: "clip", motion: player.motions[0], position: player.motion === player.motions[0] ? player.position : 0 });
+  };
+  press("clip", look);
+  press("shade", () => player.set({ shaded: !player.shaded }));
+  press("home", () => player.home(facts.clip.middle));
+  press("still", () => save(player, facts));
+  const whole = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
+  press("full", whole);
+  press("about", () => $("facts-of").showModal());
+  const toggle = () => { $("joints").hidden = !$("joints").hidden; };
+  press("bend", toggle);
+  const axes = ["x", "y", "z"].map((axis) => $(`turn-${axis}`));
+  axes.forEach((slider) => slider.addEventListener("input", () => {
+    player.bend(Number($("joint").value), axes.map(({ value }) => Number(value)));
+  }));
+  $("joint").addEventListener("change", () => player.changed());
+  press("unbend", () => {
+    player.bends.clear();
+    player.set({});
+  });
+  player.stage.controls.addEventListener("start", () => {
+    if (player.stage.lens) player.orbit();
+  });
+
+  const keys = {
+    " ": () => player.set({ playing: !player.playing }), ArrowLeft: () => go(-1), ArrowRight: () => go(1),
+    1: () => player.set({ show: "person" }), 2: () => $("both").click(), 3: () => $("scene").click(),
+    c: look, s: () => $("shade").click(), j: toggle, r: () => $("home").click(), p: () => save(player, facts), f: whole,
+    "?": () => $("about").click(),
+  };
+  addEventListener("keydown", (event) => {
+    if (event.target.matches("select, input, dialog *") && event.key !== " " || event.ctrlKey || event.metaKey || event.altKey) return;
+    const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!act || (event.key === " " && event.target.matches("button, select"))) return;
+    event.preventDefault();
+    act();
+  });
+  addEventListener("dragover", (event) => {
+    event.preventDefault();
+    document.body.classList.add("over");
+  });
+  addEventListener("dragleave", () => document.body.classList.remove("over"));
+  addEventListener("drop", (event) => {
+    event.preventDefault();
+    document.body.classList.remove("over");
+    bring(event.dataTransfer.files[0]);
+  });
+
+  for (const id of ["both", "scene"]) $(id).disabled = !player.scene;
+  $("shade").hidden = !player.shadow;
+  $("clip").disabled = !facts.clip.pictures.length;
+  $("full").hidden = !document.fullscreenEnabled;
+  offerHeadset(player, $("headset"), say);
+
+  document.body.style.setProperty("--shape", facts.clip.size[0] / facts.clip.size[1]);
+  player.changed = () => {
+    const { motion, position } = player, at = Math.floor(position);
+    $("time").max = motion.count - 1;
+    $("time").value = position;
+    $("time").style.setProperty("--at", motion.count > 1 ? position / (motion.count - 1) : 0);
+    $("clock").textContent = `${(position / motion.fps).toFixed(1)} / ${motion.seconds.toFixed(1)} s`;
+    $("motion").value = player.motions.indexOf(motion);
+    document.body.classList.toggle("playing", player.playing);
+    $("play").setAttribute("aria-label", player.playing ? "Pause" : "Play");
+    for (const show of ["person", "both", "scene"]) $(show).setAttribute("aria-pressed", player.show === show);
+    $("clip").setAttribute("aria-pressed", player.view === "clip");
+    $("shade").disabled = player.show !== "both";
+    $("shade").setAttribute("aria-pressed", player.shaded);
+    $("bend").setAttribute("aria-pressed", player.bends.size > 0);
+    const angles = player.bends.get(Number($("joint").value)) ?? [0, 0, 0];
+    axes.forEach((slider, i) => {
+      slider.value = angles[i];
+      slider.nextElementSibling.textContent = `${angles[i]}°`;
+    });
+    document.body.classList.toggle("paired", player.view === "clip");
+    if (player.view !== "clip") return;
+    const [frame, picture] = player.clip.pictured(at);
+    if ($("picture").dataset.frame !== String(frame)) {
+      $("picture").dataset.frame = frame;
+      $("picture").src = picture;
+    }
+    $("caption").textContent = `the clip, frame ${player.clip.names[frame]}`;
+    $("ours").textContent = `ours, frame ${player.clip.names[at]}`;
+  };
+}
+
+async function save(player, facts) {
+  const link = document.createElement("a");
+  link.href = await player.stage.still();
+  link.download = `${facts.title}-${player.motion.name}-${Math.round(player.position)}.png`.replace(/[^\w.-]+/g, "_");
+  link.click();
+}

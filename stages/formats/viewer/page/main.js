@@ -1,0 +1,53 @@
+// Puts the parts together and lends `window.hugs` to the console and to tests.
+import { unpack } from "hugs/arrays";
+import { Clip } from "hugs/clip";
+import { connect } from "hugs/controls";
+import { performed, readMotion } from "hugs/dropped";
+import { Motion } from "hugs/motion";
+import { Person } from "hugs/person";
+import { Player } from "hugs/player";
+import { Shadow } from "hugs/shadow";
+import { Splats } from "hugs/splats";
+import { Stage } from "hugs/stage";
+
+export async function start(facts, buffer) {
+  const groups = {};
+  for (const [name, values] of Object.entries(unpack(buffer, facts.arrays))) {
+    const [group, part] = name.split("/");
+    (groups[group] ??= {})[part] = values;
+  }
+  let player = null;
+  const stage = new Stage(document.getElementById("canvas"), facts, () => player.step());
+  const person = new Person(groups.person, facts.parents);
+  const scene = groups.scene ? new Splats(groups.scene) : null;
+  stage.world.add(person.mesh);
+  if (scene) stage.world.add(scene.mesh);
+  const shadow = facts.shadow && scene ? new Shadow(facts.shadow, groups.shadow) : null;
+  const motions = facts.motions.map(({ name, fps }, i) => new Motion(name, fps, groups[`motion${i}`].rotvecs, groups[`motion${i}`].steps));
+  player = new Player(stage, person, scene, shadow, new Clip(facts.clip, groups.clip), motions);
+  const body = { joints: person.joints, parents: person.parents, soles: groups.soles };
+  const read = (file) => readMotion(file, body, facts.stand);
+  connect(player, read, facts);
+  window.hugs = { player, facts, show: (wanted) => show(player, wanted), perform: (text) => performed(text, body) };
+  player.position = facts.clip.middle;
+  player.home(facts.clip.middle);
+  await stage.shown;
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches || location.hash === "#still";
+  if (!still) player.set({ playing: true });
+}
+
+/** Draw one exact frame: resolves to a PNG (data: URL) once it is sorted and painted.
+ *
+ * motion: name or number; frame: of the motion; camera: number of a frame of the clip, or {view, fx, fy, cx, cy, width,
+ * height}; only: person, scene or both; background: 0xrrggbb; size: [width, height] px, the camera's own if none. */
+async function show(player, { motion = 0, frame = 0, camera = 0, only = "both", background, size, shadow }) {
+  const { stage } = player, lens = typeof camera === "number" ? player.clip.lens(camera) : camera;
+  const chosen = typeof motion === "number" ? player.motions[motion] : player.motions.find(({ name }) => name === motion);
+  if (!chosen) throw new Error(`no motion ${motion}`);
+  player.set({ playing: false, view: "orbit", motion: chosen, position: frame, show: only, given: lens, plain: true });
+  if (shadow !== undefined) player.set({ shaded: shadow });
+  if (background !== undefined) stage.background = background;
+  stage.size = size ?? [lens.width, lens.height];
+  await stage.idle();
+  return stage.still();
+}

@@ -1,0 +1,93 @@
+// What is shown: which motion, at what time, through which camera. All else follows from it.
+import { Vector3 } from "three";
+import { matrixOfQuat, matrixOfRotvec, mul, quatOfMatrix } from "hugs/turns";
+
+export class Player {
+  constructor(stage, person, scene, shadow, clip, motions) {
+    Object.assign(this, { stage, person, scene, shadow, clip, motions });
+    this.motion = motions[0];
+    this.position = 0; // in frames of the motion
+    this.playing = false;
+    this.speed = 1;
+    this.show = scene ? "both" : "person";
+    this.view = "orbit"; // or "clip": through the camera of each frame
+    this.given = null; // or a camera to look through
+    this.plain = false; // or nothing but the Gaussians
+    this.shaded = shadow !== null;
+    this.bends = new Map(); // joint -> angles about x, y, z in degrees, on top of the motion
+    this.changed = () => {};
+    this.posed = "";
+    this.last = null;
+  }
+
+  /** Change what is shown, and draw it. */
+  set(values) {
+    Object.assign(this, values);
+    if ("motion" in values && !("position" in values)) this.position = 0;
+    if (this.motion !== this.motions[0]) this.view = "orbit";
+    this.position = Math.max(0, Math.min(this.motion.count - 1, this.position));
+    if (this.view === "clip" && !this.playing) this.position = this.clip.nearest(this.position); // pairs that belong together
+    this.last = null;
+    this.stage.wake();
+    this.changed();
+  }
+
+  bend(joint, angles) {
+    if (angles.some(Boolean)) this.bends.set(joint, angles);
+    else this.bends.delete(joint);
+    this.set({});
+  }
+
+  /** Called by the stage before each frame: go on in time, take the pose, choose the camera. */
+  step() {
+    const now = performance.now();
+    if (this.playing) {
+      const frames = this.last === null ? 0 : Math.min(0.25, (now - this.last) / 1000) * this.speed * this.motion.fps;
+      this.position = (this.position + frames) % this.motion.count;
+      this.last = now;
+      this.changed();
+      this.stage.dirty = true;
+    }
+    const { stage, person, scene } = this, absent = this.motion === this.motions[0] && this.clip.absent.has(Math.floor(this.position));
+    const seen = this.show !== "scene" && !absent;
+    person.mesh.visible = seen;
+    if (scene) scene.mesh.visible = this.show !== "person";
+    stage.floor.visible = this.show === "person" && this.view === "orbit" && !this.plain;
+    stage.lens = this.view === "clip" ? this.clip.lens(Math.floor(this.position)) : this.given;
+    const at = this.view === "clip" ? Math.floor(this.position) : this.position;
+    const wanted = JSON.stringify([this.motions.indexOf(this.motion), at, seen, this.show, this.shaded, [...this.bends]]);
+    if (wanted === this.posed) return;
+    this.posed = wanted;
+    const bones = person.take(this.bent(this.motion.at(at)));
+    if (scene && this.shadow && this.show !== "person") this.shadow.cast(scene, this.shaded && seen ? bones : null);
+  }
+
+  bent(pose) {
+    if (!this.bends.size) return pose;
+    const quats = [...pose.quats];
+    for (const [joint, angles] of this.bends) {
+      const [x, y, z] = angles.map((angle, axis) => {
+        const turn = [0, 0, 0];
+        turn[axis] = angle * Math.PI / 180;
+        return matrixOfRotvec(turn);
+      });
+      quats[joint] = quatOfMatrix(mul(matrixOfQuat(quats[joint]), mul(z, mul(y, x))));
+    }
+    return { ...pose, quats };
+  }
+
+  /** Orbit about where the person is now, from where the camera stands. */
+  orbit() {
+    Object.assign(this, { view: "orbit", given: null, plain: false });
+    const { step } = this.motion.at(this.position), { joints } = this.person;
+    const middle = new Vector3(joints[0] + step[0], joints[1] + step[1], joints[2] + step[2]);
+    this.changed();
+    this.stage.orbit(middle.applyMatrix4(this.stage.world.matrix), this.person.height);
+  }
+
+  /** Orbit from the clip's camera of a frame. */
+  home(frame) {
+    this.stage.lens = this.clip.lens(frame);
+    this.orbit();
+  }
+}

@@ -1,0 +1,41 @@
+"""The perceptual term of a training: LPIPS on patches of the person, and of the whole picture where the settings ask for it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from stages.avatar.measures.lpips import Lpips
+from stages.training import losses
+from stages.training.settings import Params
+
+SIDE = 128  # px
+
+
+class PatchLoss:
+    """The mean LPIPS of a few patches; without a `network` there is none."""
+
+    def __init__(self, network: Lpips | None, params: Params, generator: torch.Generator):
+        self.network, self.params, self.generator = network, params, generator
+
+    def __call__(
+        self, step: int, rendered: Tensor, image: Tensor, mask: Tensor | None = None, background: Tensor | None = None
+    ) -> Tensor | float:
+        """The term for rendered and image [H,W,3] at a step, 0 where it is not due.
+
+        With a mask[H,W] in 0..1, patches lie around pixels of the person, and the target is the person over
+        `background`[3]. A patch that is too small for the network counts as 0.
+        """
+        network, params = self.network, self.params
+        if network is None or step % params.perceptual_every:
+            return 0.0
+        if mask is None or background is None:
+            target, where = image, image.new_zeros(image.shape[:2])
+        else:
+            target, where = losses.over_background(image, mask, background), mask
+        total = rendered.new_zeros(())
+        for _ in range(params.perceptual_patches):
+            at = losses.random_patch(where, SIDE, self.generator)
+            if min(target[at].shape[:2]) >= network.smallest:
+                total = total + network(rendered[at], target[at])
+        return params.perceptual_weight / params.perceptual_patches * total

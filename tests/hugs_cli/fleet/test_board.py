@@ -1,0 +1,88 @@
+"""The rows of a fleet: from the plan, and from reports that may stop coming."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from hugs_cli.fleet import board
+from hugs_cli.fleet.board import Board, kind_of, totals
+from hugs_cli.fleet.clips import Row
+from hugs_cli.fleet.history import History
+from hugs_cli.fleet.job import ROWS, STOP
+from hugs_cli.fleet.plan import Planned
+
+HISTORY = History({("default", "frames"): 10.0, ("default", "train"): 100.0}, {})
+
+
+@pytest.fixture
+def show(tmp_path) -> Board:
+    """Two clips to do, one fresh."""
+    (tmp_path / "run" / ROWS).mkdir(parents=True)
+    stages = ["frames", "train"]
+    result = {"seconds": 7.0, "psnr": 28.5, "effects": ["shadow"], "warnings": ["train: dark"], "pages": []}
+    planned = [Planned(Row(Path(f"{n}.mp4"), tmp_path, "default"), "todo", stages, stages, 110.0) for n in "ab"]
+    planned.append(Planned(Row(Path("c.mp4"), tmp_path, "default"), "fresh", stages, result=result))
+    return Board(tmp_path / "run", tmp_path, "mine", planned, HISTORY)
+
+
+def report(show: Board, number: int, token: str = "mine", **facts: object) -> None:
+    file = show.folder / ROWS / f"{show.planned[number].row.id}.json"
+    file.write_text(json.dumps({"token": token, **facts}))
+    show.look()
+
+
+def test_time_left(show):
+    report(show, 0, state="running", stage="train", finished=["frames"], done=1, total=4, left=30.0)
+    rows = show.rows()
+    assert [row["seconds_left"] for row in rows] == [30.0, 110.0, 0.0] and rows[0]["percent"] == 25
+    assert totals(rows, 2)["seconds_left"] == 110 and totals(rows, 1)["seconds_left"] == 140
+    report(show, 0, state="running", stage="frames", left=None)
+    assert show.rows()[0]["seconds_left"] == 110.0
+    show.history = History({}, {})
+    assert totals(show.rows(), 2)["seconds_left"] is None
+
+
+def test_reports_of_an_earlier_call_are_not_ours(show):
+    report(show, 0, token="old", state="done")
+    assert show.rows()[0]["state"] == "todo"
+
+
+def test_silence_is_said_and_in_the_end_it_is_lost(show, monkeypatch):
+    report(show, 0, state="running", stage="train", beat=1)
+    assert show.rows()[0]["silent"] is None
+    later = board.time.monotonic() + 100
+    monkeypatch.setattr(board.time, "monotonic", lambda: later)
+    assert show.rows()[0]["silent"] >= 100
+    report(show, 0, state="running", stage="train", beat=22)
+    assert show.rows()[0]["silent"] is None
+    lost, never, _ = show.rows(over=True)
+    assert lost["state"] == never["state"] == "lost"
+    assert "without a word" in lost["problem"] and "never began" in never["problem"] and never["hint"]
+    (show.folder / STOP).touch()
+    assert [row["state"] for row in show.rows(over=True)] == ["lost", "stopped", "fresh"]
+
+
+def test_kinds_leave_out_what_differs_from_clip_to_clip():
+    one, two = ("no person in {} of {} frames of 'clips/{}.mp4'".format(*x) for x in ((3, 40, "a"), (12, 9, "b c")))
+    assert kind_of("masks", one) == kind_of("masks", two) == "masks: no person in N of N frames of ..."
+    assert kind_of("", "no video at clips/x.mp4") == "no video at ..."
+
+
+def test_page_and_table_hold_the_same(show):
+    text = "<script>alert(1)</script>"
+    report(show, 0, state="failed", stage="train", kind="error", problem=text, hint="film again", facts=["1 < 2"])
+    rows = show.rows(over=True)
+    total = totals(rows, 1)
+    board.write(show.work, "fleet", rows, total, live=True)
+    page = (show.work / "fleet.html").read_text()
+    assert text not in page and "&lt;script&gt;alert(1)" in page and "film again" in page and "location.reload" in page
+    assert total["failures"] == {"train: ...": 1, "its job never began": 1}
+    with open(show.work / "fleet.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["state"] for row in table] == ["failed", "lost", "fresh"] and table[0]["hint"] == "film again"
+    assert table[2]["psnr"] == "28.5" and table[2]["effects"] == "shadow" and table[2]["warnings"] == "train: dark"
+    assert json.loads(board.as_json(rows, total))["rows"] == rows

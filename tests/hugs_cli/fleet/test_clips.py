@@ -1,0 +1,106 @@
+"""Clips from paths, patterns, lists and tables, and names that collide."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hugs_cli.fleet.clips import read
+from hugs_cli.pipelines import UsageError
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """A folder with clips of the same name in two others."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("mon/dance.mp4", "tue/dance.mp4", "tue/jump.mp4", "tue/jump.mov"):
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text(name)
+    return tmp_path
+
+
+def rows(*given: str, pipeline: str = "default", settings: tuple[str, ...] = ()):
+    return read(given, pipeline, settings, Path("work"))
+
+
+def test_patterns_and_paths_give_each_clip_once(here):
+    found = rows("mon/*.mp4", "mon/dance.mp4", "tue/*.mov")
+    assert [str(row.video) for row in found] == ["mon/dance.mp4", "tue/jump.mov"]
+    with pytest.raises(UsageError, match="no clip fits"):
+        rows("wed/*.mp4")
+    assert rows("not-there.mp4")[0].name == "not-there"  # said when it is planned, for it hurts no other
+
+
+def test_names_that_collide_get_folders_of_their_own(here):
+    found = rows("mon/dance.mp4", "tue/dance.mp4", "tue/jump.mp4", "tue/jump.mov")
+    assert [row.root.as_posix() for row in found] == [
+        "work/dance",
+        "work/from-tue/dance",
+        "work/jump",
+        "work/from-tue/jump",
+    ]
+    assert len({row.id for row in found}) == 4
+
+
+def test_a_clip_keeps_the_folder_that_has_its_results(here):
+    for video, root in (("tue/dance.mp4", "work/dance"), ("mon/dance.mp4", "work/from-mon/dance")):
+        (here / root).mkdir(parents=True)
+        (here / root / "sources.json").write_text(json.dumps({"video": {"path": str(here / video)}}))
+    found = {str(row.video): row.root.as_posix() for row in rows("mon/dance.mp4", "tue/dance.mp4")}
+    assert found == {"tue/dance.mp4": "work/dance", "mon/dance.mp4": "work/from-mon/dance"}
+    assert rows("mon/dance.mp4")[0].root.as_posix() == "work/from-mon/dance"
+    (here / "tue/dance.mp4").rename(here / "dance.mp4")  # moved: its results go with it
+    assert rows("dance.mp4")[0].root.as_posix() == "work/dance"
+
+
+def test_a_list(here):
+    (here / "mon/list.txt").write_text("# monday\n\ndance.mp4\n../tue/jump.mp4\n")
+    assert [str(row.video) for row in rows("mon/list.txt")] == ["mon/dance.mp4", "mon/../tue/jump.mp4"]
+
+
+@pytest.mark.parametrize("kind", ["csv", "yaml"])
+def test_a_table(here, kind):
+    text = {
+        "csv": "\ufeffclip,pipeline,settings,masks,fit,person\ndance.mp4,draft,train.steps=8; frames.count=9,m,,2\njump.mp4,,,,,\n",
+        "yaml": "- {clip: dance.mp4, pipeline: draft, settings: [train.steps=8, frames.count=9], masks: m, person: 2}\n"
+        "- clip: jump.mp4\n",
+    }[kind]
+    Path(f"tue/clips.{kind}").write_text(text, encoding="utf-8")
+    first, second = rows(f"tue/clips.{kind}", pipeline="ci", settings=("train.rounds=0",))
+    assert (first.pipeline, second.pipeline) == ("draft", "ci")
+    assert (
+        first.settings == ("train.rounds=0", "train.steps=8", "frames.count=9")
+        and second.settings == first.settings[:1]
+    )
+    assert (str(first.masks), first.fit, first.person) == ("tue/m", None, "2")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "problem"),
+    [
+        ("t.csv", "clip,pipelin\na.mp4,x\n", "no column 'pipelin'"),
+        ("t.csv", "pipeline\nx\n", "has no clip"),
+        ("t.csv", 'clip\n"a\n', "is not valid CSV"),
+        ("t.yaml", "clip: a.mp4\n", "holds no list of clips"),
+        ("t.yaml", "- {clip: [a, b]}\n", "clip is not a text"),
+        ("t.yaml", "- {clip: a, settings: {a: 1}}\n", "settings are not understood"),
+        ("t.yaml", "- {clip: a\n", "is not valid YAML"),
+        ("t.txt", None, "cannot read"),
+        ("t.csv", "clip,settings\na.mp4,train.steps=1\na.mp4,train.steps=2\n", "is there twice with pipeline default"),
+        ("t.csv", "clip\n../../../../../../..\n", "gives no name"),
+    ],
+)
+def test_what_cannot_be_understood_is_refused(here, name, text, problem):
+    if text is not None:
+        Path(name).write_text(text)
+    with pytest.raises(UsageError, match=problem):
+        rows(name)
+
+
+def test_a_table_of_many_clips(here):
+    Path("t.yaml").write_text(
+        "".join(f"- {{clip: c{i}.mp4, pipeline: draft, settings: [a.b=1]}}\n" for i in range(1300))
+    )
+    assert len(rows("t.yaml")) == 1300

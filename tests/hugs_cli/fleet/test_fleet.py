@@ -1,0 +1,200 @@
+"""Whole fleets of stand-ins, and what the world does to them."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from hugs_cli.fleet import lease
+from tests.made.fleet import WAYS, Fleet, states
+
+pytestmark = pytest.mark.slow
+HAS_SNAKEMAKE = importlib.util.find_spec("snakemake") is not None
+needs_snakemake = pytest.mark.skipif(not HAS_SNAKEMAKE, reason="Snakemake is not installed: pip install -e '.[fleet]'")
+WEAK = "import fcntl\nfcntl.flock = lambda *_: None\n"  # sitecustomize: a file system whose locks hold nobody back
+
+
+def test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left(fleet):
+    table = fleet.table(sorted(fleet.clips.iterdir()), len(WAYS))
+    said, _ = fleet.done(table.name, "--pipeline", "short", "--jobs", "1", code=1)
+    assert {clip for clip, state in states(said).items() if state == "done"} == {"c00000", "c00001"}
+    assert said["totals"]["states"] == {"failed": 10, "done": 2} and len(said["totals"]["failures"]) == 10
+    problems = {row["clip"]: row for row in said["rows"] if row["state"] == "failed"}
+    assert (
+        problems["b00000"]["problem"].startswith("no person in any of")
+        and problems["b00000"]["hint"] == "film somebody"
+    )
+    assert "one: no person in any of N frames of ..." in said["totals"]["failures"]
+    assert all(row["problem"] and row["hint"] for row in problems.values())
+    tries = [run for run in fleet.runs() if run["result"] != "done"]
+    assert len(tries) == 7 + 2  # killed, and out of memory, are tried twice
+    with open(fleet.work / "fleet.csv", newline="") as file:
+        rows = {row["clip"]: row for row in csv.DictReader(file)}
+    assert len(rows) == 12 and rows["b00001"]["kind"] == "one: stage one has a bug: KeyError: ..."
+    page = (fleet.work / "fleet.html").read_text()
+    assert page.count("<tr>") > 12 and "film somebody" in page and "location.reload" not in page
+
+    before = fleet.made()
+    for name in ("b00000", "b00002"):
+        fleet.add(name, "mended")
+    said, _ = fleet.done(table.name, "--pipeline", "short", "--jobs", "1", "--name", "again", code=1)
+    assert said["totals"]["states"] == {"failed": 8, "done": 2, "fresh": 2}
+    assert before.items() <= fleet.made().items()
+    assert len([run for run in fleet.runs() if run["result"] == "done"]) == 4
+
+
+def test_a_dry_run_does_nothing_and_says_how_long(fleet):
+    said, _ = fleet.done("--dry-run")
+    assert [row["state"] for row in said] == ["todo"] * 2 and said[0]["todo"] == ["one", "two", "three", "four"]
+    assert said[0]["seconds"] is None and not fleet.work.exists()
+    fleet.done("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1")
+    out, _ = fleet.fleet("--dry-run", "--pipeline", "short").communicate(timeout=60)
+    assert "work/c00000" in out and "fresh" in out and "1 stage to do, about 0." in out
+    assert "2 clips: 1 fresh, 1 to do, about" in out
+
+
+def test_ctrl_c_keeps_what_is_finished_and_goes_on_later(fleet):
+    run = fleet.fleet("--jobs", "1", "--set", "three.delay=20")
+    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/three-*.part/step0")))
+    run.send_signal(signal.SIGINT)
+    _, err = run.communicate(timeout=60)
+    assert run.returncode == 130 and "stopping: " in err and "Traceback" not in err
+    assert [path.parts[-3] for path in fleet.work.glob("*/store/two-*")] == ["c00000"]  # no other was begun
+    with open(fleet.work / "fleet.csv", newline="") as file:
+        assert [row["state"] for row in csv.DictReader(file)] == ["stopped"] * 2
+    before = fleet.made()
+    said, _ = fleet.done("--jobs", "1")
+    assert set(states(said).values()) == {"done"} and before.items() <= fleet.made().items()
+    assert [run["stage"] for run in fleet.runs() if run["result"] == "stopped"] == ["three"]
+
+
+def test_a_fleet_that_is_killed_takes_its_job_along_and_loses_nothing(fleet):
+    run = fleet.fleet("--jobs", "1", "--set", "three.delay=20")
+    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/three-*.part/step0")))
+    run.kill()
+    run.communicate(timeout=60)
+    holder = fleet.work / "c00000" / lease.NAME
+    fleet.wait_for(lambda: not holder.exists())  # the job saw that its fleet is gone, and ended in good order
+    said, _ = fleet.done("--jobs", "1")
+    assert set(states(said).values()) == {"done"}
+    assert sorted(run["stage"] for run in fleet.runs() if run["result"] == "done") == sorted(
+        ["one", "two", "three", "four"] * 2
+    )
+
+
+def test_a_job_that_is_killed_is_tried_again(fleet):
+    run = fleet.fleet("clips/c00000.mp4", "--jobs", "1", "--set", "one.delay=3", "--json")
+    report = fleet.work / ".fleet" / "fleet" / "rows"
+    fleet.wait_for(lambda: list(report.glob("*.json")) and list(fleet.work.glob("c00000/store/one-*.part/step0")))
+    os.kill(json.loads(next(report.glob("*.json")).read_text())["pid"], signal.SIGKILL)
+    out, _ = run.communicate(timeout=60)
+    assert run.returncode == 0 and states(json.loads(out)) == {"c00000": "done"} and fleet.made()
+
+
+def test_two_fleets_on_one_folder_share_the_work_even_where_locks_are_weak(fleet):
+    """The file system's locks hold nobody back: leases do."""
+    first = fleet.folder / "weak"
+    first.mkdir()
+    (first / "sitecustomize.py").write_text(WEAK)
+    args = ("--jobs", "1", "--pipeline", "short", "--set", "one.delay=0.8")
+    runs = [fleet.fleet(*args, "--json", "--name", name, first=str(first)) for name in ("left", "right")]
+    said = [json.loads(run.communicate(timeout=120)[0]) for run in runs]
+    assert [run.returncode for run in runs] == [0, 0]
+    assert all(set(states(one).values()) <= {"done", "fresh"} for one in said)
+    assert len(fleet.runs()) == 2, "a stage ran twice"
+
+
+def test_a_second_fleet_of_the_same_name_is_refused(fleet):
+    run = fleet.fleet("--jobs", "1", "--set", "one.delay=20")
+    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/one-*.part/step0")))
+    _, err = fleet.fleet("--jobs", "1").communicate(timeout=60)
+    assert "a fleet fleet is at work in this folder: process" in err and "--name" in err
+    run.send_signal(signal.SIGINT)
+    run.communicate(timeout=60)
+
+
+def test_a_clip_that_changes_while_it_waits_is_made_as_it_is_then(fleet):
+    gone = fleet.add("c00002", "soon gone")
+    run = fleet.fleet("--jobs", "1", "--pipeline", "short", "--set", "one.delay=2", "--json")
+    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/one-*.part/step0")))
+    fleet.add("c00001", "other pixels")
+    gone.unlink()
+    out, _ = run.communicate(timeout=60)
+    said = json.loads(out)
+    assert states(said) == {"c00000": "done", "c00001": "done", "c00002": "failed"} and run.returncode == 1
+    assert "other pixels" in (fleet.work / "c00001/short/one/out.txt").read_text()
+    assert said["rows"][2]["problem"] == "no video at clips/c00002.mp4"
+
+
+def test_a_full_disk_hurts_reports_and_not_results(fleet):
+    """The page, the table, and every report of a job go to a disk that is full."""
+    fleet.work.mkdir()
+    for name in ("fleet.html", "fleet.csv"):
+        (fleet.work / f".{name}.part").symlink_to("/dev/full")
+    (fleet.folder / "sitecustomize.py").write_text(
+        "import json, os, pathlib\nkeep = pathlib.Path.write_text\n"
+        "def write(self, text, *more, **how):\n"
+        "    if '/rows/' in str(self) or self.name.startswith('.fleet.'): raise OSError(28, 'No space left on device')\n"
+        "    return keep(self, text, *more, **how)\npathlib.Path.write_text = write\n"
+    )
+    run = fleet.fleet("clips/c00000.mp4", "--jobs", "1", "--pipeline", "short")
+    _, err = run.communicate(timeout=60)
+    assert "the page cannot be written: No space left on device" in err and "Traceback" not in err
+    assert run.returncode == 1 and len(fleet.made()) == 1  # nobody could be told that the clip is done
+    (fleet.folder / "sitecustomize.py").unlink()
+    said, _ = fleet.done("clips/c00000.mp4", "--jobs", "1", "--pipeline", "short")
+    assert states(said) == {"c00000": "fresh"}
+
+
+@pytest.mark.skipif(HAS_SNAKEMAKE, reason="Snakemake is installed")
+def test_without_the_extra_it_says_what_to_install(fleet):
+    for more in (("--jobs", "2"), ("--profile", "slurm")):
+        run = fleet.fleet(*more)
+        _, err = run.communicate(timeout=60)
+        assert run.returncode == 2 and "pip install 'hugs-avatar[fleet]'" in err
+
+
+@needs_snakemake
+def test_side_by_side_through_snakemake(fleet):
+    broken = fleet.add("c00002", "broken error")
+    said, _ = fleet.done("--jobs", "2", "--split", "train", "--pipeline", "default", code=1)
+    assert all("no stage 'train'" in row["problem"] for row in said["rows"])  # nothing to split
+    said, err = fleet.done("--jobs", "2", code=1)
+    assert sorted(states(said).values()) == ["done", "done", "failed"] and "Traceback" not in err
+    assert said["rows"][2]["problem"].startswith("no person") and said["rows"][2]["log"]
+    assert len([run for run in fleet.runs() if run["result"] == "error"]) == 1, "an error would come again: one try"
+    broken.write_text("mended")
+    said, _ = fleet.done("--jobs", "2")
+    assert said["totals"]["states"] == {"fresh": 2, "done": 1}
+
+
+@needs_snakemake
+def test_ctrl_c_and_a_kill_with_snakemake(fleet):
+    for number, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
+        run = fleet.fleet("--jobs", "2", "--set", "three.delay=20")
+        fleet.wait_for(lambda: list(fleet.work.glob("*/store/three-*.part/step0")))
+        run.send_signal(number)
+        run.communicate(timeout=60)
+        assert run.returncode == code
+        fleet.wait_for(lambda: not list(fleet.work.glob(f"*/{lease.NAME}")))
+    before = fleet.made()
+    said, _ = fleet.done("--jobs", "2")
+    assert set(states(said).values()) <= {"done", "fresh"} and before.items() <= fleet.made().items()
+
+
+def test_a_fleet_of_two_pipelines_and_settings(tmp_path: Path):
+    fleet = Fleet(tmp_path, 1)
+    table = fleet.folder / "clips.yaml"
+    table.write_text(
+        "- {clip: clips/c00000.mp4, pipeline: short}\n- {clip: clips/c00000.mp4, settings: [two.word=z]}\n"
+    )
+    said, _ = fleet.done("clips.yaml", "--jobs", "1")
+    assert [row["pipeline"] for row in said["rows"]] == ["short", "default"]
+    assert "two:z" in (fleet.work / "c00000/default/four/out.txt").read_text()
+    assert len(fleet.runs()) == 4  # the first stage is shared

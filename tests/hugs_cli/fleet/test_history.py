@@ -1,0 +1,28 @@
+"""What earlier runs tell of time and memory."""
+
+import json
+
+from hugs_cli.fleet.history import OWN_MB, UNMEASURED_MB, free_megabytes, history
+
+
+def test_medians_and_the_most_memory(tmp_path):
+    (tmp_path / "a").mkdir()
+    line = {"pipeline": "draft", "stage": "train", "result": "done", "peak_memory_bytes": 2**30}
+    lines = [{**line, "seconds": s} for s in (10, 20, 90)]
+    lines += [
+        {**line, "result": "killed", "seconds": 1, "peak_memory_bytes": 2**31},
+        {**line, "stage": "frames", "seconds": 3},
+    ]
+    (tmp_path / "a/runs.jsonl").write_text("\n".join([*map(json.dumps, lines), "not json", "[1]", '{"stage": 1}']))
+    found = history(tmp_path)
+    assert found.expected("draft", ["frames", "train"]) == 23 and found.expected("other", ["train"]) == 20
+    assert found.expected("draft", ["train", "report"]) is None and found.expected("draft", []) == 0
+    assert found.megabytes("draft") == OWN_MB + round(1.25 * 2048) and found.megabytes("other") == UNMEASURED_MB
+
+
+def test_an_empty_folder_tells_nothing(tmp_path):
+    assert history(tmp_path / "none").expected("draft", ["train"]) is None
+
+
+def test_this_machine_has_memory():
+    assert free_megabytes() > 50

@@ -1,0 +1,75 @@
+"""A page of the tiny clip, its person in clothes that swing and with a shadow on the wall."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from stages import export
+from stages.avatar.body.smpl import Body
+from stages.avatar.effects.shadow import casters
+from stages.contract import Job
+from stages.formats import viewer
+from stages.formats.body_model import read_body_model
+from stages.formats.effects import write_effects
+from stages.formats.splats import read_avatar, read_scene, write_splats
+from stages.records import Clothes, Effects
+from tests.made import tiny
+
+NAME = '<!--<script>window.broken=1</script><img src=x onerror="window.broken=1"> & \u2028.mp4'
+
+
+def make(folder: Path, scene: bool = True) -> dict[str, Path]:
+    """The folders of the stages up to train, and `export`, of the tiny clip with clothes, and a shadow if with `scene`."""
+    folders = tiny.make(folder, scene)
+    listing = folders["frames"] / "frames.json"
+    frames = [{"name": name, "index": int(name), "time_s": int(name) / 30} for name in tiny.NAMES]
+    facts = json.loads(listing.read_bytes())
+    listing.write_text(json.dumps(facts | {"frames": frames}))
+    train = folders["train"]
+    write_splats(train / "avatar.npz", replace(read_avatar(train / "avatar.npz"), clothes=clothes()))
+    if scene:
+        body = Body(read_body_model())
+        parts = casters(body.rest(torch.zeros(10))[0], body.lbs_weights)
+        light, shadow = np.array([0.3, -0.2, -0.93]), {"darkness": 0.6, "softness": 0.05, "density": 2.0, "size": 0.8}
+        light /= np.linalg.norm(light)
+        wall = read_scene(train / "scene.npz")  # no two at one depth: which of them is in front is not defined
+        rough = wall.means + np.random.default_rng(6).uniform(-0.1, 0.1, wall.means.shape) * [0, 0, 1]
+        write_splats(train / "scene.npz", replace(wall, means=rough))
+        write_effects(
+            train / "effects.npz", Effects(light, **shadow, middles=parts.middles, covariances=parts.covariances)
+        )
+    folders["export"] = folder / "export"
+    folders["export"].mkdir()
+    run(folders)
+    return folders
+
+
+def run(folders: dict[str, Path]) -> viewer.Exhibit:
+    """Export, again if need be; what the page shows."""
+    inputs, shown = {name: folders[name] for name in ("frames", "sfm", "smpl", "train")}, []
+    with pytest.MonkeyPatch.context() as patch:
+        write = viewer.write_viewer
+        patch.setattr(viewer, "write_viewer", lambda path, exhibit: shown.append(exhibit) or write(path, exhibit))
+        export.run(Job(folders["export"]), export.Params(), **inputs)
+    return shown[0]
+
+
+def rename(shown: viewer.Exhibit) -> viewer.Exhibit:
+    """The same under a name made to break the page, which no file system would allow, wherever a name stands."""
+    first, *others = shown.moves
+    return replace(shown, title=NAME, subtitle=NAME, facts=[(NAME, NAME)], moves=[replace(first, name=NAME), *others])
+
+
+def clothes() -> Clothes:
+    """Nodes down the body that swing by up to 12 cm, each its own way, with the shoulders and one knee."""
+    rng = np.random.default_rng(5)
+    nodes = np.stack([rng.normal(0, 0.15, 40), np.linspace(-1.0, 0.5, 40), np.zeros(40)], 1)
+    axes = np.zeros((69, 2))
+    axes[[47, 50], 0], axes[9, 1] = [1.2, -0.8], 1.0
+    return Clothes(nodes, np.full(69, 0.02), axes, np.full(2, -0.7), np.full(2, 0.6), rng.normal(0, 0.05, (40, 3, 2)))

@@ -1,0 +1,133 @@
+"""SPZ: how far what is read lies from what was written, and files that are no SPZ or lie about it."""
+
+import gzip
+import struct
+import tracemalloc
+
+import numpy as np
+import pytest
+import torch
+
+from stages.avatar.body.rotations import angle_between, matrix_from_quat
+from stages.contract import StageError
+from stages.formats.exchange.spz import HEAD, MAGIC, read_spz, write_spz
+from stages.records import Scene
+
+
+def some(n: int = 2000, degree: int = 0, antialias: bool = False) -> Scene:
+    rng = np.random.default_rng(0)
+    parts = {
+        "means": rng.normal(size=(n, 3)) * 5,
+        "quats": rng.normal(size=(n, 4)),
+        "scales": np.exp(rng.uniform(-9, 1, (n, 3))),
+        "opacities": rng.random(n),
+        "sh0": rng.uniform(-1.77, 1.77, (n, 3)),
+        "shN": rng.uniform(-0.9, 0.9, (n, (degree + 1) ** 2 - 1, 3)),
+    }
+    return Scene(**{name: part.astype(np.float32) for name, part in parts.items()}, antialias=antialias)
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    turns = (matrix_from_quat(torch.as_tensor(quats, dtype=torch.float64)) for quats in (a, b))
+    return np.rad2deg(angle_between(*turns).numpy())
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_what_comes_back(tmp_path, degree, held):
+    splats = some(degree=degree, antialias=degree == 2)
+    assert write_spz(tmp_path / "a.spz", splats) == {}
+    back = read_spz(tmp_path / "a.spz")
+    away = np.linalg.norm(back.means - splats.means, axis=1)
+    held(np.percentile(away, 99) * 1000, 0.2, "p99 of places, mm")
+    held(np.percentile(np.abs(back.sh0 - splats.sh0), 99) * 0.2820948, 1 / 255, "p99 of colours")
+    held(np.abs(back.opacities - splats.opacities).max(), 0.5 / 255 + 1e-6)
+    held(np.abs(np.log(back.scales / splats.scales)).max(), 1 / 32 + 1e-4)
+    held(np.percentile(apart(back.quats, splats.quats), 99), 0.2, "p99 of rotations, degrees")
+    if degree:
+        held(np.abs(back.shN[:, :3] - splats.shN[:, :3]).max(), 4.6 / 128)
+        held(np.abs(back.shN - splats.shN).max(), 8.6 / 128)
+    assert back.antialias == splats.antialias and back.shN.shape == splats.shN.shape
+
+
+def test_the_same_gaussians_make_the_same_bytes(tmp_path):
+    for name in ("a.spz", "b.spz"):
+        write_spz(tmp_path / name, some(degree=1))
+    assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+
+
+def test_singular_gaussians(tmp_path):
+    """Half turns, equal components, scales under a nanometre, none at all."""
+    splats = some(6)
+    splats.quats[:4] = [[0, 1, 0, 0], [1, 1, 1, 1], [-1, 0, 0, 0], [0.5, -0.5, 0.5, -0.5]]
+    splats.scales[:2] = 6e-11
+    write_spz(tmp_path / "a.spz", splats)
+    back = read_spz(tmp_path / "a.spz")
+    assert apart(back.quats, splats.quats).max() < 0.3
+    np.testing.assert_allclose(back.scales[:2], np.exp(-10), rtol=1e-6)
+    write_spz(tmp_path / "none.spz", some(0))
+    assert len(read_spz(tmp_path / "none.spz")) == 0
+
+
+def test_what_is_clamped_is_counted(tmp_path):
+    splats = some(5)
+    splats.means[2, 1], splats.sh0[3, 0], splats.sh0[3, 1] = -5000, 4, -4
+    said = write_spz(tmp_path / "a.spz", splats)
+    assert said == {"beyond 2048 m": 1, "with colours out of range": 1}
+    assert read_spz(tmp_path / "a.spz").means[2, 1] == -2048
+
+
+def test_version_2_is_read(tmp_path):
+    turn = np.array([[0.5, 0.5, -0.5, 0.5], [1, 0, 0, 0]])
+    xyz = np.rint(turn[:, 1:] * 127.5 + 127.5).astype(np.uint8)
+    tables = [
+        bytes([0, 16, 0, 0, 240, 255, 1, 0, 0] * 2),
+        b"\xff\x00",
+        bytes([166] * 6),
+        bytes([160] * 6),
+        xyz.tobytes(),
+    ]
+    (tmp_path / "a.spz").write_bytes(gzip.compress(HEAD.pack(MAGIC, 2, 2, 0, 12, 1, 0) + b"".join(tables)))
+    back = read_spz(tmp_path / "a.spz")
+    np.testing.assert_allclose(back.means[0], [1, -1, 1 / 4096], atol=1e-9)
+    assert apart(back.quats, turn).max() < 1 and back.antialias
+    np.testing.assert_allclose(back.sh0, (166 / 255 - 0.5) / 0.15, rtol=1e-6)
+    assert back.opacities.tolist() == [1, 0] and np.allclose(back.scales, 1)
+
+
+def packed(*head: int, body: bytes = b"", magic: bytes = MAGIC) -> bytes:
+    return gzip.compress(HEAD.pack(magic, *head, 0) + body, mtime=0)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "no SPZ"),
+        (b"ply\n", "cannot read"),
+        (struct.pack("<4sII", MAGIC, 4, 1) + bytes(40), "version 4"),
+        (gzip.compress(b"NGS", mtime=0), "no SPZ"),
+        (packed(3, 1, 0, 12, 0, magic=b"NGSQ"), "no SPZ"),
+        (packed(1, 1, 0, 12, 0), "version 1"),
+        (packed(3, 1, 4, 12, 0), "degree 4"),
+        (packed(3, 1, 0, 60, 0), "60 bits"),
+        (packed(3, 2, 0, 12, 0, body=bytes(39)), "2 x 4 bytes ends after 7"),
+        (packed(3, 2, 0, 12, 0, body=bytes(41)), "longer"),
+        (packed(3, 2, 0, 12, 0, body=bytes(40))[:-12], "cut short"),
+        (packed(3, 2**32 - 1, 3, 12, 0), "too much memory"),
+    ],
+)
+def test_files_that_lie_are_refused_by_name(tmp_path, data, said):
+    (tmp_path / "a.spz").write_bytes(data)
+    with pytest.raises(StageError) as refused:
+        read_spz(tmp_path / "a.spz")
+    assert said in f"{refused.value} {' '.join(refused.value.facts)}" and "a.spz" in str(refused.value)
+
+
+def test_memory_does_not_grow_with_the_file(tmp_path, held):
+    peaks = []
+    for n in (100_000, 200_000):
+        splats = some(n)
+        tracemalloc.start()
+        write_spz(tmp_path / "a.spz", splats)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    held((peaks[1] - peaks[0]) / 100_000, 30, "bytes a Gaussian of 56")

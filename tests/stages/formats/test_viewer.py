@@ -1,0 +1,289 @@
+"""The page: what is in it, and what a real browser makes of it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stages import animate
+from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.moves import made_moves, spot_of
+from stages.avatar.motion.placing import Soles
+from stages.avatar.rasterize import Camera
+from stages.contract import Job
+from stages.formats import viewer
+from stages.formats.body_model import read_body_model
+from stages.formats.clip import load_clip
+from stages.formats.trained import read_trained
+from tests.made import bvh as bvh_made
+from tests.made import exhibits, tiny
+from tests.made.devtools import Page
+
+CLIP, JACKS = 0, 1  # motions of the page
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    return exhibits.make(tmp_path_factory.mktemp("exhibit") / "made")
+
+
+@pytest.fixture(scope="module")
+def html(folders):
+    return (folders["export"] / "viewer.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(folders, tmp_path_factory):
+    """The page, under a hostile name, open in a browser."""
+    shown, hostile = Page(tmp_path_factory.mktemp("profile")), folders["export"] / "hostile.html"
+    viewer.write_viewer(hostile, exhibits.rename(exhibits.run(folders)))
+    shown.open(hostile, "document.body?.matches('.open, .stuck')")
+    yield shown
+    shown.close()
+
+
+def part(html: str, name: str) -> dict:
+    return json.loads(re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', html)[1])
+
+
+def test_the_same_result_gives_the_same_bytes(folders, html):
+    exhibits.run(folders)
+    assert (folders["export"] / "viewer.html").read_text(encoding="utf-8") == html
+
+
+def test_the_page_holds_all_that_it_shows(html):
+    fetched = (
+        r"""<[a-z][^>]*?\s(?:src|href)=["']?(?!data:)[^"'> ]+|url\(["']?(?!data:)[^)"']+|import\(["'](?!hugs/)[^)]*"""
+    )
+    assert re.findall(fetched, html) == []
+    assert set(part(html, "modules")) == {f"hugs/{name.removesuffix('.js')}" for name in viewer.MODULES}
+    assert {path.name for path in viewer.ROOM.iterdir()} == {
+        *viewer.MODULES,
+        "viewer.html",
+        "viewer.css",
+        "boot.js",
+        "icons.json",
+    }
+    facts = part(html, "facts")
+    assert [move["name"] for move in facts["motions"]] == [
+        "In the clip",
+        "Jumping jacks",
+        "Walk in place",
+        "Wave",
+        "Squats",
+    ]
+    assert facts["motions"][0]["fps"] == pytest.approx(10) and facts["clip"]["absent"] == [tiny.EMPTY]
+    assert len(facts["clip"]["pictures"]) == tiny.FRAMES
+
+
+def test_many_pictures_and_large_scenes_are_bounded(monkeypatch, folders):
+    monkeypatch.setattr(viewer, "BYTES", 4000)
+    monkeypatch.setattr(viewer, "LARGEST_SCENE", 100)
+    exhibits.run(folders | {"export": folders["export"].parent})
+    html = (folders["export"].parent / "viewer.html").read_text(encoding="utf-8")
+    facts = part(html, "facts")
+    assert 1 <= len(facts["clip"]["pictures"]) < tiny.FRAMES
+    assert facts["arrays"]["scene/opacities"]["shape"] == [100, 1]
+    assert "341 of 441 Gaussians of the scene" in html
+
+
+@pytest.mark.slow
+def test_it_opens_and_asks_the_network_for_nothing(page):
+    assert page.run("document.body.className") == "open"
+    assert [one[:40] for one in page.requests if not one.startswith(("file:", "data:", "blob:"))] == []
+    assert sum(one.startswith("file:") for one in page.requests) == 1
+    assert page.said == []
+
+
+@pytest.mark.slow
+def test_no_name_runs_as_code(page):
+    assert page.run("window.broken") is None
+    places = "['title', 'h1', 'header p', 'dt', 'dd', '#motion option']"
+    shown = page.run(f"{places}.map((place) => document.querySelector(place).textContent)")
+    assert [" ".join(text.split()) for text in shown] == [" ".join(exhibits.NAME.split())] * 6
+    assert page.run("document.scripts.length") == 6, "five as written, and the import map"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("motion", "frame", "only"), [(CLIP, 2, "both"), (JACKS, 40, "both"), (JACKS, 70, "person"), (CLIP, 0, "scene")]
+)
+def test_a_frame_is_as_we_draw_it(page, folders, motion, frame, only):
+    """With clothes and shadow, all bones, and numbers of few bits."""
+    clip, learned = (
+        load_clip(folders["sfm"], folders["smpl"], folders["train"]),
+        load_learned(*read_trained(folders["train"])),
+    )
+    soles = Soles.of_model(clip.body_model, clip.body.betas)
+    jacks = made_moves(spot_of(clip.body, soles), soles)[0]
+    poses = {
+        CLIP: (clip.body.global_orient, clip.body.body_pose, clip.body.transl),
+        JACKS: (jacks.rotvecs[:, :3], jacks.rotvecs[:, 3:], jacks.steps),
+    }
+    pose = tuple(rows[frame] for rows in poses[motion])
+    camera = Camera.of(clip.viewmats[3], clip.Ks[3], clip.width, clip.height)
+    human = None if only == "scene" else learned.person(pose)
+    scene = None if only == "person" else learned.shade(learned.scene, pose if human else None)
+    ours = to_uint8(draw(human, scene, camera, 1.0)[0])
+    wanted = {"motion": motion, "frame": frame, "camera": 3, "only": only, "background": 0xFFFFFF}
+    theirs = picture(page.run(f"hugs.show({json.dumps(wanted)})"))
+    assert theirs.shape == ours.shape
+    assert psnr(theirs, ours) >= 47
+    if human:
+        rows, columns = np.nonzero(draw(human, None, camera)[1] > 0.1)
+        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+        assert psnr(theirs[box], ours[box]) >= 45
+
+
+def picture(url: str) -> np.ndarray:
+    data = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(10 * np.log10(255**2 / np.mean((a.astype(float) - b) ** 2)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rest", ["a pose", "bones along x", "z up"])
+def test_a_bvh_is_performed_as_animate_performs_it(page, folders, tmp_path, rest):
+    model = read_body_model()
+    joints = model.J_regressor.astype(float) @ model.v_template
+    orient, pose, transl = (part.numpy().astype(float) for part in MOTIONS["walk_in_place"](1.5, 20))
+    stance = bvh_made.bones_along_x(joints) if rest == "bones along x" else bvh_made.a_pose()
+    to_file = Rotation.from_euler("x", 90, degrees=True).as_matrix() if rest == "z up" else None
+    local = bvh_made.matrices(orient, pose)
+    path = bvh_made.write_bvh(
+        tmp_path / "walk.bvh", joints * 1.3, local, transl + [0, 0.9, 0.4], stance, fps=20, to_file=to_file
+    )
+    soles = Soles.of_model(model, np.zeros(10))
+    ours = animate._placed(Job(tmp_path), animate.Params(fps=20), path, soles, model.parents)
+    found = page.run(
+        f"(() => {{ const {{ rotvecs, steps, fps }} = hugs.perform({json.dumps(path.read_text())});"
+        "return { rotvecs: Array.from(rotvecs), steps: Array.from(steps), fps }; })()"
+    )
+    assert found["fps"] == pytest.approx(20)
+    theirs = Rotation.from_rotvec(np.reshape(found["rotvecs"], (-1, 3)))
+    own = Rotation.from_rotvec(np.concatenate([ours.global_orient, ours.body_pose], 1).reshape(-1, 3))
+    assert np.degrees((own.inv() * theirs).magnitude()).max() < 0.01
+    np.testing.assert_allclose(np.reshape(found["steps"], (-1, 3)), ours.transl, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_dropped_motion_is_played_and_a_bad_one_is_refused_in_words(page, folders, tmp_path):
+    model = read_body_model()
+    joints = model.J_regressor.astype(float) @ model.v_template
+    orient, pose, transl = (part.numpy().astype(float) for part in MOTIONS["squats"](1.0, 10))
+    stance = np.tile(np.eye(3), (24, 1, 1))
+    text = bvh_made.write_bvh(tmp_path / "s.bvh", joints, bvh_made.matrices(orient, pose), transl, stance).read_text()
+    drop(page, "down <b>up</b>.bvh", text)
+    wait(page, "hugs.player.motions.length === 6")
+    assert page.run("document.getElementById('motion').selectedOptions[0].textContent") == "down <b>up</b>"
+    assert page.run("hugs.player.playing") is True
+    page.run("hugs.player.set({ playing: false })")
+    for name, content, said in (
+        ("a.npz", "", "is no BVH"),
+        ("b.bvh", text[:400], "ends too soon"),
+        ("c.bvh", text.replace("LeftLeg", "Tail"), "missing left knee"),
+        ("d.bvh", text.replace("Frames: 10", "Frames: 99999999"), "are too many"),
+    ):
+        drop(page, name, content)
+        wait(page, f"document.getElementById('message').textContent.includes({json.dumps(said)})")
+    assert page.run("hugs.player.motions.length") == 6
+
+
+def drop(page: Page, name: str, text: str) -> None:
+    page.run(
+        "(() => { const carried = new DataTransfer();"
+        f"carried.items.add(new File([{json.dumps(text)}], {json.dumps(name)}));"
+        "window.dispatchEvent(new DragEvent('drop', { dataTransfer: carried, cancelable: true })); })()"
+    )
+
+
+def wait(page: Page, until: str) -> None:
+    page.run(
+        f"new Promise((resolve, reject) => {{ const end = Date.now() + 20000; (function look() {{ if ({until}) resolve();"
+        f"else if (Date.now() > end) reject(new Error({json.dumps('never ' + until)})); else setTimeout(look, 20); }})(); }})"
+    )
+
+
+@pytest.mark.slow
+def test_compare_shows_frame_and_camera_of_one_moment_until_the_camera_is_dragged(page):
+    page.run("void hugs.player.set({ motion: hugs.player.motions[0], position: 5, playing: false, speed: 1 })")
+    page.run("document.getElementById('clip').click()")
+    wait(page, "!hugs.player.stage.busy && document.getElementById('picture').complete")
+    assert page.run("document.getElementById('caption').textContent") == "the clip, frame 000015"
+    sides = "['picture', 'canvas'].map((id) => document.getElementById(id).getBoundingClientRect())"
+    sizes = page.run(f"{sides}.map(({{ width, height }}) => [width, height])")
+    assert sizes[0] == sizes[1] and sizes[0][0] / sizes[0][1] == pytest.approx(tiny.WIDTH / tiny.HEIGHT, rel=0.01)
+    place = page.run(f"(({{ x, y }}) => ({{ x: x + 20, y: y + 20 }}))({sides}[1])")
+    for kind, moved in (("mousePressed", 0), ("mouseMoved", 15), ("mouseReleased", 15)):
+        there = {"x": place["x"] + moved, "y": place["y"]}
+        page.ask("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, **there)
+    assert page.run("[hugs.player.view, document.body.classList.contains('paired')]") == ["orbit", False]
+
+
+@pytest.mark.slow
+def test_a_slider_bends_its_joint_and_what_hangs_on_it(page):
+    page.run(
+        "(() => { const slider = document.getElementById('turn-y'); slider.value = 90;"
+        "slider.dispatchEvent(new Event('input')); })()"
+    )
+    wait(page, "!hugs.player.stage.busy")
+    moved = page.run(
+        "(() => { const p = hugs.player, at = () => p.person.take(p.bent(p.motion.at(5))).places;"
+        "const bent = at(); p.bends.clear(); const straight = at();"
+        "return bent.map((place, i) => Math.hypot(...place.map((x, k) => x - straight[i][k])) > 1e-6); })()"
+    )
+    assert [i for i, far in enumerate(moved) if far] == [20, 22], "the left elbow's wrist and hand"
+
+
+@pytest.mark.slow
+def test_keys_press_the_buttons(page):
+    def press(key: str) -> None:
+        page.ask("Input.dispatchKeyEvent", type="keyDown", key=key, text=key if len(key) == 1 else "")
+        page.ask("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+    page.run("void (document.activeElement.blur(), hugs.player.set({ position: 3, playing: false, show: 'both' }))")
+    for key in ("ArrowRight", "1", "j", "s"):
+        press(key)
+    found = page.run(
+        "[hugs.player.position, hugs.player.show, document.getElementById('joints').hidden, hugs.player.shaded]"
+    )
+    assert found == [4, "person", False, True], "no shadow is switched where none falls"
+    press("2")
+    press("s")
+    assert page.run("[hugs.player.show, hugs.player.shaded]") == ["both", False]
+
+
+@pytest.mark.slow
+def test_a_browser_without_webgl_says_so(folders, tmp_path):
+    page = Page(tmp_path / "profile", (390, 844), ["--disable-gpu", "--disable-3d-apis"])
+    try:
+        page.open(folders["export"] / "viewer.html", "document.body?.matches('.open, .stuck')")
+        assert "lacks WebGL2" in page.run("document.getElementById('message').innerText")
+    finally:
+        page.close()
+
+
+@pytest.mark.slow
+def test_a_person_without_a_scene_is_shown(tmp_path):
+    folders = exhibits.make(tmp_path / "made", scene=False)
+    page = Page(tmp_path / "profile", (390, 844))
+    try:
+        page.open(folders["export"] / "viewer.html", "document.body?.matches('.open, .stuck')")
+        assert page.run("[document.body.className, hugs.player.show, document.getElementById('both').disabled]") == [
+            "open",
+            "person",
+            True,
+        ]
+        assert page.said == []
+    finally:
+        page.close()
