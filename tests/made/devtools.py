@@ -102,4 +102,4 @@ class Page:
         elif kind == "Runtime.exceptionThrown":
             self.said.append(str(params["exceptionDetails"]))
         elif kind == "Log.entryAdded":
-            self.said.append(params["entry"]["text"])
+            self.said.append(" ".join(params["entry"][key] for key in ("text", "url") if key in params["entry"]))

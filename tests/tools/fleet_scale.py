@@ -7,10 +7,10 @@ made once and then linked. `--run N` runs N of them for real, five in a hundred 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -19,14 +19,17 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.made.browser import FLAGS
+import numpy as np
+
+from stages import fleet_page
+from stages.contract import Job
+from stages.formats.images import write_image
+from tests.made.devtools import Page
 from tests.made.fleet import Fleet
 from tests.made.flow import HUGS, ROOT
 
-TIMER = """<script>addEventListener("load", () => setTimeout(function look() {
-  if ([...document.images].some(i => i.src && !i.complete)) return setTimeout(look, 10);
-  console.log("DRAWN " + performance.now() + " ROWS " + document.querySelectorAll("tbody tr").length);
-}, 10))</script>"""
+DRAWN = """document.readyState === "complete" && [...document.images].some(i => i.src)
+  && [...document.images].every(i => !i.src || i.complete)"""
 
 
 def measured(folder: Path, command: Sequence[str], path: str = "") -> tuple[float, int, str]:
@@ -80,19 +83,25 @@ def snakemake_plan(fleet: Fleet) -> tuple[float, int]:
     return seconds, memory
 
 
-def opened(page: Path) -> str:
-    """Seconds until Chromium has drawn a page; '-' where it is not installed."""
+def opened(fleet: Fleet, told: dict) -> str:
+    """Seconds until Chromium has drawn the page with a picture in each row; '-' where it is not installed."""
     if shutil.which("chromium") is None:
         return "-"
-    copy = page.with_name("timed.html")
-    copy.write_text(page.read_text() + TIMER)
-    flags = [flag for flag in FLAGS if not flag.startswith("--virtual-time")]
-    done = subprocess.run(
-        ["chromium", *flags, "--timeout=60000", "--dump-dom", copy.as_uri()], capture_output=True, text=True
+    for row in told["rows"]:
+        row["picture"] = "evaluate-1/heldout/1.png"
+        picture = fleet.work / row["folder"] / "store" / row["picture"]
+        picture.parent.mkdir(parents=True)
+        write_image(picture, np.random.default_rng(len(row["clip"])).integers(0, 255, (108, 244, 3), np.uint8))
+    fleet_page.run(
+        Job(fleet.work), fleet_page.Params(), name="fleet", rows=told["rows"], totals=told["totals"], live=False
     )
-    copy.unlink()
-    found = re.search(r"DRAWN ([\d.]+) ROWS (\d+)", done.stderr)
-    return f"{float(found[1]) / 1000:.1f}" if found else "not seen"
+    page = fleet.work / "fleet.html"
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.closing(Page(Path(folder), (1280, 900), ["--disable-gpu"])) as tab,
+    ):
+        tab.open(page, DRAWN)
+        return f"{tab.run('performance.now()') / 1000:.1f}"
 
 
 def scale(count: int, folder: Path) -> None:
@@ -106,10 +115,10 @@ def scale(count: int, folder: Path) -> None:
     theirs = snakemake_plan(fleet) if importlib.util.find_spec("snakemake") else (0.0, 0)
     fleet.done(f"clips/{names[0]}.mp4", "--jobs", "1")
     clone(fleet, names[0], names[1:])
-    fresh = hugs(fleet)
+    fresh = hugs(fleet, "--json")
     size = (fleet.work / "fleet.html").stat().st_size / 2**20
     cells = (f"{new[0]:.1f} s {new[1]} MiB", f"{theirs[0]:.1f} s {theirs[1]} MiB", f"{fresh[0]:.1f} s {fresh[1]} MiB",
-             f"{size:.1f} MiB", f"{opened(fleet.work / 'fleet.html')} s")  # fmt: skip
+             f"{size:.1f} MiB", f"{opened(fleet, json.loads(fresh[2]))} s")  # fmt: skip
     print(f"{count:>7}", *(f"{cell:>18}" for cell in cells), flush=True)
 
 
