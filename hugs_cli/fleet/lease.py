@@ -36,7 +36,7 @@ class Lease:
             if holder(self.path) != self.me:
                 return False
             os.utime(self.path)
-        except FileNotFoundError:
+        except FileNotFoundError:  # taken away between the two lines
             return False
         except OSError:
             pass
@@ -137,10 +137,10 @@ def remove(path: Path, seen: dict[str, Any]) -> None:
 
 
 def holder(path: Path) -> dict[str, Any]:
-    """Who holds a lease; empty if it cannot be read. FileNotFoundError where there is none."""
+    """Who holds a lease; empty where there is none (it may be given back at any moment), or if it cannot be read."""
     try:
         content = json.loads(path.read_bytes())
-    except ValueError:
+    except (FileNotFoundError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
 

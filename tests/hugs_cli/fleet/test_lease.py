@@ -52,6 +52,14 @@ def test_one_of_many_has_it_at_a_time(path, monkeypatch):
     assert len(turns) == 30 and max(most) == 1
 
 
+def test_a_lease_that_is_given_back_before_its_name_is_read_is_taken(path, monkeypatch):
+    monkeypatch.setattr(leases, "LOOK_EVERY", 0.001)
+    answers = iter([False])  # another has it, and gives it back at once
+    monkeypatch.setattr(leases, "take", lambda *who: next(answers, None) is None and take(*who))
+    with lease(path, never) as held:
+        assert holder(path) == held.me
+
+
 def test_a_dead_process_of_this_machine_holds_nothing(path):
     child = subprocess.Popen([sys.executable, "-c", "pass"])
     me = identity() | {"pid": child.pid, "began": "1"}
