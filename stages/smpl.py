@@ -138,8 +138,9 @@ def import_poses(job: Job, smpl_fit: Path, clip: Inputs, sources: tuple[str, ...
 
 def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, LandmarkEvidence, dict[str, Any]]:
     """Fit poses to BlazePose landmarks and the masks; writes landmarks.npz. Also gives the evidence, facts for smpl.json."""
-    from stages.estimators.bodyfit.evidence import drop_strangers, gather, model_landmarks, vote_sides
+    from stages.estimators.bodyfit.evidence import drop_cut, drop_strangers, gather, model_landmarks, vote_sides
     from stages.estimators.bodyfit.fit import fit_body
+    from stages.estimators.bodyfit.flow import surface_flow
     from stages.estimators.person.blazepose import BlazePose, pick_masked
     from stages.formats.images import read_image
 
@@ -150,7 +151,7 @@ def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, Landmark
     tracks = network.track(images, pick_masked(network.sightings(images), clip.masks))
     job.progress(40, 100)
     evidence, strangers = drop_strangers(gather(tracks, names), clip.masks)
-    evidence, swapped = vote_sides(evidence)
+    evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
     count = int(evidence.seen.sum())
     if count < max(2, SEEN_LEAST * len(tracks)):
         raise StageError(
@@ -168,8 +169,9 @@ def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, Landmark
     def show(done: int, total: int, cost: float) -> None:
         job.progress(40 + 55 * done // total, 100, cost=round(cost, 2))
 
+    flow = surface_flow(images, clip.masks, clip.times)
     fit = fit_body(
-        clip.model, regressor, evidence, clip.cameras, clip.times, clip.masks, clip.points, clip.moving, show
+        clip.model, regressor, evidence, clip.cameras, clip.times, clip.masks, clip.points, clip.moving, flow, show
     )
     facts = {
         "source": "blazepose",

@@ -14,6 +14,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
+from stages.estimators.bodyfit.flow import SurfaceFlow
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
 from stages.estimators.bodyfit.solve import Solver, State, World
@@ -46,6 +47,7 @@ class _Inputs:
     cameras: Cameras
     times: np.ndarray
     moving: bool
+    flow: SurfaceFlow | None
 
 
 @contextmanager
@@ -73,17 +75,19 @@ def fit_body(
     masks: list[np.ndarray] | None = None,
     points: np.ndarray | None = None,
     moving: bool = True,
+    flow: SurfaceFlow | None = None,
     progress: Callable[[int, int, float], None] = lambda done, total, cost: None,
 ) -> BodyFit:
     """Fit `model` to `evidence` (whose landmarks are `regressor` [K,V] @ vertices) seen by `cameras` (SfM units).
 
-    `times` [F] s; `masks` F of uint8 [H,W]; `points` [P,3] SfM units for the floor; `moving` False: one fixed camera,
-    whose metric frame is the world. Frames not seen are filled in between and get confidence 0. Needs one seen frame.
+    `times` [F] s; `masks` F of uint8 [H,W]; `points` [P,3] SfM units for the floor; `flow` between the pictures; `moving`
+    False: one fixed camera, whose metric frame is the world. Frames not seen are filled in between and get confidence 0.
+    Needs one seen frame.
     """
     seen = np.flatnonzero(evidence.seen)
     body = Body(model)
     joints = body.rest(torch.zeros(10))[1].numpy().astype(np.float64)
-    inputs = _Inputs(body, model, regressor, evidence, cameras, times, moving)
+    inputs = _Inputs(body, model, regressor, evidence, cameras, times, moving, flow)
     solver = _make_solver(inputs, seen)
     turned = solver.evidence.world @ solver.sight.double().numpy().transpose(0, 2, 1)
     root, local = start_pose(replace(solver.evidence, world=turned), joints)
@@ -130,6 +134,8 @@ def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, 
         inputs.moving,
         torch.tensor(up, dtype=torch.float32),
         up_spread,
+        torch.tensor([cameras.width, cameras.height]),
+        inputs.flow if len(rows) == len(times) else None,
         None if floor is None else float(floor.height(middle)),
         scale_spread,
     )
@@ -143,10 +149,8 @@ def _find_scale(
     """Metres per SfM unit before the joint solve, how it was found, and the floor."""
     cameras, turn = inputs.cameras, solver.world.turn.double().numpy()
     with torch.no_grad():
-        soles = solver.surface(state, solver.soles.flatten())[0]
-        pixels = solver.pixels(soles).numpy()
+        skin = solver.surface(state, solver.marks)[0]
         trunk = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
-    feet = (soles.double().numpy() @ turn).reshape(len(seen), 2, -1, 3)
     times = solver.world.times.double().numpy()
     path = TimedCameras(
         cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times, (cameras.width, cameras.height)
@@ -154,8 +158,8 @@ def _find_scale(
     return find_scale(
         path if inputs.moving else None,
         points,
-        feet,
-        pixels,
+        skin.double().numpy() @ turn,
+        solver.soles.shape[1],
         solver.evidence.height,
         np.stack([camera_up(path.viewmats)[0], trunk]),
     )

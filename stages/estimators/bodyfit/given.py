@@ -11,6 +11,7 @@ import torch
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
+from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.person import choose_person
@@ -18,12 +19,12 @@ from stages.estimators.bodyfit.placing import median_shape, place_in_world
 from stages.estimators.bodyfit.resting import onto_body
 from stages.estimators.bodyfit.scale import TimedCameras, find_scale
 from stages.estimators.bodyfit.silhouette import posed_vertices
-from stages.estimators.bodyfit.solve import sole_vertices
 from stages.estimators.bodyfit.start import fill_poses
 from stages.formats.given_fits.record import SmplFit
 from stages.records import BodyModel, BodyPoses, Cameras
 
 FREE_BODY, OWN = "free body", ("npz",)  # the body that is not SMPL, and fits whose poses may be of any body
+SPARSE = 20  # one vertex of so many stands for the skin
 
 
 def import_fit(
@@ -86,16 +87,14 @@ def _find_scale(
     poses: BodyPoses, model: BodyModel, path: TimedCameras, points: np.ndarray | None, moving: bool
 ) -> dict[str, Any]:
     """The scale of `poses` that were placed with 1 m per SfM unit, and how it was found."""
-    soles = sole_vertices(Body(model))
     vertices = np.stack(list(posed_vertices(model, poses)))
-    pixels, _ = project(vertices, path.viewmats, path.Ks)
-    extent = np.ptp(pixels, axis=1)
-    feet = vertices[:, soles.numpy()] - path.centers[:, None, None]
+    extent = np.ptp(project(vertices, path.viewmats, path.Ks)[0], axis=1)
     trunk = matrix_from_rotvec(torch.tensor(poses.global_orient))[:, :, 1].mean(0).numpy()
     ups = np.stack([camera_up(path.viewmats)[0], trunk])
-    at_feet = pixels[:, soles.flatten().numpy()]
+    soles = sole_vertices(Body(model)).numpy()
+    skin = vertices[:, np.concatenate([soles.ravel(), np.arange(0, vertices.shape[1], SPARSE)])] - path.centers[:, None]
     height = np.hypot(extent[:, 0], extent[:, 1])
-    return find_scale(path if moving else None, points, feet, at_feet, height, ups)[0]
+    return find_scale(path if moving else None, points, skin, soles.shape[1], height, ups)[0]
 
 
 def _fill_gaps(poses: BodyPoses, rows: np.ndarray, names: tuple[str, ...], times: np.ndarray) -> BodyPoses:

@@ -18,6 +18,11 @@ NEAR_FEET = 0.5  # body heights in the picture within which a point may belong t
 ENOUGH = 25  # points that make a floor
 STEEPEST = np.cos(np.radians(30))  # between the floor's normal and what is up for the cameras or the body
 TRIALS = 2000
+NEARBY = 8  # of the body's points, one in so many is looked around for a floor where there is none about the feet
+LONG = 0.9  # of the length at which a body stands: lying, bent or crouching, its depth is less sure
+GUESS = 0.1  # of the scale, where feet are never in the picture
+LEAST_STANDING = 0.1  # of the frames
+STILL_ERROR = 0.15  # of the scale by feet that stand still, from which on it says nothing
 INLIER = 0.008  # distance from the plane over distance from the camera
 
 
@@ -43,41 +48,67 @@ class TimedCameras:
     times: np.ndarray
     size: tuple[int, int]
 
+    def see(self, points: np.ndarray) -> np.ndarray:
+        """Pixels [F,N,2] of points [F,N,3] m from each frame's camera, world axes; what is behind it is brought before it."""
+        local = points @ self.viewmats[:, :3, :3].mT
+        return (local / local[..., 2:].clip(0.05)) @ self.Ks[:, :2].mT
+
     def show(self, pixels: np.ndarray) -> np.ndarray:
-        """bool [F]: frames whose picture holds most of `pixels` [F,N,2]."""
-        return ((pixels >= 0) & (pixels <= np.array(self.size))).all(-1).mean(1) > 0.5
+        """bool [F]: frames whose picture holds their pixel of `pixels` [F,2]."""
+        return np.all((pixels >= 0) & (pixels <= np.array(self.size)), axis=-1)
 
 
 def find_scale(
     path: TimedCameras | None,
     points: np.ndarray | None,
-    soles: np.ndarray,
-    pixels: np.ndarray,
+    body: np.ndarray,
+    soles: int,
     height: np.ndarray,
     ups: np.ndarray,
 ) -> tuple[dict[str, Any], Floor | None]:
     """Metres per SfM unit (`initial`), `how` it was found with numbers, and the floor if there is one.
 
-    `path` None: one fixed camera. `soles` [F,2,S,3] m of both feet from the camera, world axes, seen at `pixels`
-    [F,2S,2]; `height` [F] px of the person; `ups` [U,3]: likely up axes.
+    `path` None: one fixed camera. `body` [F,P,3] m: points on the skin from the camera, world axes, of which the first `soles`
+    are under the left foot, then as many under the right; `height` [F] px of the person; `ups` [U,3]: likely up axes.
     """
     if path is None:
         return {"initial": 1.0, "how": "one fixed camera: the world is its frame, in metres"}, None
     found: dict[str, Any] = {}
-    still = still_scale(soles.mean(2), path.centers, path.times)
+    feet = body[:, : 2 * soles]
+    still = still_scale(feet.reshape(len(body), 2, soles, 3).mean(2), path.centers, path.times)
     if still is not None:
         found |= {"from_still_feet": still[0], "still_feet_error": still[1]}
+    pixels = path.see(body)
     floor = None
     if points is not None:
-        floor = find_floor(points, path.viewmats, path.Ks, pixels, height, ups)
-    shown, both = path.show(pixels), soles.reshape(len(soles), -1, 3)
-    on_floor = None if floor is None else floor_scale(floor, both[shown], path.centers[shown])
-    if floor is not None and on_floor is not None:
-        found |= {"initial": on_floor[0], "floor_spread": on_floor[1], "floor_points": floor.points}
-        return found | {"how": "the feet stand on the floor's SfM points"}, floor
-    if still is not None:
+        for near in (pixels[:, : 2 * soles], pixels[:, 2 * soles :: NEARBY]):  # the feet may be out of the picture
+            floor = floor or find_floor(points, path.viewmats, path.Ks, near, height, ups)
+    if floor is not None:
+        lowest = (body @ floor.normal).argmin(1)
+        shown = path.show(pixels[np.arange(len(body)), lowest])
+        length = lengths_across(body)
+        long = length >= LONG * np.quantile(length, 0.9)
+        for standing, guess in ((shown & long, 0.0), (shown, 0.0), (long, GUESS)):
+            on_floor = floor_scale(floor, body[standing], path.centers[standing])
+            if on_floor is not None and standing.sum() >= LEAST_STANDING * len(body):
+                found |= {"initial": on_floor[0], "floor_spread": on_floor[1] + guess, "floor_points": floor.points}
+                guessed = "; no picture shows what touches it, legs are taken for straight" if guess else ""
+                return found | {"how": f"the body stands on the floor's SfM points{guessed}"}, floor
+    if still is not None and still[1] < STILL_ERROR:
         return found | {"initial": still[0], "how": "standing feet do not slide while the camera moves"}, None
     return found | {"initial": 1.0, "how": "not found: no floor and no standing foot"}, None
+
+
+def lengths_across(points: np.ndarray) -> np.ndarray:
+    """How long bodies of `points` [F,P,3] m from the camera look [F] m: the spread along their longest axis across the view.
+
+    One that is seen from its end is short, and its distance is hardly known.
+    """
+    middle = points.mean(1, keepdims=True)
+    away = middle / np.linalg.norm(middle, axis=-1, keepdims=True)
+    about = points - middle
+    across = about - (about * away).sum(-1, keepdims=True) * away
+    return np.sqrt(np.linalg.eigvalsh(across.mT @ across)[:, -1] / points.shape[1])
 
 
 def find_floor(

@@ -13,6 +13,8 @@ from stages.avatar.cameras.pinhole import project
 from stages.avatar.kernels.mesh import NEAR, fill
 from stages.records import BodyModel, BodyPoses
 
+VISIBLE_SIDE, HIDDEN = 160, 0.02  # px; m
+
 
 def posed_vertices(model: BodyModel, poses: BodyPoses) -> Iterator[np.ndarray]:
     """Vertices [V,3] float64 m in the world of each frame in turn; placed in float64, however far the world's origin is."""
@@ -57,6 +59,26 @@ def silhouette(
     for triangle in np.rint(corners[shown] * 16 - 8).astype(np.int32):
         cv2.fillConvexPoly(canvas, triangle, 1, shift=4)
     return canvas.astype(bool)
+
+
+def seen_vertices(points: np.ndarray, faces: np.ndarray, Ks: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """bool [F,M]: the vertices `chosen` [M] that no other part of the body hides; `points` [F,V,3] m in camera axes.
+
+    `faces` [T,3], `Ks` [F,3,3] px. The bodies are drawn VISIBLE_SIDE px large; what is HIDDEN behind the drawn surface is hidden.
+    """
+    seen = np.zeros((len(points), len(chosen)), bool)
+    for i, (body, K) in enumerate(zip(points, Ks, strict=True)):
+        body = body * [1, 1, 0] + [0, 0, 1] * body[:, 2:].clip(NEAR)
+        pixels = body[:, :2] / body[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
+        low, side = pixels.min(0), max(np.ptp(pixels, axis=0).max(), 1e-6)
+        zoom = VISIBLE_SIDE / side
+        into = np.array(
+            [[zoom * K[0, 0], 0, zoom * (K[0, 2] - low[0])], [0, zoom * K[1, 1], zoom * (K[1, 2] - low[1])], [0, 0, 1]]
+        )
+        depth = fill(body, faces, into, VISIBLE_SIDE, VISIBLE_SIDE)[0]
+        column, row = ((pixels[chosen] - low) * zoom).astype(int).clip(0, VISIBLE_SIDE - 1).T
+        seen[i] = body[chosen, 2] < depth[row, column] + HIDDEN
+    return seen
 
 
 def exact_silhouette(

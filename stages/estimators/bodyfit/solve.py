@@ -14,8 +14,10 @@ from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, v
 from stages.avatar.splats.neighbours import farthest_points
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.balance import balance_cost
-from stages.estimators.bodyfit.evidence import LandmarkEvidence
-from stages.estimators.bodyfit.scale import SOLE
+from stages.estimators.bodyfit.contact import floor_cost, loosen, slide_cost, sole_vertices, stance
+from stages.estimators.bodyfit.evidence import LandmarkEvidence, joint_trust
+from stages.estimators.bodyfit.flow import SurfaceFlow, flow_cost
+from stages.estimators.bodyfit.silhouette import seen_vertices
 from stages.records import JOINT_NAMES
 
 # Standard deviations; lengths in the picture are shares of the person's height there.
@@ -26,10 +28,8 @@ DIRECTION = {
     "shoulder": 0.18, "elbow": 0.2, "wrist": 0.3, "hand": 0.35, "hip": 0.12, "knee": 0.17, "ankle": 0.17, "ear": 0.18,
     "eye": 0.22,
 }  # fmt: skip
-STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and its sole above the floor
 CLOTH = (0.01, 0.02)  # m that clothes, hair and shoes stand off the skin at each joint: mean and spread
 BIAS = (0.15, 0.15)  # spreads: the landmarks' lean, m a metre of height, and the logarithm of their flatness
-SLOW = 0.6  # m/s that a foot may move, before the feet are held still, and stand; 0.45 lets one in sixty slide by 2 cm
 # Outlines pull each frame its own way: with spreads 2.5 times as wide, people jitter, and joints are 0.4 cm worse.
 ACCELERATION = {"pelvis": 1.6, "spine": 2.0, "hip": 2.0, "neck": 2.0, "collar": 2.4, "head": 2.4, "shoulder": 2.4}
 ACCELERATION_REST = 4.2  # m/s^2, limbs
@@ -40,7 +40,12 @@ BETAS = 0.4  # weight of one squared beta against one frame's evidence: at 0.12 
 # 4.1 cm off in place of 4.4, but the twelve clips for setting stand 1 cm nearer: clothes pull. At 300 and without room for
 # clothes 14.4.
 OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 60.0, 100.0, 0.5, 0.5
-COARSE, DENSE = 300, 2500  # vertices held inside the masks, and vertices the outlines may choose from
+MARKS, COARSE, DENSE = (
+    300,
+    300,
+    2500,
+)  # vertices that flow moves and the floor holds, that masks hold, that outlines choose from
+FLOW_SHARE = 120.0
 SEGMENTS = (
     *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("shoulder", "elbow"),
     ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"), ("ear", "eye"), ("wrist", "hand"))),
@@ -77,6 +82,7 @@ class World:
 
     `up` [3] is known to `up_spread` rad, metres per SfM unit to `scale_spread` of itself before the last steps. `offset` is
     that of the floor, whose normal is `up` (None: no floor known). `moving` False: one camera, its frame is the world.
+    `size` [2] px of the pictures; `flow` between them, if it was looked for.
     """
 
     turn: Tensor
@@ -85,6 +91,8 @@ class World:
     moving: bool
     up: Tensor
     up_spread: float
+    size: Tensor
+    flow: SurfaceFlow | None = None
     offset: float | None = None
     scale_spread: float = 1.0
 
@@ -95,7 +103,7 @@ class Solver:
     def __init__(
         self, body: Body, regressor: Tensor, faces: Tensor, evidence: LandmarkEvidence, Ks: np.ndarray, world: World
     ):
-        self.body, self.evidence, self.world = body, evidence, world
+        self.body, self.evidence, self.world, self.faces = body, evidence, world, faces
         self.landmarks = Landmarks(body, regressor)
         f32 = torch.float32
         self.K = torch.tensor(Ks, dtype=f32)
@@ -118,8 +126,11 @@ class Solver:
         self.dense = farthest_points(body.v_template, DENSE)
         self.coarse = self.dense[:COARSE]
         self.soles = sole_vertices(body)
+        self.marks = torch.cat([self.soles.flatten(), self.dense[:MARKS]])
         self.normals = vertex_normals(body.v_template, faces)
         self.rim = torch.zeros(len(evidence.seen), 0, dtype=torch.long)  # until `match_outlines`
+        self.shown = torch.zeros(len(evidence.seen), MARKS)  # until `look`
+        self.mark_trust = torch.tensor(joint_trust(evidence), dtype=f32) @ body.lbs_weights[self.marks].T
 
     def pose(self, state: State) -> tuple[Tensor, Tensor]:
         """Landmarks [F,K,3] and joints [F,24,3] in camera axes, metres."""
@@ -167,6 +178,15 @@ class Solver:
                 facing = outlines.normals[i] @ normals[i, :, :2].T
                 rim[i] = (away.square() + 2 * (1 - facing)).argmin(1)
             self.rim = self.dense[rim]
+
+    def look(self, state: State) -> None:
+        """See which marks no other part of the body hides; kept until the next call."""
+        with torch.no_grad():
+            points = self.surface(state, torch.arange(len(self.body.v_template)))[0]
+        seen = seen_vertices(
+            points.double().numpy(), self.faces.numpy(), self.K.double().numpy(), self.dense[:MARKS].numpy()
+        )
+        self.shown = torch.tensor(seen, dtype=torch.float32)
 
     def directions(self, bias: Tensor) -> Tensor:
         """Unit directions [F,S,3] of the limbs in camera axes, as BlazePose guessed them less the `bias` of its depths.
@@ -217,43 +237,22 @@ class Solver:
         speed = (state.pose[1:] - state.pose[:-1]) / (self.world.times[1:] - self.world.times[:-1])[:, None]
         return (cost + (speed / TURN_SPEED).square().sum()) / len(joints)
 
-    def feet(self, state: State, scale: Tensor | float) -> Tensor:
-        """Sole points [F,2,S,3] in the world."""
-        soles = self.surface(state, self.soles.flatten())[0]
-        return self.to_world(state, soles, scale).unflatten(1, self.soles.shape)
+    def trusted(self, points: Tensor) -> Tensor:
+        """How far [F,M] the marks' camera-axes `points` [F,M,3] are seen: in the picture, on a part whose landmarks are visible."""
+        pixels = self.pixels(points.detach())
+        return self.mark_trust * ((pixels > 0) & (pixels < self.world.size)).all(-1)
 
-    def stance(self, feet: Tensor, scale: float, loose: float = 1.0) -> Tensor:
-        """Weight [F,2] in 0..1 of each foot as standing: it hardly moves, and is on the floor if the floor is known.
+    def heights(self, state: State, points: Tensor, scale: Tensor, trust: Tensor) -> Tensor | None:
+        """How high camera-axes points [F,M,3] are over the floor [F,M] m; None without a floor.
 
-        `loose` > 1 widens both limits by that factor, for a body whose depth is not settled yet.
+        A point that is not seen says how the body is posed, not where it stands: `trust` [F,M] is the share of its slope that
+        place and scale get.
         """
-        middle = feet.mean(2)
-        if len(middle) < 2:
-            return middle.new_zeros(middle.shape[:2])
-        speed, past = (
-            (middle[gap:] - middle[:-gap]).norm(dim=-1) / (self.world.times[gap:] - self.world.times[:-gap])[:, None]
-            for gap in (1, 2)  # past: between the neighbours, in case one frame errs
-        )
-        slow = torch.cat([speed[:1], torch.minimum(torch.minimum(speed[1:], speed[:-1]), past), speed[-1:]])
-        stands = torch.sigmoid((SLOW * loose - slow) / (0.08 * loose))
-        if self.world.offset is not None:
-            lowest = (feet @ self.world.up + scale * self.world.offset).amin(-1)
-            stands = stands * torch.sigmoid((0.10 * loose - lowest.abs()) / (0.02 * loose))
-            if loose > 1:  # the lower foot
-                stands = stands * torch.sigmoid((lowest.flip(1) - lowest + 0.03) / 0.01)
-        return stands
-
-    def feet_cost(self, state: State, feet: Tensor, stands: Tensor, scale: Tensor, loose: float = 1.0) -> Tensor:
-        """Cost of standing feet that slide, hover or sink."""
-        pair = (stands[1:] * stands[:-1])[..., None]
-        size = self.size(state.betas)
-        slide = (feet[1:] - feet[:-1]).square().sum(-1) / (STILL * size) ** 2
-        cost = (pair * terms.geman_mcclure(slide, 4.0)).sum() / feet.shape[2]
-        if self.world.offset is not None:
-            height = (feet @ self.world.up + scale * self.world.offset - SOLE) / (GROUND * loose * size)
-            sunk = terms.geman_mcclure(torch.relu(-height).square(), 4.0).mean(-1).sum()
-            cost = cost + (stands * terms.geman_mcclure(height.amin(-1).square(), 4.0)).sum() + sunk
-        return cost / len(feet)
+        if self.world.offset is None:
+            return None
+        about = (points - state.place[:, None]) @ self.world.turn @ self.world.up
+        stand = self.to_world(state, state.place[:, None], scale) @ self.world.up + scale * self.world.offset
+        return about + trust * stand + (1 - trust) * stand.detach()
 
     def minimise(
         self,
@@ -297,12 +296,26 @@ class Solver:
             total = total + ((cloth - CLOTH[0]) / CLOTH[1]).square().sum()
             total = total + self.motion_cost(now, joints, scale if in_world else None)
             if in_world:
-                feet, loose = self.feet(now, scale), loosen(i / steps)
+                loose = loosen(i / steps)
+                marks, size = self.surface(now, self.marks)[0], self.size(betas)
+                count = self.soles.numel()
+                feet = self.to_world(now, marks[:, :count], scale).unflatten(1, self.soles.shape)
+                trust = self.trusted(marks)
+                high = self.heights(now, marks, scale, trust)
+                low = None if high is None else high[:, :count].unflatten(1, self.soles.shape)
                 if i % 25 == 0:
-                    stands = self.stance(feet.detach(), float(scale.detach()), loose)
-                total = total + self.feet_cost(now, feet, stands, scale, loose)
+                    stands = stance(feet.detach(), None if low is None else low.detach(), self.world.times, loose)
+                    stands = stands * trust[:, :count].unflatten(1, self.soles.shape).mean(-1)
+                total = total + slide_cost(feet, stands, size)
+                if high is not None and low is not None:
+                    total = total + floor_cost(low, high, stands, size, loose)
+                if self.world.flow is not None:
+                    if i % 50 == 0:
+                        self.look(now)
+                    moved = flow_cost(self.world.flow, self.pixels(marks[:, count:]), self.shown, self.height)
+                    total = total + FLOW_SHARE * moved / MARKS
                 placed, up, spread = self.to_world(now, joints, scale), self.world.up, self.world.up_spread
-                total = total + balance_cost(placed, stands, self.world.times, up, spread, self.size(betas))
+                total = total + balance_cost(placed, stands, self.world.times, up, spread, size)
             adam.zero_grad()
             total.backward()
             adam.step()
@@ -317,25 +330,7 @@ class Solver:
             return State(root=matrix_from_rotvec(turn) @ root, scale=float(log_scale.exp()), **found)
 
 
-def loosen(share: float) -> float:
-    """How much wider the limits of feet on the floor are after that `share` of the steps: 6 falling to 1 in the middle."""
-    return 1 + 5 * max(0.0, 1 - 2 * share)
-
-
 def sight_turns(pixels: Tensor, K: Tensor) -> Tensor:
     """Rotations [F,3,3] about the camera's y axis that take its z axis to the columns `pixels` [F,2] px; `K` [F,3,3]."""
     angle = torch.atan2(pixels[:, 0] - K[:, 0, 2], K[:, 0, 0])
     return matrix_from_rotvec(torch.stack([0 * angle, angle, 0 * angle], -1))
-
-
-def sole_vertices(body: Body, count: int = 8) -> Tensor:
-    """Indices [2,count] of vertices spread over the left and the right sole: foot vertices within 12 mm of the lowest."""
-    rows = []
-    for side in ("left", "right"):
-        joints = [JOINT_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
-        foot = torch.nonzero(body.lbs_weights[:, joints].sum(1) > 0.5).flatten()
-        foot = foot[body.v_template[foot, 1].argsort()]  # the lowest comes first, and is always taken
-        foot = foot[body.v_template[foot, 1] < body.v_template[foot[0], 1] + 0.012]
-        picked = farthest_points(body.v_template[foot], count)
-        rows.append(foot[picked[torch.arange(count) % len(picked)]])
-    return torch.stack(rows)

@@ -16,7 +16,7 @@ from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.facts import Listing, Sfm, read_facts
-from stages.formats.images import read_mask
+from stages.formats.images import read_image, read_mask
 from stages.formats.points import read_points
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses, Cameras
@@ -64,6 +64,7 @@ def read_finished(results: Path) -> Take:
     return Take(
         cameras=cameras,
         times=np.array([time_of[name] for name in cameras.names], np.float64),
+        images=[read_image(sfm / "images" / f"{name}.png") for name in cameras.names],
         masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
         points=read_points(sfm / "points.ply")[0].astype(np.float64),
         tracks=tracks,

@@ -19,8 +19,16 @@ import numpy as np
 
 from stages import masks as masks_stage
 from stages.contract import Job
-from stages.estimators.bodyfit.evidence import LandmarkEvidence, drop_strangers, gather, model_landmarks, vote_sides
+from stages.estimators.bodyfit.evidence import (
+    LandmarkEvidence,
+    drop_cut,
+    drop_strangers,
+    gather,
+    model_landmarks,
+    vote_sides,
+)
 from stages.estimators.bodyfit.fit import BodyFit, fit_body
+from stages.estimators.bodyfit.flow import surface_flow
 from stages.estimators.person.blazepose import BlazePose, Pose, pick_masked
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.static_scene import corrected
@@ -37,11 +45,12 @@ from tests.made.family.table import FPS, Shot
 
 @dataclass(frozen=True)
 class Take:
-    """One clip's evidence: `cameras` in SfM units, `times` [F] s, `masks` F of uint8 [H,W], `points` [P,3], `tracks` F of
-    BlazePose's poses; `moving` as `fit_body` takes it."""
+    """One clip's evidence: `cameras` in SfM units, `times` [F] s, `images` and `masks` F of uint8 [H,W,3] and [H,W], `points`
+    [P,3], `tracks` F of BlazePose's poses; `moving` as `fit_body` takes it."""
 
     cameras: Cameras
     times: np.ndarray
+    images: Sequence[np.ndarray]
     masks: list[np.ndarray]
     points: np.ndarray
     tracks: list[Pose | None]
@@ -121,7 +130,8 @@ def read_take(folder: Path) -> tuple[Take, Truth]:
     )
     times = np.arange(len(cameras)) / facts["fps"]
     points = read_points(folder / "points.ply")[0].astype(np.float64)
-    take = Take(cameras, times, masks, points, read_tracks(folder / "tracks.npz"), facts["moving"])
+    images = masks_stage.Pictures([folder / "images" / f"{name}.png" for name in cameras.names])
+    take = Take(cameras, times, images, masks, points, read_tracks(folder / "tracks.npz"), facts["moving"])
     truth = folder / "truth"
     poses, model = read_poses(truth / "body.npz"), read_body_model(truth / "body_model.npz")
     return take, Truth(model, poses, read_cameras(truth / "cameras.npz"), true_masks)
@@ -132,6 +142,7 @@ def fit_take(take: Take, model: BodyModel | None = None) -> tuple[BodyFit, Landm
     model = model or read_body_model()
     names, regressor = model_landmarks(model)
     evidence, _ = drop_strangers(gather(take.tracks, names), take.masks)
-    evidence, _ = vote_sides(evidence)
-    fit = fit_body(model, regressor, evidence, take.cameras, take.times, take.masks, take.points, take.moving)
+    evidence, _ = vote_sides(drop_cut(evidence, (take.cameras.width, take.cameras.height)))
+    flow = surface_flow(take.images, take.masks, take.times)
+    fit = fit_body(model, regressor, evidence, take.cameras, take.times, take.masks, take.points, take.moving, flow)
     return fit, evidence

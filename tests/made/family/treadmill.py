@@ -18,7 +18,7 @@ from stages.estimators.bodyfit.silhouette import posed_vertices
 from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
-from stages.formats.images import read_mask, write_image
+from stages.formats.images import read_image, read_mask, write_image
 from stages.formats.points import write_points
 from stages.records import Cameras
 from tests.made.family.evidence import Take, find_person, fit_take, read_tracks
@@ -142,8 +142,11 @@ def measure_treadmill(folder: Path, clip: Path) -> dict[str, float]:
     cameras = read_cameras(at / "cameras.npz")
     times = np.array([int(name) for name in cameras.names]) / RATE
     masks = [read_mask(at / "masks" / f"{name}.png") for name in cameras.names]
+    images = [read_image(at / "images" / f"{name}.png") for name in cameras.names]
     model = read_body_model()
-    fit, _ = fit_take(Take(cameras, times, masks, np.zeros((0, 3)), read_tracks(at / "tracks.npz"), False), model)
+    fit, _ = fit_take(
+        Take(cameras, times, images, masks, np.zeros((0, 3)), read_tracks(at / "tracks.npz"), False), model
+    )
     names, regressor = model_landmarks(model)
     chosen = regressor[[names.index(name) for name in JOINTS]]
     found = np.stack([chosen @ vertices for vertices in posed_vertices(model, fit.poses)])

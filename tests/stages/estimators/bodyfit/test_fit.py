@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import Body
-from stages.avatar.cameras.pinhole import project
 from stages.estimators.bodyfit import fit as fitting
 from stages.estimators.bodyfit.evidence import (
     LandmarkEvidence,
@@ -21,7 +20,6 @@ from stages.estimators.bodyfit.evidence import (
 )
 from stages.estimators.bodyfit.fit import fit_body
 from stages.estimators.bodyfit.quality import fast_joints, measure_quality
-from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_floor, find_scale, floor_scale, still_scale
 from stages.estimators.bodyfit.silhouette import silhouette
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, unwrap_rotations
 from stages.estimators.bodyfit.terms import acceleration, geman_mcclure, joint_spreads, outlines, pose_prior
@@ -145,66 +143,6 @@ def test_j06_another_person_is_left_out():
     for mask in masks:
         mask[:10, :10] = 255  # the masked person stands elsewhere
     assert drop_strangers(evidence, masks)[1][evidence.seen].all()
-
-
-def test_j02_j03_j04_the_floor_is_found_beside_a_wall_and_gives_the_scale(held):
-    clip = bodyfit_clips.make(MODEL, frames=12)
-    up = clip.joints[:, 15].mean(0) - clip.joints[:, 0].mean(0)
-    up /= np.linalg.norm(up)
-    lowest = (clip.vertices @ up).argsort(1)[:, :16]
-    soles = np.take_along_axis(clip.vertices, lowest[..., None], 1).astype(np.float64)
-    views, centers = clip.cameras.viewmats, clip.cameras.centers
-    pixels, _ = project(soles / clip.scale, views, clip.cameras.Ks)
-    floor = find_floor(clip.points, views, clip.cameras.Ks, pixels, np.full(12, 400.0), up[None])
-    assert floor is not None and floor.normal @ up > 0.99
-    relative = soles - clip.scale * centers[:, None]
-    scale, spread = floor_scale(floor, relative, centers)
-    assert scale == pytest.approx(clip.scale, rel=0.01) and spread < 0.02
-    relative[3] += 0.4 * floor.normal  # one jump does not change it
-    held(abs(floor_scale(floor, relative, centers)[0] / scale - 1), 0.01)
-    assert floor_scale(floor, relative * 0, centers) is None  # at the camera's height: no ray meets the floor
-    assert floor_scale(replace(floor, offset=floor.offset - 100), relative, centers) is None  # camera below the floor
-
-
-def test_feet_that_are_never_in_the_picture_give_no_scale_by_the_floor():
-    clip = bodyfit_clips.make(MODEL, frames=8)
-    up = clip.joints[:, 15].mean(0) - clip.joints[:, 0].mean(0)
-    up /= np.linalg.norm(up)
-    lowest = (clip.vertices @ up).argsort(1)[:, :16]
-    soles = np.take_along_axis(clip.vertices, lowest[..., None], 1).astype(np.float64).reshape(8, 2, 8, 3)
-    views, Ks, centers = clip.cameras.viewmats, clip.cameras.Ks, clip.cameras.centers
-    pixels, _ = project(soles.reshape(8, 16, 3) / clip.scale, views, Ks)
-    relative = soles - clip.scale * centers[:, None, None]
-    for size, floored in (((480, 864), True), ((480, 400), False)):  # the picture ends at the hips
-        path = TimedCameras(views, Ks, centers, clip.times, size)
-        found, floor = find_scale(path, clip.points, relative, pixels, np.full(8, 400.0), up[None])
-        assert (floor is not None) == floored and found["how"].startswith("the feet stand") == floored
-
-
-def test_j04_no_floor_among_few_or_upright_points():
-    clip = bodyfit_clips.make(MODEL, frames=6)
-    feet = np.full((6, 4, 2), 300.0)
-    args = (clip.cameras.viewmats, clip.cameras.Ks, feet, np.full(6, 400.0))
-    assert find_floor(clip.points[:10], *args, np.array([[0, 1.0, 0]])) is None
-    assert find_floor(np.zeros((0, 3)), *args, np.array([[0, 1.0, 0]])) is None
-
-
-def test_j02_standing_feet_give_the_scale_without_a_floor():
-    rng = np.random.default_rng(3)
-    times = np.arange(30) / 12
-    centers = np.cumsum(rng.normal(0, 0.1, (30, 3)), 0)
-    place = np.array([0.3, -1.0, 2.0]) + np.array([[0, 0, 0], [0.2, 0, 0]])
-    steps = np.zeros((30, 2, 3))
-    steps[15:, 1] = [0.5, 0, 0]  # one foot makes a step
-    feet = place + steps - 0.4 * centers[:, None] + rng.normal(0, 0.003, (30, 2, 3))
-    scale, error = still_scale(feet, centers, times)
-    assert scale == pytest.approx(0.4, rel=0.02) and error < 0.05
-    assert still_scale(feet, np.zeros((30, 3)), times) is None
-
-
-def test_height_of_a_floor_is_signed():
-    floor = Floor(np.array([0, 1.0, 0]), -0.5, 30)
-    np.testing.assert_allclose(floor.height(np.array([[0, 2.0, 0], [1, 0, 0]])), [1.5, -0.5])
 
 
 def test_d07_j05_gaps_are_filled_the_short_way_and_ends_held():

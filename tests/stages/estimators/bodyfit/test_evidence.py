@@ -1,0 +1,31 @@
+"""Landmarks as evidence: what the picture's border cuts off is a guess."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stages.estimators.bodyfit.evidence import CUT, LandmarkEvidence, drop_cut, joint_trust
+from stages.records import JOINT_NAMES
+
+NAMES = ("left_shoulder", "right_shoulder", "left_hip", "right_hip", "left_ankle", "left_heel")
+
+
+def evidence(ankle: tuple[float, float], weight: float = 0.8) -> LandmarkEvidence:
+    xy = np.full((1, 6, 2), 100.0)
+    xy[0, 4] = ankle
+    return LandmarkEvidence(
+        NAMES, xy, np.full((1, 6), weight), np.zeros((1, 6, 3)), np.ones(1, bool), np.full(1, 100.0)
+    )
+
+
+def test_a_landmark_on_the_border_is_dropped_and_one_inside_stays():
+    for ankle in ((100, 200 - 50 * CUT), (50 * CUT, 100), (100, 260), (-5, 100)):
+        found = drop_cut(evidence(ankle), (150, 200)).weight[0]
+        assert found[4] == 0 and (found[[0, 1, 2, 3, 5]] == 0.8).all()
+    assert (drop_cut(evidence((100, 200 - 150 * CUT)), (150, 200)).weight == 0.8).all()
+
+
+def test_a_joint_is_as_visible_as_its_landmark_and_the_spine_as_the_trunk():
+    trust = dict(zip(JOINT_NAMES, joint_trust(drop_cut(evidence((-5, 100), 0.3), (150, 200)))[0], strict=True))
+    assert trust["left_ankle"] == 0 and trust["left_foot"] == trust["spine2"] == trust["pelvis"] == 0.6
+    assert joint_trust(evidence((100, 100)))[0].max() == 1
