@@ -16,6 +16,7 @@ from stages.records import Avatar, Scene
 WHOLE = ("parents", "version")
 VERSION = 1  # of the files; those of 0.1.0 and 0.2.0 say none
 HINT = "train again: `hugs run VIDEO train --force`"
+HIGHER = (0, 3, 8, 15)  # coefficients a colour beside the first, for degrees 0 to 3
 _ROWS = {
     "means": (3,),
     "quats": (4,),
@@ -45,7 +46,7 @@ def write_splats(path: Path, splats: Scene | Avatar) -> None:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read `scene.npz`; raises StageError when arrays are missing, of unequal length, not finite, or a quaternion is zero."""
+    """Read `scene.npz`; StageError where arrays are missing, of unequal length, not finite, or have what cannot be."""
     return _read(path, Scene)
 
 
@@ -96,7 +97,29 @@ def _read(path: Path, kind: type[S]) -> S:
             hint=HINT,
         )
     shapes = {n: (lengths["means"], *shape) for n, shape in _ROWS.items()} | _REST
-    return kind(**more | {n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})
+    found = kind(**more | {n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})
+    if facts := impossible(found):
+        raise StageError(f"{path.name} is damaged", HINT, facts)
+    return found
+
+
+def impossible(splats: Scene) -> list[str]:
+    """What Gaussians and skeletons cannot have, in words; nothing where all is well."""
+    facts = []
+    wrong = {
+        "a scale that is not positive": ~(splats.scales > 0).all(1),
+        "an opacity that is not in 0..1": ~((splats.opacities >= 0) & (splats.opacities <= 1)),
+    }
+    for what, rows in wrong.items():
+        if rows.any():
+            facts.append(f"{rows.sum()} Gaussians have {what}, the first is row {rows.argmax()}")
+    if splats.shN.shape[1] not in HIGHER:
+        facts.append(f"shN has {splats.shN.shape[1]} coefficients a colour, degrees 0 to 3 have 0, 3, 8 and 15")
+    if isinstance(splats, Avatar):
+        root, *others = np.asarray(splats.parents).tolist()
+        if root != -1 or not all(0 <= parent < joint for joint, parent in enumerate(others, start=1)):
+            facts.append("its joints are not a tree with each parent before its child")
+    return facts
 
 
 def _always(kind: type[Scene]) -> list[str]:

@@ -18,6 +18,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.exchange.bone_names import Names, bone_names
 from stages.formats.exchange.glb import HINT, Arrays, Glb, write_glb
+from stages.formats.splats import impossible
 from stages.records import BETAS, JOINTS, Avatar, Mesh, Rig, Take
 
 SPLATS = "KHR_gaussian_splatting"
@@ -210,10 +211,7 @@ def _checked(avatar: Avatar, path: Path) -> Avatar:
             facts.append(f"{name} has values that are not finite")
     if avatar.joints.shape != (JOINTS, 3) or avatar.betas.shape != (BETAS,):
         facts.append(f"{len(avatar.joints)} joints and {avatar.betas.size} betas, not {JOINTS} and {BETAS}")
-    if avatar.parents[0] != -1 or not all(0 <= parent < i for i, parent in enumerate(avatar.parents) if i):
-        facts.append("its joints are not a tree with each parent before its child")
-    if not (avatar.scales > 0).all() or not ((avatar.opacities >= 0) & (avatar.opacities <= 1)).all():
-        facts.append("a scale is not positive, or an opacity not in 0..1")
+    facts += impossible(avatar)
     if n and (np.abs(avatar.lbs_weights.sum(1) - 1).max() > 1e-3 or not avatar.quats.any(1).all()):
         facts.append("weights do not add up to 1, or a quaternion is zero")
     if facts:

@@ -67,6 +67,28 @@ def test_a19_a_zero_quaternion_is_no_rotation(tmp_path):
     assert error.value.facts[2] == "rows whose quaternion is zero: 3"
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"scales": np.zeros((5, 3))}, "5 Gaussians have a scale that is not positive, the first is row 0"),
+        (
+            {"opacities": np.array([0, 1, 0.5, 1.5, -1])},
+            "2 Gaussians have an opacity that is not in 0..1, the first is row 3",
+        ),
+        ({"shN": np.zeros((5, 5, 3))}, "shN has 5 coefficients a colour"),
+        ({"parents": np.roll(np.arange(24) - 1, 1)}, "not a tree"),
+        ({"parents": np.arange(24)}, "not a tree"),
+        ({"parents": np.r_[-1, 99, np.arange(1, 23)]}, "not a tree"),
+    ],
+)
+def test_what_no_avatar_can_have_is_refused_by_name(tmp_path, change, said):
+    """An avatar of a stranger (`--avatar FILE`): none of these could be posed or drawn."""
+    np.savez(tmp_path / "theirs.npz", **avatar() | change)
+    with pytest.raises(StageError, match=r"theirs.npz is damaged") as refused:
+        read_avatar(tmp_path / "theirs.npz")
+    assert said in refused.value.facts[0]
+
+
 def test_files_of_earlier_versions_are_read_and_newer_ones_refused(tmp_path):
     for name, value in (("old.npz", {}), ("now.npz", {"version": 1}), ("new.npz", {"version": 2})):
         np.savez(tmp_path / name, **avatar(), **{key: np.int32(number) for key, number in value.items()})
