@@ -51,7 +51,8 @@ export function connect(player, read, facts) {
   };
   press("clip", look);
   press("shade", () => player.set({ shaded: !player.shaded }));
-  press("home", () => player.home(facts.clip.middle));
+  const home = () => player.home(facts.clip.middle);
+  press("home", home);
   press("still", () => save(player, facts));
   const whole = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
   press("full", whole);
@@ -99,7 +100,7 @@ export function connect(player, read, facts) {
   $("shade").hidden = !player.shadow;
   $("clip").disabled = !facts.clip.pictures.length;
   $("full").hidden = !document.fullscreenEnabled;
-  offerHeadset(player, $("headset"), say);
+  offerHeadset(player, $("headset"), say, home);
 
   document.body.style.setProperty("--shape", facts.clip.size[0] / facts.clip.size[1]);
   player.changed = () => {
