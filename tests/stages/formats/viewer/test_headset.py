@@ -13,7 +13,8 @@ class Session extends EventTarget {
   updateRenderState(state) { Object.assign(this.renderState, state); }
   async requestReferenceSpace(kind) { this.space = kind; return new EventTarget(); }
   requestAnimationFrame(draw) {
-    return setTimeout(() => draw(performance.now(), { session: this, getViewerPose: () => { this.asked = true; return null; } }), 10);
+    const frame = { session: this, getViewerPose: () => { this.asked = true; return null; } };
+    return setTimeout(() => draw(performance.now(), frame), 10);
   }
   cancelAnimationFrame(number) { clearTimeout(number); }
   async end() { this.dispatchEvent(new Event("end")); }
