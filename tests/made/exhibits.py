@@ -18,9 +18,11 @@ from stages.formats import viewer
 from stages.formats.body_model import read_body_model
 from stages.formats.effects import write_effects
 from stages.formats.splats import read_avatar, read_scene, write_splats
-from stages.records import Clothes, Effects
+from stages.records import Clothes, Effects, Scene
 from tests.made import tiny
 
+HAZE = 8  # layers
+ROWS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 NAME = '<!--<script>window.broken=1</script><img src=x onerror="window.broken=1"> & \u2028.mp4'
 
 
@@ -32,7 +34,8 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     facts = json.loads(listing.read_bytes())
     listing.write_text(json.dumps(facts | {"frames": frames}))
     train = folders["train"]
-    write_splats(train / "avatar.npz", replace(read_avatar(train / "avatar.npz"), clothes=clothes()))
+    person = read_avatar(train / "avatar.npz")
+    write_splats(train / "avatar.npz", replace(person, clothes=clothes(), lbs_weights=spread(person.lbs_weights)))
     if scene:
         body = Body(read_body_model())
         parts = casters(body.rest(torch.zeros(10))[0], body.lbs_weights)
@@ -40,7 +43,7 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
         light /= np.linalg.norm(light)
         wall = read_scene(train / "scene.npz")  # no two at one depth: which of them is in front is not defined
         rough = wall.means + np.random.default_rng(6).uniform(-0.1, 0.1, wall.means.shape) * [0, 0, 1]
-        write_splats(train / "scene.npz", replace(wall, means=rough))
+        write_splats(train / "scene.npz", hazy(replace(wall, means=rough)))
         write_effects(
             train / "effects.npz", Effects(light, **shadow, middles=parts.middles, covariances=parts.covariances)
         )
@@ -64,6 +67,20 @@ def rename(shown: viewer.Exhibit) -> viewer.Exhibit:
     """The same under a name made to break the page, which no file system would allow, wherever a name stands."""
     first, *others = shown.moves
     return replace(shown, title=NAME, subtitle=NAME, facts=[(NAME, NAME)], moves=[replace(first, name=NAME), *others])
+
+
+def spread(weights: np.ndarray) -> np.ndarray:
+    """Skinning weights [N,24] as learned ones are: every bone has a little of every Gaussian."""
+    return (weights + 4e-4) / (weights + 4e-4).sum(1, keepdims=True)
+
+
+def hazy(scene: Scene) -> Scene:
+    """The scene behind many faint layers, each of which changes a pixel by less than a byte holds."""
+    rng, count = np.random.default_rng(7), HAZE * len(scene)
+    more = {name: np.tile(part, (HAZE, *[1] * (part.ndim - 1))) for name, part in vars(scene).items() if name in ROWS}
+    more["means"] = more["means"] - rng.uniform([-0.1, -0.1, 0.2], [0.1, 0.1, 0.5], (count, 3))
+    more |= {"opacities": np.full(count, 0.012), "sh0": np.full((count, 3), 1.7)}
+    return replace(scene, **{name: np.concatenate([getattr(scene, name), part]) for name, part in more.items()})
 
 
 def clothes() -> Clothes:

@@ -22,7 +22,7 @@ from stages.records import Cameras, Effects, Move, Rig, Scene
 ROOM = Path(__file__).parent / "page"
 TEMPLATE, STYLE, BOOT, ICONS = "viewer.html", "viewer.css", "boot.js", "icons.json"
 MODULES = (
-    "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "floor.js", "headset.js", "main.js",
+    "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "floor.js", "headset.js", "light.js", "main.js",
     "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "shadow.js", "skeleton.js", "skin.js",
     "splats.js", "stage.js", "turns.js",
 )  # fmt: skip
@@ -32,7 +32,7 @@ POLICY = (
     "img-src data: blob:; connect-src data: blob:; worker-src blob: data:"
 )
 """What the browser lets the page load: only what is in it."""
-TEN_BITS = 1023  # of a skinning weight; the page divides by their sum
+TEN_BITS = 1023  # of the root of a skinning weight, so that many small ones count; the page divides by the sum
 LARGEST_SCENE = 400_000  # Gaussians: what phones still draw
 PICTURES, SIDE, QUALITY, BYTES = 60, 480, 80, 900_000  # frames shown, px of their longer side, of JPEG, of all of them
 
@@ -87,7 +87,7 @@ def write_viewer(path: Path, shown: Exhibit) -> list[str]:
 def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
     packer, rig = Packer(), shown.rig
     packer.gaussians("person", rig, 16)
-    packer.whole("person/weights", np.rint(np.asarray(shown.weights, np.float64) * TEN_BITS), 16)
+    packer.whole("person/weights", np.rint(np.sqrt(np.asarray(shown.weights, np.float64)) * TEN_BITS), 16)
     packer.exact("person/joints", rig.joints)
     if rig.clothes is not None:
         for name in ("nodes", "mean", "axes", "low", "high", "offsets"):

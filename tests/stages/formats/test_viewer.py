@@ -91,7 +91,7 @@ def test_many_pictures_and_large_scenes_are_bounded(monkeypatch, folders):
     facts = part(html, "facts")
     assert 1 <= len(facts["clip"]["pictures"]) < tiny.FRAMES
     assert facts["arrays"]["scene/opacities"]["shape"] == [100, 1]
-    assert "341 of 441 Gaussians of the scene" in html
+    assert "3,869 of 3,969 Gaussians of the scene" in html
 
 
 @pytest.mark.slow
@@ -116,7 +116,7 @@ def test_no_name_runs_as_code(page):
     ("motion", "frame", "only"), [(CLIP, 2, "both"), (JACKS, 40, "both"), (JACKS, 70, "person"), (CLIP, 0, "scene")]
 )
 def test_a_frame_is_as_we_draw_it(page, folders, motion, frame, only):
-    """With clothes and shadow, all bones, and numbers of few bits."""
+    """With clothes and shadow, all bones however little they weigh, and many faint layers."""
     clip, learned = (
         load_clip(folders["sfm"], folders["smpl"], folders["train"]),
         load_learned(*read_trained(folders["train"])),
@@ -135,11 +135,11 @@ def test_a_frame_is_as_we_draw_it(page, folders, motion, frame, only):
     wanted = {"motion": motion, "frame": frame, "camera": 3, "only": only, "background": 0xFFFFFF}
     theirs = picture(page.run(f"hugs.show({json.dumps(wanted)})"))
     assert theirs.shape == ours.shape
-    assert psnr(theirs, ours) >= 47
+    assert psnr(theirs, ours) >= 52
     if human:
         rows, columns = np.nonzero(draw(human, None, camera)[1] > 0.1)
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        assert psnr(theirs[box], ours[box]) >= 45
+        assert psnr(theirs[box], ours[box]) >= 50
 
 
 def picture(url: str) -> np.ndarray:

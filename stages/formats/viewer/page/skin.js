@@ -2,7 +2,7 @@
 import { DataArrayTexture, DataTexture, FloatType, RGBAFormat, RGBAIntegerFormat, UnsignedIntType } from "three";
 import { dyno } from "@sparkjsdev/spark";
 
-const BONES = 24, PER_WORD = 3, BITS = 10; // 24 weights of 10 bits: two texels of four words
+const BONES = 24, PER_WORD = 3, BITS = 10; // the roots of 24 weights in 10 bits each: two texels of four words
 const SKIN = { type: "HugsSkin" };
 const GLSL = `
 struct HugsSkin {
@@ -23,8 +23,9 @@ void hugsSkin(
   vec4 x = vec4(0.0), y = vec4(0.0), z = vec4(0.0);
   for (int k = 0; k < ${BONES}; k++) {
     uint word = words[k / 12][(k % 12) / ${PER_WORD}];
-    float weight = float((word >> uint(${BITS} * (k % ${PER_WORD}))) & 1023u);
-    if (weight > 0.0) {
+    float root = float((word >> uint(${BITS} * (k % ${PER_WORD}))) & 1023u);
+    if (root > 0.0) {
+      float weight = root * root;
       total += weight;
       x += weight * texelFetch(bones, ivec2(0, k), 0);
       y += weight * texelFetch(bones, ivec2(1, k), 0);
@@ -40,7 +41,7 @@ void hugsSkin(
   xyxzyz = vec3(cov[0][1], cov[0][2], cov[1][2]);
 }`;
 
-/** What Spark asks of a mesh's skinning: `weights` [24 a Gaussian] of 10 bits, in the order of the mesh's texture. */
+/** What Spark asks of a mesh's skinning: `weights` [24 a Gaussian], their roots in 10 bits, in the order of the mesh's texture. */
 export class Skin {
   constructor(mesh, weights, { width, height, depth }) {
     this.mesh = mesh;

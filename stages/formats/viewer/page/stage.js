@@ -1,6 +1,7 @@
 // The stage: camera, light table, one frame at a time. A frame is drawn when the last one is, never before.
 import { CanvasTexture, Color, Group, Matrix4, Mesh, MeshBasicMaterial, PerspectiveCamera, PlaneGeometry, Scene, SRGBColorSpace, Vector2, Vector3, WebGLRenderer } from "three";
 import { SparkRenderer } from "@sparkjsdev/spark";
+import { Light } from "hugs/light";
 import { Pace } from "hugs/pace";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
@@ -39,6 +40,7 @@ export class Stage {
     this.background = DARK;
     this.dirty = this.busy = false;
     this.pace = new Pace();
+    this.light = new Light(this.renderer);
     this.shown = new Promise((resolve) => { this.drawn = resolve; }); // the first frame is on screen
     new ResizeObserver(() => this.wake()).observe(canvas);
     canvas.addEventListener("webglcontextrestored", () => this.wake());
@@ -93,7 +95,7 @@ export class Stage {
       renderer.setSize(this.width, this.height, false);
     }
     renderer.setClearColor(new Color().setHex(this.background, SRGBColorSpace));
-    renderer.render(this.scene, this.camera);
+    this.light.paint(this.scene, this.camera);
   }
 
   /** The size of the picture in CSS px: as wanted, or as the canvas is on screen. */
