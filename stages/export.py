@@ -178,24 +178,28 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take]) -> None
 
 def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene | None) -> None:
     """Say once what each format that was written does not hold, and which way up it stands."""
-    if formats & {"ply", "spz", "sog"}:
-        names = ", ".join(f".{name}" for name in ("ply", "spz", "sog") if name in formats)
+
+    def among(*names: str) -> str:
+        return ", ".join(name for name in names if name in formats)
+
+    if down := among("ply", "spz", "sog"):
         job.note(
-            f"{names}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
+            f"{down}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
         )
     if "glb" in formats:
         job.note(
             "avatar.glb: y up; eight bones a Gaussian, and the first four "
             f"hold {100 * rig.kept.mean():.1f} % of its weights"
         )
-    if avatar.clothes is not None:
-        away = 100 * avatar.clothes.largest
-        job.note(f"clothes that move with the pose (by up to {away:.1f} cm) are in avatar.npz and ..._motion only")
+    stiff = among("ply", "spz", "glb", "usd", "sog")
+    if avatar.clothes is not None and stiff:
+        job.note(f"clothes move with the pose by up to {100 * avatar.clothes.largest:.1f} cm, but not in {stiff}")
     if avatar.shN.shape[1] and "glb" in formats:
         job.note("avatar.glb: view-dependent colours turn with the person, not with each bone")
     antialias = avatar.antialias or (scene is not None and scene.antialias)
-    if antialias and formats - {"spz", "spz_motion"}:
-        job.note("learned with anti-aliasing, which only .spz and avatar.npz say: enable it in the viewer for others")
+    silent = among("ply", "glb", "usd", "sog", "ply_motion", "usd_motion")
+    if antialias and silent:
+        job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
 
 
 def _viewer(

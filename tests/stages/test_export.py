@@ -68,7 +68,6 @@ def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
         half = Rotation.from_matrix(np.diag([1.0, -1, -1]))
         assert (turns[1].inv() * half * turns[0]).magnitude().max() < 0.01
         np.testing.assert_allclose(found.shN, avatar.shN * np.array([-1, -1, 1])[:, None], atol=5 / 128)
-    np.testing.assert_allclose(read_ply(out / "scene.ply").means, read_ply(out / "scene.ply").means)
     assert read_spz(out / "avatar.spz").antialias
 
 
@@ -92,6 +91,19 @@ def test_what_a_viewer_cannot_show_is_said_once(out):
     said = (out.parent / "said.txt").read_text()
     for words in ("up to 3.5 cm", "anti-aliasing", "y down", "eight bones", "view-dependent"):
         assert said.count(words) == 1, words
+
+
+def test_only_formats_that_lack_something_are_said_to_lack_it(clip, tmp_path):
+    """The page hangs clothes and knows of anti-aliasing, .spz of the second only."""
+    for formats, clothes, antialias in (
+        (["viewer"], None, None),
+        (["spz"], "but not in spz", None),
+        (["ply", "glb", "spz_motion"], "but not in ply, glb", "by ply, glb:"),
+    ):
+        said = made(clip, tmp_path / "-".join(formats), formats=formats)
+        for wanted, about in ((clothes, "clothes move"), (antialias, "learned with anti-aliasing")):
+            (line,) = [line for line in said if line.startswith(about)] or [None]
+            assert line is None if wanted is None else wanted in line, formats
 
 
 def test_the_same_result_makes_the_same_bytes(clip, out, tmp_path):
