@@ -186,6 +186,8 @@ def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene |
         job.note(
             f"{down}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
         )
+    if up := among("usd", "usd_motion"):
+        job.note(f"{up}: y up")
     if "glb" in formats:
         job.note(
             "avatar.glb: y up; eight bones a Gaussian, and the first four "
