@@ -23,7 +23,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.clip import load_clip
 from stages.formats.trained import read_trained
 from tests.made import bvh as bvh_made
-from tests.made import exhibits, tiny
+from tests.made import exhibits, headset, tiny
 from tests.made.devtools import Page
 from tests.made.marionette import Firefox
 
@@ -305,5 +305,24 @@ def test_a_person_without_a_scene_is_shown(tmp_path):
             True,
         ]
         assert page.said == []
+    finally:
+        page.close()
+
+
+@pytest.mark.slow
+def test_a_headset_is_put_on_and_taken_off(folders, tmp_path):
+    page, stage = Page(tmp_path / "profile"), "hugs.player.stage"
+    try:
+        page.ask("Page.addScriptToEvaluateOnNewDocument", source=headset.DEVICE)
+        page.open(folders["export"] / "viewer.html", "document.body?.matches('.open, .stuck')")
+        page.run("document.getElementById('headset').click()")
+        wait(page, "window.session?.asked")
+        state = f"[{stage}.renderer.xr.isPresenting, {stage}.spark.autoUpdate, {stage}.rig.position.z]"
+        at = page.run(f"{stage}.controls.target.z") + 2
+        assert page.run(state) == [True, True, pytest.approx(at)], "2 m before the person, who looks along z"
+        page.run(f"{stage}.light.paint = () => {{ window.painted = true; }}")
+        page.run("session.end()")
+        wait(page, "window.painted")
+        assert page.run(state) == [False, False, 0] and page.said == []
     finally:
         page.close()
