@@ -140,7 +140,6 @@ def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, Landmark
     """Fit poses to BlazePose landmarks and the masks; writes landmarks.npz. Also gives the evidence, facts for smpl.json."""
     from stages.estimators.bodyfit.evidence import drop_cut, drop_strangers, gather, model_landmarks, vote_sides
     from stages.estimators.bodyfit.fit import fit_body
-    from stages.estimators.bodyfit.flow import surface_flow
     from stages.estimators.person.blazepose import BlazePose, pick_masked
     from stages.formats.images import read_image
 
@@ -169,13 +168,13 @@ def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, Landmark
     def show(done: int, total: int, cost: float) -> None:
         job.progress(40 + 55 * done // total, 100, cost=round(cost, 2))
 
-    flow = surface_flow(images, clip.masks, clip.times)
     fit = fit_body(
-        clip.model, regressor, evidence, clip.cameras, clip.times, clip.masks, clip.points, clip.moving, flow, show
+        clip.model, regressor, evidence, clip.cameras, clip.times, clip.masks, clip.points, clip.moving, images, show
     )
     facts = {
         "source": "blazepose",
         "scale": fit.scale,
+        "cloth_off": [known(off) for off in fit.cloth_off],
         "not_seen": select(frames, ~evidence.seen),
         "strangers": others,
         "sides_exchanged": exchanged,

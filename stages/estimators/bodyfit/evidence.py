@@ -20,7 +20,9 @@ STAND_INS = {
 }
 """Model landmarks that BlazePose knows under another name, or as the middle of two (the knuckles)."""
 ARMS, LEGS = ("elbow", "wrist", "hand"), ("knee", "ankle", "heel", "big_toe", "foot")
-SWAP_COST = 1.0  # cost of exchanging the sides of one frame, in units of a body height moved by the landmarks that swap
+# Cost of exchanging sides, in body heights moved by the landmarks that swap: at either end of a run of exchanged frames, and
+# for each of its frames. With 1 a frame, a third of a clip that is exchanged in one piece stays so.
+SWAP_EDGE, SWAP_COST = 0.45, 0.1
 STRANGER_JUMP = 0.75  # body heights from the neighbours' median; farther is a stranger
 CUT = 0.04  # of the person's height: nearer to the picture's border than that, a landmark is a guess
 WINDOW = 4  # neighbours on each side for that median
@@ -141,8 +143,9 @@ def mirrored_columns(names: tuple[str, ...], parts: tuple[str, ...] | None = Non
 def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray]:
     """Exchange left and right (of all, arms or legs) in the frames that contradict their neighbours.
 
-    A shortest path over the seen frames (Viterbi): a step costs how far the landmarks move, in picture and space; an
-    exchange costs SWAP_COST, so the sides that BlazePose gives most often win. Returns which frames [F] were changed.
+    A shortest path over the seen frames (Viterbi): a step costs how far the landmarks move, in picture and space; a run of
+    exchanged frames costs SWAP_EDGE at either end and SWAP_COST for each frame, so the sides that BlazePose gives most often
+    win. Returns which frames [F] were changed.
     """
     orders = [mirrored_columns(evidence.names, parts) for parts in ((), None, ARMS, LEGS)]
     frames = np.flatnonzero(evidence.seen)
@@ -155,18 +158,18 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
     weights = np.stack([evidence.weight[:, order] for order in orders])
     states = len(orders)
     cost = np.zeros(states)
-    cost[1:] += SWAP_COST
+    cost[1:] += SWAP_EDGE + SWAP_COST
     back = np.zeros((len(frames), states), int)
     for step in range(1, len(frames)):
         a, b = frames[step - 1], frames[step]
         moved = np.linalg.norm(views[:, None, a] - views[None, :, b], axis=-1)
         trust = np.sqrt(weights[:, None, a] * weights[None, :, b])
         step_cost = (trust * np.minimum(moved, 0.5)).sum(-1)
-        total = cost[:, None] + step_cost
+        total = cost[:, None] + step_cost + SWAP_EDGE * (1 - np.eye(states))
         back[step] = total.argmin(0)
         cost = total.min(0) + SWAP_COST * (np.arange(states) > 0)
     state = np.zeros(len(frames), int)
-    state[-1] = cost.argmin()
+    state[-1] = (cost + SWAP_EDGE * (np.arange(states) > 0)).argmin()
     for step in range(len(frames) - 1, 0, -1):
         state[step - 1] = back[step, state[step]]
     xy, world, weight = evidence.xy.copy(), evidence.world.copy(), evidence.weight.copy()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,11 +14,11 @@ from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
-from stages.estimators.bodyfit.flow import SurfaceFlow
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
 from stages.estimators.bodyfit.solve import Solver, State, World
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, solve_places, start_pose, unwrap_rotations
+from stages.estimators.bodyfit.surface_motion import SurfaceMotion
 from stages.records import BodyModel, BodyPoses, Cameras
 
 SOLE_SPREAD = 0.015  # m, that a sole may be thicker or thinner; the lower the camera, the more it leaves the scale open
@@ -29,11 +29,16 @@ FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, 
 
 @dataclass
 class BodyFit:
-    """The fitted poses, the 2D landmarks [F,K,2] px they project to, and how the scale was found."""
+    """The fitted poses, the 2D landmarks [F,K,2] px they project to, and how the scale was found.
+
+    `cloth_off`: how far cloth was off that frames far apart show, before it tied the poses and again later, as a share of the
+    person's size in the picture; NaN where no cloth came again.
+    """
 
     poses: BodyPoses
     pixels: np.ndarray
     scale: dict[str, Any] = field(default_factory=dict)
+    cloth_off: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class _Inputs:
     cameras: Cameras
     times: np.ndarray
     moving: bool
-    flow: SurfaceFlow | None
+    motion: SurfaceMotion | None
 
 
 @contextmanager
@@ -75,19 +80,22 @@ def fit_body(
     masks: list[np.ndarray] | None = None,
     points: np.ndarray | None = None,
     moving: bool = True,
-    flow: SurfaceFlow | None = None,
+    images: Sequence[np.ndarray] | None = None,
     progress: Callable[[int, int, float], None] = lambda done, total, cost: None,
 ) -> BodyFit:
     """Fit `model` to `evidence` (whose landmarks are `regressor` [K,V] @ vertices) seen by `cameras` (SfM units).
 
-    `times` [F] s; `masks` F of uint8 [H,W]; `points` [P,3] SfM units for the floor; `flow` between the pictures; `moving`
-    False: one fixed camera, whose metric frame is the world. Frames not seen are filled in between and get confidence 0.
-    Needs one seen frame.
+    `times` [F] s; `masks` F of uint8 [H,W]; `points` [P,3] SfM units for the floor; `moving` False: one fixed camera,
+    whose metric frame is the world; `images` F of uint8 [H,W,3] beside masks: cloth that moves and comes again ties the
+    poses together. Frames not seen are filled in between and get confidence 0. Needs one seen frame.
     """
     seen = np.flatnonzero(evidence.seen)
     body = Body(model)
     joints = body.rest(torch.zeros(10))[1].numpy().astype(np.float64)
-    inputs = _Inputs(body, model, regressor, evidence, cameras, times, moving, flow)
+    motion = None
+    if images is not None and masks is not None:
+        motion = SurfaceMotion(images, masks, times, cameras.Ks, model.faces)
+    inputs = _Inputs(body, model, regressor, evidence, cameras, times, moving, motion)
     solver = _make_solver(inputs, seen)
     turned = solver.evidence.world @ solver.sight.double().numpy().transpose(0, 2, 1)
     root, local = start_pose(replace(solver.evidence, world=turned), joints)
@@ -115,7 +123,8 @@ def fit_body(
     with torch.no_grad():
         pixels = solver.pixels(solver.pose(state)[0]).numpy()
     found["world_from_sfm"] = state.scale
-    return BodyFit(_body_poses(solver, state, cameras, evidence.seen.astype(np.float64)), pixels, found)
+    poses = _body_poses(solver, state, cameras, evidence.seen.astype(np.float64))
+    return BodyFit(poses, pixels, found, motion.cloth_off if motion else [])
 
 
 def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, scale_spread: float = 1.0) -> Solver:
@@ -135,7 +144,7 @@ def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, 
         torch.tensor(up, dtype=torch.float32),
         up_spread,
         torch.tensor([cameras.width, cameras.height]),
-        inputs.flow if len(rows) == len(times) else None,
+        inputs.motion,
         None if floor is None else float(floor.height(middle)),
         scale_spread,
     )

@@ -21,19 +21,78 @@ AGREE, AGREE_SHARE = 1.0, 0.05  # px of the crop, and share of the flow, by whic
 
 
 @dataclass(frozen=True)
-class SurfaceFlow:
-    """Where the person's pixels of frame i lie in frame i + 1, for F frames in square crops around the person.
+class Crop:
+    """A square window around a person: its `corner` [2] px of the picture and `side` px, seen SIDE px large."""
 
-    `field` [F-1,3,S,S]: the way in px of the picture times how sure it is, and how sure, 0..1; `corner` [F-1,2] px and
-    `side` [F-1] px of the crops.
+    corner: np.ndarray
+    side: float
+
+    @classmethod
+    def around(cls, person: np.ndarray, margin: float) -> Crop | None:
+        """Around what is True in `person` [H,W], with a margin as a share of its longer side; None if nothing is."""
+        rows, columns = np.nonzero(person)
+        if len(rows) == 0:
+            return None
+        low, high = np.array([columns.min(), rows.min()]), np.array([columns.max() + 1, rows.max() + 1])
+        side = float((1 + 2 * margin) * (high - low).max())
+        return cls((low + high) / 2 - side / 2, side)
+
+    def into(self, K: np.ndarray) -> np.ndarray:
+        """The intrinsics [3,3] of the crop, of a picture with `K` [3,3] px."""
+        zoom = SIDE / self.side
+        shift = np.array([[zoom, 0, -zoom * self.corner[0]], [0, zoom, -zoom * self.corner[1]], [0, 0, 1]])
+        return shift @ K
+
+    def outside(self, pixels: np.ndarray) -> np.ndarray:
+        """Where pixels [...,2] of the crop are in the picture, px."""
+        return pixels * (self.side / SIDE) + self.corner
+
+    def picture(self, image: np.ndarray) -> np.ndarray:
+        """The crop [S,S] of an image [H,W] uint8; beyond its border the border goes on."""
+        how = cv2.INTER_AREA if self.side > SIDE else cv2.INTER_LINEAR
+        return cv2.warpAffine(image, self._warp(), (SIDE, SIDE), flags=how, borderMode=cv2.BORDER_REPLICATE)
+
+    def inner(self, person: np.ndarray) -> np.ndarray:
+        """bool [S,S]: the person of `person` bool [H,W], without the EDGE px along their outline."""
+        small = cv2.warpAffine(person.astype(np.uint8), self._warp(), (SIDE, SIDE), flags=cv2.INTER_NEAREST)
+        return cv2.erode(small, np.ones((2 * EDGE + 1,) * 2, np.uint8)) > 0
+
+    def _warp(self) -> np.ndarray:
+        """OpenCV's matrix from picture to crop; its pixel centres are at whole numbers."""
+        zoom = SIDE / self.side
+        return np.array([[zoom, 0, 0.0], [0, zoom, 0]]) + np.c_[np.zeros((2, 2)), zoom * (0.5 - self.corner) - 0.5]
+
+
+@dataclass(frozen=True)
+class SurfaceFlow:
+    """Where the person's pixels of frames `first` [N] lie in frames `second` [N], in square crops around the person.
+
+    `field` [N,3,S,S]: the way in px of the picture times how sure it is, and how sure, 0..1; `corner` [N,2] px and `side` [N] px
+    of the crops; `share` of the way that it may be off by.
     """
 
     field: Tensor
     corner: Tensor
     side: Tensor
+    first: Tensor
+    second: Tensor
+    share: float
+
+    @classmethod
+    def of(cls, found: Sequence[tuple[np.ndarray, Crop, int, int]], share: float) -> SurfaceFlow:
+        """From pairs of frames: the field [3,S,S] as of `kept`, its crop, the first and the second frame."""
+        f32 = torch.float32
+        return cls(
+            torch.tensor(np.array([field for field, *_ in found], np.float32).reshape(-1, 3, KEPT, KEPT)),
+            torch.tensor(np.array([crop.corner for _, crop, *_ in found]).reshape(-1, 2), dtype=f32),
+            torch.tensor([crop.side for _, crop, *_ in found], dtype=f32),
+            torch.tensor([first for *_, first, _ in found], dtype=torch.long),
+            torch.tensor([second for *_, second in found], dtype=torch.long),
+            share,
+        )
 
     def at(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
-        """The way [F-1,M,2] px and how sure it is [F-1,M] of `pixels` [F-1,M,2]; 0 outside the crops."""
+        """The way [N,M,2] px and how sure it is [N,M] of `pixels` [N,M,2]; 0 outside the crops."""
         grid = (pixels - self.corner[:, None]) / self.side[:, None, None] * 2 - 1
         found = torch.nn.functional.grid_sample(self.field, grid[:, :, None], align_corners=False)[..., 0].mT
         sure = found[..., 2]
@@ -41,63 +100,65 @@ class SurfaceFlow:
 
 
 def flow_cost(flow: SurfaceFlow, pixels: Tensor, shown: Tensor, height: Tensor) -> Tensor:
-    """Cost of surface points that move otherwise than the pictures do: the mean over frames of the sum over points.
+    """Cost of surface points that move otherwise than the pictures do: the sum over points and pairs, over the frames.
 
     `pixels` [F,M,2] px of the same points of the body in all frames, `shown` [F,M] where nothing hides them; `height` [F] px
     of the person.
     """
-    if len(pixels) < 2:
+    if len(flow.first) == 0:
         return pixels.new_zeros(())
-    moved, sure = flow.at(pixels[:-1].detach())
-    weight = sure * shown[:-1] * shown[1:]
-    spread = OFF * height[:-1, None] + OFF_SHARE * moved.norm(dim=-1)
-    off = (pixels[1:] - pixels[:-1] - moved).square().sum(-1) / spread**2
+    here, there = pixels[flow.first], pixels[flow.second]
+    moved, sure = flow.at(here.detach())
+    weight = sure * shown[flow.first] * shown[flow.second]
+    spread = OFF * height[flow.first, None] + flow.share * moved.norm(dim=-1)
+    off = (there - here - moved).square().sum(-1) / spread**2
     return (weight * geman_mcclure(off, 3.0)).sum() / len(pixels)
 
 
 def surface_flow(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], times: np.ndarray) -> SurfaceFlow:
-    """Flow between neighbouring `images` uint8 [H,W,3] where `masks` uint8 [H,W] (255 = person) show the person in both."""
+    """Flow between neighbouring `images` uint8 [H,W,3] where `masks` uint8 [H,W] (255 = person) show the person in both.
+
+    `times` [F] s: frames more than LONGEST apart are no neighbours.
+    """
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    count = len(images) - 1
-    field = np.zeros((count, 3, KEPT, KEPT), np.float32)
-    corner, side = np.zeros((count, 2)), np.ones(count)
-    here = cv2.cvtColor(images[0], cv2.COLOR_RGB2GRAY)
-    for i in range(count):
-        pictures = [here, cv2.cvtColor(images[i + 1], cv2.COLOR_RGB2GRAY)]
-        here = pictures[1]
+    found = []
+    there = cv2.cvtColor(images[0], cv2.COLOR_RGB2GRAY)
+    for i in range(len(images) - 1):
+        here, there = there, cv2.cvtColor(images[i + 1], cv2.COLOR_RGB2GRAY)
         both = [masks[i] > 127, masks[i + 1] > 127]
-        if times[i + 1] - times[i] > LONGEST or not both[0].any() or not both[1].any():
-            continue
-        rows, columns = np.nonzero(both[0] | both[1])
-        low, high = np.array([columns.min(), rows.min()]), np.array([columns.max() + 1, rows.max() + 1])
-        side[i] = (1 + 2 * MARGIN) * (high - low).max()
-        corner[i] = (low + high) / 2 - side[i] / 2
-        field[i] = _between(search, pictures, both, corner[i], side[i])
-    f32 = torch.float32
-    return SurfaceFlow(torch.tensor(field), torch.tensor(corner, dtype=f32), torch.tensor(side, dtype=f32))
+        crop = Crop.around(both[0] | both[1], MARGIN)
+        if crop is not None and both[0].any() and both[1].any() and times[i + 1] - times[i] <= LONGEST:
+            found.append((_between(search, (here, there), both, crop), crop, i, i + 1))
+    return SurfaceFlow.of(found, OFF_SHARE)
 
 
 def _between(
-    search: cv2.DISOpticalFlow, pictures: list[np.ndarray], masks: list[np.ndarray], corner: np.ndarray, side: float
+    search: cv2.DISOpticalFlow, pictures: tuple[np.ndarray, np.ndarray], masks: list[np.ndarray], crop: Crop
 ) -> np.ndarray:
     """The field [3,S,S] of one crop."""
-    ratio = SIDE / side
-    into = np.array(
-        [[ratio, 0, -ratio * corner[0] - 0.5 + 0.5 * ratio], [0, ratio, -ratio * corner[1] - 0.5 + 0.5 * ratio]]
-    )
-    how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_LINEAR
-    here, there = (cv2.warpAffine(p, into, (SIDE, SIDE), flags=how, borderMode=cv2.BORDER_REPLICATE) for p in pictures)
-    inner = []
-    for mask in masks:
-        small = cv2.warpAffine(mask.astype(np.uint8), into, (SIDE, SIDE), flags=cv2.INTER_NEAREST)
-        inner.append(cv2.erode(small, np.ones((2 * EDGE + 1,) * 2, np.uint8)).astype(np.float32))
+    inner = [crop.inner(mask).astype(np.float32) for mask in masks]
+    ahead, apart, to = there_and_back(search, *(crop.picture(picture) for picture in pictures))
+    agree = apart < AGREE + AGREE_SHARE * np.linalg.norm(ahead, axis=-1)
+    sure = inner[0] * sample(inner[1], to) * agree
+    return kept(ahead * (crop.side / SIDE), sure)
+
+
+def kept(way: np.ndarray, sure: np.ndarray) -> np.ndarray:
+    """The field [3,KEPT,KEPT] of ways [S,S,2] px of the picture that are `sure` [S,S], 0..1."""
+    weighted = np.dstack([way * sure[..., None], sure]).astype(np.float32)
+    return cv2.resize(weighted, (KEPT, KEPT), interpolation=cv2.INTER_AREA).transpose(2, 0, 1)
+
+
+def there_and_back(
+    search: cv2.DISOpticalFlow, here: np.ndarray, there: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Flow [S,S,2] from one crop to another, how far from the start the flow back ends [S,S], and where it leads [S,S,2]."""
     ahead, back = (search.calc(*pair, np.zeros((SIDE, SIDE, 2), np.float32)) for pair in ((here, there), (there, here)))
-    y, x = np.mgrid[:SIDE, :SIDE].astype(np.float32)
-    at = (x + ahead[..., 0], y + ahead[..., 1])
-    returned = cv2.remap(back, *at, cv2.INTER_LINEAR)
-    apart = np.linalg.norm(ahead + returned, axis=-1)
-    size = np.linalg.norm(ahead, axis=-1)
-    sure = inner[0] * cv2.remap(inner[1], *at, cv2.INTER_LINEAR) * (apart < AGREE + AGREE_SHARE * size)
-    weighted = np.dstack([ahead * sure[..., None], sure]).astype(np.float32)
-    small = cv2.resize(weighted, (KEPT, KEPT), interpolation=cv2.INTER_AREA)
-    return (small / [ratio, ratio, 1]).transpose(2, 0, 1)
+    y, x = np.mgrid[:SIDE, :SIDE]
+    to = (np.dstack([x, y]) + ahead).astype(np.float32)
+    return ahead, np.linalg.norm(ahead + sample(back, to), axis=-1), to
+
+
+def sample(picture: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The picture [S,S,...] at places `at` [S,S,2] float32, whole numbers being pixel centres; 0 outside."""
+    return cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -16,8 +17,7 @@ from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.balance import balance_cost
 from stages.estimators.bodyfit.contact import floor_cost, loosen, slide_cost, sole_vertices, stance
 from stages.estimators.bodyfit.evidence import LandmarkEvidence, joint_trust
-from stages.estimators.bodyfit.flow import SurfaceFlow, flow_cost
-from stages.estimators.bodyfit.silhouette import seen_vertices
+from stages.estimators.bodyfit.surface_motion import SurfaceMotion
 from stages.records import JOINT_NAMES
 
 # Standard deviations; lengths in the picture are shares of the person's height there.
@@ -45,7 +45,6 @@ MARKS, COARSE, DENSE = (
     300,
     2500,
 )  # vertices that flow moves and the floor holds, that masks hold, that outlines choose from
-FLOW_SHARE = 120.0
 SEGMENTS = (
     *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("shoulder", "elbow"),
     ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"), ("ear", "eye"), ("wrist", "hand"))),
@@ -82,7 +81,7 @@ class World:
 
     `up` [3] is known to `up_spread` rad, metres per SfM unit to `scale_spread` of itself before the last steps. `offset` is
     that of the floor, whose normal is `up` (None: no floor known). `moving` False: one camera, its frame is the world.
-    `size` [2] px of the pictures; `flow` between them, if it was looked for.
+    `size` [2] px of the pictures; `motion` of the surface in them, if there are pictures.
     """
 
     turn: Tensor
@@ -92,7 +91,7 @@ class World:
     up: Tensor
     up_spread: float
     size: Tensor
-    flow: SurfaceFlow | None = None
+    motion: SurfaceMotion | None = None
     offset: float | None = None
     scale_spread: float = 1.0
 
@@ -103,7 +102,7 @@ class Solver:
     def __init__(
         self, body: Body, regressor: Tensor, faces: Tensor, evidence: LandmarkEvidence, Ks: np.ndarray, world: World
     ):
-        self.body, self.evidence, self.world, self.faces = body, evidence, world, faces
+        self.body, self.evidence, self.world = body, evidence, world
         self.landmarks = Landmarks(body, regressor)
         f32 = torch.float32
         self.K = torch.tensor(Ks, dtype=f32)
@@ -129,7 +128,6 @@ class Solver:
         self.marks = torch.cat([self.soles.flatten(), self.dense[:MARKS]])
         self.normals = vertex_normals(body.v_template, faces)
         self.rim = torch.zeros(len(evidence.seen), 0, dtype=torch.long)  # until `match_outlines`
-        self.shown = torch.zeros(len(evidence.seen), MARKS)  # until `look`
         self.mark_trust = torch.tensor(joint_trust(evidence), dtype=f32) @ body.lbs_weights[self.marks].T
 
     def pose(self, state: State) -> tuple[Tensor, Tensor]:
@@ -179,14 +177,10 @@ class Solver:
                 rim[i] = (away.square() + 2 * (1 - facing)).argmin(1)
             self.rim = self.dense[rim]
 
-    def look(self, state: State) -> None:
-        """See which marks no other part of the body hides; kept until the next call."""
+    def bodies(self, state: State) -> np.ndarray:
+        """All vertices [F,V,3] m float64 in camera axes."""
         with torch.no_grad():
-            points = self.surface(state, torch.arange(len(self.body.v_template)))[0]
-        seen = seen_vertices(
-            points.double().numpy(), self.faces.numpy(), self.K.double().numpy(), self.dense[:MARKS].numpy()
-        )
-        self.shown = torch.tensor(seen, dtype=torch.float32)
+            return self.surface(state, torch.arange(len(self.body.v_template)))[0].double().numpy()
 
     def directions(self, bias: Tensor) -> Tensor:
         """Unit directions [F,S,3] of the limbs in camera axes, as BlazePose guessed them less the `bias` of its depths.
@@ -309,11 +303,10 @@ class Solver:
                 total = total + slide_cost(feet, stands, size)
                 if high is not None and low is not None:
                     total = total + floor_cost(low, high, stands, size, loose)
-                if self.world.flow is not None:
-                    if i % 50 == 0:
-                        self.look(now)
-                    moved = flow_cost(self.world.flow, self.pixels(marks[:, count:]), self.shown, self.height)
-                    total = total + FLOW_SHARE * moved / MARKS
+                if self.world.motion is not None:
+                    pixels, chosen = self.pixels(marks[:, count:]), self.marks[count:].numpy()
+                    whole = partial(self.bodies, now)
+                    total = total + self.world.motion.cost(pixels, self.height, chosen, whole, i / steps)
                 placed, up, spread = self.to_world(now, joints, scale), self.world.up, self.world.up_spread
                 total = total + balance_cost(placed, stands, self.world.times, up, spread, size)
             adam.zero_grad()

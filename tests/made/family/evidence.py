@@ -28,7 +28,6 @@ from stages.estimators.bodyfit.evidence import (
     vote_sides,
 )
 from stages.estimators.bodyfit.fit import BodyFit, fit_body
-from stages.estimators.bodyfit.flow import surface_flow
 from stages.estimators.person.blazepose import BlazePose, Pose, pick_masked
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.static_scene import corrected
@@ -143,6 +142,7 @@ def fit_take(take: Take, model: BodyModel | None = None) -> tuple[BodyFit, Landm
     names, regressor = model_landmarks(model)
     evidence, _ = drop_strangers(gather(take.tracks, names), take.masks)
     evidence, _ = vote_sides(drop_cut(evidence, (take.cameras.width, take.cameras.height)))
-    flow = surface_flow(take.images, take.masks, take.times)
-    fit = fit_body(model, regressor, evidence, take.cameras, take.times, take.masks, take.points, take.moving, flow)
+    fit = fit_body(
+        model, regressor, evidence, take.cameras, take.times, take.masks, take.points, take.moving, take.images
+    )
     return fit, evidence

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from stages.estimators.bodyfit.evidence import CUT, LandmarkEvidence, drop_cut, joint_trust
+from stages.estimators.bodyfit.evidence import (
+    CUT,
+    LandmarkEvidence,
+    drop_cut,
+    gather,
+    joint_trust,
+    mirrored_columns,
+    model_landmarks,
+    vote_sides,
+)
+from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
+from tests.made import bodyfit_clips
 
 NAMES = ("left_shoulder", "right_shoulder", "left_hip", "right_hip", "left_ankle", "left_heel")
 
@@ -29,3 +42,17 @@ def test_a_joint_is_as_visible_as_its_landmark_and_the_spine_as_the_trunk():
     trust = dict(zip(JOINT_NAMES, joint_trust(drop_cut(evidence((-5, 100), 0.3), (150, 200)))[0], strict=True))
     assert trust["left_ankle"] == 0 and trust["left_foot"] == trust["spine2"] == trust["pelvis"] == 0.6
     assert joint_trust(evidence((100, 100)))[0].max() == 1
+
+
+def test_sides_exchanged_for_a_third_of_the_clip_in_one_piece_are_set_right():
+    model = read_body_model()
+    clip = bodyfit_clips.make(model, frames=30)
+    names, _ = model_landmarks(model)
+    evidence, _ = vote_sides(gather(clip.tracks, names))
+    exchanged = replace(evidence, xy=evidence.xy.copy(), world=evidence.world.copy(), weight=evidence.weight.copy())
+    order, run = mirrored_columns(names), slice(12, 22)
+    for values in (exchanged.xy, exchanged.world, exchanged.weight):
+        values[run] = values[run][:, order]
+    voted, changed = vote_sides(exchanged)
+    assert np.flatnonzero(changed).tolist() == [i for i in range(30)[run] if evidence.seen[i]]
+    np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
