@@ -175,6 +175,12 @@ def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, Landmark
         "source": "blazepose",
         "scale": fit.scale,
         "cloth_off": [known(off) for off in fit.cloth_off],
+        "expected_error_mm": {
+            name: {"along": along, "across": across}
+            for name, (along, across) in zip(
+                frames, (1000 * fit.expected_error).round().astype(int).transpose(0, 2, 1).tolist()
+            )
+        },
         "not_seen": select(frames, ~evidence.seen),
         "strangers": others,
         "sides_exchanged": exchanged,

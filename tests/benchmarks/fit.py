@@ -24,6 +24,7 @@ import numpy as np
 
 from stages.formats.body_model import read_body_model
 from tests.made.family.courtyard import measure_finished
+from tests.made.family.doubt import errors_of, in_bins
 from tests.made.family.evidence import fit_take, make_take, read_take
 from tests.made.family.measures import COLUMNS, measured
 from tests.made.family.table import Shot, shots
@@ -43,14 +44,15 @@ def is_made(shot: Shot, folder: Path) -> bool:
     return (folder / shot.name / "facts.json").exists()
 
 
-def rate(shot: Shot, folder: Path) -> tuple[str, Row]:
-    """Fit the body of a clip, and measure it; also the processor's seconds that the fit took."""
+def rate(shot: Shot, folder: Path) -> tuple[str, Row, np.ndarray, np.ndarray]:
+    """Fit the body of a clip, and measure it; also the processor's seconds that the fit took, and how far each joint is
+    expected to be off and is, [F,24,2] m."""
     take, truth = read_take(folder / shot.name)
     begun = time.process_time()
     fit, _ = fit_take(take)
     seconds = time.process_time() - begun
-    row = measured(fit.poses, read_body_model(), take.cameras, take.moving, truth, take.masks)
-    return shot.name, {**row, "s": seconds}
+    about = (fit.poses, read_body_model(), take.cameras, take.moving, truth)
+    return shot.name, {**measured(*about, take.masks), "s": seconds}, fit.expected_error, errors_of(*about)
 
 
 def show(name: str, values: Sequence[float]) -> None:
@@ -66,6 +68,14 @@ def summarize(rows: dict[str, Row]) -> None:
     for name, share in (("median", 50), ("90th percentile", 90), ("worst", 100)):
         show(name, abs(np.nanpercentile(size, share, axis=0)))
     show("mean with sign", np.nanmean(table, axis=0))
+
+
+def show_doubts(expected: Sequence[np.ndarray], found: Sequence[np.ndarray]) -> None:
+    """Print what is expected beside what is measured, for joints from the surest to the least sure."""
+    for name, bins in zip(("along", "across"), in_bins(expected, found), strict=True):
+        pairs = ", ".join(f"{a:.1f}: {b:.1f}" for a, b in bins)
+        kept = np.mean(abs(np.log2(bins[:, 1] / bins[:, 0])) < 1)
+        print(f"expected: measured {name} the view, cm: {pairs}; within a factor of two in {kept:.0%}")
 
 
 def main() -> None:
@@ -89,14 +99,17 @@ def main() -> None:
             print(f"{shot.name} is left out: HUGS_CLIPS names no folder with motion/{shot.motion}")
         wanted = [shot for shot in wanted if shot not in missing]
     rows: dict[str, Row] = {}
+    doubts: list[tuple[np.ndarray, np.ndarray]] = []
     with ProcessPoolExecutor(args.jobs) as pool:
         list(pool.map(partial(prepare, folder=args.folder, clips=clips), wanted))
         print(f"{'':<18}", *(f"{name:>8}" for name in (*COLUMNS, "s")))
-        for name, row in pool.map(partial(rate, folder=args.folder), wanted):
+        for name, row, expected, found in pool.map(partial(rate, folder=args.folder), wanted):
             rows[name] = row
+            doubts.append((expected, found))
             show(name, list(row.values()))
     if rows:
         summarize(rows)
+        show_doubts(*zip(*doubts, strict=True))
     if args.courtyard:
         finished = measure_finished(clips / "courtyard", args.courtyard)
         for name, row in finished.items():

@@ -14,6 +14,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
+from stages.estimators.bodyfit.expected_error import expected_errors
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
 from stages.estimators.bodyfit.solve import Solver, State, World
@@ -32,13 +33,14 @@ class BodyFit:
     """The fitted poses, the 2D landmarks [F,K,2] px they project to, and how the scale was found.
 
     `cloth_off`: how far cloth was off that frames far apart show, before it tied the poses and again later, as a share of the
-    person's size in the picture; NaN where no cloth came again.
+    person's size in the picture; NaN where no cloth came again. `expected_error` [F,24,2] m: of `expected_errors`.
     """
 
     poses: BodyPoses
     pixels: np.ndarray
     scale: dict[str, Any] = field(default_factory=dict)
     cloth_off: list[float] = field(default_factory=list)
+    expected_error: np.ndarray = field(default_factory=lambda: np.zeros((0, 24, 2)))
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def fit_body(
         pixels = solver.pixels(solver.pose(state)[0]).numpy()
     found["world_from_sfm"] = state.scale
     poses = _body_poses(solver, state, cameras, evidence.seen.astype(np.float64))
-    return BodyFit(poses, pixels, found, motion.cloth_off if motion else [])
+    return BodyFit(poses, pixels, found, motion.cloth_off if motion else [], expected_errors(solver, state))
 
 
 def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, scale_spread: float = 1.0) -> Solver:
