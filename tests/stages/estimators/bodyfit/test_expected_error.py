@@ -50,6 +50,6 @@ def test_a_camera_that_hardly_travels_knows_less_how_far_away_the_person_is():
         solver = SimpleNamespace(world=world, K=torch.tensor([[500.0, 0, 0], [0, 500, 0], [0, 0, 1]]).expand(9, 3, 3))
         return depth_error(solver, SimpleNamespace(scale=2.0), torch.tensor([0, 0, 4.0]).expand(9, 24, 3))
 
-    spread = 2.0 * torch.linspace(-1, 1, 9).square().mean().sqrt()
+    spread = 2.0 * float(torch.linspace(-1, 1, 9).square().mean().sqrt())
     assert off(0.1) == pytest.approx(PIXELS * 16 / (500 * 0.1 * spread), rel=1e-4)
     assert off(0.05) == pytest.approx(2 * off(0.1), rel=1e-4) and off(0.0) > 1e3 and off(0.0, moving=False) == 0
