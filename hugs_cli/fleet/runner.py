@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from hugs_cli.cache import child
 from hugs_cli.fleet.history import free_megabytes
-from hugs_cli.fleet.job import STOP
+from hugs_cli.fleet.job import LOGS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
 from hugs_cli.pipelines import UsageError
 
@@ -48,10 +48,9 @@ class Runner(Protocol):
 
 @dataclass(frozen=True)
 class Order:
-    """What to place: the run's folder, the rows to do, and how many at a time."""
+    """What to place: the folder of the call, the rows to do, and how many at a time."""
 
     folder: Path
-    token: str
     todo: Sequence[Planned]
     split: bool
     side_by_side: int
@@ -116,8 +115,8 @@ class Loop:
         return self.running is not None
 
     def _start(self, row: str, step: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "hugs_cli.fleet.job", str(self.order.folder), row, step, self.order.token]
-        with open(self.order.folder / "logs" / f"{row}.{step}.log", "ab") as log:
+        command = [sys.executable, "-m", "hugs_cli.fleet.job", str(self.order.folder), row, step]
+        with open(self.order.folder / LOGS / f"{row}.{step}.log", "ab") as log:
             return subprocess.Popen(
                 [*command, str(self.order.threads)],
                 stdin=subprocess.DEVNULL,
@@ -149,7 +148,6 @@ class Snakemake:
         jobs: dict[str, Any] = {
             "python": sys.executable,
             "run": str(order.folder),
-            "token": order.token,
             "local": local,
             "most": most,
             "megabytes": {one.row.id: one.megabytes for one in order.todo},
@@ -166,7 +164,7 @@ class Snakemake:
             command += ["--cores", str(slots), *(["--resources", f"mem_mb={most}"] if most else [])]
         elif order.side_by_side:
             command += ["--jobs", str(order.side_by_side)]
-        self.log = order.folder / "snakemake.log"
+        self.log = order.folder / SNAKEMAKE_LOG
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT, start_new_session=True

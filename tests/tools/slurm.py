@@ -143,8 +143,8 @@ def rehearse(folder: Path) -> None:
     (folder / "profile" / "config.yaml").write_text(PROFILE)
     args = ("--profile", "./profile", "--split", "train", "--pipeline", "tiny")
     process = fleet.fleet(*args, "--set", "one.delay=4", "--json")
-    reports = folder / "work/.fleet/fleet/rows"
-    until(lambda: any(read(file).get("state") == "running" for file in reports.glob("c00000.*.json")), 120)
+    reports = folder / "work/.fleet/fleet"
+    until(lambda: any(read(file).get("state") == "running" for file in reports.glob("*/rows/c00000.*.json")), 120)
     jobs = said("squeue", "-h", "-o", "%i %k", "--states=RUNNING").splitlines()
     (victim,) = [line.split()[0] for line in jobs if "c00000" in line]
     subprocess.run(["scancel", "--signal=KILL", "--full", victim], check=True)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import shutil
 
 import pytest
 
-from hugs_cli.cache.workspace import read_json, write_json
+from hugs_cli.cache.workspace import Workspace, read_json, write_json
+from hugs_cli.pipelines import UsageError
 from tests.made.flow import ALL, WHOLE
 
 
@@ -96,3 +99,19 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
     with pytest.raises(TypeError):
         write_json(path, {"a": 2, "b": object()})
     assert read_json(path) == {"a": 1}
+
+
+def test_a_file_system_without_locks_is_named_unless_a_lease_holds_the_clip(tmp_path, monkeypatch):
+    """Lustre and NFS, as some clusters set them up."""
+    workspace = Workspace(tmp_path / "clip.mp4", tmp_path / "work", "default")
+    workspace.create()
+
+    def none(*_: object) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", none)
+    with pytest.raises(UsageError, match="no file can be locked in"), workspace.lock(pytest.fail):
+        pass
+    workspace.leased = True
+    with workspace.lock(pytest.fail) as handle:
+        assert os.fstat(handle)
