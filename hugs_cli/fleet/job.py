@@ -24,9 +24,10 @@ from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
 from hugs_cli.fleet import lease as leases
-from hugs_cli.fleet.clips import Row
+from hugs_cli.fleet.clips import Row, recorded
 from hugs_cli.fleet.lease import Lease
 from hugs_cli.fleet.plan import BEFORE, Common, result_of, session_of
+from hugs_cli.pipelines import UsageError
 from stages.contract import StageError
 
 PLAN, STOP, ROWS, LOGS, SNAKEMAKE_LOG = "plan.json", "stop", "rows", "logs", "snakemake.log"
@@ -200,6 +201,9 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
     with leases.lease(session.workspace.root / leases.NAME, watch.waiting, me) as held:
         heart.lease, heart.lost = held, False
         try:
+            if (other := recorded(session.workspace.root)) not in (None, os.path.abspath(row.video)):
+                hint = "call the fleet again: it gives this clip a folder of its own"
+                raise UsageError(f"{session.workspace.root} now holds the results of {other}", hint)
             ran = engine.run(session, wanted, frozenset(), device, watch)
         finally:
             heart.lease = None

@@ -102,9 +102,8 @@ class Fleet:
                 jobs.stop()
                 self.wait(jobs, press, held, STOPPING)
                 raise
-            if isinstance(jobs, Snakemake) and not any((order.folder / LOGS).iterdir()):
-                hint = "mend the profile, or try one machine: leave out `--profile`"
-                raise StageError("Snakemake placed no job", hint, jobs.complaint())
+            if isinstance(jobs, Snakemake):
+                jobs.check()
         except BaseException:
             jobs.kill()
             raise

@@ -19,6 +19,7 @@ from hugs_cli.fleet.history import free_megabytes
 from hugs_cli.fleet.job import LOGS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
 from hugs_cli.pipelines import UsageError
+from stages.contract import StageError
 
 ROOM = Path(__file__).parent
 EXTRA = "pip install 'hugs-avatar[fleet]'"
@@ -185,9 +186,15 @@ class Snakemake:
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
 
-    def complaint(self) -> list[str]:
-        """The last lines that Snakemake said."""
-        return [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()][-6:]
+    def check(self) -> None:
+        """StageError if Snakemake did not do its part: it was killed, or placed no job."""
+        lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()][-6:]
+        if self.process.returncode < 0:
+            name = signal.Signals(-self.process.returncode).name
+            raise StageError(f"Snakemake was killed by {name}", "call the fleet again: what is finished is kept", lines)
+        if not any((self.order.folder / LOGS).iterdir()):
+            hint = "mend the profile, or try one machine: leave out `--profile`"
+            raise StageError("Snakemake placed no job", hint, lines)
 
 
 def profile_folder(name: str | None) -> str:

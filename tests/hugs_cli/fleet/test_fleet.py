@@ -8,14 +8,17 @@ import json
 import os
 import re
 import signal
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from hugs_cli.cache.workspace import read_json
 from hugs_cli.fleet import lease
 from hugs_cli.fleet.job import SNAKEMAKE_LOG
 from tests.made.fleet import WAYS, Fleet, states
 from tests.made.flow import LONGEST
+from tests.tools.fleet_kills import below, what
 
 pytestmark = pytest.mark.slow
 HAS_SNAKEMAKE = importlib.util.find_spec("snakemake") is not None
@@ -158,12 +161,18 @@ def test_a_full_disk_hurts_reports_and_not_results(fleet):
     assert states(said) == {"c00000": "fresh"}
 
 
-@pytest.mark.skipif(HAS_SNAKEMAKE, reason="Snakemake is installed")
-def test_without_the_extra_it_says_what_to_install(fleet):
+def test_without_the_extra_it_says_what_to_install_and_runs_one_after_another(fleet):
+    (fleet.folder / "sitecustomize.py").write_text(
+        "import importlib.util as one\nkeep = one.find_spec\n"
+        "one.find_spec = lambda name, *more: None if name == 'snakemake' else keep(name, *more)\n"
+    )
     for more in (("--jobs", "2"), ("--profile", "slurm")):
         run = fleet.fleet(*more)
         _, err = run.communicate(timeout=LONGEST)
         assert run.returncode == 2 and "pip install 'hugs-avatar[fleet]'" in err
+    said, err = fleet.done("--pipeline", "short")
+    assert states(said) == {"c00000": "done", "c00001": "done"}
+    assert "1 clip at a time: pip install 'hugs-avatar[fleet]' lets" in err
 
 
 @needs_snakemake
@@ -172,27 +181,45 @@ def test_side_by_side_through_snakemake(tmp_path):
     room = tmp_path / "it's {here} $HOME; 1 %"
     room.mkdir()
     fleet = Fleet(room, 2)
-    broken = fleet.add("c00002", "broken error")
-    said, _ = fleet.done("--jobs", "2", "--split", "train", "--pipeline", "default", code=1)
-    assert all("no stage 'train'" in row["problem"] for row in said["rows"])  # nothing to split
+    broken, hungry = fleet.add("c00002", "broken error"), fleet.add("c00003", "broken memory")
     said, err = fleet.done("--jobs", "2", code=1)
-    assert sorted(states(said).values()) == ["done", "done", "failed"] and "Traceback" not in err
+    assert list(states(said).values()) == ["done", "done", "failed", "failed"] and "Traceback" not in err
     assert said["rows"][2]["problem"].startswith("no person") and said["rows"][2]["log"]
-    assert len([run for run in fleet.runs() if run["result"] == "error"]) == 1, "an error would come again: one try"
-    broken.write_text("mended")
+    tries = Counter(run["clip"] for run in fleet.runs() if run["result"] == "error")
+    assert tries == {"c00002": 1, "c00003": 2}, "an error would come again, memory may suffice the next time"
+    (log,) = fleet.work.glob(f".fleet/fleet/*/{SNAKEMAKE_LOG}")
+    most, *jobs = (int(number) for number in re.findall(r"resources: .*?mem_mb=(\d+)", log.read_text()))
+    assert set(jobs) == {min(4000, most), min(8000, most)}, "the second try has twice the memory"
+    for one in (broken, hungry):
+        one.write_text(f"mended {one.stem}")
     said, _ = fleet.done("--jobs", "2")
-    assert said["totals"]["states"] == {"fresh": 2, "done": 1}
+    assert said["totals"]["states"] == {"fresh": 2, "done": 2}
+    assert not log.exists(), "the folder of the call before is taken away"
 
 
 @needs_snakemake
-def test_ctrl_c_and_a_kill_with_snakemake(fleet):
-    for number, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
+def test_ctrl_c_and_kills_with_snakemake(fleet):
+    """Of the fleet, and of Snakemake alone: the jobs that it leaves behind are ended."""
+
+    def at_work() -> bool:
+        reports = [read_json(file) for file in fleet.work.glob(".fleet/fleet/*/rows/*.json")]
+        return bool(leases()) and any((one["state"], one.get("stage")) == ("running", "three") for one in reports)
+
+    def leases() -> list[Path]:
+        return list(fleet.work.glob(f"*/{lease.NAME}"))
+
+    for number, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9), (None, 1)):
         run = fleet.fleet("--jobs", "2", *fleet.hold("three"))
-        fleet.wait_for(lambda: list(fleet.work.glob("*/store/three-*.part/step0")))
-        run.send_signal(number)
-        run.communicate(timeout=LONGEST)
+        fleet.wait_for(at_work)
+        if number:
+            run.send_signal(number)
+        else:
+            os.kill(next(one for one in below(run.pid) if what(one) == "Snakemake"), signal.SIGKILL)
+        _, err = run.communicate(timeout=LONGEST)
         assert run.returncode == code
-        fleet.wait_for(lambda: not list(fleet.work.glob(f"*/{lease.NAME}")))
+        if number:
+            fleet.wait_for(lambda: not leases())
+    assert "error: Snakemake was killed by SIGKILL" in err
     before = fleet.made()
     said, _ = fleet.done("--jobs", "2")
     assert set(states(said).values()) <= {"done", "fresh"} and before.items() <= fleet.made().items()

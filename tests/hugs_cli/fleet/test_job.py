@@ -18,8 +18,9 @@ from hugs_cli.fleet import lease as leases
 from hugs_cli.fleet.clips import Row
 from hugs_cli.fleet.history import History
 from hugs_cli.fleet.job import ROWS, STOP, Heart, Report, asked_to_stop
-from hugs_cli.fleet.plan import Common, Planned
+from hugs_cli.fleet.plan import WHOLE, Common, Planned
 from hugs_cli.fleet.run import Fleet as Call
+from hugs_cli.pipelines import UsageError
 from tests.made.fleet import Fleet
 from tests.made.flow import LONGEST, ROOT
 
@@ -29,10 +30,10 @@ QUICK = "from hugs_cli.fleet import job, lease; lease.TOUCH_EVERY = lease.LOOK_E
 class Room:
     """The folder of one call, with a plan of some clips, and jobs started by hand."""
 
-    def __init__(self, fleet: Fleet, **row: Any):
+    def __init__(self, fleet: Fleet, common: Common, **row: Any):
         self.fleet, self.path = fleet, fleet.work / ".fleet" / "fleet" / "call"
         self.row = Row(Path("clips/c00000.mp4"), Path("work"), "short", **row)
-        call = Call("fleet", Common(Path("work"), Path("pipelines.yaml")), [], History({}, {}), False, 1, None)
+        call = Call("fleet", common, [], History({}, {}), False, 1, None)
         call.folder.mkdir(parents=True)
         call.lay_out(self.path, {}, [Planned(self.row, "todo")])
 
@@ -52,17 +53,15 @@ class Room:
 
 
 @pytest.fixture
-def room(fleet, monkeypatch) -> Room:
-    monkeypatch.chdir(fleet.folder)
-    return Room(fleet)
+def room(fleet, common) -> Room:
+    return Room(fleet, common)
 
 
 @pytest.mark.slow
-def test_a_job_that_lost_its_lease_waits_for_who_has_it(fleet, monkeypatch):
+def test_a_job_that_lost_its_lease_waits_for_who_has_it(fleet, common):
     """It was silent for minutes, so another machine took the clip over."""
-    monkeypatch.chdir(fleet.folder)
     fleet.hold("one")
-    room = Room(fleet, settings=("one.hold=hold",))
+    room = Room(fleet, common, settings=("one.hold=hold",))
     run = room.start()
     fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/one-*.part/step0")))
     lease = fleet.work / "c00000" / leases.NAME
@@ -74,6 +73,20 @@ def test_a_job_that_lost_its_lease_waits_for_who_has_it(fleet, monkeypatch):
     fleet.go()
     assert run.wait(LONGEST) == 0 and room.report()["state"] == "done"
     assert [run["result"] for run in fleet.runs()] == ["stopped", "done"] and fleet.made()
+
+
+def test_a_folder_that_another_clip_took_meanwhile_is_left_to_it(room, common):
+    """Two fleets met clips of one name, and neither had results yet."""
+    other = room.fleet.folder / "tue" / "c00000.mp4"
+    other.parent.mkdir()
+    other.write_text("other pixels")
+    root = room.fleet.work / "c00000"
+    root.mkdir()
+    (root / "sources.json").write_text(json.dumps({"video": {"path": str(other)}}))
+    heart = Heart(room.path, Report(room.path / "row.json"), {})
+    with pytest.raises(UsageError, match=r"now holds the results of .*tue/c00000"):
+        jobs.work(room.row, common, WHOLE, heart.report, heart, leases.identity())
+    assert not (root / leases.NAME).exists() and room.fleet.made() == {}
 
 
 @pytest.mark.slow
@@ -90,9 +103,9 @@ def test_a_log_on_a_full_disk_hurts_neither_report_nor_result(room):
 
 
 @pytest.mark.slow
-def test_a_job_of_a_call_that_is_over_does_nothing(room):
+def test_a_job_of_a_call_that_is_over_does_nothing(room, common):
     """It waited in the queue of a cluster; another call has taken the folder away."""
-    call = Call("fleet", Common(Path("work")), [], History({}, {}), False, 1, None)
+    call = Call("fleet", common, [], History({}, {}), False, 1, None)
     call.lay_out(room.path.with_name("later"), {}, [])
     assert not room.path.exists() and room.path.with_name("later").exists()
     run = room.start(stderr=subprocess.PIPE)
