@@ -29,7 +29,7 @@ def test_a_fleet_that_another_call_took_the_place_of_ends(call):
     call.wait(jobs, press, leases.Lease(path, me), longest=0.3)
     leases.remove(path, me)
     with pytest.raises(StageError, match="the fleet fleet has lost its lease"):
-        call.wait(jobs, press, leases.Lease(path, me))
+        call.wait(jobs, press, leases.Lease(path, me), longest=30)
 
 
 def test_what_earlier_calls_left_is_taken_away(call):
