@@ -77,15 +77,6 @@ class Fleet(Flow):
         for i in range(count):
             self.add(f"c{i:05d}", f"pixels {i}")
 
-    def hold(self, stage: str) -> tuple[str, str]:
-        """What makes a stage wait until `go` is called."""
-        (self.folder / "hold").touch()
-        return ("--set", f"{stage}.hold=hold")
-
-    def go(self) -> None:
-        """Let all stages that wait go on."""
-        (self.folder / "hold").unlink()
-
     def add(self, name: str, text: str) -> Path:
         """One more clip."""
         path = self.clips / f"{name}.mp4"

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Self
 
 ROOT = Path(__file__).parents[2]
 LONGEST = 600.0  # s for what takes a few, on a machine with much else to do
@@ -84,6 +87,24 @@ class Flow:
         stages = "".join(f"    {n}: {{needs: [{', '.join(d)}], module: flow.{n}}}\n" for n, d in NEEDS.items())
         more = "other:\n  doc: Another.\n  extends: default\n  stages: {four: {params: {word: z}}}\n"
         (folder / "pipelines.yaml").write_text(f"default:\n  doc: Four.\n  stages:\n{stages}{more}")
+
+    def copied(self, folder: Path) -> Self:
+        """The same in another folder, with its results."""
+        shutil.copytree(self.folder, folder, symlinks=True, dirs_exist_ok=True)
+        other = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Path):
+                setattr(other, name, folder / value.relative_to(self.folder))
+        return other
+
+    def hold(self, stage: str) -> tuple[str, str]:
+        """What makes a stage wait until `go` is called."""
+        (self.folder / "hold").touch()
+        return ("--set", f"{stage}.hold=hold")
+
+    def go(self) -> None:
+        """Let all stages that wait go on."""
+        (self.folder / "hold").unlink()
 
     def write(self, name: str, text: str) -> None:
         """Write one module of the package."""

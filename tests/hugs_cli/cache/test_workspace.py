@@ -65,23 +65,22 @@ def test_a_folder_of_ones_own_in_a_links_place_is_kept_and_named(flow):
 
 
 @pytest.mark.slow
-def test_gc_leaves_alone_what_no_run_made_and_frees_the_rest(flow):
-    flow.hugs()
-    flow.hugs("--set", "four.word=b")
-    (flow.store / ".DS_Store").write_text("x")
-    (flow.store / "four-00000000").symlink_to(flow.folder / "flow")
-    (flow.store / "my notes").mkdir()
+def test_gc_leaves_alone_what_no_run_made_and_frees_the_rest(made):
+    made.hugs("--set", "four.word=b")
+    (made.store / ".DS_Store").write_text("x")
+    (made.store / "four-00000000").symlink_to(made.folder / "flow")
+    (made.store / "my notes").mkdir()
     for name in ("one-00000000.part", "two-00000000.old", "three-11111111"):
-        (flow.store / name).mkdir()
-    out, err = flow.hugs(command="gc")
+        (made.store / name).mkdir()
+    out, err = made.hugs(command="gc")
     assert out.count("removed ") == 4 and out.splitlines()[-1].endswith(" freed")
     assert [line.split("/")[-1] for line in err.splitlines()] == [
         ".DS_Store is left alone: no run made it",
         "four-00000000 is left alone: no run made it",
         "my notes is left alone: no run made it",
     ]
-    assert len(list(flow.store.iterdir())) == 7 and (flow.folder / "flow/one.py").exists()
-    assert flow.ran("--set", "four.word=b") == {}
+    assert len(list(made.store.iterdir())) == 7 and (made.folder / "flow/one.py").exists()
+    assert made.ran("--set", "four.word=b") == {}
 
 
 def test_a_small_file_is_replaced_in_one_step(tmp_path):

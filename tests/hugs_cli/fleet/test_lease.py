@@ -80,7 +80,7 @@ def test_one_of_many_has_it_at_a_time(path, monkeypatch):
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(30)
+        thread.join(600)
     assert len(turns) == 30 and max(most) == 1
 
 
