@@ -15,14 +15,13 @@ from tests.made.flow import ALL, WHOLE
 
 
 @pytest.fixture
-def copied(flow):
+def copied(made):
     """A finished run whose work folder was copied by a program that resolves links."""
-    flow.hugs()
-    shutil.copytree(flow.work, flow.folder / "copy")
-    shutil.rmtree(flow.work)
-    (flow.folder / "copy").rename(flow.work)
-    assert not any(path.is_symlink() for path in flow.work.rglob("*"))
-    return flow
+    shutil.copytree(made.work, made.folder / "copy")
+    shutil.rmtree(made.work)
+    (made.folder / "copy").rename(made.work)
+    assert not any(path.is_symlink() for path in made.work.rglob("*"))
+    return made
 
 
 @pytest.mark.slow
