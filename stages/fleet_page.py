@@ -16,6 +16,7 @@ from stages.contract import Job, StageError
 ORDER = ("failed", "lost", "running", "before", "waiting", "todo", "stopped", "done", "fresh")
 WORDS = {"todo": "to do", "before": "before training done"}
 RELOAD = 5  # s, while clips are made
+PATIENCE = 180  # s without a new page, after which the old one says so
 PICTURES = ".fleet/pictures"  # small ones, in the work folder
 TALL = 54  # px
 SHARE = 1.0  # s that new pictures may take of one writing of a live page; the rest come with the next
@@ -43,10 +44,11 @@ def run(
                ("machine time of this call", _time(totals["spent_seconds"])),
                *([("left, about", _time(totals["seconds_left"]))] if live and totals["seconds_left"] is not None else [])],
         reload=RELOAD if live else 0,
+        patience=PATIENCE,
+        written=time.strftime("%Y-%m-%d %H:%M:%S %Z"),
+        page=f"{time.time_ns():x}",
     )  # fmt: skip
-    part = job.out / f".{name}.html.{os.getpid()}"
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, job.out / f"{name}.html")
+    _replace(job.out / f"{name}.html", text.encode())
 
 
 def _sorted(states: Mapping[str, int]) -> list[str]:
@@ -84,9 +86,17 @@ def _draw(work: Path, rows: Sequence[Mapping[str, Any]], seconds: float) -> None
             continue  # the run itself says what is wrong with it
         wide = max(1, round(pixels.shape[1] * TALL / pixels.shape[0]))
         pixels = cv2.resize(pixels, (wide, TALL), interpolation=cv2.INTER_AREA)
-        part = small.with_suffix(f".{os.getpid()}")
-        part.write_bytes(cv2.imencode(".jpg", pixels[..., ::-1])[1].tobytes())
-        os.replace(part, small)
+        _replace(small, cv2.imencode(".jpg", pixels[..., ::-1])[1].tobytes())
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """Write a file whole; nothing is left where there is no room."""
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        part.write_bytes(data)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _shown(work: Path, row: Mapping[str, Any]) -> dict[str, Any]:

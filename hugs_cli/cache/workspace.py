@@ -7,6 +7,7 @@ work/dance/  sources.json  runs.jsonl  .lock
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -24,11 +25,13 @@ from pydantic import AfterValidator, TypeAdapter
 from typing_extensions import TypedDict  # as pydantic checks it, before Python 3.12
 
 from hugs_cli.cache import fingerprint
+from hugs_cli.cache.whole import replace
 from hugs_cli.pipelines import UsageError
 
 STAMP, LOG = "stamp.json", "log.txt"
 OURS = (STAMP, LOG)  # in a result's folder, but no part of the result
 PART, OLD = ".part", ".old"
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)  # NFS and Lustre, as some are set up
 RESULT = re.compile(r"[a-z][a-z0-9_]*-[0-9a-f]{8}(\.part|\.old)?")
 
 
@@ -133,6 +136,8 @@ class Workspace:
         self.store = self.root / "store"
         self.links = self.root / pipeline
         self.work = work
+        self.leased = False
+        """Whether this process holds the clip's lease (fleet/lease.py), and can do without locks."""
 
     def create(self) -> None:
         """Make the folders; UsageError where they cannot be written."""
@@ -233,7 +238,8 @@ class Workspace:
     def lock(self, waiting: Callable[[str], None]) -> Iterator[int]:
         """Lock this clip. If another process holds it, calls `waiting` with its name and waits. Yields the handle for the child.
 
-        The lock belongs to the open file, so a stage's process that outlives a killed run still holds it.
+        The lock belongs to the open file, so a stage's process that outlives a killed run still holds it. UsageError on
+        a file system without locks, unless the clip is leased.
         """
         handle = os.open(self.root / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -242,6 +248,12 @@ class Workspace:
             except BlockingIOError:
                 waiting(os.pread(handle, 200, 0).decode(errors="replace").strip() or "another process")
                 fcntl.flock(handle, fcntl.LOCK_EX)
+            except OSError as error:
+                if error.errno not in NO_LOCKS:
+                    raise
+                if not self.leased:
+                    hint = "choose one on another disk with `--work`, or use `hugs fleet`, which can do without"
+                    raise UsageError(f"no file can be locked in {self.root}", hint, [str(error.strerror)]) from error
             os.ftruncate(handle, 0)
             os.pwrite(handle, f"process {os.getpid()}".encode(), 0)
             yield handle
@@ -333,9 +345,4 @@ def decisions(folder: Path, stage: str) -> dict[str, bool]:
 
 def write_json(path: Path, value: Any) -> None:
     """Replace a small JSON file in one step, and flush it to the disk."""
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    with open(part, "w", encoding="utf-8") as file:
-        json.dump(value, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
+    replace(path, json.dumps(value, indent=1), flush=True)

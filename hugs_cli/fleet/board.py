@@ -14,10 +14,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import read_json
 from hugs_cli.direct import run_directly
 from hugs_cli.fleet.history import History
-from hugs_cli.fleet.job import ROWS, STOP
+from hugs_cli.fleet.job import LOGS, ROWS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
 from stages.contract import Job
 
@@ -29,10 +30,10 @@ AGAIN = "call the fleet again: what is finished is kept"
 NEVER: dict[str, Any] = {
     "problem": "its job never began",
     "hint": AGAIN,
-    "facts": ["snakemake.log in the run's folder says why"],
+    "facts": ["the log says why"],
 }
 GONE: dict[str, Any] = {"problem": "its process ended without a word", "hint": AGAIN,
-        "facts": ["the machine is gone, or something killed the process"]}  # fmt: skip
+        "facts": ["the machine is gone, something killed the process, or it could not write its report"]}  # fmt: skip
 CSV = ("clip", "folder", "pipeline", "state", "stage", "seconds_left", "seconds", "psnr", "psnr_person", "effects",
        "warnings", "kind", "problem", "hint", "log")  # fmt: skip
 
@@ -40,27 +41,31 @@ CSV = ("clip", "folder", "pipeline", "state", "stage", "seconds_left", "seconds"
 class Board:
     """The rows of a fleet's run. Reads only the reports that have changed."""
 
-    def __init__(self, folder: Path, work: Path, token: str, planned: Sequence[Planned], history: History):
-        self.folder, self.work, self.token = folder, work, token
+    def __init__(self, folder: Path, work: Path, planned: Sequence[Planned], history: History):
+        self.folder, self.work = folder, work
         self.planned, self.history = planned, history
         self.reports: dict[str, dict[str, Any]] = {}
-        self.changed: dict[
-            str, tuple[int, float]
-        ] = {}  # row -> mtime of its report, and when that was seen, by our clock
+        self.changed: dict[str, tuple[int, float]] = {}
+        """Row -> mtime of its report, and when that was seen, by our clock."""
 
-    def look(self) -> None:
-        """Read what jobs report now."""
+    def look(self, over: bool = False) -> None:
+        """Read what jobs report now; `over`: all of it, since the times of files and lists of names may lag behind."""
+        if over:
+            for one in self.planned:
+                self.take(one.row.id, 0)
+            return
         with suppress(OSError), os.scandir(self.folder / ROWS) as files:
             for file in files:
                 row, suffix = os.path.splitext(file.name)
-                if suffix != ".json":
-                    continue
                 with suppress(OSError):
-                    stamp = file.stat().st_mtime_ns
-                    if stamp != self.changed.get(row, (0, 0))[0]:
-                        report = read_json(Path(file.path))
-                        if report.get("token") == self.token:
-                            self.reports[row], self.changed[row] = report, (stamp, time.monotonic())
+                    stamp = file.stat().st_mtime_ns if suffix == ".json" else 0
+                    if stamp and stamp != self.changed.get(row, (0, 0))[0]:
+                        self.take(row, stamp)
+
+    def take(self, row: str, stamp: int) -> None:
+        """Keep a row's report, if it is there and can be read."""
+        if report := read_json(self.folder / ROWS / f"{row}.json"):
+            self.reports[row], self.changed[row] = report, (stamp, time.monotonic())
 
     def kind(self, row: str) -> str:
         """The kind of a row's failure, from its report as it is now; '' where it has not failed."""
@@ -76,13 +81,14 @@ class Board:
         report = self.reports.get(one.row.id, {})
         state, stage = report.get("state", one.state), report.get("stage", "")
         said: dict[str, Any] = report or {"problem": one.problem, "hint": one.hint, "facts": one.facts}
-        logs = (self.folder / "logs" / f"{one.row.id}.{step}.log" for step in (AFTER, BEFORE, WHOLE))
-        log = next((file for file in logs if file.exists()), None) if state == "failed" else None
         if over and state in (*OPEN, "todo"):
             if (self.folder / STOP).exists() and state != "running":
                 state = "stopped"
             else:
-                said, state = NEVER if state == "todo" else GONE, "lost"
+                said, state = NEVER if state in ("todo", "before") else GONE, "lost"
+        logs = [self.folder / LOGS / f"{one.row.id}.{step}.log" for step in (AFTER, BEFORE, WHOLE)]
+        logs += [self.folder / SNAKEMAKE_LOG] if state == "lost" else []
+        log = next((file for file in logs if file.exists()), None) if state in ("failed", "lost") else None
         result = report.get("result") or one.result
         silent = self.silent(one.row.id) if state == "running" else 0.0
         return {
@@ -160,13 +166,6 @@ def write(work: Path, name: str, rows: Sequence[dict[str, Any]], total: dict[str
         joined = {column: "; ".join(row[column]) for column in ("effects", "warnings")}
         table.writerow(row | joined)
     replace(work / f"{name}.csv", text.getvalue())
-
-
-def replace(path: Path, text: str) -> None:
-    """Write a file whole, in one step."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
 
 
 def as_json(rows: Sequence[dict[str, Any]], total: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ import json
 import os
 from collections import defaultdict
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -69,18 +70,23 @@ def runs(file: Path) -> list[dict]:
     return found
 
 
-def free_megabytes() -> int:
-    """Memory that processes may still take here, in MB; 0 where the system does not say."""
+def free_megabytes(room: Path = Path("/")) -> int:
+    """Memory that processes may still take here, in MB, at least 1; 0 where the system does not say. `room`: of proc and
+    sys."""
     free = []
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                free.append(int(line.split()[1]) // 1024)
-        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
-        used = int(Path("/sys/fs/cgroup/memory.current").read_text())
-        free += [] if limit == "max" else [(int(limit) - used) // 2**20]
-    except (OSError, ValueError):
-        pass
+    with suppress(OSError, ValueError, KeyError):
+        free.append(numbers(room / "proc/meminfo")["MemAvailable:"] // 1024)
+    with suppress(OSError, ValueError, KeyError):
+        group = room / "sys/fs/cgroup"
+        limit, used = (int((group / f"memory.{name}").read_text()) for name in ("max", "current"))  # or no limit: "max"
+        kept = numbers(group / "memory.stat")["inactive_file"]  # of files, which gives way
+        free.append((limit - used + kept) // 2**20)
     if not free and "SC_PHYS_PAGES" in os.sysconf_names:
         free = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**21]  # half of all
-    return max(0, min(free, default=0))
+    return max(1, min(free)) if free else 0
+
+
+def numbers(file: Path) -> dict[str, int]:
+    """Name -> number, of a file with a line for each."""
+    lines = (line.split() for line in file.read_text().splitlines())
+    return {words[0]: int(words[1]) for words in lines if len(words) > 1}

@@ -1,11 +1,12 @@
-"""One clip of a fleet, in a process of its own: `python -m hugs_cli.fleet.job RUN_FOLDER ROW STEP TOKEN THREADS`.
+"""One clip of a fleet, in a process of its own: `python -m hugs_cli.fleet.job RUN_FOLDER ROW STEP THREADS`.
 
 The only thing that a fleet places on machines. It takes the clip's lease, runs the stages that are not fresh, and keeps
-`rows/ROW.json` in the run's folder up to date, from which the fleet's page is made. Exit code 0: done.
+`rows/ROW.json` in the folder of the fleet's call up to date, from which its page is made. Exit code 0: done.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -19,15 +20,18 @@ from typing import Any
 from hugs_cli.cache import child, engine
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Reason
+from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
 from hugs_cli.fleet import lease as leases
-from hugs_cli.fleet.clips import Row
+from hugs_cli.fleet.clips import Row, recorded
 from hugs_cli.fleet.lease import Lease
 from hugs_cli.fleet.plan import BEFORE, Common, result_of, session_of
+from hugs_cli.pipelines import UsageError
 from stages.contract import StageError
 
-PLAN, STOP, ROWS = "plan.json", "stop", "rows"  # in the folder of a fleet's run
+PLAN, STOP, ROWS, LOGS, SNAKEMAKE_LOG = "plan.json", "stop", "rows", "logs", "snakemake.log"
+"""In the folder of one call of a fleet."""
 BEAT_EVERY = 1.0  # s
 AGAIN = "memory"  # the one kind of failure that a second try, with more memory, may mend
 OUT_OF_MEMORY = (" was killed by ", "the machine has no memory left")  # in its problem
@@ -36,9 +40,9 @@ OUT_OF_MEMORY = (" was killed by ", "the machine has no memory left")  # in its 
 class Report:
     """What the fleet is told of this job: the content of its row's file. Written whole, by one thread at a time."""
 
-    def __init__(self, path: Path, token: str):
+    def __init__(self, path: Path):
         self.path = path
-        self.facts: dict[str, Any] = {"token": token, "state": "waiting", "pid": os.getpid(), "beat": 0}
+        self.facts: dict[str, Any] = {"state": "waiting", "pid": os.getpid(), "beat": 0}
         self.changed = threading.Lock()
 
     def say(self, **facts: Any) -> None:
@@ -50,10 +54,22 @@ class Report:
         """Tell it now. A full disk, or one that does not answer, hurts the report, not the result."""
         with self.changed:
             self.facts |= facts | {"beat": self.facts["beat"] + 1}
-            part = self.path.with_name(f"{self.path.name}.{os.getpid()}")
             with suppress(OSError):
-                part.write_text(json.dumps(self.facts))
-                os.replace(part, self.path)
+                replace(self.path, json.dumps(self.facts))
+
+
+class Log(io.RawIOBase):
+    """The job's log, stderr. A full disk, or one that does not answer, hurts the log, not the result."""
+
+    def writable(self) -> bool:
+        """As all logs."""
+        return True
+
+    def write(self, data: Any) -> int:
+        """Write at once."""
+        with suppress(OSError):
+            os.write(2, data)
+        return len(data)
 
 
 class Watch(Console):
@@ -102,6 +118,8 @@ class Heart(threading.Thread):
         super().__init__(daemon=True)
         self.folder, self.report, self.owner = folder, report, owner
         self.lease: Lease | None = None
+        self.lost = False
+        """Whether another took the lease, which it does where this process was silent for long."""
         self.quiet = threading.Event()
 
     def run(self) -> None:
@@ -109,57 +127,67 @@ class Heart(threading.Thread):
         touched = 0.0
         while not self.quiet.wait(BEAT_EVERY):
             self.report.write()
-            lost = False
-            if self.lease and time.monotonic() - touched > leases.TOUCH_EVERY:
-                lost, touched = not self.lease.touch(), time.monotonic()
-            if lost or asked_to_stop(self.folder, self.owner):
+            held, lost = self.lease, False
+            if held and time.monotonic() - touched > leases.TOUCH_EVERY:
+                touched = time.monotonic()
+                lost = not held.touch() and self.lease is held  # else it was given back meanwhile
+            asked = asked_to_stop(self.folder, self.owner)
+            if asked or lost:
+                self.lost, self.lease = not asked, None
                 os.kill(os.getpid(), signal.SIGTERM)
+            if asked:
                 return
 
 
 def asked_to_stop(folder: Path, owner: dict[str, Any]) -> bool:
     """Whether the fleet was stopped, or its process on this machine is gone. `owner` is empty for jobs that may outlive it."""
-    return (folder / STOP).exists() or (bool(owner) and leases.is_alive(owner) is False)
+    return os.path.exists(folder / STOP) or (bool(owner) and leases.is_alive(owner) is False)
 
 
-def main(folder: Path, row_id: str, step: str, token: str, threads: str) -> int:
+def main(folder: Path, row_id: str, step: str, threads: str) -> int:
     """The job."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = threads
     child.prepare()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    sys.stderr = io.TextIOWrapper(Log(), errors="replace", write_through=True)
     plan = read_json(folder / PLAN)
-    if plan.get("token") != token or row_id not in plan["rows"]:
-        print("this job is of an earlier call of the fleet", file=sys.stderr)
+    if row_id not in plan.get("rows", {}):
+        print("the call of the fleet that placed this job is over", file=sys.stderr)
         return 1
+    listen(stop)
     os.chdir(plan["folder"])
-    report = Report(folder / ROWS / f"{row_id}.json", token)
+    report = Report(folder / ROWS / f"{row_id}.json")
     before = read_json(report.path)
-    if before.get("token") == token and before.get("state") == "failed" and before.get("kind") != AGAIN:
+    if before.get("state") == "failed" and before.get("kind") != AGAIN:
         return 1  # it would fail again
-    report.facts |= {name: before[name] for name in ("spent",) if before.get("token") == token and name in before}
+    report.facts |= {name: before[name] for name in ("spent",) if name in before}
     heart = Heart(folder, report, plan["owner"])
     report.write()
     if asked_to_stop(folder, plan["owner"]):
         report.write(state="stopped")
         return 130
     heart.start()
-    try:
-        work(row_of(plan["rows"][row_id]), common_of(plan), step, report, heart)
-        return 0
-    except RunStopped:
-        heart.quiet.set()
-        Console().stopped("", False)
-        report.write(state="stopped")
-        return 130
-    except Exception as error:
-        heart.quiet.set()
-        report.write(state="failed", **told(error))
-        return 1
+    me = leases.identity()
+    while True:
+        try:
+            work(row_of(plan["rows"][row_id]), common_of(plan), step, report, heart, me)
+            return 0
+        except RunStopped:
+            if heart.lost:
+                continue  # another works on the clip now: wait for it
+            listen(signal.SIG_IGN)
+            heart.quiet.set()
+            Console().stopped("", False)
+            report.write(state="stopped")
+            return 130
+        except Exception as error:
+            listen(signal.SIG_IGN)
+            heart.quiet.set()
+            report.write(state="failed", **told(error))
+            return 1
 
 
-def work(row: Row, common: Common, step: str, report: Report, heart: Heart) -> None:
+def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: dict[str, Any]) -> None:
     """Bring one clip, or the stages of a step, up to date."""
     watch = Watch(report)
     session = session_of(row, common)
@@ -169,9 +197,13 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart) -> N
     device = common.device
     if step == BEFORE:  # where there may be no GPU
         wanted, device = [name for name in session.pipeline.upstream(["train"]) if name != "train"], "cpu"
-    with leases.lease(session.workspace.root / leases.NAME, watch.waiting) as held:
-        heart.lease = held
+    session.workspace.leased = True
+    with leases.lease(session.workspace.root / leases.NAME, watch.waiting, me) as held:
+        heart.lease, heart.lost = held, False
         try:
+            if (other := recorded(session.workspace.root)) not in (None, os.path.abspath(row.video)):
+                hint = "call the fleet again: it gives this clip a folder of its own"
+                raise UsageError(f"{session.workspace.root} now holds the results of {other}", hint)
             ran = engine.run(session, wanted, frozenset(), device, watch)
         finally:
             heart.lease = None
@@ -221,8 +253,14 @@ def common_of(plan: dict[str, Any]) -> Common:
     return Common(Path(plan["work"]), Path(plan["pipelines_file"]), Path(body) if body else None, plan["device"])
 
 
+def listen(handler: Any) -> None:
+    """What Ctrl-C and SIGTERM do while no stage runs."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
 def stop(signum: int, frame: Any) -> None:
-    """Ctrl-C or SIGTERM while no stage runs."""
+    """End the run."""
     raise RunStopped("", False)
 
 

@@ -7,6 +7,7 @@ A lease that nobody touches any more is taken over; no clock of another machine 
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
@@ -21,6 +22,7 @@ NAME = ".lease"
 TOUCH_EVERY = 5.0  # s
 DEAD_AFTER = 120.0  # s without a touch, of a holder on another machine; NFS may show old times for a minute
 LOOK_EVERY = 1.0  # s
+NO_LINKS = (errno.EPERM, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)  # says a file system that has none
 
 
 class Lease:
@@ -44,24 +46,23 @@ class Lease:
 
     def give_back(self) -> None:
         """Remove it, if it is still ours."""
-        with suppress(OSError):
-            if holder(self.path) == self.me:
-                self.path.unlink()
+        if holds(self.path, self.me):
+            remove(self.path, self.me)
 
 
 @contextmanager
-def lease(path: Path, waiting: Callable[[str], None]) -> Iterator[Lease]:
-    """Take a lease. If another process has it, calls `waiting` with its name, once, and waits until it is given back or
-    its holder is gone. The caller touches it every TOUCH_EVERY seconds."""
-    me, told, watch = identity(), False, Watch(path)
+def lease(path: Path, waiting: Callable[[str], None], me: dict[str, Any] | None = None) -> Iterator[Lease]:
+    """Take a lease, as `me` or with a new identity. If another has it, calls `waiting` with its name, once, and waits
+    until it is given back or its holder is gone. The caller touches it every TOUCH_EVERY seconds."""
+    me, told, watch = me or identity(), False, Watch(path)
     while not take(path, me):
-        if not told and (other := holder(path)):
-            told = True
-            waiting(name_of(other))
         if watch.dead():
             remove(path, watch.seen)
-        else:
-            time.sleep(LOOK_EVERY)
+            continue
+        if not told and watch.seen:  # it may be given back at any moment, and then nobody is named
+            told = True
+            waiting(name_of(watch.seen))
+        time.sleep(LOOK_EVERY)
     held = Lease(path, me)
     try:
         yield held
@@ -86,6 +87,7 @@ class Watch:
             self.seen = holder(self.path)
             state = (self.seen, os.stat(self.path).st_mtime_ns)
         except OSError:
+            self.seen = {}
             return False
         if state != self.state:
             self.touched = bool(self.state)
@@ -98,7 +100,7 @@ def lives(path: Path) -> bool:
     """Whether a lease has a holder that lives. For one on another machine it looks on until that is sure, up to
     DEAD_AFTER."""
     watch = Watch(path)
-    while path.exists() and not watch.dead():
+    while os.path.lexists(path) and not watch.dead():
         if is_alive(watch.seen) or watch.touched:
             return True
         time.sleep(LOOK_EVERY)
@@ -106,21 +108,35 @@ def lives(path: Path) -> bool:
 
 
 def take(path: Path, me: dict[str, Any]) -> bool:
-    """Make the file, whole from the start; False if there is one. A link is made or not, on NFS too."""
+    """Make the file, whole from the start; False if another has it. A link is made or not, on NFS too."""
     own = path.with_name(f"{path.name}.{me['token']}")
-    own.write_text(json.dumps(me))
     try:
+        own.write_text(json.dumps(me))
         os.link(own, path)
+    except FileExistsError:  # NFS may say so of a link that it made, when its first answer was lost
+        return holds(path, me)
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        return write_new(path, me)
+    finally:
+        with suppress(OSError):
+            own.unlink()
+    return True
+
+
+def write_new(path: Path, me: dict[str, Any]) -> bool:
+    """`take` where there are no links. A lease that was not written whole is taken away again."""
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
     except FileExistsError:
         return False
-    except OSError:  # a file system without links
-        try:
-            with open(path, "x") as file:
-                json.dump(me, file)
-        except FileExistsError:
-            return False
-    finally:
-        own.unlink(missing_ok=True)
+    try:
+        with open(handle, "w") as file:
+            json.dump(me, file)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
     return True
 
 
@@ -136,6 +152,14 @@ def remove(path: Path, seen: dict[str, Any]) -> None:
         aside.unlink()
 
 
+def holds(path: Path, me: dict[str, Any]) -> bool:
+    """Whether a lease is `me`'s; False if it cannot be read."""
+    try:
+        return holder(path) == me
+    except OSError:
+        return False
+
+
 def holder(path: Path) -> dict[str, Any]:
     """Who holds a lease; empty where there is none (it may be given back at any moment), or if it cannot be read."""
     try:
@@ -148,20 +172,23 @@ def holder(path: Path) -> dict[str, Any]:
 def identity() -> dict[str, Any]:
     """This process, told from all others on all machines."""
     pid = os.getpid()
-    return {"host": platform.node(), "boot": boot(), "pid": pid, "began": began(pid), "token": uuid.uuid4().hex}
+    return {"host": platform.node(), "kernel": kernel(), "pid": pid, "began": began(pid), "token": uuid.uuid4().hex}
 
 
 def is_alive(one: dict[str, Any]) -> bool | None:
-    """Whether a process still runs; None for one of another machine, or where the system cannot tell."""
-    if not boot() or one.get("host") != platform.node():
+    """Whether a process still runs; None for one that cannot be seen from here: of another machine or container, of this
+    machine before it was started again (another may have its name), or where the system does not tell."""
+    if not kernel() or (one.get("host"), one.get("kernel")) != (platform.node(), kernel()):
         return None
-    return one.get("boot") == boot() and one.get("began") == began(one.get("pid", 0)) != ""
+    return one.get("began") == began(one.get("pid", 0)) != ""
 
 
-def boot() -> str:
-    """What tells this start of this machine from all others; '' where the system does not say."""
+def kernel() -> str:
+    """What tells the processes that can be seen from here: this start of the machine, and the container; '' where the
+    system does not say."""
     try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return f"{boot} {os.readlink('/proc/self/ns/pid')}"
     except OSError:
         return ""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from hugs_cli.console import QUIET_EVERY, Console
 from hugs_cli.fleet import board, lease
 from hugs_cli.fleet.board import OPEN, Board
 from hugs_cli.fleet.history import History
-from hugs_cli.fleet.job import PLAN, ROWS, STOP
+from hugs_cli.fleet.job import LOGS, PLAN, ROWS
 from hugs_cli.fleet.plan import Common, Planned
 from hugs_cli.fleet.runner import Loop, Order, Runner, Snakemake
 from hugs_cli.pipelines import UsageError
@@ -40,22 +41,27 @@ class Fleet:
 
     @property
     def folder(self) -> Path:
-        """The folder of the run: its plan, reports, logs, and the markers of Snakemake."""
+        """The folder of all calls of this fleet."""
         return (self.common.work / ".fleet" / self.name).absolute()
 
     def run(self, console: Console) -> tuple[list[dict[str, Any]], dict[str, Any]]:
         """Do what is left; returns the rows and totals. Raises RunStopped, with the page written, if it is stopped."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with lease.lease(self.folder / lease.NAME, self.refuse) as held:
-            token = held.me["token"]
+            room = self.folder / held.me["token"][:12]  # of its own, so that jobs of an earlier call cannot meddle
             todo = [one for one in self.planned if one.state == "todo"]
-            show = Board(self.folder, self.common.work, token, self.planned, self.history)
+            show = Board(room, self.common.work, self.planned, self.history)
             press = Press(self, show, console)
-            if todo:
-                press.print()
-                self.lay_out(held.me, token, todo)
-                order = Order(self.folder, token, todo, self.split, self.jobs, self.profile)
-                self.drive(self.runner(order, show), press, held)
+            try:
+                if todo:
+                    press.print()
+                    self.lay_out(room, held.me, todo)
+                    order = Order(room, todo, self.split, self.jobs, self.profile)
+                    self.drive(order, press, held)
+            except BaseException:
+                if lease.holds(held.path, held.me):  # else the page is another's
+                    press.print(over=True)
+                raise
             return press.print(over=True)
 
     def refuse(self, holder: str) -> None:
@@ -64,18 +70,17 @@ class Fleet:
             hint = "wait until it is done, or give this one a `--name` of its own: they share the work"
             raise UsageError(f"a fleet {self.name} is at work in this folder: {holder}", hint)
 
-    def lay_out(self, me: dict[str, Any], token: str, todo: list[Planned]) -> None:
-        """Write what jobs read, and take away what the last call of this fleet left."""
-        for room in (ROWS, "logs"):
-            (self.folder / room).mkdir(exist_ok=True)
-        old = [*self.folder.glob("*.done"), *self.folder.glob("*.before"), self.folder / STOP]
-        for file in [*old, *self.folder.glob(f"{ROWS}/*"), *self.folder.glob("logs/*")]:
-            file.unlink(missing_ok=True)
+    def lay_out(self, room: Path, me: dict[str, Any], todo: list[Planned]) -> None:
+        """Write what the jobs of this call read, and take away the folders of earlier calls."""
+        for old in self.folder.iterdir():
+            if old.is_dir():
+                shutil.rmtree(old, ignore_errors=True)  # a job of an earlier call may still write there
+        for folder in (ROWS, LOGS):
+            (room / folder).mkdir(parents=True)
         common = self.common
         write_json(
-            self.folder / PLAN,
+            room / PLAN,
             {
-                "token": token,
                 "owner": {} if self.profile else me,
                 "folder": os.getcwd(),
                 "work": str(common.work),
@@ -86,12 +91,9 @@ class Fleet:
             },
         )
 
-    def runner(self, order: Order, show: Board) -> Runner:
-        """What places the jobs."""
-        return Snakemake(order) if self.profile or self.jobs > 1 else Loop(order, show.kind)
-
-    def drive(self, jobs: Runner, press: Press, held: lease.Lease) -> None:
-        """Wait until all jobs have ended, and keep the page up to date; on Ctrl-C let them stop."""
+    def drive(self, order: Order, press: Press, held: lease.Lease) -> None:
+        """Place the jobs, wait until all have ended, and keep the page up to date; on Ctrl-C let them stop."""
+        jobs: Runner = Snakemake(order) if self.profile or self.jobs > 1 else Loop(order, press.show.kind)
         try:
             try:
                 self.wait(jobs, press, held)
@@ -100,22 +102,23 @@ class Fleet:
                 jobs.stop()
                 self.wait(jobs, press, held, STOPPING)
                 raise
+            if isinstance(jobs, Snakemake):
+                jobs.check()
         except BaseException:
             jobs.kill()
-            press.print(over=True)
             raise
-        if isinstance(jobs, Snakemake) and not press.begun():
-            hint = "mend the profile, or try one machine: leave out `--profile`"
-            raise StageError("Snakemake placed no job", hint, jobs.complaint())
 
-    @staticmethod
-    def wait(jobs: Runner, press: Press, held: lease.Lease, longest: float = float("inf")) -> None:
-        """Until no job is left, or for so many seconds."""
+    def wait(self, jobs: Runner, press: Press, held: lease.Lease, longest: float = float("inf")) -> None:
+        """Until no job is left, or for so many seconds. StageError if another call took this fleet's place, which it does
+        where this one was silent for long."""
         end, touched = time.monotonic() + longest, 0.0
         while jobs.going() and time.monotonic() < end:
             if time.monotonic() - touched > lease.TOUCH_EVERY:
-                held.touch()
                 touched = time.monotonic()
+                if not held.touch():
+                    hint = "call it again when no other is at work: what is finished is kept"
+                    facts = ["another call has taken its place, or its folder was removed"]
+                    raise StageError(f"the fleet {self.name} has lost its lease {held.path}", hint, facts)
             press.print_if_due()
             time.sleep(LOOK_EVERY)
 
@@ -126,19 +129,25 @@ class Press:
     def __init__(self, fleet: Fleet, show: Board, console: Console):
         self.fleet, self.show, self.console = fleet, show, console
         self.due = 0.0
+        self.unwritten = ""
+        """Why the page could not be written the last time."""
         self.said: dict[str, str] = {}
         self.last_line = time.monotonic()
 
     def print(self, over: bool = False) -> tuple[list[dict[str, Any]], dict[str, Any]]:
         """Write page and table; returns the rows and totals."""
         began = time.monotonic()
-        self.show.look()
+        self.show.look(over)
         rows = self.show.rows(over)
         total = board.totals(rows, self.fleet.jobs)
+        why = ""
         try:
             board.write(self.fleet.common.work, self.fleet.name, rows, total, live=not over)
         except OSError as error:  # a full disk: the clips go on, and the page comes when there is room
-            self.console.say(f"the page cannot be written: {error.strerror}")
+            why = error.strerror or str(error)
+        if why and (over or why != self.unwritten):
+            self.console.say(f"the page cannot be written: {why}")
+        self.unwritten = why
         now = time.monotonic()
         self.due = now + max(PAGE_EVERY, PAGE_SHARE * (now - began))
         self.speak(rows, total)
@@ -148,11 +157,6 @@ class Press:
         """Write the page if it is time."""
         if time.monotonic() > self.due:
             self.print()
-
-    def begun(self) -> bool:
-        """Whether any job reported anything."""
-        self.show.look()
-        return bool(self.show.reports)
 
     def speak(self, rows: list[dict[str, Any]], total: dict[str, Any]) -> None:
         """A line for each clip that has ended, and one now and then for all."""

@@ -16,9 +16,10 @@ from typing import Any, Protocol
 
 from hugs_cli.cache import child
 from hugs_cli.fleet.history import free_megabytes
-from hugs_cli.fleet.job import STOP
+from hugs_cli.fleet.job import LOGS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
 from hugs_cli.pipelines import UsageError
+from stages.contract import StageError
 
 ROOM = Path(__file__).parent
 EXTRA = "pip install 'hugs-avatar[fleet]'"
@@ -48,10 +49,9 @@ class Runner(Protocol):
 
 @dataclass(frozen=True)
 class Order:
-    """What to place: the run's folder, the rows to do, and how many at a time."""
+    """What to place: the folder of the call, the rows to do, and how many at a time."""
 
     folder: Path
-    token: str
     todo: Sequence[Planned]
     split: bool
     side_by_side: int
@@ -116,8 +116,8 @@ class Loop:
         return self.running is not None
 
     def _start(self, row: str, step: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "hugs_cli.fleet.job", str(self.order.folder), row, step, self.order.token]
-        with open(self.order.folder / "logs" / f"{row}.{step}.log", "ab") as log:
+        command = [sys.executable, "-m", "hugs_cli.fleet.job", str(self.order.folder), row, step]
+        with open(self.order.folder / LOGS / f"{row}.{step}.log", "ab") as log:
             return subprocess.Popen(
                 [*command, str(self.order.threads)],
                 stdin=subprocess.DEVNULL,
@@ -149,7 +149,6 @@ class Snakemake:
         jobs: dict[str, Any] = {
             "python": sys.executable,
             "run": str(order.folder),
-            "token": order.token,
             "local": local,
             "most": most,
             "megabytes": {one.row.id: one.megabytes for one in order.todo},
@@ -166,7 +165,7 @@ class Snakemake:
             command += ["--cores", str(slots), *(["--resources", f"mem_mb={most}"] if most else [])]
         elif order.side_by_side:
             command += ["--jobs", str(order.side_by_side)]
-        self.log = order.folder / "snakemake.log"
+        self.log = order.folder / SNAKEMAKE_LOG
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
@@ -187,9 +186,15 @@ class Snakemake:
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
 
-    def complaint(self) -> list[str]:
-        """The last lines that Snakemake said."""
-        return [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()][-6:]
+    def check(self) -> None:
+        """StageError if Snakemake did not do its part: it was killed, or placed no job."""
+        lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()][-6:]
+        if self.process.returncode < 0:
+            name = signal.Signals(-self.process.returncode).name
+            raise StageError(f"Snakemake was killed by {name}", "call the fleet again: what is finished is kept", lines)
+        if not any((self.order.folder / LOGS).iterdir()):
+            hint = "mend the profile, or try one machine: leave out `--profile`"
+            raise StageError("Snakemake placed no job", hint, lines)
 
 
 def profile_folder(name: str | None) -> str:

@@ -1,6 +1,5 @@
 """The benchmarks measure what they say: makers agree, times add up, sizes are right."""
 
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +12,7 @@ from stages import train
 from stages.avatar import rasterize
 from stages.estimators.detectors.every import DETECTORS
 from stages.records import Scene
-from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas
+from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, train_step
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
@@ -35,20 +34,22 @@ def test_the_naive_kernel_draws_what_ours_draws():
     assert 5 < naive.pairs.mean() < 15
 
 
-def test_exclusive_times_add_up_to_the_total():
+def test_exclusive_times_add_up_to_the_total(monkeypatch):
+    now = [0.0]
+
+    def spend(seconds):
+        now[0] += seconds
+
     def outer():
-        time.sleep(0.02)
+        spend(2)
         job.inner()
         job.inner()
 
-    watch, job = Stopwatch(), SimpleNamespace(outer=outer, inner=lambda: time.sleep(0.03))
+    monkeypatch.setattr(train_step, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    watch, job = Stopwatch(), SimpleNamespace(outer=outer, inner=lambda: spend(3))
     watch.watch([("outside", job, "outer"), ("inside", job, "inner")])
-    start = time.perf_counter()
     job.outer()
-    total = time.perf_counter() - start
-    assert 0.9 * total < sum(watch.seconds.values()) <= total
-    assert watch.seconds["inside"] >= 0.06
-    assert 0.02 <= watch.seconds["outside"] <= total - 0.06
+    assert watch.seconds == {"inside": 6, "outside": 2} and now == [8]
 
 
 @pytest.mark.slow

@@ -18,6 +18,20 @@ def flow(tmp_path: Path) -> Flow:
     return Flow(tmp_path)
 
 
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Flow:
+    """A clip and package after `hugs run`; to be copied."""
+    flow = Flow(tmp_path_factory.mktemp("finished"))
+    flow.hugs()
+    return flow
+
+
+@pytest.fixture
+def made(finished: Flow, tmp_path: Path) -> Flow:
+    """A fresh clip and package after `hugs run`."""
+    return finished.copied(tmp_path)
+
+
 @pytest.fixture
 def clip(flow: Flow) -> Flow:
     """The flow with the pipelines `tiny` and `quick`, see tests/made/studies.py."""

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from hugs_cli import app, app_compare, app_show, options
 from hugs_cli.pipelines import UsageError
-from tests.made.flow import HUGS
+from tests.made.flow import HUGS, LONGEST
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"torch", "cv2", "pycolmap", "numpy", "scipy", "numba", "av", "OpenImageIO", "trimesh", "rich"}
@@ -51,12 +51,11 @@ def processor_seconds(flow, command: str) -> float:
 
 
 @pytest.mark.slow
-def test_a_run_with_nothing_to_do_is_quick_and_loads_nothing_heavy(flow):
-    flow.hugs()
+def test_a_run_with_nothing_to_do_is_quick_and_loads_nothing_heavy(made):
     args = ["run", "clip.mp4", "--pipelines-file", "pipelines.yaml"]
-    loaded = modules_after(flow.folder, *args)
+    loaded = modules_after(made.folder, *args)
     assert "flow" in loaded and not loaded & HEAVY
-    run, status = (min(processor_seconds(flow, command) for _ in range(3)) for command in ("run", "status"))
+    run, status = (min(processor_seconds(made, command) for _ in range(3)) for command in ("run", "status"))
     assert run < 2 * status  # 1.0 measured
 
 
@@ -86,15 +85,14 @@ def test_missing_video_and_unknown_option(flow):
 
 
 @pytest.mark.slow
-def test_two_clips_of_one_name_do_not_mix(flow):
-    flow.hugs()
-    (flow.folder / "b").mkdir()
-    (flow.folder / "b/clip.mp4").write_text("others")
-    flow.video = flow.folder / "b/clip.mp4"
-    process = flow.start()
-    process.communicate(timeout=60)
-    flow.video.rename(flow.folder / "clip.mp4")
-    assert flow.ran()["one"] == ["inputs.video changed"]
+def test_two_clips_of_one_name_do_not_mix(made):
+    (made.folder / "b").mkdir()
+    (made.folder / "b/clip.mp4").write_text("others")
+    made.video = made.folder / "b/clip.mp4"
+    process = made.start()
+    process.communicate(timeout=LONGEST)
+    made.video.rename(made.folder / "clip.mp4")
+    assert made.ran()["one"] == ["inputs.video changed"]
 
 
 @pytest.mark.parametrize("module", ["typer", "hugs_cli.app"])
@@ -122,9 +120,10 @@ def test_stages_lists_settings_with_their_meaning(flow):
     assert out == (
         "  default     Four.\n* other       Another.\n\nfour  <- two, three\n  Write one file.\n"
         "    word = z   What to write.\n    delay = 0.0   Seconds to wait before the end.\n"
+        "    hold =    A file; while it is there, the stage waits.\n"
     )
     rows = json.loads(subprocess.run([*command, *args, "--json"], capture_output=True, cwd=flow.folder).stdout)
-    assert rows["stages"][0]["params"] == {"word": "z", "delay": 0.0}
+    assert rows["stages"][0]["params"] == {"word": "z", "delay": 0.0, "hold": ""}
 
 
 def test_render_without_a_finished_run_says_what_to_run(flow):

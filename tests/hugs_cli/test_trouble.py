@@ -15,7 +15,7 @@ from hugs_cli.cache import child, engine
 from hugs_cli.cache.freshness import Recipe
 from hugs_cli.cache.workspace import Stamp, clip_name
 from hugs_cli.pipelines import UsageError
-from tests.made.flow import ALL, WHOLE
+from tests.made.flow import ALL, LONGEST, WHOLE
 
 FULL = "open('/dev/full', 'w').write('x' * 100_000); "
 
@@ -107,10 +107,11 @@ def test_a_store_that_may_only_be_read(flow):
 
 @pytest.mark.slow
 def test_a_video_that_vanishes_while_it_is_read(flow):
-    run = flow.start("--set", "one.delay=2")
+    run = flow.start(*flow.hold("one"))
     flow.wait_for(lambda: list(flow.store.glob("one-*.part/step0")))
     flow.video.rename(flow.folder / "away")
-    _, err = run.communicate(timeout=60)
+    flow.go()
+    _, err = run.communicate(timeout=LONGEST)
     assert run.returncode == 1 and "clip.mp4 is gone or cannot be read" in err and "Traceback" not in err
     assert "hint: put it back, and run again" in err and kept(flow) == {}
     (flow.folder / "away").rename(flow.video)
@@ -119,10 +120,11 @@ def test_a_video_that_vanishes_while_it_is_read(flow):
 
 @pytest.mark.slow
 def test_a_video_that_changes_while_it_is_read_makes_no_result(flow):
-    run = flow.start("--set", "one.delay=2")
+    run = flow.start(*flow.hold("one"))
     flow.wait_for(lambda: list(flow.store.glob("one-*.part/step0")))
     flow.video.write_text("other pixels")
-    _, err = run.communicate(timeout=60)
+    flow.go()
+    _, err = run.communicate(timeout=LONGEST)
     assert run.returncode == 1 and "error: clip.mp4 changed while one ran" in err
     assert kept(flow) == {}
     flow.hugs()
@@ -138,18 +140,17 @@ def test_a_link_to_nothing_in_a_folder_of_pictures(flow):
 
 
 @pytest.mark.slow
-def test_a_clock_that_goes_back_changes_nothing(flow):
-    flow.hugs()
-    before, ahead = kept(flow), time.time() + 4e8
-    for path in [*flow.work.rglob("*"), flow.video]:
+def test_a_clock_that_goes_back_changes_nothing(made):
+    before, ahead = kept(made), time.time() + 4e8
+    for path in [*made.work.rglob("*"), made.video]:
         os.utime(path, (ahead, ahead), follow_symlinks=False)
-    for file in flow.store.glob("*/stamp.json"):
+    for file in made.store.glob("*/stamp.json"):
         file.write_text(file.read_text().replace('"made": "2', '"made": "3'))
-    out, err = flow.hugs()
-    assert err.count(" cached ") == 4 and kept(flow) == before
-    out, _ = flow.hugs(command="status")
+    out, err = made.hugs()
+    assert err.count(" cached ") == 4 and kept(made) == before
+    out, _ = made.hugs(command="status")
     assert out.count("fresh") == 4 and out.count("just now") == 4
-    assert flow.ran("--set", "four.word=b") == {"four": ["params.word: a -> b"]}
+    assert made.ran("--set", "four.word=b") == {"four": ["params.word: a -> b"]}
 
 
 @pytest.mark.parametrize("name", ["..", "/", "...mp4", "..mp4"])
@@ -175,14 +176,12 @@ def test_stages_with_names_that_lead_elsewhere_are_refused(flow, name):
 
 
 @pytest.mark.slow
-def test_a_broken_memory_of_earlier_runs_costs_time_only(flow):
-    flow.hugs()
-    (flow.work / "clip" / "sources.json").write_text("[1")
-    (flow.work / ".code.json").write_text('{"format": 1, "modules": [2]}')
-    assert flow.ran() == {}
+def test_a_broken_memory_of_earlier_runs_costs_time_only(made):
+    (made.work / "clip" / "sources.json").write_text("[1")
+    (made.work / ".code.json").write_text('{"format": 1, "modules": [2]}')
+    assert made.ran() == {}
 
 
 @pytest.mark.slow
-def test_all_names_are_those_of_the_pipeline(flow):
-    flow.hugs()
-    assert sorted(name.rpartition("-")[0] for name in kept(flow)) == sorted(ALL)
+def test_all_names_are_those_of_the_pipeline(made):
+    assert sorted(name.rpartition("-")[0] for name in kept(made)) == sorted(ALL)

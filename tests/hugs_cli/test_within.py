@@ -9,6 +9,7 @@ import pytest
 from hugs_cli import within
 from hugs_cli.pipelines import UsageError
 from hugs_cli.studies.calibration import STAGE_START
+from tests.made.flow import Flow
 
 TRAIN = """
 '''Writes what it was told; fails while there is a file `stop` beside the video.'''
@@ -52,8 +53,7 @@ def cost(params, folders):
 """
 
 
-@pytest.fixture
-def clip(flow):
+def add_tiny(flow):
     """The flow, and a pipeline `tiny` of it with a train stage and one after it."""
     flow.write("train", TRAIN.format(stop=str(flow.folder / "stop")))
     flow.write("after", AFTER)
@@ -62,6 +62,25 @@ def clip(flow):
     file = flow.folder / "pipelines.yaml"
     file.write_text(f"{file.read_text()}tiny:\n  doc: Tiny.\n  stages:\n{lines}")
     return flow
+
+
+@pytest.fixture
+def clip(flow):
+    """A flow that has not run."""
+    return add_tiny(flow)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The flow after a run within a minute, and what that said; to be copied."""
+    flow = add_tiny(Flow(tmp_path_factory.mktemp("within")))
+    return flow, run(flow, "--within", "60s", "--json")
+
+
+@pytest.fixture
+def timed(finished, tmp_path):
+    """The flow after a run within a minute."""
+    return finished[0].copied(tmp_path)
 
 
 def run(clip, *args: str, code: int = 0):
@@ -84,12 +103,12 @@ def test_what_is_no_time_is_refused(text):
 
 
 @pytest.mark.slow
-def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
-    out, err = run(clip, "--within", "60s", "--json")
+def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(finished):
+    clip, (out, err) = finished
     result = json.loads(out)
     assert result["pipeline"] == "tiny.60s" and [row["state"] for row in result["stages"]] == ["done", "done", "done"]
     kept, given = result["within"], told(clip)
-    assert kept["promised"] == 60 and 0 < kept["took"] < 30
+    assert kept["promised"] == 60 and kept["took"] > 0
     least = 60 - kept["took"] - 2 * STAGE_START
     assert least <= given["seconds"] < 60 - 2 * STAGE_START
     assert kept["settings"] == {"train": {name: given[name] for name in ("seconds", "reserve")}}
@@ -98,13 +117,12 @@ def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(clip):
 
 
 @pytest.mark.slow
-def test_a_second_run_trains_no_more_unless_forced(clip):
-    run(clip, "--within", "60s")
-    before = told(clip)
-    out, err = run(clip, "--within", "60s", "--json")
-    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(clip) == before
+def test_a_second_run_trains_no_more_unless_forced(timed):
+    before = told(timed)
+    out, err = run(timed, "--within", "60s", "--json")
+    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(timed) == before
     assert "continuing the training that was begun" in err
-    out, err = run(clip, "--within", "60s", "--force", "--json")
+    out, err = run(timed, "--within", "60s", "--force", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"done"} and "are left for training" in err
 
 
@@ -128,10 +146,9 @@ def test_a_training_cut_short_goes_on_with_what_it_was_given(clip):
 
 
 @pytest.mark.slow
-def test_changed_settings_are_timed_anew(clip):
-    run(clip, "--within", "60s")
-    _, err = run(clip, "--within", "60s", "--set", "train.size=2")
-    assert told(clip)["size"] == 2 and "are left for training" in err
+def test_changed_settings_are_timed_anew(timed):
+    _, err = run(timed, "--within", "60s", "--set", "train.size=2")
+    assert told(timed)["size"] == 2 and "are left for training" in err
 
 
 def test_a_run_that_does_not_train_is_refused(clip):
@@ -142,11 +159,10 @@ def test_a_run_that_does_not_train_is_refused(clip):
 
 
 @pytest.mark.slow
-def test_its_results_have_a_name_for_other_commands(clip):
-    run(clip, "--within", "60s")
-    states = json.loads(clip.hugs("--pipeline", "tiny.60s", "--json", command="status")[0])
+def test_its_results_have_a_name_for_other_commands(timed):
+    states = json.loads(timed.hugs("--pipeline", "tiny.60s", "--json", command="status")[0])
     assert [row["state"] for row in states] == ["fresh"] * 3
-    _, err = clip.hugs("--pipeline", "tiny.5m", command="status", code=2)
+    _, err = timed.hugs("--pipeline", "tiny.5m", command="status", code=2)
     assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
 
 
@@ -184,13 +200,12 @@ def test_where_time_is_short_measuring_takes_less_of_it(clip):
 
 
 @pytest.mark.slow
-def test_results_within_a_time_are_kept_when_only_code_changes(clip):
-    run(clip, "--within", "60s")
-    before = told(clip)
-    clip.edit("train", "    if Path(", "    more = 1\n    if Path(")
-    out, _ = clip.hugs("--pipeline", "tiny.60s", command="accept")
+def test_results_within_a_time_are_kept_when_only_code_changes(timed):
+    before = told(timed)
+    timed.edit("train", "    if Path(", "    more = 1\n    if Path(")
+    out, _ = timed.hugs("--pipeline", "tiny.60s", command="accept")
     assert out.count("train accepted: ") == 1
-    out, _ = run(clip, "--within", "60s", "--json")
-    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(clip) == before
-    clip.edit("train", "more = 1", "more = 2")
-    assert "`hugs accept clip.mp4 --pipeline tiny.60s` (and" in run(clip, "--within", "60s")[1]
+    out, _ = run(timed, "--within", "60s", "--json")
+    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(timed) == before
+    timed.edit("train", "more = 1", "more = 2")
+    assert "`hugs accept clip.mp4 --pipeline tiny.60s` (and" in run(timed, "--within", "60s")[1]

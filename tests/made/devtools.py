@@ -69,7 +69,7 @@ class Page:
             raise RuntimeError(found["exceptionDetails"].get("exception", {}).get("description", "the script failed"))
         return found["result"].get("value")
 
-    def open(self, page: Path, until: str, seconds: float = 60) -> None:
+    def open(self, page: Path, until: str, seconds: float = 600) -> None:
         """Open a file and wait until the expression `until` is true in it."""
         self.ask("Page.navigate", url=f"{page.as_uri()}#still")
         end = time.monotonic() + seconds
@@ -81,7 +81,7 @@ class Page:
         """End the browser."""
         self.session = ""
         self.ask("Browser.close")
-        self.process.wait(20)
+        self.process.wait(600)
         os.close(self.read_here)
         os.close(self.write_here)
 

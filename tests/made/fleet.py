@@ -14,7 +14,7 @@ from typing import Any
 
 from hugs_cli.cache.fingerprint import file_digest, files_under
 from hugs_cli.cache.workspace import OURS, PART, Stamp
-from tests.made.flow import HUGS, ROOT, Flow
+from tests.made.flow import HUGS, LONGEST, ROOT, Flow
 
 BREAKS = '''
 """Does to a stage what the clip asks for."""
@@ -49,6 +49,8 @@ class Params(Base):
     """What to write."""
     delay: float = speed_only(0.0)
     """Seconds to wait before the end."""
+    hold: str = speed_only("")
+    """A file; while it is there, the stage waits."""
 
 def run(job, params, *, video):
     """Write one file."""
@@ -115,7 +117,7 @@ class Fleet(Flow):
     def done(self, *args: str, code: int = 0, **more: str) -> tuple[dict[str, Any], str]:
         """Run it to its end: what `--json` says, and stderr."""
         process = self.fleet(*args, "--json", **more)
-        out, err = process.communicate(timeout=600)
+        out, err = process.communicate(timeout=LONGEST)
         assert process.returncode == code, f"exit code {process.returncode}\n{out}\n{err}"
         return json.loads(out), err
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Self
 
 ROOT = Path(__file__).parents[2]
+LONGEST = 600.0  # s for what takes a few, on a machine with much else to do
 HUGS = "from hugs_cli import main; main()"  # what the installed command does
 
 STAGE = '''
@@ -25,6 +29,8 @@ class Params(Base):
     """What to write."""
     delay: float = speed_only(0.0)
     """Seconds to wait before the end."""
+    hold: str = speed_only("")
+    """A file; while it is there, the stage waits."""
 
 def run(job, params, *, {needs}):
     """Write one file."""
@@ -41,12 +47,12 @@ def work(job, params, name, inputs):
     # with a comment
     path = job.out / "out.txt"
     count = len(list(job.out.glob("step*")))
-    if params.delay or count:
+    if params.delay or params.hold or count:
         for i in range(count, 5):
             (job.out / f"step{i}").write_text("")
             job.progress(i + 1, 5, psnr=20.0 + i)
             end = time.monotonic() + params.delay / 5
-            while time.monotonic() < end:
+            while time.monotonic() < end or (params.hold and os.path.exists(params.hold)):
                 time.sleep(0.01)
                 if job.stop_asked:
                     from stages.contract import Stopped
@@ -82,6 +88,24 @@ class Flow:
         more = "other:\n  doc: Another.\n  extends: default\n  stages: {four: {params: {word: z}}}\n"
         (folder / "pipelines.yaml").write_text(f"default:\n  doc: Four.\n  stages:\n{stages}{more}")
 
+    def copied(self, folder: Path) -> Self:
+        """The same in another folder, with its results."""
+        shutil.copytree(self.folder, folder, symlinks=True, dirs_exist_ok=True)
+        other = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Path):
+                setattr(other, name, folder / value.relative_to(self.folder))
+        return other
+
+    def hold(self, stage: str) -> tuple[str, str]:
+        """What makes a stage wait until `go` is called."""
+        (self.folder / "hold").touch()
+        return ("--set", f"{stage}.hold=hold")
+
+    def go(self) -> None:
+        """Let all stages that wait go on."""
+        (self.folder / "hold").unlink()
+
     def write(self, name: str, text: str) -> None:
         """Write one module of the package."""
         (self.package / f"{name}.py").write_text(textwrap.dedent(text))
@@ -107,7 +131,7 @@ class Flow:
     def hugs(self, *args: str, command: str = "run", code: int = 0) -> tuple[str, str]:
         """Run it to its end; its stdout and stderr. The exit code must be `code`."""
         process = self.start(*args, command=command)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=LONGEST)
         assert process.returncode == code, f"exit code {process.returncode}\n{out}\n{err}"
         return out, err
 
@@ -121,7 +145,7 @@ class Flow:
         return (self.work / "clip" / pipeline / stage / "out.txt").read_text()
 
     @staticmethod
-    def wait_for(condition: Callable[[], object], seconds: float = 30.0) -> None:
+    def wait_for(condition: Callable[[], object], seconds: float = LONGEST) -> None:
         """Wait until something is so; fails if it does not come to be."""
         end = time.monotonic() + seconds
         while not condition():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from stages import fleet_page
 from stages.contract import Job
 from stages.formats.images import write_image
 from tests.made import browser
+from tests.made.devtools import Page
+from tests.made.flow import Flow
 
 ROW = {
     "clip": "dance", "folder": "from-mon/dance & more", "pipeline": "draft", "state": "done", "stage": "", "percent": None,
@@ -50,7 +54,8 @@ def test_pictures_are_made_once_and_a_broken_one_hurts_nobody(tmp_path):
 
 
 @pytest.mark.slow
-def test_it_opens_in_a_browser(tmp_path):
+@pytest.mark.parametrize("width", [1300, 390])
+def test_it_opens_in_a_browser(tmp_path, width):
     picture = tmp_path / "a" / "store" / "evaluate-1" / "heldout" / "1.png"
     picture.parent.mkdir(parents=True)
     write_image(picture, np.full((200, 600, 3), 90, np.uint8))
@@ -62,5 +67,26 @@ def test_it_opens_in_a_browser(tmp_path):
         "facts": ["0 of 9"],
     }
     write(tmp_path, ROW | {"folder": "a", "picture": "evaluate-1/heldout/1.png"}, *[broken] * 40, live=False)
-    found, console = browser.probe(tmp_path / "fleet.html", tmp_path, 1300)
+    found, console = browser.probe(tmp_path / "fleet.html", tmp_path, width)
     assert found["images"] == 1 and not found["bad"] and not found["wide"] and not console
+
+
+@pytest.mark.slow
+def test_a_page_that_is_written_no_more_says_so_and_stays_sorted(tmp_path):
+    """Its fleet was killed. Since when is told by the browser's clock alone."""
+    write(tmp_path, ROW, ROW | {"clip": "a walk"}, live=True)
+    still, loaded = "document.querySelector('#old').hidden", "document.readyState === 'complete'"
+    first = "document.querySelector('#clips tbody tr').cells[1].firstChild.textContent"
+    with contextlib.closing(Page(tmp_path / "profile", (800, 600), ["--disable-gpu"])) as tab:
+        tab.open(tmp_path / "fleet.html", loaded)
+        assert tab.run(still) and tab.run(first) == "dance"
+        tab.run("document.querySelectorAll('#clips th')[1].click()")
+        assert tab.run(first) == "a walk" and tab.run("location.hash") == "#1"
+        tab.run("history.replaceState({ ...history.state, since: Date.now() - 1e6 }, '')")
+        tab.run("window.before = 1; setTimeout(() => location.reload())")
+        Flow.wait_for(lambda: tab.run(f"!window.before && {loaded}"))
+        assert not tab.run(still) and tab.run(first) == "a walk"
+        write(tmp_path, ROW, live=True)
+        tab.run("window.before = 1; setTimeout(() => location.reload())")
+        Flow.wait_for(lambda: tab.run(f"!window.before && {loaded}"))
+        assert tab.run(still), "a new page is no old one"

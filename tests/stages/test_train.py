@@ -58,15 +58,36 @@ PARAMS = train.Params(
 )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def once():
+    """What effects cost is measured once, not as often as gives a true number (tests/stages/training/test_effect_gains.py)."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stages.training.effect_gains.TURNS", 1)
+        yield
+
+
 @pytest.fixture
 def inputs(tmp_path):
     """Folders of sfm, smpl and survey of a clip made of noise: the plumbing is tested here, not the picture."""
+    return noise(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """What the stage writes of these folders with PARAMS. Made once; a test only reads it."""
+    room = tmp_path_factory.mktemp("plain")
+    job = fresh(room, "out")
+    train.run(job, PARAMS, **noise(room))
+    return job.out
+
+
+def noise(room):
     rng = np.random.default_rng(0)
     names = tuple(f"{i:06d}" for i in range(FRAMES))
     viewmats = np.tile(np.eye(4), (FRAMES, 1, 1))
     viewmats[:, 2, 3], viewmats[:, 0, 3] = 3, np.linspace(-1, 1, FRAMES)
     Ks = np.tile(np.array([[50.0, 0, WIDTH / 2], [0, 50, HEIGHT / 2], [0, 0, 1]]), (FRAMES, 1, 1))
-    sfm, smpl, survey = (tmp_path / n for n in ("sfm", "smpl", "survey"))
+    sfm, smpl, survey = (room / n for n in ("sfm", "smpl", "survey"))
     for folder in (sfm / "images", sfm / "masks", smpl, survey):
         folder.mkdir(parents=True)
     write_cameras(sfm / "cameras.npz", Cameras(names, viewmats, Ks, WIDTH, HEIGHT))
@@ -116,21 +137,20 @@ def contents(folder) -> dict:
 
 
 @pytest.mark.slow
-def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, held):
-    job, fit = fresh(tmp_path, "out"), trained(inputs).fit
-    train.run(job, PARAMS, **inputs)
-    assert sorted(p.name for p in job.out.iterdir()) == [
+def test_l11_outputs_and_the_avatar_needs_no_network(inputs, plain, held):
+    fit = trained(inputs).fit
+    assert sorted(p.name for p in plain.iterdir()) == [
         "avatar.npz",
         "body.npz",
         "curve.csv",
         "scene.npz",
         "train.json",
     ]
-    clip = load_clip(inputs["sfm"], inputs["smpl"], train=job.out)
+    clip = load_clip(inputs["sfm"], inputs["smpl"], train=plain)
     body = [
         torch.tensor(getattr(clip.body, k)[3], dtype=torch.float32) for k in ("global_orient", "body_pose", "transl")
     ]
-    baked = pose_avatar(load_avatar(read_avatar(job.out / "avatar.npz")), *body)
+    baked = pose_avatar(load_avatar(read_avatar(plain / "avatar.npz")), *body)
     with torch.no_grad():
         canonical, _ = fit.person.baked()
         stay = ~floating(canonical, fit.person.body)
@@ -138,34 +158,31 @@ def test_l11_outputs_and_the_avatar_needs_no_network(tmp_path, inputs, held):
         seen = fit.person.body._replace(**poses), fit.full._replace(viewmats=fit.cameras()), fit.train
         even, moved = snap_to_surface(Canonical(*(part[stay] for part in canonical)), *seen)
         network = fit.posed(rest(even, fit.person.canonical_bones), *body)
-    facts, n = json.loads((job.out / "train.json").read_text()), len(network.means)
+    facts, n = json.loads((plain / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
     assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["evened"] == moved < 0.2 * n
     covariances = [(splats.axes @ splats.axes.mT)[:n] for splats in (baked, network)]
     held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)
     held((baked.means[:n] - network.means).abs().max(), 1e-5)
     assert torch.allclose(baked.opacities[:n], network.opacities)
-    scene, learned = load_scene(read_scene(job.out / "scene.npz")), fit.scene.splats()
+    scene, learned = load_scene(read_scene(plain / "scene.npz")), fit.scene.splats()
     assert torch.allclose(scene.axes, learned.axes, atol=1e-6) and torch.equal(scene.means, learned.means)
-    rows = list(csv.DictReader((job.out / "curve.csv").open()))
+    rows = list(csv.DictReader((plain / "curve.csv").open()))
     assert [int(r["step"]) for r in rows] == [4, 8] and float(rows[1]["psnr"]) > 0
     assert 0 < float(rows[0]["seconds"]) < float(rows[1]["seconds"])
     spent = facts["seconds_by_part"]
     assert set(spent) == {"growth", "person's networks", "drawing", "losses", "backward", "optimiser", "other"}
     assert sum(spent.values()) == pytest.approx(facts["seconds"], abs=0.01) and min(spent.values()) >= 0
-    assert json.loads((job.out / "train.json").read_text())["train_frames"] == [
-        clip.names[i] for i in (0, 1, 3, 4, 5, 6)
-    ]
+    assert json.loads((plain / "train.json").read_text())["train_frames"] == [clip.names[i] for i in (0, 1, 3, 4, 5, 6)]
 
 
 @pytest.mark.slow
-def test_held_out_pictures_and_masks_change_nothing(tmp_path, inputs):
-    first, second = fresh(tmp_path, "first"), fresh(tmp_path, "second")
-    train.run(first, PARAMS, **inputs)
+def test_held_out_pictures_and_masks_change_nothing(tmp_path, inputs, plain):
+    second = fresh(tmp_path, "second")
     write_image(inputs["sfm"] / "images" / "000002.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
     write_mask(inputs["sfm"] / "masks" / "000007.png", np.zeros((HEIGHT, WIDTH), np.uint8))
     train.run(second, PARAMS, **inputs)
-    for name, arrays in contents(first.out).items():
+    for name, arrays in contents(plain).items():
         for key, value in arrays.items():
             assert np.array_equal(value, contents(second.out)[name][key]), (name, key)
 
@@ -198,9 +215,8 @@ train.run(Job(out=root / "job"), PARAMS, **{name: root / name for name in ("sfm"
 
 
 @pytest.mark.slow
-def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_path, inputs):
-    straight, job = fresh(tmp_path, "straight"), fresh(tmp_path, "job")
-    train.run(straight, PARAMS, **inputs)
+def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_path, inputs, plain):
+    job = fresh(tmp_path, "job")
     killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, check=False)
     assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
     assert (job.out / "checkpoint.part").read_bytes() == b"half"
@@ -216,7 +232,7 @@ def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_pat
     assert any("goes on after step 2" in text for text in said), "the last whole checkpoint"
     assert (job.out / "checkpoint.pt").exists() and not (job.out / "avatar.npz").exists()
     train.run(Job(out=job.out), PARAMS, **inputs)
-    assert not list(job.out.glob("checkpoint*")) and same_results(straight.out, job.out)
+    assert not list(job.out.glob("checkpoint*")) and same_results(plain, job.out)
     facts = json.loads((job.out / "train.json").read_text())
     assert sum(facts["seconds_by_part"].values()) == pytest.approx(facts["seconds"], abs=0.01), (
         "before and after the stop"
@@ -347,7 +363,7 @@ DRAWN = ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
 
 
 @pytest.mark.slow
-def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, held):
+def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, plain, held):
     decide(inputs["survey"], **dict.fromkeys(DRAWN, True))
     job, training = fresh(tmp_path, "out"), trained(inputs)
     train.write(job.out, finish(training, job))
@@ -372,16 +388,12 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
         still, pose = Learned(*learned[:2], FrameEffects()), pose_of(clip.body, i)
         sharp = evaluate.Shot(clip, still, i, None, "cpu").draw(pose)[0].numpy() * 255
         assert np.abs(sharp - wanted).max() > 3
-    decide(inputs["survey"])
-    train.run(off := fresh(tmp_path, "off"), PARAMS, **inputs)
-    assert not (off.out / "effects.npz").exists() and not (off.out / "cameras.npz").exists()
+    assert not (plain / "effects.npz").exists() and not (plain / "cameras.npz").exists()
 
 
 @pytest.mark.slow
-def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs):
-    job = fresh(tmp_path, "out")
-    train.run(job, PARAMS, **inputs)
-    fitted, refined = read_poses(inputs["smpl"] / "body.npz"), read_poses(job.out / "body.npz")
+def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs, plain):
+    fitted, refined = read_poses(inputs["smpl"] / "body.npz"), read_poses(plain / "body.npz")
     assert not np.allclose(fitted.body_pose[1], refined.body_pose[1], atol=1e-6)
     decide(inputs["survey"], pose_refinement=False)
     job = fresh(tmp_path, "off")
@@ -458,13 +470,12 @@ LEARNED = ("view_dependence", "sky", "transients", "antialias", "clothing")
 
 
 @pytest.mark.slow
-def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_path, inputs):
-    plain, off, on = (fresh(tmp_path, name) for name in ("plain", "off", "on"))
-    train.run(plain, PARAMS, **inputs)
+def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_path, inputs, plain):
+    off, on = (fresh(tmp_path, name) for name in ("off", "on"))
     decide(inputs["survey"], **dict.fromkeys(LEARNED, False))
     train.run(off, PARAMS, **inputs)
     for name in ("avatar.npz", "scene.npz", "body.npz"):
-        assert (plain.out / name).read_bytes() == (off.out / name).read_bytes()
+        assert (plain / name).read_bytes() == (off.out / name).read_bytes()
     decide(inputs["survey"], **dict.fromkeys(LEARNED, True))
     said: list[str] = []
     on.emit = lambda event: said.append(event.get("text", ""))

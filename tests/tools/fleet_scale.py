@@ -73,7 +73,7 @@ def snakemake_plan(fleet: Fleet) -> tuple[float, int]:
     names = [line.partition(".")[0].rpartition("/")[2] for line in (fleet.folder / "clips.txt").read_text().split()]
     run = fleet.folder / "plan"
     run.mkdir()
-    jobs = {"python": "true", "run": ".", "token": "", "local": False, "most": 0, "megabytes": dict.fromkeys(names, 100),
+    jobs = {"python": "true", "run": ".", "local": False, "most": 0, "megabytes": dict.fromkeys(names, 100),
             "steps": [["clip", None, "{row}.done"]], "threads": 1, "minutes": 1}  # fmt: skip
     (run / "jobs.json").write_text(json.dumps(jobs))
     file = str(ROOT / "hugs_cli/fleet/Snakefile")

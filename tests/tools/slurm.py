@@ -93,7 +93,7 @@ def slurm(room: Path) -> Iterator[None]:
     finally:
         for daemon in reversed(daemons):
             daemon.terminate()
-            daemon.wait(20)
+            daemon.wait(120)
         CONFIG.unlink()
 
 
@@ -104,15 +104,15 @@ def munge_answers() -> bool:
 
 def answers(*command: str) -> bool:
     """Whether a command ends well."""
-    return subprocess.run(command, capture_output=True, timeout=20).returncode == 0
+    return subprocess.run(command, capture_output=True, timeout=120).returncode == 0
 
 
 def said(*command: str) -> str:
     """What a command prints."""
-    return subprocess.run(command, capture_output=True, text=True, timeout=20).stdout
+    return subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
 
 
-def until(so: Callable[[], object], seconds: float = 60.0) -> None:
+def until(so: Callable[[], object], seconds: float = 300.0) -> None:
     """Wait until something is so; TimeoutError if it does not come to be."""
     end = time.monotonic() + seconds
     while not so():
@@ -143,8 +143,8 @@ def rehearse(folder: Path) -> None:
     (folder / "profile" / "config.yaml").write_text(PROFILE)
     args = ("--profile", "./profile", "--split", "train", "--pipeline", "tiny")
     process = fleet.fleet(*args, "--set", "one.delay=4", "--json")
-    reports = folder / "work/.fleet/fleet/rows"
-    until(lambda: any(read(file).get("state") == "running" for file in reports.glob("c00000.*.json")), 120)
+    reports = folder / "work/.fleet/fleet"
+    until(lambda: any(read(file).get("state") == "running" for file in reports.glob("*/rows/c00000.*.json")))
     jobs = said("squeue", "-h", "-o", "%i %k", "--states=RUNNING").splitlines()
     (victim,) = [line.split()[0] for line in jobs if "c00000" in line]
     subprocess.run(["scancel", "--signal=KILL", "--full", victim], check=True)

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import shutil
 
 import pytest
 
-from hugs_cli.cache.workspace import read_json, write_json
+from hugs_cli.cache.workspace import Workspace, read_json, write_json
+from hugs_cli.pipelines import UsageError
 from tests.made.flow import ALL, WHOLE
 
 
 @pytest.fixture
-def copied(flow):
+def copied(made):
     """A finished run whose work folder was copied by a program that resolves links."""
-    flow.hugs()
-    shutil.copytree(flow.work, flow.folder / "copy")
-    shutil.rmtree(flow.work)
-    (flow.folder / "copy").rename(flow.work)
-    assert not any(path.is_symlink() for path in flow.work.rglob("*"))
-    return flow
+    shutil.copytree(made.work, made.folder / "copy")
+    shutil.rmtree(made.work)
+    (made.folder / "copy").rename(made.work)
+    assert not any(path.is_symlink() for path in made.work.rglob("*"))
+    return made
 
 
 @pytest.mark.slow
@@ -62,23 +64,22 @@ def test_a_folder_of_ones_own_in_a_links_place_is_kept_and_named(flow):
 
 
 @pytest.mark.slow
-def test_gc_leaves_alone_what_no_run_made_and_frees_the_rest(flow):
-    flow.hugs()
-    flow.hugs("--set", "four.word=b")
-    (flow.store / ".DS_Store").write_text("x")
-    (flow.store / "four-00000000").symlink_to(flow.folder / "flow")
-    (flow.store / "my notes").mkdir()
+def test_gc_leaves_alone_what_no_run_made_and_frees_the_rest(made):
+    made.hugs("--set", "four.word=b")
+    (made.store / ".DS_Store").write_text("x")
+    (made.store / "four-00000000").symlink_to(made.folder / "flow")
+    (made.store / "my notes").mkdir()
     for name in ("one-00000000.part", "two-00000000.old", "three-11111111"):
-        (flow.store / name).mkdir()
-    out, err = flow.hugs(command="gc")
+        (made.store / name).mkdir()
+    out, err = made.hugs(command="gc")
     assert out.count("removed ") == 4 and out.splitlines()[-1].endswith(" freed")
     assert [line.split("/")[-1] for line in err.splitlines()] == [
         ".DS_Store is left alone: no run made it",
         "four-00000000 is left alone: no run made it",
         "my notes is left alone: no run made it",
     ]
-    assert len(list(flow.store.iterdir())) == 7 and (flow.folder / "flow/one.py").exists()
-    assert flow.ran("--set", "four.word=b") == {}
+    assert len(list(made.store.iterdir())) == 7 and (made.folder / "flow/one.py").exists()
+    assert made.ran("--set", "four.word=b") == {}
 
 
 def test_a_small_file_is_replaced_in_one_step(tmp_path):
@@ -96,3 +97,19 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
     with pytest.raises(TypeError):
         write_json(path, {"a": 2, "b": object()})
     assert read_json(path) == {"a": 1}
+
+
+def test_a_file_system_without_locks_is_named_unless_a_lease_holds_the_clip(tmp_path, monkeypatch):
+    """Lustre and NFS, as some clusters set them up."""
+    workspace = Workspace(tmp_path / "clip.mp4", tmp_path / "work", "default")
+    workspace.create()
+
+    def none(*_: object) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", none)
+    with pytest.raises(UsageError, match="no file can be locked in"), workspace.lock(pytest.fail):
+        pass
+    workspace.leased = True
+    with workspace.lock(pytest.fail) as handle:
+        assert os.fstat(handle)

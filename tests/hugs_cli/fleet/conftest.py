@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from hugs_cli.fleet.plan import Common
 from tests.made.fleet import Fleet
 
 
@@ -13,3 +16,13 @@ from tests.made.fleet import Fleet
 def fleet(tmp_path: Path) -> Fleet:
     """Two clips."""
     return Fleet(tmp_path, 2)
+
+
+@pytest.fixture
+def common(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> Iterator[Common]:
+    """The fleet's folder, with stages that this process can import."""
+    monkeypatch.chdir(fleet.folder)
+    monkeypatch.syspath_prepend(str(fleet.folder))
+    yield Common(Path("work"), Path("pipelines.yaml"))
+    for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
+        del sys.modules[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from hugs_cli.fleet import board
 from hugs_cli.fleet.board import Board, kind_of, totals
 from hugs_cli.fleet.clips import Row
 from hugs_cli.fleet.history import History
-from hugs_cli.fleet.job import ROWS, STOP
+from hugs_cli.fleet.job import LOGS, ROWS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import Planned
 
 HISTORY = History({("default", "frames"): 10.0, ("default", "train"): 100.0}, {})
@@ -21,18 +22,20 @@ HISTORY = History({("default", "frames"): 10.0, ("default", "train"): 100.0}, {}
 @pytest.fixture
 def show(tmp_path) -> Board:
     """Two clips to do, one fresh."""
-    (tmp_path / "run" / ROWS).mkdir(parents=True)
+    for room in (ROWS, LOGS):
+        (tmp_path / "run" / room).mkdir(parents=True)
     stages = ["frames", "train"]
     result = {"seconds": 7.0, "psnr": 28.5, "effects": ["shadow"], "warnings": ["train: dark"], "pages": []}
     planned = [Planned(Row(Path(f"{n}.mp4"), tmp_path, "default"), "todo", stages, stages, 110.0) for n in "ab"]
     planned.append(Planned(Row(Path("c.mp4"), tmp_path, "default"), "fresh", stages, result=result))
-    return Board(tmp_path / "run", tmp_path, "mine", planned, HISTORY)
+    return Board(tmp_path / "run", tmp_path, planned, HISTORY)
 
 
-def report(show: Board, number: int, token: str = "mine", **facts: object) -> None:
+def report(show: Board, number: int, **facts: object) -> Path:
     file = show.folder / ROWS / f"{show.planned[number].row.id}.json"
-    file.write_text(json.dumps({"token": token, **facts}))
+    file.write_text(json.dumps(facts))
     show.look()
+    return file
 
 
 def test_time_left(show):
@@ -46,9 +49,29 @@ def test_time_left(show):
     assert totals(show.rows(), 2)["seconds_left"] is None
 
 
-def test_reports_of_an_earlier_call_are_not_ours(show):
-    report(show, 0, token="old", state="done")
-    assert show.rows()[0]["state"] == "todo"
+def test_the_last_report_counts_whatever_its_time_says(show):
+    """Some file systems tell the time in seconds, others show old times for a minute."""
+    file = report(show, 0, state="running", stage="train")
+    seen = file.stat().st_mtime_ns
+    file.write_text(json.dumps({"state": "done", "result": {"seconds": 5.0}}))
+    os.utime(file, ns=(seen, seen))
+    show.look()
+    assert show.rows()[0]["state"] == "running"
+    show.look(over=True)
+    assert [row["state"] for row in show.rows(over=True)] == ["done", "lost", "fresh"]
+    file.write_text("{")  # half of it, and what was known stays
+    show.look(over=True)
+    assert show.rows(over=True)[0]["seconds"] == 5.0
+
+
+def test_what_is_lost_has_a_log(show):
+    report(show, 0, state="running", stage="train")
+    report(show, 1, state="before", stage="")
+    (show.folder / LOGS / f"{show.planned[0].row.id}.clip.log").touch()
+    (show.folder / SNAKEMAKE_LOG).touch()
+    lost, never, _ = show.rows(over=True)
+    assert lost["log"].endswith("clip.log") and "without a word" in lost["problem"]
+    assert never["log"].endswith(SNAKEMAKE_LOG) and "never began" in never["problem"]
 
 
 def test_silence_is_said_and_in_the_end_it_is_lost(show, monkeypatch):

@@ -26,3 +26,17 @@ def test_an_empty_folder_tells_nothing(tmp_path):
 
 def test_this_machine_has_memory():
     assert free_megabytes() > 50
+
+
+def test_the_memory_of_a_container(tmp_path):
+    """What it read from files lately gives way, and none at all is not the same as not known."""
+    (tmp_path / "proc").mkdir()
+    (tmp_path / "proc/meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable: 8192000 kB\nHugePages_Total: 0\n")
+    assert free_megabytes(tmp_path) == 8000
+    group = tmp_path / "sys/fs/cgroup"
+    group.mkdir(parents=True)
+    (group / "memory.stat").write_text(f"anon 5\ninactive_file {3 << 30}\n")
+    (group / "memory.current").write_text(f"{4 << 30}\n")
+    for limit, expected in (("max\n", 8000), (f"{5 << 30}\n", 4096), (f"{1 << 29}\n", 1)):
+        (group / "memory.max").write_text(limit)
+        assert free_megabytes(tmp_path) == expected

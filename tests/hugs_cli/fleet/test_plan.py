@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,19 +9,9 @@ import pytest
 from hugs_cli.fleet import plan as plans
 from hugs_cli.fleet.clips import Row
 from hugs_cli.fleet.history import History
-from hugs_cli.fleet.plan import Common, FrozenCode, plan
+from hugs_cli.fleet.plan import FrozenCode, plan
 
 NONE = History({}, {})
-
-
-@pytest.fixture
-def common(fleet, monkeypatch) -> Iterator[Common]:
-    """The fleet's folder, with stages that this process can import."""
-    monkeypatch.chdir(fleet.folder)
-    monkeypatch.syspath_prepend(str(fleet.folder))
-    yield Common(Path("work"), Path("pipelines.yaml"))
-    for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
-        del sys.modules[name]
 
 
 def row(name: str, pipeline: str = "short", **more) -> Row:
@@ -67,8 +55,9 @@ def test_code_and_pipeline_are_read_once(fleet, common, monkeypatch):
 
 
 def test_a_pipeline_without_training_cannot_be_split(fleet, common):
-    found = plan([row("c00000")], common, NONE, split=True)
-    assert found[0].state == "failed" and "no stage 'train'" in found[0].problem
+    for pipeline in ("short", "default"):
+        found = plan([row("c00000", pipeline)], common, NONE, split=True)
+        assert found[0].state == "failed" and "no stage 'train'" in found[0].problem
 
 
 def test_an_error_of_the_system_is_that_row_s_alone(fleet, common, monkeypatch):

@@ -61,7 +61,7 @@ class Ended:
 def test_the_plain_loop_tries_again_only_what_may_go_well(tmp_path, monkeypatch, codes, kind, split, expected):
     todo = [Planned(Row(Path(name), tmp_path, "default"), "todo") for name in "ab"]
     names = {one.row.id: one.row.name for one in todo}
-    loop, started = Loop(Order(tmp_path, "t", todo, split, 1, None), lambda row: kind), []
+    loop, started = Loop(Order(tmp_path, todo, split, 1, None), lambda row: kind), []
 
     def start(row: str, step: str) -> Ended:
         started.append(f"{names[row]}.{step}")
