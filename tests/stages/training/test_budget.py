@@ -33,8 +33,7 @@ def fitted(clip, seconds, reserve, least, effects=(), monkeypatch=None):
     return *fit_into_time(fit, fit.params, deadline, rebuilt, said.append), said, built, deadline
 
 
-def test_an_effect_that_costs_more_than_it_wins_is_left_out_of_a_short_training_only(monkeypatch):
-    monkeypatch.setattr(budget, "WORTH", {"motion_blur": (0.7, 0.6), "shadow": (1.2, 0.1)})
+def test_an_effect_that_costs_more_than_it_wins_is_left_out_of_a_short_training_only():
     assert too_dear(["shadow", "motion_blur"], 250) == ("motion_blur",)
     assert too_dear(["shadow", "motion_blur"], 5000) == ()
     assert too_dear(["nobody_measured_it"], 10) == ()
@@ -52,8 +51,7 @@ def test_what_comes_after_training_gives_way_first(clip, second):
 
 
 def test_effects_that_are_too_dear_are_left_out_and_named(clip, second, monkeypatch):
-    monkeypatch.setattr(budget, "WORTH", {"motion_blur": (0.7, 0.6)})
-    _, choice, said, built, _ = fitted(clip, 400.0, 0, 0, ["motion_blur", "shadow"], monkeypatch)
+    _, choice, said, built, _ = fitted(clip, 300.0, 0, 0, ["motion_blur", "shadow"], monkeypatch)
     assert choice.left_out == ("motion_blur",) and built == [choice]
     assert any("left out, since more steps win more than they would: motion blur" in text for text in said)
 
