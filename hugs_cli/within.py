@@ -5,22 +5,24 @@ from __future__ import annotations
 import re
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from hugs_cli.busy import share
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import Ran
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace, read_json, write_json
 from hugs_cli.console import Console
 from hugs_cli.pipelines import Stage, UsageError
-from hugs_cli.studies.calibration import STAGE_START
+from hugs_cli.studies.calibration import FRAMES, LEAST, STAGE_START, STAGES, STEP
 from hugs_cli.studies.comparison import Quiet
 from hugs_cli.words import duration
 from stages.contract import load_stage
 
 TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
 CHOSEN = "within.json"  # in the pipeline's folder: the chosen settings, for a run that was cut short
-SHORT = 300  # seconds; if less is left, stages take their `SHORTER` settings
+SLACK = 0.02  # of the time, that what follows training may be guessed to be late before it is made shorter
 
 
 Chosen = dict[str, dict[str, Any]]
@@ -46,33 +48,67 @@ class Promise:
     seconds: int
 
     def keep(self, forced: frozenset[str], device: str, console: Console) -> tuple[list[Ran], dict[str, Any]]:
-        """Run the stages before training, train for the time that remains, and run the rest.
+        """Run the stages before training, train for the time that remains, and run the rest in what is left then.
 
-        Returns the stages, and the time promised and taken, in seconds. A run that was cut short goes on with the
+        Returns the stages, and the time promised, guessed and taken, in seconds. Where the guess is that the time will not
+        do, that is said before the first stage; the run goes on and ends late. A run that was cut short goes on with the
         settings it had chosen, and a finished training is kept.
         """
         began = time.monotonic()
-        before = self._before()
-        made = engine.run(self.session, before, forced & set(before), device, console)
+        before, after = self._before(), self._after()
         place = self.session.workspace.links / CHOSEN
         chosen = read_json(place)
-        if "train" in forced or not self._begun(chosen):
-            left = self.seconds - (time.monotonic() - began) - STAGE_START * (len(self.wanted) - len(before))
-            chosen = self._choose(left)
-            write_json(place, chosen)
-            console.say(f"{duration(chosen['train']['seconds'])} are left for training and the stages after it")
-            if left < SHORT:
-                console.say(
-                    "that is short: films are shorter, accuracy is measured less often, and held-out poses are not fitted"
-                )
-        else:
+        begun = "train" not in forced and self._begun(chosen)
+        guess = self._guess(forced, begun)
+        self._say_what_does_not_fit(guess, console)
+        made = engine.run(self.session, before, forced & set(before), device, console)
+        if begun:
             console.say("continuing the training that was begun for this time")
-        ran = engine.run(with_settings(self.session, chosen), self.wanted, forced - set(before), device, Quiet())
-        ran = [*made, *(one for one in ran if one.stage not in before)]
+        else:
+            left = self._left(began, len(after) + 1)
+            chosen = {"guess": guess, "train": self._training(left)}
+            write_json(place, chosen)
+            console.say(f"{duration(left)} are left for training and the stages after it")
+        upto = [*before, "train"]
+        made += engine.run(with_settings(self.session, chosen), upto, forced & {"train"}, device, Quiet())[-1:]
+        if made[-1].state == "done" or not set(self._shorter()) <= set(chosen):
+            chosen |= self._following(self._left(began, len(after)), made[-1].folder)
+            write_json(place, chosen)
+            if any(chosen[name] for name in self._shorter()):
+                console.say("that is short: films are shorter, and held-out poses are not fitted")
+        made += engine.run(with_settings(self.session, chosen), self.wanted, forced & set(after), device, Quiet())[
+            len(upto) :
+        ]
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
         console.say(f"promised {duration(self.seconds)}, took {duration(took)} ({off:+.0f} %)")
-        return ran, {"promised": self.seconds, "took": round(took, 1), "settings": chosen}
+        settings = {name: own for name, own in chosen.items() if name != "guess"}
+        kept = {"promised": self.seconds, "guess": guess, "took": round(took, 1), "settings": settings}
+        return made, kept
+
+    def _left(self, began: float, starts: int) -> float:
+        """Seconds left of the time when so many stages have been started."""
+        return max(self.seconds - (time.monotonic() - began) - STAGE_START * starts, 0.0)
+
+    def _guess(self, forced: frozenset[str], begun: bool) -> dict[str, float]:
+        """Seconds that the least of this run takes, see calibration.py: `before` training, `from` then on, and the `share`
+        of its processors that the machine has for it now."""
+        stages, found = self.session.pipeline.stages, self.session.verdicts(self._before(), forced)
+        frames = getattr(stages["frames"].params, "count", FRAMES) if "frames" in stages else FRAMES
+        missing = [name for name, verdict in found.items() if not verdict.fresh]
+        before = sum(STAGE_START + STAGES.get(name, 0.0) * frames for name in missing)
+        least = 0.0 if begun else LEAST * STEP + STAGE_START * (1 + len(self._after()))
+        free = share() if missing or not begun else 1.0
+        return {"before": round(before / free, 1), "from": round(least / free, 1), "share": round(free, 2)}
+
+    def _say_what_does_not_fit(self, guess: dict[str, float], console: Console) -> None:
+        needed = guess["before"] + guess["from"]
+        if needed > self.seconds:
+            console.say(
+                f"{duration(self.seconds)} is too short, going by a guess: {duration(guess['before'])} until training, "
+                f"{duration(guess['from'])} for the shortest training and what follows; "
+                f"the run goes on, and will be about {duration(needed - self.seconds)} late"
+            )
 
     def _begun(self, chosen: dict[str, Any]) -> bool:
         """Whether training with the settings chosen before is finished, or was cut short."""
@@ -84,26 +120,43 @@ class Promise:
             verdict.recipe is not None and session.workspace.part("train", verdict.recipe.key).is_dir()
         )
 
-    def _choose(self, left: float) -> Chosen:
-        """The settings, by stage, for a run with so many seconds left."""
-        chosen: Chosen = {"train": {}}
-        for name, stage in self.session.pipeline.stages.items() if left < SHORT else ():
-            own = stage.params.model_dump()
-            if shorter := load_stage(stage.module).shorter:
-                chosen[name] = {setting: min(own[setting], most) for setting, most in shorter.items()}
-        steps = self._steps_after(with_settings(self.session, chosen).pipeline.stages)
-        chosen["train"] |= {"seconds": round(max(left, 1.0), 1), "reserve": round(steps, 1)}
-        return chosen
+    def _training(self, left: float) -> dict[str, float]:
+        """The settings of a training with so many seconds left for it and what follows."""
+        least = with_settings(self.session, self._shorter())
+        reserves = (
+            round(self._cost(one.pipeline.stages, ["train", *self._after()]), 1) for one in (self.session, least)
+        )
+        return dict(zip(("seconds", "reserve", "reserve_least"), (round(max(left, 1.0), 1), *reserves), strict=True))
 
-    def _steps_after(self, stages: dict[str, Stage]) -> float:
-        """The cost of all that follows the last step of training, in training steps."""
+    def _following(self, left: float, train: Path) -> Chosen:
+        """Settings of the stages after a finished training with so many seconds left: their own, or shorter ones where
+        those do not fit, going by how long a step took."""
+        step = read_json(train / "train.json").get("last_step_seconds", 0.0)
+        fits = step * self._cost(self.session.pipeline.stages, self._after()) <= left + SLACK * self.seconds
+        return {name: {} for name in self._shorter()} if fits else self._shorter()
+
+    def _shorter(self) -> Chosen:
+        """The least settings of the stages after training."""
+        stages, found = self.session.pipeline.stages, {}
+        for name in self._after():
+            if shorter := load_stage(stages[name].module).shorter:
+                own = stages[name].params.model_dump()
+                found[name] = {setting: min(own[setting], most) for setting, most in shorter.items()}
+        return found
+
+    def _cost(self, stages: dict[str, Stage], names: list[str]) -> float:
+        """What the stages of these names cost after the last step of training, in training steps."""
         folders = {name: self.session.workspace.links / name for name in self._before()}
-        costs = ((stages[name].params, load_stage(stages[name].module).cost) for name in self.wanted)
+        costs = ((stages[name].params, load_stage(stages[name].module).cost) for name in names)
         return sum(cost(params, folders) for params, cost in costs if cost)
 
     def _before(self) -> list[str]:
         """The stages before training, in running order."""
         return [name for name in self.session.pipeline.upstream(["train"]) if name != "train"]
+
+    def _after(self) -> list[str]:
+        """The wanted stages after training, in running order."""
+        return [name for name in self.wanted if name != "train" and name not in self._before()]
 
     def last_session(self) -> Session:
         """The session with the settings of the last run of this promise, if there was one."""

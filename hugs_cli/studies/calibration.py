@@ -6,6 +6,12 @@ Stages give their own cost after training, see `cost` in stages/train.py, stages
 STAGE_START = 2.5
 """Seconds from the end of a stage to the start of the next, libraries loaded. The kitchen clip, 2 cores, November 2026."""
 
+STAGES = {"frames": 0.06, "masks": 0.4, "sfm": 0.8, "smpl": 0.5, "survey": 0.25}
+"""Seconds a frame of the stages before training. The phone clip, 2 cores, November 2026."""
+
+LEAST = 400
+"""Steps: what the shortest training takes, with what it times, and the least that comes after it."""
+
 BEFORE, STEP, AFTER = 1.6, 0.2, 1.0
 """Seconds per frame before training, per training step, and per frame to measure. The phone clip, 2 cores, November 2026."""
 

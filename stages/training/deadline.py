@@ -8,7 +8,7 @@ import time
 from statistics import median
 from typing import Any
 
-from stages.training.calibration import PAUSE
+from stages.training.calibration import ENOUGH, FEWEST, PAUSE
 from stages.training.fit import Fit
 from stages.training.schedule import LATE, SCENE_GROWTH, SETTLE
 
@@ -18,7 +18,7 @@ LONG = 24  # steps; an LPIPS that comes more rarely is not waited for
 TIMINGS = 3  # of each of a Pace's four numbers before sizes are chosen; their median ignores one disturbance
 OFTEN = 1 / 60  # of the time: how often the steps are fitted into what is left of it
 PARTS = 200  # of an integral; no clock is finer
-HASTE = 300  # seconds; a shorter training makes only one timing
+REHEARSED = 0.02  # of the time; once a rehearsal took that long, what is still to be timed is timed once
 
 
 class Pace:
@@ -60,12 +60,14 @@ class Pace:
 class Deadline:
     """The time that a training may take. Its steps are fitted into it before the first one, and again on the way.
 
-    It ends `seconds` after `began` (of time.perf_counter) and leaves over the time of `reserve` full, grown steps.
-    `pauses` measurements of accuracy are to come.
+    It ends `seconds` after `began` (of time.perf_counter) and leaves over the time of `reserve` full, grown steps, or of
+    only `least` where it hurries. `pauses` measurements of accuracy are to come, and then the time of `extra` more, which
+    a hurried training does without.
     """
 
-    def __init__(self, seconds: float, reserve: float, began: float, pauses: int):
-        self.seconds, self.reserve, self.began, self.pauses = seconds, reserve, began, pauses
+    def __init__(self, seconds: float, reserve: float, least: float, began: float, pauses: int, extra: int = 0):
+        self.seconds, self.reserve, self.least, self.began = seconds, reserve, min(least, reserve), began
+        self.pauses, self.extra, self.hurried = pauses, extra, False
         self.pace = Pace((0.0, 0.0), (0.0, 0.0), 0.0)
         self.pause = self.paused = 0.0
         self.leg = 0.0, 0, 0.0
@@ -78,19 +80,27 @@ class Deadline:
     @property
     def left(self) -> float:
         """Seconds left for steps."""
-        return self.seconds - self.spent - self.reserve * self.pace.last - self.pauses * self.pause
+        return self.seconds - self.spent - self.reserve * self.pace.last - (self.pauses + self.extra) * self.pause
 
     @property
     def to_go(self) -> float:
         """Seconds until the last step, pauses included."""
         return max(0.0, self.left + self.pauses * self.pause)
 
+    def hurry(self) -> None:
+        """Leave over only what the least that comes after training takes."""
+        self.reserve, self.extra, self.hurried = self.least, 0, True
+
+    def fitting(self, done: float) -> int:
+        """How many steps fit into what is left from the share `done` of the schedule on."""
+        return self.pace.steps(self.left, done)
+
     def start(self, fit: Fit, timings: int = TIMINGS) -> int:
         """Time a few steps of a training that has not begun, see `rehearse`; returns how many fit into the time."""
-        self.pace = rehearse(fit, timings if self.seconds >= HASTE else 1)
+        self.pace = rehearse(fit, timings, REHEARSED * self.seconds)
         self.pause = PAUSE * self.pace.last
         self.leg = self.spent, fit.progress.step, fit.progress.done
-        return self.pace.steps(self.left)
+        return self.fitting(0.0)
 
     def add_pause(self, pause: float) -> None:
         """Accuracy was measured, which took `pause` seconds."""
@@ -105,46 +115,53 @@ class Deadline:
         now = fit.progress
         self.leg, self.paused = (self.spent, now.step, now.done), 0.0
         self.pace.learn(stepping, now.step - step, done, now.done)
-        now.retime(self.pace.steps(self.left, now.done))
+        if now.step + self.fitting(now.done) < ENOUGH and not self.hurried:
+            self.hurry()
+        now.retime(max(self.fitting(now.done), FEWEST - now.step))
 
     def state(self) -> list[Any]:
         """For a checkpoint."""
         pace = self.pace
-        return [self.spent, self.pauses, self.pause, pace.half, pace.full, pace.half_until, pace.slow]
+        own = [self.spent, self.pauses, self.pause, self.hurried]
+        return [*own, pace.half, pace.full, pace.half_until, pace.slow]
 
     def load(self, state: list[Any], fit: Fit) -> None:
         """Go on from `state()`."""
-        spent, self.pauses, self.pause, *pace = state
+        spent, self.pauses, self.pause, hurried, *pace = state
+        if hurried:
+            self.hurry()
         self.began -= spent
         self.pace = Pace(*pace)
         self.leg = self.spent, fit.progress.step, fit.progress.done
 
 
-def rehearse(fit: Fit, timings: int = TIMINGS) -> Pace:
+def rehearse(fit: Fit, timings: int = TIMINGS, seconds: float = math.inf) -> Pace:
     """Time real steps of a training that has not begun, with few and many Gaussians; leaves it as it was, bit for bit.
 
-    The median of `timings` of each kind counts.
+    The median of `timings` of each kind counts, of one where `seconds` are over.
     """
+    until = time.perf_counter() + seconds
     before, half_until = copy.deepcopy(fit.state()), fit.half_until
     fit.half_until = late = min(half_until, LATE)  # a full step is timed even where training has none: films are full
-    few = _timed(fit, 0.0, timings), _timed(fit, late, timings)
+    few = _timed(fit, 0.0, timings, until), _timed(fit, late, timings, until)
     fit.densifier.fill_up(fit.adam)
-    many = _timed(fit, 0.0, timings), _timed(fit, late, timings)
+    many = _timed(fit, 0.0, timings, until), _timed(fit, late, timings, until)
     fit.load(before)
     fit.half_until, fit.clock.seconds = half_until, {}
     return Pace((few[0], many[0]), (few[1], many[1]), half_until)
 
 
-def _timed(fit: Fit, done: float, timings: int) -> float:
-    """Seconds a step, the median of `timings`, with the schedule frozen at its share `done`."""
+def _timed(fit: Fit, done: float, timings: int, until: float) -> float:
+    """Seconds a step, the median of `timings`, with the schedule frozen at its share `done`; one timing after `until`."""
     fit.progress.freeze(done)
     for _ in range(WARM_UP):
         fit.advance()
-    views, took = fit.params.views_per_decode, []
+    views = fit.params.views_per_decode
+    took: list[float] = []
     often = math.lcm(views, fit.params.perceptual_every or 1)
     often = often if often <= LONG else views
     count = often * math.ceil(TIMED / often)
-    for _ in range(timings):
+    while not took or (len(took) < timings and time.perf_counter() < until):
         began = time.perf_counter()
         for _ in range(count):
             fit.advance()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -12,7 +12,7 @@ import torch
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.contract import StageError, Stopped, peak_memory
 from stages.training.accuracy import heldout_accuracy
-from stages.training.budget import fit_into_time
+from stages.training.budget import Choice, fit_into_time
 from stages.training.checkpoint import Checkpoint
 from stages.training.deadline import Deadline
 from stages.training.effect_gains import PAUSES, effect_gains, effects_of
@@ -24,7 +24,7 @@ MEASURED = 6  # held-out frames on the accuracy curve
 LOOK = "a wrong mask or body fit is the usual cause: look at what `masks` and `smpl` said; else try `--seed 1`"
 COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "human", "scene", "memory_bytes")
 """Of the curve."""
-SAVED = ("curve", "seconds", "parts", "sizes", "deadline")
+SAVED = ("curve", "seconds", "parts", "choice", "deadline")
 """What a checkpoint holds besides the state of the training's `Fit`."""
 
 
@@ -52,7 +52,7 @@ class Training:
 
     task: Task
     fit: Fit
-    sizes: dict[str, int] = field(default_factory=dict)
+    choice: Choice = field(default_factory=Choice)
     deadline: Deadline | None = None
     curve: list[dict[str, Any]] = field(default_factory=list)
     seconds: float = 0.0
@@ -69,7 +69,7 @@ class Training:
             "curve": self.curve,
             "seconds": self.seconds,
             "parts": self.fit.clock.seconds,
-            "sizes": self.sizes,
+            "choice": asdict(self.choice),
             "deadline": self.deadline and self.deadline.state(),
         }
 
@@ -95,29 +95,29 @@ def begin(task: Task, hooks: Hooks, checkpoint: Checkpoint | None, began: float)
     """The training at its first step, or where a checkpoint left it."""
     params, deadline = task.params, None
     if params.seconds:
-        deadline = Deadline(params.seconds, params.reserve, began, params.curve_points)
+        deadline = Deadline(params.seconds, params.reserve, params.reserve_least, began, params.curve_points)
     saved = checkpoint.load(SAVED) if checkpoint else None
     if saved:
-        task = task.resized(saved["sizes"])
+        task = task.chosen(**saved["choice"])
     fit = build(task, hooks.note)
     if deadline and (effects := effects_of(fit)):
-        deadline.pauses += PAUSES * len(effects) + 1
+        deadline.extra = PAUSES * len(effects) + 1
     if checkpoint and saved:
         return _resume(task, fit, deadline, checkpoint, saved, hooks)
-    sizes: dict[str, int] = {}
+    choice = Choice()
     if deadline:
 
-        def rebuilt(sizes: dict[str, int]) -> Fit:
-            return build(task.resized(sizes), hooks.note)
+        def rebuilt(choice: Choice) -> Fit:
+            return build(task.chosen(choice.settings, choice.left_out), hooks.note)
 
         def note(text: str) -> None:
             hooks.note(text, at_once=True)
 
         try:
-            fit, sizes = fit_into_time(fit, params, deadline, rebuilt, note)
+            fit, choice = fit_into_time(fit, params, deadline, rebuilt, note)
         except (FloatingPointError, ValueError) as error:
             raise StageError("training broke down in its first steps", LOOK, [str(error)]) from error
-    return Training(task.resized(sizes), fit, sizes, deadline)
+    return Training(task.chosen(choice.settings, choice.left_out), fit, choice, deadline)
 
 
 def _resume(
@@ -130,7 +130,7 @@ def _resume(
     fit.clock.seconds = dict(saved["parts"])
     if deadline:
         deadline.load(saved["deadline"], fit)
-    return Training(task, fit, saved["sizes"], deadline, saved["curve"], saved["seconds"])
+    return Training(task, fit, Choice(**saved["choice"]), deadline, saved["curve"], saved["seconds"])
 
 
 def learn(
@@ -176,13 +176,18 @@ def learn(
 
 def finish(training: Training, hooks: Hooks) -> Result:
     """The result of a training that has taken all its steps."""
-    fit, curve = training.fit, training.curve
-    try:
-        effects = effect_facts(effect_gains(fit, training.heldout), curve[-1]["seconds"], hooks)
-    except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
-        hooks.warn(f"what effects are worth could not be measured: {error}")
-        effects = {}
-    return result_of(fit, training.task.clip, curve, effects, hooks)
+    fit, curve, deadline = training.fit, training.curve, training.deadline
+    effects: dict[str, dict[str, Any]] = {}
+    if deadline is None or not deadline.hurried:
+        try:
+            effects = effect_facts(effect_gains(fit, training.heldout), curve[-1]["seconds"], hooks)
+        except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
+            hooks.warn(f"what effects are worth could not be measured: {error}")
+    result = result_of(fit, training.task.clip, curve, effects, hooks)
+    result.facts["effects_left_out"] = list(training.choice.left_out)
+    if deadline:
+        result.facts["last_step_seconds"] = round(deadline.pace.last, 4)
+    return result
 
 
 def _measured(fit: Fit, frames: list[int]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -52,9 +52,10 @@ class Task:
     device: str = "cpu"
     perceptual: Lpips | None = None
 
-    def resized(self, sizes: dict[str, int]) -> Task:
-        """The same with other settings of size."""
-        return replace(self, params=self.params.model_copy(update=sizes))
+    def chosen(self, settings: dict[str, int], left_out: Iterable[str]) -> Task:
+        """The same with other settings, and without some effects."""
+        decisions = self.decisions | dict.fromkeys(left_out, False)
+        return replace(self, params=self.params.model_copy(update=settings), decisions=decisions)
 
     def frames(self) -> list[int]:
         """The frames to learn from; StageError where there is none, or none that shows a person with a body fit."""

@@ -22,6 +22,7 @@ RESUMES = True
 class Params(Base):
     seconds: float = 0
     reserve: float = 0
+    reserve_least: float = 0
     size: int = 1
 
 def cost(params, folders):
@@ -32,6 +33,7 @@ def run(job, params, *, one):
     if Path({stop!r}).exists():
         raise StageError("stopped")
     (job.out / "out.json").write_text(json.dumps(params.model_dump()))
+    (job.out / "train.json").write_text(json.dumps({{"last_step_seconds": {step}}}))
 """
 AFTER = """
 '''Comes after.'''
@@ -55,7 +57,7 @@ def cost(params, folders):
 
 def add_tiny(flow):
     """The flow, and a pipeline `tiny` of it with a train stage and one after it."""
-    flow.write("train", TRAIN.format(stop=str(flow.folder / "stop")))
+    flow.write("train", TRAIN.format(stop=str(flow.folder / "stop"), step=0.1))
     flow.write("after", AFTER)
     stages = {"one": "video", "train": "one", "after": "train"}
     lines = "".join(f"    {n}: {{needs: [{need}], module: flow.{n}}}\n" for n, need in stages.items())
@@ -111,8 +113,8 @@ def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(finished
     assert kept["promised"] == 60 and kept["took"] > 0
     least = 60 - kept["took"] - 2 * STAGE_START
     assert least <= given["seconds"] < 60 - 2 * STAGE_START
-    assert kept["settings"] == {"train": {name: given[name] for name in ("seconds", "reserve")}}
-    assert given["reserve"] == 40 and given["size"] == 1
+    assert kept["settings"] == {"train": {name: given[name] for name in ("seconds", "reserve", "reserve_least")}}
+    assert given["reserve"] == given["reserve_least"] == 40 and given["size"] == 1
     assert "promised 1m 00s, took" in err and "are left for training" in err
 
 
@@ -182,21 +184,36 @@ def test_a_training_in_two_parts_is_refused_before_anything_runs(clip):
     assert "--within is for trainings of person and scene together" in err and "leave out train.joint" in err
 
 
-@pytest.mark.slow
-def test_where_time_is_short_measuring_takes_less_of_it(clip):
-    clip.edit(
-        "train", "    size: int = 1", "    size: int = 1\n    curve_points: int = 12\nSHORTER = {'curve_points': 4}"
-    )
+def with_measuring(clip) -> None:
+    """A stage evaluate after train, that can do less."""
     clip.write("evaluate", AFTER.replace("from stages.contract import Params", FIT_STEPS))
     file = clip.folder / "pipelines.yaml"
     file.write_text(f"{file.read_text()}    evaluate: {{needs: [train], module: flow.evaluate}}\n")
-    (clip.folder / "stop").write_text("")  # before anything asks for the clip's frames
-    for time, points in (("60s", 4), ("20m", 12)):
-        run(clip, "--within", time, code=1)
-        chosen = json.loads((clip.work / "clip" / f"tiny.{time}" / within.CHOSEN).read_text())
-        assert chosen["train"].get("curve_points", 12) == points
-        assert chosen["train"]["reserve"] == (40 if points == 4 else 100), "train, and evaluate after it"
-        assert chosen.get("evaluate") == ({"fit_steps": 0} if points == 4 else None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("step", "fitted"), [(0.1, 30), (100.0, 0)])
+def test_what_follows_a_training_takes_the_time_that_is_left_then(clip, step, fitted):
+    """Sixty steps of a tenth of a second fit into what is left of a minute, sixty of a hundred seconds do not."""
+    with_measuring(clip)
+    clip.edit("train", '"last_step_seconds": 0.1', f'"last_step_seconds": {step}')
+    out, err = run(clip, "--within", "60s", "--json")
+    assert told(clip)["reserve"] == 100 and told(clip)["reserve_least"] == 40
+    assert json.loads(out)["within"]["settings"]["evaluate"] == ({} if fitted else {"fit_steps": 0})
+    assert ("held-out poses are not fitted" in err) is (fitted == 0)
+    chosen = json.loads((clip.work / "clip" / "tiny.60s" / within.CHOSEN).read_text())
+    assert chosen["evaluate"] == ({} if fitted else {"fit_steps": 0}) and "before" in chosen["guess"]
+    out, _ = run(clip, "--within", "60s", "--json")
+    assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"}
+
+
+@pytest.mark.slow
+def test_what_cannot_fit_is_said_before_the_first_stage_and_ends_in_a_result(clip):
+    _, err = run(clip, "--within", "1s")
+    before, _, rest = err.partition("is too short, going by a guess")
+    assert rest and " one " not in before and "the run goes on, and will be about" in rest and "took" in rest
+    assert (clip.work / "clip" / "tiny.1s" / "after" / "out.txt").exists()
+    assert "is too short" not in run(clip, "--within", "99h")[1]
 
 
 @pytest.mark.slow

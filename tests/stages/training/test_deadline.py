@@ -2,7 +2,7 @@
 
 import pytest
 
-from stages.training.calibration import short_of
+from stages.training.calibration import ENOUGH, FEWEST, short_of
 from stages.training.deadline import Deadline, Pace, rehearse
 from stages.training.schedule import SETTLE
 from stages.training.settings import Params
@@ -34,7 +34,7 @@ def test_as_many_steps_as_fit_and_at_least_one():
 
 def test_more_steps_are_nearer_to_10_000_and_none_is_beyond():
     assert short_of(1100) == pytest.approx(1.8) and 0.8 < short_of(2000) < 1.8
-    assert short_of(10) == pytest.approx(3.1) and short_of(50_000) == 0
+    assert short_of(10) == pytest.approx(6.3) and short_of(50_000) == 0
 
 
 def test_what_was_slow_is_believed_to_stay_slow():
@@ -108,8 +108,9 @@ def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, mon
     work while small pictures were rehearsed, so that large ones seem to take no longer than those."""
     clock, fit = Time(monkeypatch), fit_of(clip, steps=40)
     half = tuple(disturbed * seconds for seconds in PACE.half)
-    monkeypatch.setattr("stages.training.deadline.rehearse", lambda fit, timings: Pace(half, PACE.full, HALF_UNTIL))
-    deadline = Deadline(seconds=300.0, reserve=10, began=0.0, pauses=12)
+    monkeypatch.setattr("stages.training.deadline.rehearse", lambda *a: Pace(half, PACE.full, HALF_UNTIL))
+    monkeypatch.setattr("stages.training.deadline.ENOUGH", 0)
+    deadline = Deadline(seconds=300.0, reserve=10, least=10, began=0.0, pauses=12)
     fit.progress.retime(deadline.start(fit))
     planned, pauses = fit.progress.total, 0
     monkeypatch.setattr(fit, "advance", lambda: setattr(fit.progress, "step", fit.progress.step + 1))
@@ -134,11 +135,41 @@ def test_training_ends_when_the_time_is_over_whatever_the_machine_does(clip, mon
 
 def test_a_deadline_goes_on_where_it_was_stopped(clip, monkeypatch):
     clock, fit = Time(monkeypatch), fit_of(clip)
-    deadline = Deadline(100.0, 0, began=0.0, pauses=4)
+    deadline = Deadline(100.0, 50, 0, began=0.0, pauses=4, extra=8)
     deadline.pace, deadline.pause = Pace(PACE.half, PACE.full, HALF_UNTIL), 5.0
     clock.now = 30.0
-    state = deadline.state()
-    clock.now = 1000.0
-    other = Deadline(100.0, 0, began=990.0, pauses=12)
-    other.load(state, fit)
-    assert other.spent == pytest.approx(40.0) and other.left == pytest.approx(40.0)
+    for hurried in (False, True):
+        if hurried:
+            deadline.hurry()
+        state = deadline.state()
+        clock.now += 1000.0
+        other = Deadline(100.0, 50, 0, began=clock.now - 10, pauses=12, extra=8)
+        other.load(state, fit)
+        assert other.spent == pytest.approx(10 + state[0]) and other.hurried is hurried
+        assert other.left == pytest.approx(100 - other.spent - 4 * 5 - (0 if hurried else 50 * 0.6 + 8 * 5))
+
+
+@pytest.mark.parametrize("slower", [1.0, 50.0])
+def test_a_training_that_becomes_too_slow_leaves_less_over_and_takes_the_fewest_steps(clip, monkeypatch, slower):
+    clock, fit = Time(monkeypatch), fit_of(clip, steps=40)
+    monkeypatch.setattr("stages.training.deadline.rehearse", lambda *a: Pace(PACE.half, PACE.full, HALF_UNTIL))
+    deadline = Deadline(600.0, reserve=300, least=30, began=0.0, pauses=0)
+    fit.progress.retime(deadline.start(fit))
+    assert ENOUGH < fit.progress.total < 1500
+    for _ in range(100):
+        clock.now += slower * PACE._at(fit.progress.done)
+        fit.progress.step += 1
+    deadline.mark(fit)
+    assert deadline.hurried is (slower > 1) and deadline.reserve == (30 if slower > 1 else 300)
+    assert fit.progress.total == FEWEST if slower > 1 else fit.progress.total > ENOUGH
+
+
+@pytest.mark.slow
+def test_slow_steps_are_timed_no_longer_than_the_time_can_bear(clip, monkeypatch):
+    """A made-up clock: a step takes ten seconds."""
+    clock, fit, taken = Time(monkeypatch), fit_of(clip), []
+    monkeypatch.setattr(fit, "advance", lambda: (taken.append(1), setattr(clock, "now", clock.now + 10)))
+    for seconds, timings in ((1e6, 3), (0.0, 1)):
+        taken.clear()
+        assert rehearse(fit, 3, seconds).full == (10.0, 10.0)
+        assert len(taken) == 4 * (2 + 4 * timings)
