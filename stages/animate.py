@@ -48,8 +48,8 @@ def run(
 ) -> None:
     """Write the video `job.out` of the person performing `motion` (.bvh or .npz), by skinning alone.
 
-    Either of a clip (`train`, `sfm` and `smpl`): where they stood in it, seen by the camera of its middle frame. Or of the
-    file `avatar`: at `params.at` of the `scene`, whose y is down, or without one at the origin of a world whose y is up,
+    Either of a clip (`train`, `sfm` and `smpl`): on its floor where they stood, seen by the camera of its middle frame. Or of
+    the file `avatar`: at `params.at` of the `scene`, whose y is down, or without one at the origin of a world whose y is up,
     with the floor at 0, seen from before them. `scene` is a file in place of a clip's trained scene; `cameras` (npz) in
     the same world are one or one a frame. StageError for files that cannot be used.
     """
@@ -57,12 +57,12 @@ def run(
 
     from stages.avatar.drawing.draw import load_learned, perform
     from stages.avatar.drawing.rig import rig_of
-    from stages.avatar.motion.moves import spot_of
-    from stages.avatar.motion.placing import Soles
+    from stages.avatar.motion.placing import Soles, put
     from stages.avatar.rasterize import Camera
     from stages.avatar.splats.turn import OVER
     from stages.formats.clip import load_clip
     from stages.formats.exchange.read import lacks, read_given
+    from stages.formats.ground import read_ground
     from stages.formats.trained import check_scene
     from stages.formats.video import write_video
 
@@ -70,25 +70,23 @@ def run(
     for fact in lacks(avatar, scene):
         job.note(fact, at_once=True)
     learned = load_learned(*given, job.device)
+    soles = Soles.of_rig(rig_of(given[0]))
     if train is None or sfm is None or smpl is None:
-        soles = Soles.of_rig(rig_of(given[0]))
         stand, spot = np.eye(3) if scene is None else OVER, np.array(params.at)
         view = None
     else:
         if params.only != "human" and scene is None:
             check_scene(train)
         clip = load_clip(sfm, smpl, train)
-        soles = Soles.of_model(clip.body_model, clip.body.betas)
-        stand, spot = spot_of(clip.body, soles)
+        ground = read_ground(smpl / "ground.json")
+        stand, spot = ground.turn, ground.point
         middle = len(clip.names) // 2
         view = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
     placed = _placed(job, params, motion, soles, given[0].parents)
     count = len(placed.transl)
     views = _views(cameras, count) or [view or _before(placed, soles, stand, spot)] * count
-    pelvis = soles.joints[0]  # about which global_orient turns
-    moves = (placed.global_orient, placed.body_pose, placed.transl + pelvis)
-    shown = None if params.only == "human" else learned.scene
-    pictures = perform(learned, shown, moves, stand, spot - pelvis, views)
+    poses = put(placed, stand, spot, soles.joints[0])
+    pictures = perform(learned, None if params.only == "human" else learned.scene, poses, views)
     job.out.parent.mkdir(parents=True, exist_ok=True)
     write_video(job.out, _counted(job, pictures, count), params.fps)
 

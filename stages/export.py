@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,8 +16,9 @@ from stages.contract import Job, StageError
 if TYPE_CHECKING:
     import numpy as np
 
+    from stages.avatar.motion.placing import Soles
     from stages.formats.facts import Listing
-    from stages.records import Avatar, BodyModel, BodyPoses, Rig, Scene, Take
+    from stages.records import Avatar, BodyModel, BodyPoses, Ground, Rig, Scene, Take
 
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
 ACCOUNT = 10  # pictures of a motion between two reports
@@ -37,25 +39,30 @@ class Params(contract.Params):
 def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train: Path) -> None:
     """Write avatar.npz (skeleton and weights), avatar and scene as .ply, .spz, .glb or other formats, and viewer.html."""
     from stages.avatar.drawing.rig import rig_of
+    from stages.avatar.motion.placing import Soles
     from stages.formats.body_model import read_body_model
+    from stages.formats.ground import read_ground, write_ground
     from stages.formats.splats import read_avatar, read_scene
 
     formats: set[str] = set(params.formats)
     _check(formats)
     avatar, model = read_avatar(train / "avatar.npz"), read_body_model(smpl / "body_model.npz")
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
+    ground = read_ground(smpl / "ground.json")
     shutil.copyfile(train / "avatar.npz", job.out / "avatar.npz")
+    write_ground(job.out / "ground.json", ground)
     job.note(f"avatar {len(avatar)} Gaussians" + (f", scene {len(scene)}" if scene else ""))
-    _still(job, formats, avatar, scene)
     rig = rig_of(avatar)
-    takes = _takes(frames, train, model, avatar) if formats & {"glb", *MOVING} else []
+    soles = Soles.of_rig(rig)
+    _still(job, formats, avatar, scene, soles, ground)
+    takes = _takes(frames, train, ground, soles) if formats & {"glb", *MOVING} else []
     if "glb" in formats:
-        _rigged(job, params, rig, model, takes)
+        _rigged(job, params, rig, model, takes, soles.floor)
     if formats & set(MOVING):
-        _moving(job, params, avatar, takes)
+        _moving(job, params, avatar, takes, soles.floor)
     _lacks(job, formats, avatar, rig, scene)
     if "viewer" in formats:
-        _viewer(job, frames, sfm, smpl, train, avatar, rig, scene)
+        _viewer(job, frames, sfm, smpl, train, avatar, rig, scene, soles, ground)
 
 
 def _check(formats: set[str]) -> None:
@@ -69,18 +76,22 @@ def _check(formats: set[str]) -> None:
         check_sog()
 
 
-def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None) -> None:
-    """The person in the canonical pose, and the scene. Viewers take ply, spz and sog as y down; y is up in USD.
+def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None, soles: Soles, ground: Ground) -> None:
+    """The person in the canonical pose, soles at height 0, and the scene. Viewers take ply, spz and sog as y down.
 
-    The scene's world has y down, as its cameras.
+    There the scene keeps the axes of its cameras, y down. In USD y is up, and the scene's floor is at 0.
     """
+    import numpy as np
+
     from stages.avatar.splats.turn import OVER, turned
     from stages.formats.exchange.ply import write_ply
     from stages.formats.exchange.sog import write_sog
     from stages.formats.exchange.spz import write_spz
     from stages.formats.exchange.usd import write_usd
 
-    down = {"avatar": turned(avatar, OVER)} | ({"scene": scene} if scene else {})
+    feet, _ = soles.at(np.zeros((1, 3)), avatar.canonical_pose[None], np.zeros((1, 3)))
+    below = np.array([0, feet[..., 1].min(), 0])
+    down = {"avatar": turned(avatar, OVER, below)} | ({"scene": scene} if scene else {})
     bounded = 0
     for name, splats in down.items():
         if "ply" in formats:
@@ -89,8 +100,10 @@ def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None) -> 
             _say_clamped(job, f"{name}.spz", write_spz(job.out / f"{name}.spz", splats))
         if "sog" in formats:
             write_sog(job.out / f"{name}.sog", splats)
-        if "usd" in formats:
-            write_usd(job.out / f"{name}.usdc", name, [turned(splats, OVER)])
+    if "usd" in formats:
+        write_usd(job.out / "avatar.usdc", "avatar", [turned(avatar, np.eye(3), below)])
+    if "usd" in formats and scene:
+        write_usd(job.out / "scene.usdc", "scene", [turned(scene, ground.turn.T, ground.point)])
     if bounded:
         job.note(f"{bounded} opacities of 0 or 1 written to .ply as logits of +-15")
 
@@ -101,16 +114,14 @@ def _say_clamped(job: Job, name: str, clamped: dict[str, int]) -> None:
         job.note(f"{name} has {said}: held at the limit")
 
 
-def _takes(frames: Path, train: Path, model: BodyModel, avatar: Avatar) -> list[Take]:
+def _takes(frames: Path, train: Path, ground: Ground, soles: Soles) -> list[Take]:
     """The clip's own motion, if anybody was seen, and the made ones."""
-    from stages.avatar.motion.placing import Soles
     from stages.avatar.motion.takes import clip_take, made_takes
     from stages.formats.facts import Listing, read_facts
     from stages.formats.poses import read_poses
 
     body: BodyPoses = read_poses(train / "body.npz")
-    soles = Soles.of_model(model, avatar.betas)
-    clip = clip_take(body, _times(read_facts(frames / "frames.json", Listing), body.names), soles)
+    clip = clip_take(body, _times(read_facts(frames / "frames.json", Listing), body.names), ground, soles)
     return [*([clip] if clip else []), *made_takes(soles.joints[0])]
 
 
@@ -126,19 +137,21 @@ def _times(listing: Listing, names: tuple[str, ...]) -> np.ndarray:
     return np.array([known[name] for name in names])
 
 
-def _rigged(job: Job, params: Params, rig: Rig, model: BodyModel, takes: list[Take]) -> None:
+def _rigged(job: Job, params: Params, rig: Rig, model: BodyModel, takes: list[Take], floor: float) -> None:
     from stages.avatar.drawing.surface import surface_of
     from stages.formats.exchange.avatar_glb import write_avatar_glb
 
-    write_avatar_glb(job.out / "avatar.glb", rig, surface_of(model, rig), takes, params.names)
+    write_avatar_glb(job.out / "avatar.glb", rig, surface_of(model, rig), takes, params.names, floor)
     listed = ", ".join(take.name for take in takes)
     job.note(f"avatar.glb: mesh, {params.names} skeleton, Gaussians as points; motions {listed}")
     if model.name != "free body":
         job.warn(f"the mesh in avatar.glb is of the body model {model.name}: its licence says who may have the file")
 
 
-def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take]) -> None:
-    """The person in one motion: a USD with a sample a frame, folders of numbered PLY or SPZ."""
+def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: float) -> None:
+    """The person in one motion on a floor at height 0: a USD with a sample a frame, folders of numbered PLY or SPZ."""
+    import numpy as np
+
     from stages.avatar.drawing.avatar import load_avatar
     from stages.avatar.drawing.takes import posed
     from stages.avatar.splats.turn import OVER, turned
@@ -159,7 +172,8 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take]) -> None
         (job.out / f"{name}_{ending}").mkdir()
 
     def pictures() -> Iterator[Scene]:
-        for number, splats in enumerate(posed(baked, take)):
+        for number, posed_there in enumerate(posed(baked, take)):
+            splats = replace(posed_there, means=posed_there.means - np.array([0, floor, 0], np.float32))
             for ending, write in chosen:
                 write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
             if number % ACCOUNT == 0:
@@ -205,15 +219,23 @@ def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene |
 
 
 def _viewer(
-    job: Job, frames: Path, sfm: Path, smpl: Path, train: Path, avatar: Avatar, rig: Rig, scene: Scene | None
+    job: Job,
+    frames: Path,
+    sfm: Path,
+    smpl: Path,
+    train: Path,
+    avatar: Avatar,
+    rig: Rig,
+    scene: Scene | None,
+    soles: Soles,
+    ground: Ground,
 ) -> None:
     """The page on which person and scene move: viewer.html."""
     from importlib.metadata import version
 
     import numpy as np
 
-    from stages.avatar.motion.moves import clip_move, made_moves, spot_of
-    from stages.avatar.motion.placing import Soles
+    from stages.avatar.motion.moves import clip_move, made_moves
     from stages.formats import viewer
     from stages.formats.clip import load_clip
     from stages.formats.effects import read_effects
@@ -221,8 +243,7 @@ def _viewer(
 
     clip, listing = load_clip(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
     title, made_by = Path(listing.video.path).name, f"hugs {version('hugs-avatar')}"
-    soles = Soles.of_model(clip.body_model, clip.body.betas)
-    spot, path = spot_of(clip.body, soles), job.out / "viewer.html"
+    path = job.out / "viewer.html"
     around = "none" if scene is None else f"{len(scene):,} Gaussians"
     facts = {
         "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
@@ -242,9 +263,9 @@ def _viewer(
         cameras=clip.world_cameras,
         images=clip.images,
         absent=np.flatnonzero(clip.body.confidence <= 0).tolist(),
-        moves=[clip_move(clip.body, _times(listing, clip.names)), *made_moves(spot, soles)],
-        turn=spot.turn,
-        spot=spot.place,
+        moves=[clip_move(clip.body, _times(listing, clip.names)), *made_moves(ground, soles)],
+        turn=ground.turn,
+        spot=ground.point,
         soles=soles.at_rest(),
         made_by=made_by,
     )

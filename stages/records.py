@@ -121,6 +121,31 @@ class Clothes:
 
 
 @dataclass(frozen=True)
+class Ground:
+    """The floor on which a person stood, a plane in the world of their clip.
+
+    `point` [3] m lies on it, below where they stood in the middle of the clip; `up` [3] is its normal and `ahead` [3] the way
+    they looked there, both of length 1 and square to each other. `metres` per SfM unit. `height_error` m at `point` and
+    `tilt_error` rad are one standard deviation; `points`: how many parts of the scene lie in it, 0 where the bodies alone
+    tell it; `how` it was found, in words.
+    """
+
+    point: np.ndarray
+    up: np.ndarray
+    ahead: np.ndarray
+    metres: float
+    height_error: float
+    tilt_error: float
+    points: int
+    how: str
+
+    @property
+    def turn(self) -> np.ndarray:
+        """Rotation [3,3] from the frame of motions (y up, z ahead, x to the left) to the world."""
+        return np.stack([np.cross(self.up, self.ahead), self.up, self.ahead], 1)
+
+
+@dataclass(frozen=True)
 class Scene:
     """N Gaussians in the world frame, metres.
 

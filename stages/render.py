@@ -14,8 +14,10 @@ from stages.contract import Job
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.avatar.drawing.draw import Learned, Pose
+    from stages.avatar.drawing.draw import Learned
+    from stages.avatar.motion.placing import Soles
     from stages.formats.clip import Clip
+    from stages.records import Ground
 
 
 class Params(contract.Params):
@@ -49,16 +51,18 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     import numpy as np
 
     from stages.avatar.drawing.draw import load_learned
+    from stages.avatar.drawing.rig import rig_of
+    from stages.avatar.motion.placing import Soles
     from stages.formats.clip import load_clip
-    from stages.formats.trained import read_trained, read_trained_poses
+    from stages.formats.ground import read_ground
+    from stages.formats.trained import read_trained
     from stages.formats.video import write_video
 
-    clip = load_clip(sfm, smpl, train)
-    learned, poses = load_learned(*read_trained(train), job.device), read_trained_poses(train)
-    fps = float(params.fps)
+    clip, ground, trained = load_clip(sfm, smpl, train), read_ground(smpl / "ground.json"), read_trained(train)
+    learned, fps = load_learned(*trained, job.device), float(params.fps)
     shots: dict[str, tuple[Iterator[np.ndarray], float]] = {
         "turntable": (_turntable(learned, params.turntable_frames), fps),
-        "motion": (_motion(clip, learned, poses, params), fps),
+        "motion": (_motion(clip, learned, ground, Soles.of_rig(rig_of(trained[0])), params), fps),
     }
     held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or clip.shows_person(int(i))]
     if held:
@@ -109,17 +113,14 @@ def _turntable(learned: Learned, count: int) -> Iterator[np.ndarray]:
         yield to_uint8(draw(human, None, camera, 1.0)[0])
 
 
-def _motion(clip: Clip, learned: Learned, poses: dict[str, Pose], params: Params) -> Iterator[np.ndarray]:
-    """The person in a new motion where they stood in the clip, seen by the camera of the middle frame."""
-    import numpy as np
-
+def _motion(clip: Clip, learned: Learned, ground: Ground, soles: Soles, params: Params) -> Iterator[np.ndarray]:
+    """The person in a new motion on the floor where they stood in the clip, seen by the camera of the middle frame."""
     from stages.avatar.drawing.draw import perform
-    from stages.avatar.motion import formulas as motion
+    from stages.avatar.motion.moves import made_move
     from stages.avatar.rasterize import Camera
 
-    turns, bends, places = (t.numpy() for t in motion.MOTIONS[params.motion](params.motion_seconds, params.fps))
+    move = made_move(params.motion, ground, soles, params.motion_seconds, params.fps)
     middle = len(clip.names) // 2
-    orient, _, transl = poses[clip.names[middle]]
-    stand = motion.upright(np.stack([poses[name][0] for name in clip.names]), orient)
     camera = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
-    yield from perform(learned, learned.scene, (turns, bends, places), stand, transl, [camera] * len(turns))
+    poses = (move.rotvecs[:, :3], move.rotvecs[:, 3:], move.steps)
+    yield from perform(learned, learned.scene, poses, [camera] * len(move.steps))

@@ -1,4 +1,4 @@
-"""frames, sfm (or an SMPL fit of another program) -> body.npz: one body through the clip, in metres in the SfM frame."""
+"""frames, sfm (or an SMPL fit of another program) -> body.npz: one body through the clip, in metres in the SfM frame; its floor."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from stages.estimators.bodyfit.fit import BodyFit
     from stages.estimators.bodyfit.quality import FitQuality
     from stages.estimators.person.blazepose import Pose
-    from stages.records import BodyModel, BodyPoses, Cameras
+    from stages.records import BodyModel, BodyPoses, Cameras, Ground
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
@@ -55,7 +55,7 @@ class Inputs:
 def run(
     job: Job, params: Params, *, frames: Path, sfm: Path, smpl_fit: Path | None = None, body_model: Path | None = None
 ) -> None:
-    """Write body.npz, body_model.npz, smpl.json, and landmarks.npz if the poses were estimated here.
+    """Write body.npz, body_model.npz, ground.json, smpl.json, and landmarks.npz if the poses were estimated here.
 
     Poses come from `smpl_fit`, from the fit that a data set brought along, or from BlazePose landmarks and the masks.
     Frames without a person are filled in between their neighbours with confidence 0. Raises StageError if nearly no
@@ -64,6 +64,7 @@ def run(
     from stages.estimators.bodyfit.quality import measure_quality
     from stages.formats.body_model import write_body_model
     from stages.formats.datasets.capture import given_by
+    from stages.formats.ground import write_ground
     from stages.formats.poses import write_poses
 
     listing = read_facts(frames / "frames.json", Listing)
@@ -85,6 +86,9 @@ def run(
     write_body_model(job.out / "body_model.npz", clip.model)
     warn_of_scale(job, facts["scale"])
     report(job, params, poses, clip.model, quality)
+    ground = floor_of(clip, poses)
+    write_ground(job.out / "ground.json", ground)
+    report_ground(job, ground)
     facts = {**facts, **summary(params, poses, clip.model, quality)}
     (job.out / "smpl.json").write_text(json.dumps(facts, indent=1) + "\n")
 
@@ -229,6 +233,34 @@ def report(job: Job, params: Params, poses: BodyPoses, model: BodyModel, quality
         job.warn(f"the body jumps at {count_names(fast)}")
     if not STOCKY[0] < stature < STOCKY[1] or np.abs(poses.betas).max() > EXTREME_BETA:
         job.warn(f"an unusual shape: {stature:.2f} m tall, betas up to {np.abs(poses.betas).max():.1f}")
+
+
+def floor_of(clip: Inputs, poses: BodyPoses) -> Ground:
+    """The floor under the placed body, from SfM's points and the soles of the frames that show somebody."""
+    from scipy.spatial.transform import Rotation
+
+    from stages.avatar.cameras.pinhole import rescale_viewmats
+    from stages.avatar.motion.placing import Soles
+    from stages.estimators.ground import find_ground
+
+    seen = poses.confidence > 0
+    if not seen.any():
+        seen = ~seen
+    turns = Rotation.from_rotvec(poses.global_orient[seen]).as_matrix()
+    soles = Soles.of_model(clip.model, poses.betas)
+    points, joints = soles.at(poses.global_orient[seen], poses.body_pose[seen], poses.transl[seen])
+    metres = poses.world_from_sfm
+    viewmats = rescale_viewmats(clip.cameras.viewmats, metres)
+    return find_ground(clip.points * metres, points, turns, joints[len(joints) // 2, 0], viewmats, metres)
+
+
+def report_ground(job: Job, ground: Ground) -> None:
+    """Note how sure the floor is; warn where it is guessed."""
+    sure = f"within {100 * ground.height_error:.1f} cm and {math.degrees(ground.tilt_error):.1f} degrees"
+    if ground.points:
+        job.note(f"floor: {ground.points} points of the scene lie in it, {sure}")
+    else:
+        job.warn(f"no floor is found in the scene under the person: it is guessed from the bodies, {sure}")
 
 
 def summary(params: Params, poses: BodyPoses, model: BodyModel, quality: FitQuality) -> dict[str, Any]:

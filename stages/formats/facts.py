@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from stages.contract import StageError
 
-MADE_BY = {"split": "sfm", "metrics": "evaluate"}
+MADE_BY = {"split": "sfm", "ground": "smpl", "metrics": "evaluate"}
 """The stage that writes a file, where the file is not named after it."""
 WANTED = {
     "string_type": "a text",

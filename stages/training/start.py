@@ -19,7 +19,7 @@ from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import rest
 from stages.avatar.model.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
-from stages.avatar.motion.formulas import upright
+from stages.avatar.motion.placing import mean_up
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.contract import StageError
@@ -214,7 +214,7 @@ class _Start:
 
     def _effects(self, person: Person, human: HumanModel) -> FrameEffects:
         on, orient = self.decisions, self.clip.body.global_orient
-        *lamp, darkness = self.starts.get("shadow", [*upright(orient, orient[0])[:, 1], DARKNESS])
+        *lamp, darkness = self.starts.get("shadow", [*mean_up(orient), DARKNESS])
         light = torch.as_tensor(lamp).to(person.joints)
         shadow = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
         parts = casters(person.vertices, person.weights).posed(torch.linalg.inv(person.canonical_bones()))

@@ -16,15 +16,17 @@ from scipy.spatial.transform import Rotation
 from stages.avatar.body.smpl import DA_POSE, Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+from stages.avatar.motion.placing import Soles
 from stages.avatar.rasterize import Camera
 from stages.contract import StageRecord
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
+from stages.formats.ground import write_ground
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import write_poses
 from stages.formats.splats import write_splats
-from stages.records import Avatar, BodyPoses, Cameras, Effects, Scene
+from stages.records import Avatar, BodyPoses, Cameras, Effects, Ground, Scene
 
 FRAMES, WIDTH, HEIGHT, EMPTY = 8, 96, 128, 7
 FOCAL = 100.0
@@ -88,6 +90,15 @@ def make_poses() -> BodyPoses:
     return BodyPoses(NAMES, np.zeros(10), orient, pose, transl, present.astype(float), WORLD_FROM_SFM)
 
 
+def make_ground(poses: BodyPoses, body_model) -> Ground:
+    """The level floor under the lowest sole, below where the body stands in the middle frame."""
+    soles, middle = Soles.of_model(body_model, poses.betas), len(poses) // 2
+    points, joints = soles.at(poses.global_orient, poses.body_pose, poses.transl)
+    ahead = Rotation.from_rotvec(poses.global_orient[middle]).apply([0, 0, 1])
+    point = np.array([joints[middle, 0, 0], points[..., 1].max(), joints[middle, 0, 2]])
+    return Ground(point, np.array([0.0, -1, 0]), ahead, WORLD_FROM_SFM, 0.01, 0.01, 40, "made")
+
+
 def make_viewmats() -> np.ndarray:
     """Cameras [C,4,4] in metres, moving sideways by 0.6 m while they look at the person."""
     return np.stack(
@@ -112,6 +123,7 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     for path in (smpl, train):
         write_poses(path / "body.npz", poses)
     write_body_model(smpl / "body_model.npz", body_model)
+    write_ground(smpl / "ground.json", make_ground(poses, body_model))
     write_splats(train / "avatar.npz", avatar)
     if scene:
         write_splats(train / "scene.npz", wall)

@@ -16,6 +16,7 @@ from stages.formats.exchange.glb import Glb
 from stages.formats.exchange.ply import read_ply
 from stages.formats.exchange.read import read_any_scene
 from stages.formats.exchange.spz import read_spz
+from stages.formats.ground import read_ground
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Clothes
 
@@ -51,7 +52,7 @@ def out(clip, tmp_path_factory):
 
 
 def test_what_is_written_by_default(clip, out):
-    wanted = ["avatar.glb", "avatar.npz", "avatar.ply", "avatar.spz", "scene.ply", "scene.spz", "viewer.html"]
+    wanted = "avatar.glb avatar.npz avatar.ply avatar.spz ground.json scene.ply scene.spz viewer.html".split()
     assert sorted(path.name for path in out.iterdir()) == wanted
     assert (out / "avatar.npz").read_bytes() == (clip["train"] / "avatar.npz").read_bytes()
 
@@ -61,7 +62,9 @@ def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
     avatar = read_avatar(out / "avatar.npz")
     for path in (out / "avatar.ply", out / "avatar.spz"):
         found = read_any_scene(path)
-        np.testing.assert_allclose(found.means, avatar.means * [1, -1, -1], atol=2e-4)
+        soles = avatar.means * [1, -1, -1] - found.means
+        np.testing.assert_allclose(soles, np.full((len(avatar), 1), soles[0, 1]) * [0, 1, 0], atol=4e-4)
+        assert abs(np.sort(-found.means[:, 1])[5]) < 0.03, "soles at height 0"
         yellow = np.flatnonzero((0.5 + 0.28209479 * found.sh0 > [0.8, 0.8, -1]).all(1))
         assert found.means[yellow, 1].max() < np.median(found.means[:, 1])
         turns = [Rotation.from_quat(one.quats, scalar_first=True) for one in (avatar, found)]
@@ -124,8 +127,25 @@ def test_a_motion_as_numbered_files(clip, tmp_path):
         files = sorted((tmp_path / f"avatar_clip_{ending}").iterdir())
         assert [path.name for path in files] == [f"frame{i:05d}.{ending}" for i in range(7)]
         first, last = (read_any_scene(path).means for path in (files[0], files[-1]))
-        assert np.abs(first - last).max() > 0.2 and first[:, 1].min() < -0.4, "it moves, and its head is up"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["avatar.npz", "avatar_clip_ply", "avatar_clip_spz"]
+        assert np.abs(first - last).max() > 0.2 and first[:, 1].min() < -1.4, "it moves, and its head is up"
+        assert all(abs(read_any_scene(path).means[:, 1].max()) < 0.03 for path in files), "soles at height 0"
+    names = ["avatar.npz", "avatar_clip_ply", "avatar_clip_spz", "ground.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+
+
+def test_in_usd_the_floor_of_the_scene_is_at_height_0(clip, tmp_path, monkeypatch):
+    """The clip's floor is level, y down; the origin is below where the person stood, and z where they looked."""
+    written = {}
+    monkeypatch.setattr("stages.formats.exchange.usd.check_usd", lambda: None)
+    monkeypatch.setattr("stages.formats.exchange.usd.write_usd", lambda path, *what: written.update({path.name: what}))
+    made(clip, tmp_path, formats=["usd"])
+    ground, scene = read_ground(clip["smpl"] / "ground.json"), read_scene(clip["train"] / "scene.npz")
+    (found,) = written["scene.usdc"][1]
+    np.testing.assert_allclose(found.means[:, 1], ground.point[1] - scene.means[:, 1], atol=1e-6)
+    np.testing.assert_allclose(found.means[:, 2], (scene.means - ground.point) @ ground.ahead, atol=1e-6)
+    (avatar,) = written["avatar.usdc"][1]
+    assert abs(np.sort(avatar.means[:, 1])[5]) < 0.03
+    np.testing.assert_array_equal(avatar.quats, read_avatar(clip["train"] / "avatar.npz").quats)
 
 
 def test_a_format_whose_package_is_missing_is_refused_before_anything_is_written(clip, tmp_path, monkeypatch):
@@ -143,6 +163,7 @@ def test_a_body_model_with_a_licence_of_its_own_is_named(clip, tmp_path):
     from stages.formats.body_model import read_body_model, write_body_model
 
     write_body_model(tmp_path / "body_model.npz", replace(read_body_model(), name="SMPL_NEUTRAL"))
+    shutil.copyfile(clip["smpl"] / "ground.json", tmp_path / "ground.json")
     said = made(clip | {"smpl": tmp_path}, tmp_path / "out")
     assert [line for line in said if "SMPL_NEUTRAL" in line and "licence" in line]
 

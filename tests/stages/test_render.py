@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from stages import views
-from stages.avatar.motion.formulas import upright
 from stages.contract import Job, StageError
 from stages.formats.cameras import write_cameras
 from stages.formats.images import read_pixels
@@ -112,13 +110,3 @@ def test_a_clip_without_a_scene_says_so(train, tmp_path):
         drawn(train, tmp_path, ["x"], "both")
     assert "--only human" in refused.value.hint
     assert len(drawn(train, tmp_path, ["x"], "human")) == 1
-
-
-def test_a_motion_stands_as_the_person_stood():
-    lean = Rotation.from_euler("zx", [0.05, np.pi])  # OpenCV axes: y is down, so a standing body is turned over
-    orients = np.stack([(Rotation.from_euler("y", a) * lean).as_rotvec() for a in (-0.3, 0, 0.3)])
-    stand = upright(orients, orients[1])
-    np.testing.assert_allclose(stand @ stand.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(stand) == pytest.approx(1)
-    np.testing.assert_allclose(stand[:, 1], [0, -1, 0], atol=0.06)
-    assert stand[:, 2] @ lean.apply([0, 0, 1.0]) > 0.99

@@ -17,6 +17,7 @@ from stages.estimators.bodyfit.resting import carry_over, smpl_rest
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
+from stages.formats.ground import read_ground
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import read_poses
@@ -79,6 +80,15 @@ def camera_fit(clip):
     return {"betas": np.zeros(10), "global_orient": np.array(orient), "body_pose": pose, "transl": np.array(transl)}
 
 
+def in_sfm(clip, fit):
+    """The same in the SfM frame, its unit seen by each frame as `scale` says."""
+    pelvis, views = (MODEL.J_regressor @ MODEL.v_template)[0].astype(float), clip.cameras.viewmats
+    back = Rotation.from_matrix(views[:, :3, :3]).inv()
+    orient = (back * Rotation.from_rotvec(fit["global_orient"])).as_rotvec()
+    away = fit["scale"][:, None] * (back.apply(pelvis + fit["transl"]) - pelvis)
+    return fit | {"global_orient": orient, "transl": away - back.apply(views[:, :3, 3])}
+
+
 @pytest.mark.slow
 def test_i05_j05_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folders, tmp_path):
     clip, frames, sfm = folders
@@ -86,34 +96,44 @@ def test_i05_j05_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folder
     kept = np.delete(np.arange(16), [4, 5])
     rows = {key: value if key == "betas" else value[kept] for key, value in fit.items()}
     np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names)[kept], **rows)
-    poses, facts, _ = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit.npz")
+    poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit.npz")
     assert poses.world_from_sfm == pytest.approx(clip.scale, rel=0.03)
     error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
     assert error[kept].mean() < 0.05
     assert np.flatnonzero(poses.confidence == 0).tolist() == [4, 5]
     assert facts["doubtful"] == [clip.cameras.names[4], clip.cameras.names[5]]
     assert facts["mean_iou"] > 0.9
+    ground, floor = read_ground(tmp_path / "out" / "ground.json"), clip.points[:400] * poses.world_from_sfm
+    assert np.abs((floor - ground.point) @ ground.up).mean() < 0.012 and ground.points > 250
+    assert ground.metres == poses.world_from_sfm and ground.height_error < 0.01
+    assert any("points of the scene lie in it" in event.get("text", "") for event in said)
     assert not (tmp_path / "out" / "landmarks.npz").exists()
     assert (tmp_path / "out" / "body_model.npz").exists()
+
+
+def test_where_the_scene_shows_no_floor_it_is_guessed_and_that_is_said(folders, tmp_path):
+    clip, frames, sfm = folders
+    bare = tmp_path / "sfm"
+    bare.mkdir()
+    for path in sfm.iterdir():
+        (bare / path.name).symlink_to(path)
+    (bare / "points.ply").unlink()
+    write_points(bare / "points.ply", clip.points[400:], np.zeros((len(clip.points) - 400, 3), np.uint8))
+    fit = camera_fit(clip) | {"scale": np.full(16, bodyfit_clips.SFM_FROM_WORLD)}
+    np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names), **in_sfm(clip, fit))
+    _, _, said = run(tmp_path / "out", frames, bare, smpl_fit=tmp_path / "fit.npz")
+    ground, floor = read_ground(tmp_path / "out" / "ground.json"), clip.points[:400] * clip.scale
+    assert ground.points == 0 and "guessed from the bodies" in ground.how
+    assert np.abs((floor - ground.point) @ ground.up).mean() < 0.08
+    warned = [event["text"] for event in said if event["event"] == "warning"]
+    assert any(text.startswith("no floor is found in the scene under the person: it is guessed") for text in warned)
 
 
 @pytest.mark.slow
 def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp_path):
     clip, frames, sfm = folders
-    fit = camera_fit(clip)
-    views = clip.cameras.viewmats
-    pelvis = (MODEL.J_regressor @ MODEL.v_template)[0].astype(float)
     per_frame = bodyfit_clips.SFM_FROM_WORLD * np.linspace(0.95, 1.05, 16)  # depth guesses that waver
-    orient, transl = [], []
-    for i in range(16):
-        from stages.avatar.body.rotations import matrix_from_rotvec
-
-        turn = views[i, :3, :3].T
-        orient.append(
-            rotvec_from_matrix(torch.tensor(turn) @ matrix_from_rotvec(torch.tensor(fit["global_orient"][i]))).numpy()
-        )
-        transl.append(per_frame[i] * (turn @ (pelvis + fit["transl"][i]) - pelvis) - turn @ views[i, :3, 3])
-    arrays = fit | {"global_orient": np.array(orient), "transl": np.array(transl), "scale": per_frame}
+    arrays = in_sfm(clip, camera_fit(clip) | {"scale": per_frame})
     np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names), **arrays)
     poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit.npz")
     assert poses.world_from_sfm == pytest.approx(clip.scale, rel=1e-6)

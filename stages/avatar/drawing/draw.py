@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
 
 from stages import records
 from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
@@ -95,18 +94,12 @@ def draw(
 def perform(
     learned: Learned,
     scene: Splats | None,
-    moves: tuple[np.ndarray, np.ndarray, np.ndarray],
-    stand: np.ndarray,
-    transl: np.ndarray,
+    poses: tuple[np.ndarray, np.ndarray, np.ndarray],
     cameras: Iterable[Camera],
 ) -> Iterator[np.ndarray]:
-    """Pictures of the person going through `moves`: global_orient, body_pose and steps, y up and z ahead.
-
-    `stand` [3,3] takes their frame to the world, where steps [F,3] m are added to `transl` [3]; one camera a move.
-    """
-    for turn, pose, step, camera in zip(*moves, cameras, strict=True):
-        turned = (Rotation.from_matrix(stand) * Rotation.from_rotvec(turn)).as_rotvec()
-        there = turned, pose, transl + stand @ step
+    """Pictures of the person going through `poses`: global_orient [F,3], body_pose [F,69], transl [F,3]; a camera each."""
+    for *parts, camera in zip(*poses, cameras, strict=True):
+        there = parts[0], parts[1], parts[2]
         human = learned.person(there)
         yield to_uint8(draw(human, learned.shade(scene, there), camera, background=0.0 if scene else 1.0)[0])
 

@@ -10,9 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stages.avatar.body.joints import ANKLES, COLLARS, ELBOWS, HEAD, HIPS, KNEES, SHOULDERS, SPINE, WRISTS
@@ -114,19 +112,6 @@ MOTIONS: dict[str, Callable[..., Motion]] = {
     "wave": wave,
     "squats": squats,
 }
-
-
-def upright(orients: np.ndarray, facing: np.ndarray) -> np.ndarray:
-    """Rotation [3,3] from the frame of motions (y up, z ahead) to the world, for a person who stood in the clip.
-
-    y goes to the mean up of the bodies `orients` [F,3], z to the heading of the body `facing` [3] (rotation vectors).
-    """
-    up = Rotation.from_rotvec(orients).apply([0.0, 1.0, 0.0]).mean(0)
-    up /= np.linalg.norm(up)
-    ahead = Rotation.from_rotvec(facing).apply([0.0, 0.0, 1.0])
-    ahead -= up * (ahead @ up)
-    ahead /= np.linalg.norm(ahead)
-    return np.stack([np.cross(up, ahead), up, ahead], 1)
 
 
 class _Pose:

@@ -2,34 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from stages import records
-from stages.avatar.motion.formulas import upright
-from stages.avatar.motion.placing import Soles
-from stages.avatar.motion.takes import made_takes
-
-
-class Spot(NamedTuple):
-    """Where a person stands in a clip: `turn` [3,3] from a motion's frame, y up and z ahead, to the world, and `place` [3] m
-    on the floor.
-    """
-
-    turn: np.ndarray
-    place: np.ndarray
-
-
-def spot_of(body: records.BodyPoses, soles: Soles) -> Spot:
-    """Where the person stood in the middle frame. A frame without evidence says nothing of up and floor."""
-    middle, present = len(body) // 2, body.confidence > 0
-    turn = upright(body.global_orient[present], body.global_orient[middle])
-    points, joints = soles.at(body.global_orient, body.body_pose, body.transl)
-    up = turn[:, 1]
-    floor = np.median((points @ up).min(1)[present])  # a jump in the middle frame does not raise it
-    return Spot(turn, joints[middle, 0] + up * (floor - up @ joints[middle, 0]))
+from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.placing import Placed, Soles, put
+from stages.avatar.motion.takes import FPS, SECONDS
 
 
 def clip_move(body: records.BodyPoses, times: np.ndarray) -> records.Move:
@@ -39,18 +17,17 @@ def clip_move(body: records.BodyPoses, times: np.ndarray) -> records.Move:
     return records.Move("In the clip", fps, np.concatenate([body.global_orient, body.body_pose], 1), body.transl)
 
 
-def made_moves(spot: Spot, soles: Soles) -> list[records.Move]:
-    """The motions made by formula, as the body of `soles` performs them on its spot."""
-    pelvis = soles.joints[0]
-    moves = []
-    for take in made_takes(pelvis):
-        rotvecs = Rotation.from_quat(take.rotations.reshape(-1, 4), scalar_first=True).as_rotvec()
-        rotvecs = rotvecs.reshape(len(take), -1, 3)
-        points, _ = soles.at(rotvecs[:1, 0], rotvecs[:1, 1:].reshape(1, -1), take.pelvis[:1] - pelvis)
-        floor = points[..., 1].min()  # formulas know no feet
-        rotvecs[:, 0] = (Rotation.from_matrix(spot.turn) * Rotation.from_rotvec(rotvecs[:, 0])).as_rotvec()
-        steps = spot.place - pelvis + (take.pelvis - [0, floor, 0]) @ spot.turn.T
-        fps = 1 / float(np.diff(take.times).mean())
-        name = take.name.replace("_", " ").capitalize()
-        moves.append(records.Move(name, fps, rotvecs.reshape(len(take), -1), steps))
-    return moves
+def made_move(
+    name: str, ground: records.Ground, soles: Soles, seconds: float = SECONDS, fps: float = FPS
+) -> records.Move:
+    """A motion made by formula, as the body of `soles` performs it on the floor where the person stood."""
+    turns, bends, steps = (part.numpy().astype(np.float64) for part in MOTIONS[name](seconds, fps))
+    points, _ = soles.at(turns[:1], bends[:1], steps[:1])
+    steps[:, 1] -= points[..., 1].min()  # formulas know no feet
+    orient, pose, transl = put(Placed(turns, bends, steps, 0.0), ground.turn, ground.point, soles.joints[0])
+    return records.Move(name.replace("_", " ").capitalize(), fps, np.concatenate([orient, pose], 1), transl)
+
+
+def made_moves(ground: records.Ground, soles: Soles) -> list[records.Move]:
+    """All motions made by formula, as `made_move`."""
+    return [made_move(name, ground, soles) for name in MOTIONS]

@@ -43,6 +43,12 @@ class Placed(NamedTuple):
     drift: float
 
 
+def mean_up(orients: np.ndarray) -> np.ndarray:
+    """The direction [3] in which bodies turned by the rotation vectors `orients` [F,3] point on average, of length 1."""
+    up = Rotation.from_rotvec(orients).apply([0.0, 1.0, 0.0]).mean(0)
+    return up / np.linalg.norm(up)
+
+
 def which_is_up(motion: Performance) -> str | None:
     """The key of UPS nearest to the pelvis's mean up, or None where none is SURE: people mostly stand."""
     mean = motion.rotations[:, 0, :, 1].mean(0)
@@ -118,3 +124,23 @@ def on_floor(motion: Performance, fps: float, soles: Soles) -> Placed:
     floor = grey_opening(lowest, size=1 + 2 * int(FLIGHT * fps / 2), mode="nearest")
     transl[:, 1] -= floor
     return Placed(orient, pose, transl, float(np.ptp(floor)))
+
+
+def filmed(body: records.BodyPoses, rows: np.ndarray, ground: records.Ground, soles: Soles) -> Performance:
+    """What the person did in frames `rows` of their clip, seen from its floor: y up, floor at y = 0, z ahead."""
+    back = Rotation.from_matrix(ground.turn.T)
+    rotvecs = np.concatenate([body.global_orient[rows], body.body_pose[rows]], 1).reshape(-1, 3)
+    rotations = Rotation.from_rotvec(rotvecs).as_matrix().reshape(len(rows), -1, 3, 3)
+    _, joints = soles.at(body.global_orient[rows], body.body_pose[rows], body.transl[rows])
+    rotations[:, 0] = back.as_matrix() @ rotations[:, 0]
+    return Performance(rotations, back.apply(joints[:, HIPS].mean(1) - ground.point), leg_of(soles.joints))
+
+
+def put(
+    placed: Placed, turn: np.ndarray, place: np.ndarray, pelvis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """global_orient [F,3], body_pose [F,69] and transl [F,3] m in a world, into which `turn` [3,3] and then `place` [3] m
+    take the motion. `pelvis` [3] m is the body's at rest, about which it turns.
+    """
+    orient = (Rotation.from_matrix(turn) * Rotation.from_rotvec(placed.global_orient)).as_rotvec()
+    return orient, placed.body_pose, place - pelvis + (placed.transl + pelvis) @ turn.T

@@ -6,31 +6,29 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages import records
-from stages.avatar.motion.formulas import MOTIONS, upright
-from stages.avatar.motion.placing import Soles
+from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.placing import Soles, face_ahead, filmed, on_floor
 
 SECONDS, FPS = 4.0, 30.0  # of a made motion
 
 
-def clip_take(body: records.BodyPoses, times: np.ndarray, soles: Soles) -> records.Take | None:
+def clip_take(body: records.BodyPoses, times: np.ndarray, ground: records.Ground, soles: Soles) -> records.Take | None:
     """What the person did in the clip; `times` [F] s are those of the poses in `body`. None where nobody was seen.
 
     Frames without evidence are left out, and so are those not later than one before them (other cameras of a moment).
-    Up is the mean up of the bodies; the median of the frames' lowest soles stands where the T-pose's lowest does.
+    It begins where the T-pose stands, looks ahead there, and keeps its feet on the T-pose's floor.
     """
     seen = np.flatnonzero(body.confidence > 0)
     seen = seen[np.argsort(times[seen], kind="stable")]
     rows = seen[np.diff(times[seen], prepend=-np.inf) > 0]
     if len(rows) == 0:
         return None
-    stand = upright(body.global_orient[rows], body.global_orient[rows[0]])
-    turned = (Rotation.from_matrix(stand.T) * Rotation.from_rotvec(body.global_orient[rows])).as_rotvec()
-    moved = body.transl[rows] @ stand
-    points, joints = soles.at(turned, body.body_pose[rows], moved)
-    away = joints[0, 0] - soles.joints[0]
-    away[1] = np.median(points[..., 1].min(1)) - soles.floor
-    pelvis = joints[:, 0] - away
-    return _take("clip", times[rows] - times[rows[0]], turned, body.body_pose[rows], pelvis)
+    passed = float(np.ptp(times[rows]))
+    motion = face_ahead(filmed(body, rows, ground, soles), "y")
+    placed = on_floor(motion, (len(rows) - 1) / passed if passed > 0 else 1.0, soles)
+    pelvis = placed.transl + soles.joints[0] * [0, 1, 0] + [0, soles.floor, 0]
+    pelvis += (soles.joints[0] - pelvis[0]) * [1, 0, 1]
+    return _take("clip", times[rows] - times[rows[0]], placed.global_orient, placed.body_pose, pelvis)
 
 
 def made_takes(pelvis: np.ndarray) -> list[records.Take]:

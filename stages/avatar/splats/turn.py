@@ -13,11 +13,14 @@ OVER = np.diag([1.0, -1.0, -1.0])
 """Half a turn about x: y up and facing z becomes y down and facing -z, and back."""
 
 
-def turned(splats: records.Scene, rotation: np.ndarray) -> records.Scene:
-    """Gaussians turned by `rotation` [3,3] about the origin: places, shapes, and colours that depend on the view."""
+def turned(splats: records.Scene, rotation: np.ndarray, about: np.ndarray | None = None) -> records.Scene:
+    """Gaussians turned by `rotation` [3,3]: places, shapes, and colours that depend on the view.
+
+    `about` [3] m becomes the origin; without it the origin stays.
+    """
     turn = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
     return records.Scene(
-        means=(splats.means @ rotation.T).astype(splats.means.dtype),
+        means=((splats.means if about is None else splats.means - about) @ rotation.T).astype(splats.means.dtype),
         quats=(splats.quats @ _left(turn).T).astype(splats.quats.dtype),
         scales=splats.scales,
         opacities=splats.opacities,

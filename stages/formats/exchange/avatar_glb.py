@@ -4,7 +4,8 @@ It holds the body's mesh, the skeleton, motions, and the Gaussians as points on 
 KHR_gaussian_splatting (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos). Programs that know no
 Gaussians show points: their colour has the opacity for its alpha, and `_SCALE` is kept by Blender for geometry nodes. One
 such name only: the importer of Blender 5.0 mixes several up, in an order that changes from start to start.
-y is up, metres, the T-pose; the inverse bind matrices are plain steps, see `records.Rig`.
+y is up, metres, the T-pose, its soles at height 0 by the node above the skeleton; the inverse bind matrices are plain
+steps, see `records.Rig`.
 """
 
 from __future__ import annotations
@@ -28,19 +29,22 @@ VERTICES, TRIANGLES = 34962, 34963  # glTF's targets of buffer views
 POINTS = 0  # glTF's mode
 
 
-def write_avatar_glb(path: Path, rig: Rig, mesh: Mesh, takes: Sequence[Take], names: Names = "smpl") -> None:
-    """Write the avatar; the same avatar makes the same bytes."""
+def write_avatar_glb(
+    path: Path, rig: Rig, mesh: Mesh, takes: Sequence[Take], names: Names = "smpl", floor: float = 0.0
+) -> None:
+    """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
     arrays = Arrays()
-    first = 2  # the nodes before the joints: mesh and Gaussians
+    first = 3  # the nodes before the joints: mesh, Gaussians and what stands on the floor
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "hugs"},
         "extensionsUsed": [SPLATS],
         "extras": {"hugs": {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}},
         "scene": 0,
-        "scenes": [{"name": "avatar", "nodes": [0, 1, first]}],
+        "scenes": [{"name": "avatar", "nodes": [0, 1, 2]}],
         "nodes": [
             {"name": "body", "mesh": 0, "skin": 0},
             {"name": "gaussians", "mesh": 1, "skin": 0},
+            {"name": "stand", "translation": [0.0, -floor, 0.0], "children": [first]},
             *_joints(rig, bone_names(names), first),
         ],
         "skins": [

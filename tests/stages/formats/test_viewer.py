@@ -13,14 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from stages import animate
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+from stages.avatar.drawing.rig import rig_of
 from stages.avatar.motion.formulas import MOTIONS
-from stages.avatar.motion.moves import made_moves, spot_of
+from stages.avatar.motion.moves import made_moves
 from stages.avatar.motion.placing import Soles
 from stages.avatar.rasterize import Camera
 from stages.contract import Job
 from stages.formats import viewer
 from stages.formats.body_model import read_body_model
 from stages.formats.clip import load_clip
+from stages.formats.ground import read_ground
+from stages.formats.splats import read_avatar
 from stages.formats.trained import read_trained
 from tests.made import bvh as bvh_made
 from tests.made import exhibits, headset, tiny
@@ -128,8 +131,8 @@ def likeness(page: Page | Firefox, folders, motion: int, frame: int, only: str) 
         load_clip(folders["sfm"], folders["smpl"], folders["train"]),
         load_learned(*read_trained(folders["train"])),
     )
-    soles = Soles.of_model(clip.body_model, clip.body.betas)
-    jacks = made_moves(spot_of(clip.body, soles), soles)[0]
+    soles = Soles.of_rig(rig_of(read_avatar(folders["train"] / "avatar.npz")))
+    jacks = made_moves(read_ground(folders["smpl"] / "ground.json"), soles)[0]
     poses = {
         CLIP: (clip.body.global_orient, clip.body.body_pose, clip.body.transl),
         JACKS: (jacks.rotvecs[:, :3], jacks.rotvecs[:, 3:], jacks.steps),

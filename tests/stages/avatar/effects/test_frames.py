@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.linalg import expm
-from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import pinhole
 from stages.avatar.drawing.draw import draw, load_learned, perform
@@ -188,17 +187,14 @@ def test_a_person_who_performs_takes_the_shadow_along(held):
     parts = casters(rest.means, rest.weights)
     lit = lit._replace(effects=FrameEffects(Shadow(light, parts, darkness=0.8)))
     poses, views = tiny.make_poses(), tiny.make_viewmats()
-    moves = (poses.global_orient[:2] * 0, poses.body_pose[:2], np.stack([0 * to, to]))
-    stand, size = np.diag([1.0, -1, -1]), (tiny.WIDTH, tiny.HEIGHT)
+    over, size = np.tile([np.pi, 0, 0], (2, 1)), (tiny.WIDTH, tiny.HEIGHT)
+    moves = (over, poses.body_pose[:2], poses.transl[3] + np.stack([0 * to, to]))
     camera = Camera.of(views[3], pinhole(tiny.FOCAL, *size), *size)
-    shown = [perform(one, one.scene, moves, stand, poses.transl[3], [camera] * 2) for one in (plain, lit)]
+    shown = [perform(one, one.scene, moves, [camera] * 2) for one in (plain, lit)]
     lost = [a.astype(float) - b for a, b in zip(*shown)]
     middles = []
     for i, dark in enumerate(lost):
-        human = plain.person(
-            (Rotation.from_matrix(stand).as_rotvec(), moves[1][i], poses.transl[3] + stand @ moves[2][i])
-        )
-        covered = draw(human, None, camera)[1]
+        covered = draw(plain.person(tuple(part[i] for part in moves)), None, camera)[1]
         assert dark.min() >= -1 and dark.max() > 20 and dark[covered > 0.99].max() <= 1
         middles.append((dark.sum((0, 2)) * np.arange(tiny.WIDTH)).sum() / dark.sum())
     assert 5 < middles[1] - middles[0] < 17  # of 100 px * 0.5 m / 4.5 m = 11

@@ -12,9 +12,10 @@ from stages.avatar.drawing.rig import rig_of
 from stages.avatar.motion.placing import Soles
 from stages.avatar.motion.takes import clip_take, made_takes
 from stages.formats.body_model import read_body_model
-from tests.made.tiny import EMPTY, FRAMES, make_avatar, make_poses
+from tests.made.tiny import EMPTY, FRAMES, make_avatar, make_ground, make_poses
 
 TIMES = np.arange(FRAMES) * 0.1 + 3
+GROUND = make_ground(make_poses(), read_body_model())
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def soles():
 
 
 def test_the_clip_stands_up_from_the_y_down_world_on_the_floor_of_the_t_pose(soles):
-    take = clip_take(make_poses(), TIMES, soles)
+    take = clip_take(make_poses(), TIMES, GROUND, soles)
     assert len(take) == FRAMES - 1 and EMPTY == FRAMES - 1, "nobody is seen in the last frame"
     np.testing.assert_allclose(take.times, np.arange(FRAMES - 1) * 0.1, atol=1e-9)
     root = Rotation.from_quat(take.rotations[:, 0], scalar_first=True)
@@ -38,7 +39,7 @@ def test_the_clip_stands_up_from_the_y_down_world_on_the_floor_of_the_t_pose(sol
 
 def test_its_poses_are_those_of_the_world_but_for_one_turn_and_one_step(soles):
     body = make_poses()
-    take, model = clip_take(body, TIMES, soles), Body(read_body_model(), torch.float64)
+    take, model = clip_take(body, TIMES, GROUND, soles), Body(read_body_model(), torch.float64)
     pose = torch.as_tensor(body.body_pose[:EMPTY])
     orient, transl = torch.as_tensor(body.global_orient[:EMPTY]), torch.as_tensor(body.transl[:EMPTY])
     there = model(torch.zeros(10).double(), orient, pose, transl)[1].numpy()
@@ -55,8 +56,8 @@ def test_its_poses_are_those_of_the_world_but_for_one_turn_and_one_step(soles):
 def test_one_pose_for_a_moment_that_several_cameras_saw(soles):
     body, times = make_poses(), TIMES.copy()
     times[3] = times[2]
-    assert len(clip_take(body, times, soles)) == FRAMES - 2
-    assert clip_take(replace(body, confidence=np.zeros(FRAMES)), times, soles) is None
+    assert len(clip_take(body, times, GROUND, soles)) == FRAMES - 2
+    assert clip_take(replace(body, confidence=np.zeros(FRAMES)), times, GROUND, soles) is None
 
 
 def test_made_motions_never_jump_from_a_quaternion_to_its_negative(soles):

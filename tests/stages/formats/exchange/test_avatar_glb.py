@@ -26,6 +26,7 @@ from stages.formats.exchange.glb import Arrays, Glb, write_glb
 from tests.made.tiny import make_avatar
 
 MODEL = read_body_model()
+FLOOR = -1.2  # m: where the T-pose's soles are
 KINDS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
@@ -51,7 +52,7 @@ def file(avatar, tmp_path_factory):
 
 def write(avatar, path, names="smpl"):
     rig = rig_of(avatar)
-    write_avatar_glb(path, rig, surface_of(MODEL, rig), made_takes(rig.joints[0])[:1], names)
+    write_avatar_glb(path, rig, surface_of(MODEL, rig), made_takes(rig.joints[0])[:1], names, FLOOR)
     return path
 
 
@@ -89,7 +90,9 @@ def test_a_program_that_skins_by_the_file_puts_mesh_and_gaussians_where_we_do(av
         else:
             local[node] = value
         assert array(glb, sampler["input"])[pose, 0] == pytest.approx(take.times[pose])
-    world = {skin["joints"][0]: (turns[skin["joints"][0]], local[skin["joints"][0]])}
+    root, stand = skin["joints"][0], nodes[2]
+    assert stand["children"] == [root] and glb.content["scenes"][0]["nodes"] == [0, 1, 2]
+    world = {root: (turns[root], local[root] + stand["translation"])}
     for node in skin["joints"]:
         turn, place = world[node]
         for child in nodes[node].get("children", ()):
@@ -107,7 +110,7 @@ def test_a_program_that_skins_by_the_file_puts_mesh_and_gaussians_where_we_do(av
         return (blend[:, :, :3] @ points[..., None])[..., 0] + blend[:, :, 3]
 
     rotvecs = Rotation.from_quat(take.rotations[pose], scalar_first=True).as_rotvec().reshape(72)
-    step = torch.as_tensor(take.pelvis[pose] - rig_of(avatar).joints[0]).float()
+    step = torch.as_tensor(take.pelvis[pose] - rig_of(avatar).joints[0] - [0, FLOOR, 0]).float()
     turn = torch.as_tensor(rotvecs).float()
     body, gaussians = (mesh["primitives"][0] for mesh in glb.content["meshes"])
     there = Body(MODEL)(torch.zeros(10), turn[None, :3], turn[None, 3:], step[None])[0][0].numpy()
@@ -141,7 +144,7 @@ def test_the_same_avatar_makes_the_same_bytes(avatar, file, tmp_path):
 @pytest.mark.parametrize(("names", "left_elbow"), [("mixamo", "mixamorig:LeftForeArm"), ("vrm", "leftLowerArm")])
 def test_joints_have_the_names_of_other_skeletons(avatar, tmp_path, names, left_elbow):
     nodes = Glb(write(avatar, tmp_path / "a.glb", names)).content["nodes"]
-    assert [node["name"] for node in nodes][2 + 18] == left_elbow
+    assert [node["name"] for node in nodes][3 + 18] == left_elbow
     assert len(set(bone_names(names))) == 24
     assert read_avatar_glb(tmp_path / "a.glb").parents[18] == 16
 
@@ -177,8 +180,8 @@ def splat(content):
             "reaches",
         ),
         (lambda c: c["accessors"][splat(c)[f"{SPLATS}:SCALE"]].update(count=3), "scales: 3 rows"),
-        (lambda c: c["nodes"][3].update(children=[2]), "tree"),
-        (lambda c: c["nodes"][3].update(children=[99]), "damaged"),
+        (lambda c: c["nodes"][4].update(children=[3]), "tree"),
+        (lambda c: c["nodes"][4].update(children=[99]), "damaged"),
         (lambda c: c["skins"][0].update(joints=[2, 3]), "damaged"),
     ],
 )
