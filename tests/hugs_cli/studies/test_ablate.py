@@ -75,7 +75,9 @@ def test_seeds_of_a_sequence_of_the_paper_stand_beside_its_numbers(ablated):
         "from stages.contract import Params as Base\n",
         "from stages.contract import Params as Base\nfrom stages.evaluate import published\n",
     )
-    ablated.edit("evaluate", '"lpips": 0.1}, dict', '"lpips": 0.1, "psnr_per_channel": psnr, "lpips_legacy": 0.2}, dict')
+    ablated.edit(
+        "evaluate", '"lpips": 0.1}, dict', '"lpips": 0.1, "psnr_per_channel": psnr, "lpips_legacy": 0.2}, dict'
+    )
     listing = ablated.work / "clip" / "tiny" / "frames" / "frames.json"
     listing.parent.mkdir()
     listing.write_text(json.dumps({"dataset": {"name": "neuman", "sequence": "bike"}}))
