@@ -12,8 +12,9 @@ from stages.formats.facts import MASKED_REGIONS, REGIONS
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip
-    from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Survey
+    from stages.formats.facts import Dataset, Gain, Metrics, Sfm, Smpl, Survey
     from stages.formats.page import Figure
+    from stages.records import Ground
 
 OVERLAYS = 6
 FILMS = {
@@ -58,7 +59,8 @@ def run(
     from stages.formats import page
     from stages.formats.clip import load_clip
     from stages.formats.datasets.published import COMPARED
-    from stages.formats.facts import Listing, Metrics, Sfm, Survey, Trained, read_facts
+    from stages.formats.facts import Listing, Metrics, Sfm, Smpl, Survey, Trained, read_facts
+    from stages.formats.ground import read_ground
 
     listing = read_facts(frames / "frames.json", Listing)
     metrics, found = read_facts(evaluate / "metrics.json", Metrics), read_facts(survey / "survey.json", Survey)
@@ -83,7 +85,7 @@ def run(
         costs=COSTS,
         times=_stage_times(job.upstream),
         parts=_training_times(trained.seconds_by_part),
-        overlays=_overlays(clip),
+        overlays=_overlays(clip, read_ground(smpl / "ground.json"), read_facts(smpl / "smpl.json", Smpl)),
         effects=_effects(found, trained.effects),
         measures=_measures(found),
         scene=found.decisions.get("scene", True),
@@ -187,23 +189,32 @@ def _training_times(spent: dict[str, float]) -> Columns:
     return rows, (1, 2), [seconds / total for seconds in spent.values()]
 
 
-def _overlays(clip: Clip) -> list[Figure]:
-    """The posed body in blue over evenly spread frames, and the edge of the mask in orange."""
+def _overlays(clip: Clip, ground: Ground, fit: Smpl) -> list[Figure]:
+    """Over evenly spread frames the posed body in blue and the edge of the mask in orange, and the body from the side."""
     import cv2
     import numpy as np
 
+    from stages.avatar.cameras.pinhole import camera_centers
+    from stages.estimators.bodyfit.side_view import side_view
     from stages.estimators.bodyfit.silhouette import posed_bodies, silhouette
     from stages.formats import page
 
     chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)
-    figures = []
-    for i, vertices in zip(chosen, posed_bodies(clip.body_model, clip.body, chosen.tolist()), strict=True):
+    model, figures = clip.body_model, []
+    for i, vertices in zip(chosen, posed_bodies(model, clip.body, chosen.tolist()), strict=True):
         image, size = clip.images(i).copy(), (clip.height, clip.width)
-        inside = silhouette(vertices, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], size, size)
+        inside = silhouette(vertices, model.faces, clip.viewmats[i], clip.Ks[i], size, size)
         image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
         edges, _ = cv2.findContours((clip.mask(i) > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, edges, -1, (255, 140, 0), max(1, clip.height // 400))
-        figures.append(page.picture(image, f"frame {clip.names[i]}: body blue, mask edge orange"))
+        expected = fit.expected_error_mm.get(clip.names[i])
+        off = None if expected is None else np.array(expected.along) / 1000
+        eye = camera_centers(clip.viewmats[i : i + 1])[0]
+        beside = side_view(vertices, model.faces, model.J_regressor @ vertices, off, eye, ground, clip.height)
+        caption = (
+            f"frame {clip.names[i]}: body blue, mask edge orange; beside it from the side, the camera far to the left"
+        )
+        figures.append(page.picture(np.concatenate([image, beside], 1), caption))
     return figures
 
 

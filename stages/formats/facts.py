@@ -149,6 +149,17 @@ class Sfm(GivenSfm):
     mapper: str = ""
 
 
+class Expected(Facts):
+    along: tuple[Number, ...]
+    across: tuple[Number, ...]
+
+
+class Smpl(Facts):
+    """smpl.json; how far each joint of a frame is probably off, where the stage estimated the poses."""
+
+    expected_error_mm: dict[str, Expected] = {}
+
+
 class SplitRow(Facts):
     split: str
     moment: Whole

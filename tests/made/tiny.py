@@ -124,6 +124,8 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
         write_poses(path / "body.npz", poses)
     write_body_model(smpl / "body_model.npz", body_model)
     write_ground(smpl / "ground.json", make_ground(poses, body_model))
+    expected = {name: {"along": [40] * 24, "across": [15] * 24} for name in poses.names[:-1]}
+    (smpl / "smpl.json").write_text(json.dumps({"expected_error_mm": expected}))
     write_splats(train / "avatar.npz", avatar)
     if scene:
         write_splats(train / "scene.npz", wall)
