@@ -41,7 +41,7 @@ def test_a_pipeline_is_read_in_running_order_with_what_it_extends(importable):
     other = load("other", ["two.word=b", "four.delay=2"], file)
     assert list(other.stages) == ["one", "two", "three", "four"]
     assert other.stages["four"].settings() == {"word": "z"}
-    assert other.stages["four"].settings(speed_only=True) == {"delay": 2.0}
+    assert other.stages["four"].settings(speed_only=True) == {"delay": 2.0, "hold": ""}
     assert other.stages["two"].params.word == "b" and other.stages["three"].resumes
     assert load("default", (), file).stages["four"].settings() == {"word": "a"}  # what extends it changes nothing here
     assert other.upstream(["two"]) == ["one", "two"]

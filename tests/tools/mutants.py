@@ -278,8 +278,8 @@ MUTANTS = (
     ),
     Mutant(
         "a stamp written in place",
-        "hugs_cli/cache/workspace.py",
-        'part = path.with_name(f"{path.name}.{os.getpid()}")',
+        "hugs_cli/cache/whole.py",
+        'part = path.with_name(f".{path.name}.{os.getpid()}")',
         "part = path",
         "tests/hugs_cli/cache/test_workspace.py::a_small_file_is_replaced_in_one_step",
     ),

@@ -186,7 +186,7 @@ def test_a_bvh_is_performed_as_animate_performs_it(page, folders, tmp_path, rest
     path = bvh_made.write_bvh(
         tmp_path / "walk.bvh", joints * 1.3, local, transl + [0, 0.9, 0.4], stance, fps=20, to_file=to_file
     )
-    soles = Soles.of_model(model, np.zeros(10))
+    soles = Soles.of_rig(rig_of(read_avatar(folders["train"] / "avatar.npz")))
     ours = animate._placed(Job(tmp_path), animate.Params(fps=20), path, soles, model.parents)
     found = page.run(
         f"(() => {{ const {{ rotvecs, steps, fps }} = hugs.perform({json.dumps(path.read_text())});"
