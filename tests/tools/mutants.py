@@ -46,10 +46,11 @@ MUTANTS = (
         "tests/stages/avatar/rasterize/test_projection.py::a_needle_along_a_row_of_pixels_is_nowhere_above_its_opacity",
     ),
     Mutant(
-        "14-1 A01 an exponent of either sign",
+        "14-1 A01 an exponent that cancels",
         "stages/avatar/rasterize/blend.py",
-        "lesser(exp2(lesser(power, log_opacity)), LARGEST)",
-        "lesser(exp2(power), LARGEST)",
+        "power = fma(u * u, qa, fma(dy * dy, qc, log_opacity))\n            seen = power",
+        "power = log_opacity + fma(dx, dx * qa + dy * ((qa + qa) * slant), dy * dy * (qc + qa * slant * slant))\n"
+        "            seen = power",
         "tests/stages/avatar/rasterize/test_projection.py::a_needle_along_a_row_of_pixels_is_nowhere_above_its_opacity",
     ),
     Mutant(

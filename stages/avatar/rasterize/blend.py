@@ -29,7 +29,7 @@ from stages.avatar.kernels.lanes import (
     totals,
 )
 from stages.avatar.kernels.memory import load, load_index, peek, prefetch, store, store_index
-from stages.avatar.rasterize.projection import BLUE, DEPTH, GREEN, LOG2E, LOG_OPACITY, QA, QB, QC, RED, ROW, X, Y
+from stages.avatar.rasterize.projection import BLUE, DEPTH, GREEN, LOG2E, LOG_OPACITY, QA, QC, RED, ROW, SLOPE, X, Y
 from stages.avatar.rasterize.rendering import ALPHA_MAX, ALPHA_MIN
 from stages.avatar.rasterize.tiles import ACROSS, AHEAD, BLOCK, TILE
 
@@ -41,7 +41,7 @@ IN_X = np.tile(np.arange(BLOCK, dtype=np.float32) + np.float32(0.5), BLOCK)
 IN_Y = np.repeat(np.arange(BLOCK, dtype=np.float32) + np.float32(0.5), BLOCK)
 ZERO, ONE = np.float32(0), np.float32(1)
 NEVER, NOWHERE = np.int32(2**31 - 1), np.int32(-1)  # where a pixel ended: not at all; outside of the picture
-A_TWICE, B_ONCE = np.float32(2 / LOG2E), np.float32(1 / LOG2E)
+TWICE = np.float32(2 / LOG2E)
 
 
 @njit(cache=True)
@@ -68,9 +68,9 @@ def _draw_tile(start, end, rows, masks, records, left, top, inside, stop, state,
             continue
         prefetch(records, np.int64(peek(rows, k + AHEAD)) * ROW)
         r = np.int64(peek(rows, k)) * ROW
-        qa, qb, qc, log_opacity = (
+        qa, slant, qc, log_opacity = (
             peek(records, r + QA),
-            peek(records, r + QB),
+            peek(records, r + SLOPE),
             peek(records, r + QC),
             peek(records, r + LOG_OPACITY),
         )
@@ -83,11 +83,12 @@ def _draw_tile(start, end, rows, masks, records, left, top, inside, stop, state,
             at = block * LANES
             dx = inner_x + (to_x + np.float32(BLOCK * (block & (ACROSS - 1))))
             dy = inner_y + (to_y + np.float32(BLOCK * (block >> 3)))
-            power = log_opacity - fma(dx, fma(dx, qa, dy * qb), dy * dy * qc)
+            u = fma(dy, slant, dx)
+            power = fma(u * u, qa, fma(dy * dy, qc, log_opacity))
             seen = power >= FAINTEST
             if not any_lane(seen):
                 continue
-            alpha = select(seen, lesser(exp2(lesser(power, log_opacity)), LARGEST), ZERO)
+            alpha = select(seen, lesser(exp2(power), LARGEST), ZERO)
             light = load(state, at)
             share = alpha * light
             passed = light - share
@@ -165,18 +166,19 @@ def _tile_backward(start, end, rows, masks, records, left, top, state, stops, de
         prefetch(records, np.int64(peek(rows, max(k - AHEAD, 0))) * ROW)
         bits = peek(masks, k)
         r = np.int64(peek(rows, k)) * ROW
-        qa, qb, qc, log_opacity = (
+        qa, slant, qc, log_opacity = (
             peek(records, r + QA),
-            peek(records, r + QB),
+            peek(records, r + SLOPE),
             peek(records, r + QC),
             peek(records, r + LOG_OPACITY),
         )
         red, green, blue = peek(records, r + RED), peek(records, r + GREEN), peek(records, r + BLUE)
         depth = peek(records, r + DEPTH)
         to_x, to_y = np.float32(left) - peek(records, r + X), np.float32(top) - peek(records, r + Y)
-        slope_a, slope_b, slope_c = A_TWICE * qa, B_ONCE * qb, A_TWICE * qc
+        slope_u, slope_y = TWICE * qa, TWICE * qc
+        slope_uy = slope_u * slant
         touched = False
-        s_g, s_x, s_y, s_xx, s_xy, s_yy = zero, zero, zero, zero, zero, zero
+        s_g, s_u, s_y, s_uu, s_uy, s_yy = zero, zero, zero, zero, zero, zero
         s_red, s_green, s_blue, s_depth, s_ax, s_ay = zero, zero, zero, zero, zero, zero
         while bits != np.uint64(0):
             block = count_trailing_zeros(bits)
@@ -186,12 +188,13 @@ def _tile_backward(start, end, rows, masks, records, left, top, state, stops, de
             at = block * LANES
             dx = inner_x + (to_x + np.float32(BLOCK * (block & (ACROSS - 1))))
             dy = inner_y + (to_y + np.float32(BLOCK * (block >> 3)))
-            power = log_opacity - fma(dx, fma(dx, qa, dy * qb), dy * dy * qc)
+            u = fma(dy, slant, dx)
+            power = fma(u * u, qa, fma(dy * dy, qc, log_opacity))
             seen = (power >= FAINTEST) & at_most(k + 1, load_index(stops, at))
             if not any_lane(seen):
                 continue
             touched = True
-            full = exp2(lesser(power, log_opacity))
+            full = exp2(power)
             alpha = select(seen, lesser(full, LARGEST), ZERO)
             through = ONE / (ONE - alpha)
             light = load(state, at) * through
@@ -204,20 +207,20 @@ def _tile_backward(start, end, rows, masks, records, left, top, state, stops, de
             store(state, at, light)
             store(state, AREA + at, fma(value, share, behind))
             g = select(full <= LARGEST, alpha * slope, ZERO)
-            gx, gy = g * dx, g * dy
-            s_g, s_x, s_y = s_g + g, s_x + gx, s_y + gy
-            s_xx, s_xy, s_yy = fma(gx, dx, s_xx), fma(gx, dy, s_xy), fma(gy, dy, s_yy)
+            gu, gy = g * u, g * dy
+            s_g, s_u, s_y = s_g + g, s_u + gu, s_y + gy
+            s_uu, s_uy, s_yy = fma(gu, u, s_uu), fma(gu, dy, s_uy), fma(gy, dy, s_yy)
             s_red, s_green = fma(share, v_red, s_red), fma(share, v_green, s_green)
             s_blue, s_depth = fma(share, v_blue, s_blue), fma(share, v_depth, s_depth)
-            s_ax = s_ax + magnitude(fma(gx, slope_a, gy * slope_b))
-            s_ay = s_ay + magnitude(fma(gx, slope_b, gy * slope_c))
+            s_ax = s_ax + magnitude(gu * slope_u)
+            s_ay = s_ay + magnitude(fma(gu, slope_uy, gy * slope_y))
         if touched:
             ax0, ay0, ax1, ay1, ax2, ay2 = s_ax, s_ay, zero, zero, zero, zero
             if layer == 1:
                 ax0, ay0, ax1, ay1 = zero, zero, s_ax, s_ay
             elif layer == 2:
                 ax0, ay0, ax2, ay2 = zero, zero, s_ax, s_ay
-            moments = (s_g, s_x, s_y, s_xx, s_xy, s_yy, s_red, s_green, s_blue, s_depth, ax0, ay0, ax1, ay1, ax2, ay2)
+            moments = (s_g, s_u, s_y, s_uu, s_uy, s_yy, s_red, s_green, s_blue, s_depth, ax0, ay0, ax1, ay1, ax2, ay2)
             store(sums, r, load(sums, r) + totals(moments))
 
 

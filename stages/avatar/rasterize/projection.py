@@ -15,10 +15,11 @@ from stages.avatar.rasterize.rendering import ALPHA_MIN, BLUR, COMPENSATION_MIN,
 
 LOG2E = 1.4426950408889634
 ROW = 16  # floats in a record and in a gradient row: one cache line
-# columns of a record
-X, Y, QA, QB, QC, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, REACH_X, REACH_Y, SLANT_X, CUT, INVERSE_DET = range(15)
+# columns of a record; the exponent is LOG_OPACITY + QA u^2 + QC dy^2 with u = dx + SLOPE dy and negative QA and QC: as a
+# sum of squares it never cancels
+X, Y, QA, SLOPE, QC, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, REACH_X, REACH_Y, SLANT_X, CUT, INVERSE_DET = range(15)
 # columns of a Gaussian's gradient; the rest of the row are two absolute sums for each layer
-G, GX, GY, GXX, GXY, GYY, G_RED, G_GREEN, G_BLUE, G_DEPTH, ABS = range(11)
+G, GU, GY, GUU, GUY, GYY, G_RED, G_GREEN, G_BLUE, G_DEPTH, ABS = range(11)
 
 
 @njit(cache=True, inline="always")
@@ -111,7 +112,7 @@ def project(means, axes, opacities, colors, view, K, width, height, antialias, n
             radii[i] = np.ceil(math.sqrt(cut * longest))  # math.ceil would overflow
             r = records[i]
             r[X], r[Y] = px, py
-            r[QA], r[QB], r[QC] = 0.5 * LOG2E * bb / det, -LOG2E * ab / det, 0.5 * LOG2E * aa / det
+            r[QA], r[SLOPE], r[QC] = -0.5 * LOG2E * bb / det, -ab / bb, -0.5 * LOG2E / bb
             r[LOG_OPACITY] = log_opacity
             r[RED], r[GREEN], r[BLUE], r[DEPTH] = colors[i, 0], colors[i, 1], colors[i, 2], z
             # a shade too wide, so that rounding can never drop a pixel that the lane test would draw
@@ -153,12 +154,11 @@ def project_backward(
             b = _plus(fy / z, _turned(view, axes, i, 1), -fy / z * v, forward)
             sharp, aa, bb, ab = _sharp(a, b), _dot(a, a) + blur, _dot(b, b) + blur, _dot(a, b)
             det = sharp + blur * (aa + bb - blur)
-            A, B, C = bb / det, -ab / det, aa / det
-            d_px, d_py = A * s[GX] + B * s[GY], B * s[GX] + C * s[GY]
-            # dL/dSigma = -P (dL/dP) P with dL/dP = -1/2 sum g d d^T
-            e, f = A * s[GXX] + B * s[GXY], A * s[GXY] + B * s[GYY]
-            g, h = B * s[GXX] + C * s[GXY], B * s[GXY] + C * s[GYY]
-            d_aa, d_ab, d_bb = 0.5 * (e * A + f * B), e * B + f * C, 0.5 * (g * B + h * C)
+            A, slope, C = bb / det, -ab / bb, 1 / bb
+            d_px, d_py = A * s[GU], A * slope * s[GU] + C * s[GY]
+            # of A = 1 / (aa - ab^2 / bb), slope and C, from -1/2 sum g u^2, -A sum g u dy and -1/2 sum g dy^2
+            e, f = A * A * s[GUU], A * C * s[GUY]
+            d_aa, d_ab, d_bb = 0.5 * e, slope * e + f, 0.5 * (slope * slope * e + C * C * s[GYY]) + slope * f
             d_opacity = s[G] / opacities[i]  # alpha is proportional to opacity
             if antialias and sharp > COMPENSATION_MIN**2 * det:
                 # log of the compensation = (log sharp - log det) / 2

@@ -18,11 +18,11 @@ from stages.avatar.rasterize.projection import (
     INVERSE_DET,
     LOG2E,
     QA,
-    QB,
     REACH_X,
     REACH_Y,
     ROW,
     SLANT_X,
+    SLOPE,
     X,
     Y,
 )
@@ -47,8 +47,8 @@ def _blocks(records, at, left, top, width, bands):
     window's. Two vectors of whole numbers, first > last where the band is missed.
     """
     reach_x, reach_y, slant = peek(records, at + REACH_X), peek(records, at + REACH_Y), peek(records, at + SLANT_X)
-    a = np.float32(2 / LOG2E) * peek(records, at + QA)
-    b, inverse = np.float32(1 / LOG2E) * peek(records, at + QB), np.float32(1) / a
+    a = np.float32(-2 / LOG2E) * peek(records, at + QA)
+    b, inverse = a * peek(records, at + SLOPE), np.float32(1) / a
     room, det = peek(records, at + CUT) * a, peek(records, at + INVERSE_DET)
     x = peek(records, at + X) - np.float32(left) - HALF
     start = load(bands, 0) + (np.float32(top) + HALF - peek(records, at + Y))
