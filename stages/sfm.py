@@ -158,33 +158,37 @@ def map_cameras(
         job.note("the camera is taken to stand still, as set")
     else:
         solution = solving.solve(task)
-    shift, focal = lens.max_shift(solution.focal, solution.k, width, height), solution.focal
-    grids: dict[str, Grid | None] = dict.fromkeys(solution.names)
+    k, center = solution.k, np.array(solution.center)
+    pinholes = {focal: focal for focal in solution.focals.tolist()}
+    shift = max(lens.max_shift(focal, k, width, height) for focal in pinholes)
     if params.undistort == "never":
         shift = 0.0  # as if there were no lens, and sfm.json says so
+    shared: dict[float, Grid | None] = dict.fromkeys(pinholes)
     if params.undistort == "always" or shift >= lens.NO_SHIFT:
-        center = np.array(solution.center)
-        focal = lens.pinhole_focal(solution.focal, center, solution.k, width, height)
-        grid = lens.remap_grid(solution.focal, center, solution.k, focal, width, height)
-        grids = dict.fromkeys(solution.names, grid)
+        for focal in pinholes:
+            pinholes[focal] = lens.pinhole_focal(focal, center, k, width, height)
+            shared[focal] = lens.remap_grid(focal, center, k, pinholes[focal], width, height)
+    focals = [pinholes[focal] for focal in solution.focals.tolist()]
+    grids = dict(zip(solution.names, (shared[focal] for focal in solution.focals.tolist()), strict=True))
     if solution.model is not None:
-        colmap.make_pinhole(solution.model, focal)
+        colmap.make_pinhole(solution.model, dict(zip([f"{name}.png" for name in solution.names], focals, strict=True)))
+    found = float(np.median(solution.focals))
     source = "given" if params.focal else "estimated"
     if solution.verdict == "static camera" and params.focal is None:
         source = "file" if told else "guessed"
     if source == "guessed":
         job.warn(
-            f"the focal length is a guess ({solution.focal:.0f} px, {GUESSED_FOCAL} x the longer side); "
+            f"the focal length is a guess ({found:.0f} px, {GUESSED_FOCAL} x the longer side); "
             "if you know it, give it with --set sfm.focal=PX"
         )
     facts = {
-        "focal_px": solution.focal,
+        "focal_px": found,
         "focal_source": source,
-        "pinhole_focal_px": focal,
-        "distortion": {"model": "SIMPLE_RADIAL", "params": [solution.k], "max_shift_px": shift},
+        "pinhole_focal_px": float(np.median(focals)),
+        "distortion": {"model": "SIMPLE_RADIAL", "params": [k], "max_shift_px": shift},
         **solution.facts,
     }
-    Ks = np.tile(pinhole(focal, width, height), (len(solution.names), 1, 1))
+    Ks = np.array([pinhole(focal, width, height) for focal in focals])
     return Pinholes(solution.verdict, solution.names, solution.viewmats, Ks, grids, facts, solution.model)
 
 

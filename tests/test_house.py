@@ -18,6 +18,7 @@ ELSEWHERE = {  # a test file that is called after no module of its folder: why
     "hugs_cli/test_trouble.py": "what the world does to whole runs",
     "stages/avatar/effects/test_antialias.py": "a flag that goes from training to every picture",
     "stages/avatar/rasterize/test_machine.py": "all kernels, on whatever machine",
+    "stages/avatar/rasterize/test_needles.py": "one kind of Gaussian, through projection and blend",
     "stages/formats/given_fits/test_malformed_fits.py": "every reader of the room",
     "stages/formats/given_fits/test_tool_fits.py": "every reader of the room",
     "stages/test_datasets.py": "the stages neuman and zju alike",

@@ -138,6 +138,7 @@ def draw(clip: Clip, folder: Path) -> None:
         listing.append({"name": name, "index": 3 * i, "time_s": i / 10, "sharpness": 1.0})
     facts = {"width": WIDTH, "height": HEIGHT, "frames": listing, "video": {"path": "clip.mp4", "frames": 3 * FRAMES}}
     (folder / "frames/frames.json").write_text(json.dumps(facts))
+    (folder / "masks/masks.json").write_text(json.dumps({"source": "blazepose"}))
 
 
 def rate(clip: Clip, folder: Path) -> dict[str, Any]:

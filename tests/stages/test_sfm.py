@@ -101,7 +101,7 @@ def test_a_fixed_camera_needs_no_features(tmp_path):
 def test_a_lens_is_taken_out_where_it_shows_unless_settings_say_otherwise(how, k, straightened, tmp_path, monkeypatch):
     write_clip(tmp_path, walk(3, 0.2))
     names, center = [f"{3 * i:06d}" for i in range(3)], (WIDTH / 2, HEIGHT / 2)
-    found = solving.Solution("static camera", names, np.tile(np.eye(4), (3, 1, 1)), FOCAL, center, k)
+    found = solving.Solution("static camera", names, np.tile(np.eye(4), (3, 1, 1)), np.full(3, FOCAL), center, k)
     monkeypatch.setattr(solving, "solve", lambda task: found)
     facts, _ = run(tmp_path, undistort=how)
     before, after = (read_image(tmp_path / where / f"{names[1]}.png") for where in ("frames/images", "out/images"))

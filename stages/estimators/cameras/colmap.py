@@ -49,6 +49,12 @@ class Model:
         return float(next(iter(self.reconstruction.cameras.values())).params[0])
 
     @property
+    def lenses(self) -> dict[str, np.ndarray]:
+        """Focal length, cx, cy (px) and k of each frame with a pose [4], by the frame's name."""
+        images, cameras = self.reconstruction.images.values(), self.reconstruction.cameras
+        return {image.name.removesuffix(".png"): cameras[image.camera_id].params for image in images if image.has_pose}
+
+    @property
     def points(self) -> int:
         """Number of points; a camera that hardly travels can get poses without any, at an error of 0."""
         return self.reconstruction.num_points3D()
@@ -270,18 +276,24 @@ def pinhole_params(K: np.ndarray) -> list[float]:
     return [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]
 
 
-def make_pinhole(model: pycolmap.Reconstruction, focal: float) -> None:
-    """Replace the model's SIMPLE_RADIAL camera by a centred pinhole of `focal` px, and move its observations along."""
-    for camera in model.cameras.values():
-        f, cx, cy, k = camera.params
-        middle = np.array([camera.width / 2, camera.height / 2])
-        for image in model.images.values():
-            xy = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
-            moved = lens.undistort((xy - [cx, cy]) / f, k) * focal + middle
-            for point, place in zip(image.points2D, moved, strict=True):
-                point.xy = place
+def make_pinhole(model: pycolmap.Reconstruction, focals: dict[str, float]) -> None:
+    """Replace the model's SIMPLE_RADIAL cameras by centred pinholes, and move their observations along.
+
+    `focals` has each picture's new focal length in px by its name; pictures of one camera have the same.
+    """
+    by_camera = {image.camera_id: focals[image.name] for image in model.images.values() if image.name in focals}
+    lenses = {i: tuple(model.cameras[i].params) for i in by_camera}
+    for i, focal in by_camera.items():
+        camera = model.cameras[i]
         camera.model = pycolmap.CameraModelId.PINHOLE
-        camera.params = [focal, focal, *middle]
+        camera.params = [focal, focal, camera.width / 2, camera.height / 2]
+    for image in model.images.values():
+        f, cx, cy, k = lenses[image.camera_id]
+        xy = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+        focal, _, *middle = model.cameras[image.camera_id].params
+        moved = lens.undistort((xy - [cx, cy]) / f, k) * focal + middle
+        for point, place in zip(image.points2D, moved, strict=True):
+            point.xy = place
 
 
 def posed_model(

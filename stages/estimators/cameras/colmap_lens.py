@@ -1,4 +1,4 @@
-"""How well a COLMAP model fixes its lens, and the model with another lens."""
+"""How well a COLMAP model fixes its lens, the model with another lens, and as a bundle for `adjustment.py` and back."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import zlib  # noqa: F401  before pycolmap, see colmap.py
 
 import numpy as np
 import pycolmap
+
+from stages.estimators.cameras.adjustment import Bundle, Observations, rolled
 
 HALF, SOME = 6, 800  # pictures of half a clip at least; points that its focal length is taken from
 
@@ -29,7 +31,7 @@ def lens_covariance(model: pycolmap.Reconstruction) -> np.ndarray | None:
 
 def half_focals(model: pycolmap.Reconstruction) -> tuple[float, float] | None:
     """Focal lengths in px that the first and the second half of a model's pictures have by themselves; None with few."""
-    order = sorted(model.reg_image_ids(), key=lambda i: model.images[i].name)
+    order = _in_order(model)
     found = []
     for half in (order[: len(order) // 2], order[len(order) // 2 :]):
         if len(half) < HALF:
@@ -56,3 +58,64 @@ def hold_lens(model: pycolmap.Reconstruction, focal: float, k: float) -> None:
     options.refine_focal_length = options.refine_extra_params = False
     options.ceres.solver_options.num_threads = 1  # more threads sum in another order
     pycolmap.bundle_adjustment(model, options)
+
+
+def bundle_of(
+    model: pycolmap.Reconstruction, size: tuple[int, int], most: int
+) -> tuple[Bundle, Observations, list[int]]:
+    """The cameras of a model with one SIMPLE_RADIAL lens, in the order of their names, and those of its points seen longest.
+
+    Of these there are `most` at most; also returns the identifiers of the points.
+    """
+    rows = {i: row for row, i in enumerate(_in_order(model))}
+    longest = sorted(model.points3D.items(), key=lambda item: (-item[1].track.length(), item[0]))[:most]
+    seen: dict[tuple[int, int], np.ndarray] = {}
+    for row, (_, point) in enumerate(longest):
+        for element in point.track.elements:
+            seen.setdefault(
+                (row, rows[element.image_id]), model.images[element.image_id].points2D[element.point2D_idx].xy
+            )
+    viewmats = np.tile(np.eye(4), (len(rows), 1, 1))
+    viewmats[:, :3] = [model.images[i].cam_from_world().matrix() for i in rows]
+    focal, _, _, k = next(iter(model.cameras.values())).params
+    point, frame = np.array(list(seen)).T
+    bundle = Bundle(viewmats, np.array([point.xyz for _, point in longest]), np.log([focal]), float(k))
+    return bundle, Observations(frame, point, np.array(list(seen.values())), size), [i for i, _ in longest]
+
+
+def rebuilt(
+    model: pycolmap.Reconstruction, bundle: Bundle, seen: Observations, points: list[int]
+) -> pycolmap.Reconstruction:
+    """A model of `bundle`, made of `model`: with a camera for each frame if the focal length changes.
+
+    What a frame sees of `points` is moved to where its middle row's camera sees it.
+    """
+    new, focals, middle = pycolmap.Reconstruction(), bundle.focals, np.array(seen.size) / 2
+    shared = bool((focals == focals[0]).all())
+    for i, focal in enumerate(focals[:1] if shared else focals, 1):
+        params = [focal, *middle, bundle.k]
+        camera = pycolmap.Camera(
+            model="SIMPLE_RADIAL", width=seen.size[0], height=seen.size[1], params=params, camera_id=i
+        )
+        new.add_camera_with_trivial_rig(camera)
+    still = seen.xy - rolled(bundle, seen)
+    place = np.zeros(len(seen.frame), int)
+    for i, (old, viewmat) in enumerate(zip(_in_order(model), bundle.viewmats, strict=True)):
+        here = seen.frame == i
+        place[here] = np.arange(here.sum())
+        image = pycolmap.Image(
+            name=model.images[old].name, camera_id=1 if shared else i + 1, image_id=i + 1, keypoints=still[here]
+        )
+        new.add_image_with_trivial_frame(image, pycolmap.Rigid3d(viewmat[:3]))
+    tracks = [pycolmap.Track() for _ in points]
+    for point, frame, index in zip(seen.point, seen.frame, place, strict=True):
+        tracks[point].add_element(int(frame) + 1, int(index))
+    for xyz, track, old in zip(bundle.points, tracks, points, strict=True):
+        new.add_point3D(xyz, track, model.points3D[old].color)
+    new.update_point_3d_errors()
+    return new
+
+
+def _in_order(model: pycolmap.Reconstruction) -> list[int]:
+    """Identifiers of the pictures with a pose, in the order of their names."""
+    return sorted(model.reg_image_ids(), key=lambda i: model.images[i].name)

@@ -17,7 +17,6 @@ from stages.estimators.cameras.colmap import Model
 
 USUAL_FOCAL, FOCAL_SPREAD = 0.85, 0.35  # of the longer side, and of its logarithm: 24 mm to 85 mm lie within two of it
 K_SPREAD = 0.02  # phones and cameras straighten their films; what is left is small
-ZOOM = 0.08  # of the focal length, by which halves of a clip without a zoom do not differ
 TRACK_ERROR = 0.001  # of the longer side: tracks drift together, so a lens is known no better than by points so far off
 # px of bend, and share of the focal length: lenses that differ by less take the same pictures
 CORNERS, FOCAL = 1.0, 0.01
@@ -76,21 +75,12 @@ def weigh(focal: float, k: float, covariance: np.ndarray, side: int, prior: Prio
     return Intrinsics(best, float(likely[1]), best * float(spread[0]), float(spread[1]))
 
 
-def compare_halves(job: Job, model: Model, likely: Intrinsics) -> dict[str, float]:
-    """Say if the clip's halves have focal lengths that differ by more than their errors, as those of a zoom do.
-
-    Returns a spread that has half of their difference in it, for sfm.json.
-    """
+def compare_halves(model: Model, likely: Intrinsics) -> dict[str, float]:
+    """A spread that has in it half of what the focal lengths of the clip's halves are apart, for sfm.json."""
     halves = colmap_lens.half_focals(model.reconstruction)
     if halves is None:
         return {}
-    apart = abs(halves[0] - halves[1])
-    if apart > max(ZOOM * likely.focal, 4 * likely.focal_spread):
-        job.warn(
-            f"the focal length seems to change, from {halves[0]:.0f} to {halves[1]:.0f} px in the clip's halves, but is "
-            "modelled as one: does the camera zoom while filming? Cut the clip to a part without"
-        )
-    return {"focal_spread_px": round(float(np.hypot(likely.focal_spread, apart / 2)), 3)}
+    return {"focal_spread_px": round(float(np.hypot(likely.focal_spread, (halves[0] - halves[1]) / 2)), 3)}
 
 
 def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None = None) -> dict[str, float]:
@@ -111,7 +101,7 @@ def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None 
         job.warn(f"how well the clip fixes the focal length could not be computed; it is taken as {focal:.0f} px")
         return {}
     facts = {"focal_spread_px": round(likely.focal_spread, 3), "k_spread": round(likely.k_spread, 5)}
-    facts |= compare_halves(job, model, likely)
+    facts |= compare_halves(model, likely)
     if likely.same_pictures(replace(likely, focal=focal, k=k), width, height):
         return facts
     bent = lens.max_shift(focal, k, width, height)

@@ -11,7 +11,8 @@ import numpy as np
 
 from stages.contract import Job
 from stages.estimators.cameras import colmap
-from stages.estimators.cameras.intrinsics import Prior, settle
+from stages.estimators.cameras.changing import model_changes
+from stages.estimators.cameras.intrinsics import Prior, settle, usual
 from stages.estimators.cameras.ladder import Matched, best_rung, climb
 from stages.estimators.cameras.motion import CameraMotion, Pair, camera_rotations, judge_motion
 from stages.estimators.cameras.parts import Parts
@@ -66,12 +67,12 @@ class Task:
 
 @dataclass
 class Solution:
-    """Solved cameras: the poses of `names`, the lens, the COLMAP model, and facts for sfm.json."""
+    """Solved cameras: poses and focal lengths [C] px of `names`, the lens, the COLMAP model, and facts for sfm.json."""
 
     verdict: str
     names: list[str]
     viewmats: np.ndarray
-    focal: float
+    focals: np.ndarray
     center: tuple[float, float]
     k: float
     model: Any = None
@@ -115,8 +116,9 @@ def solve(task: Task) -> Solution:
 
 def still(task: Task, facts: dict[str, Any]) -> Solution:
     """The cameras of a clip whose camera stands still."""
-    focal = task.known_focal or GUESSED_FOCAL * task.side
-    return Solution("static camera", task.names, fixed_views(len(task.names)), focal, task.center, 0.0, facts=facts)
+    count = len(task.names)
+    focals = np.full(count, task.known_focal or GUESSED_FOCAL * task.side)
+    return Solution("static camera", task.names, fixed_views(count), focals, task.center, 0.0, facts=facts)
 
 
 def stands_still(task: Task, displacement: float, facts: dict[str, Any]) -> Solution:
@@ -170,15 +172,18 @@ def solve_walk(
     best = rung.models[0]
     if not matched.fixed_focal:
         with task.parts.timed("lens"):
-            facts["lens"] = settle(job, best, *task.size, task.told)
-    poses = best.poses
+            prior = task.told or usual(task.side)
+            changed = model_changes(job, best, *task.size, prior)
+            best, facts["lens"] = changed or (best, settle(job, best, *task.size, prior))
+    poses, lenses = best.poses, best.lenses
     if doubts := matched.doubts(best):
         job.warn(f"the best reconstruction looks unreliable: {', '.join(doubts)}")
     kept = [name for name in names if name in poses]
     viewmats = fixed_views(len(kept))
     viewmats[:, :3] = [poses[name] for name in kept]
-    focal, cx, cy, k = (float(value) for value in next(iter(best.reconstruction.cameras.values())).params)
-    return Solution("moving", kept, viewmats, focal, (cx, cy), k, best.reconstruction, facts)
+    focals = np.array([lenses[name][0] for name in kept])
+    cx, cy, k = (float(value) for value in lenses[kept[0]][1:])
+    return Solution("moving", kept, viewmats, focals, (cx, cy), k, best.reconstruction, facts)
 
 
 def solve_turn(
@@ -203,7 +208,8 @@ def solve_turn(
     views = fixed_views(len(names))
     views[:, :3, :3] = turns
     kept = [name for name, there in zip(names, known, strict=True) if there]
-    return Solution("rotation only", kept, views[known], motion.focal_px, task.center, motion.k, facts=facts)
+    focals = np.full(len(kept), motion.focal_px)
+    return Solution("rotation only", kept, views[known], focals, task.center, motion.k, facts=facts)
 
 
 def fixed_views(count: int) -> np.ndarray:

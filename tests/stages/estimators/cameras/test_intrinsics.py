@@ -113,13 +113,11 @@ def test_what_is_no_covariance_is_refused(bad):
         weigh(800.0, 0.0, bad, 960, usual(960))
 
 
-@pytest.mark.parametrize(("halves", "words"), [((700.0, 900.0), "from 700 to 900 px"), ((755.0, 765.0), "")])
-def test_halves_of_a_clip_that_disagree_are_said_and_widen_the_error(tmp_path, monkeypatch, halves, words):
+def test_halves_of_a_clip_that_disagree_widen_the_error(tmp_path, monkeypatch):
     model = model_of(40, 200)
-    monkeypatch.setattr(colmap_lens, "half_focals", lambda model: halves)
-    facts, said = settled(tmp_path, model)
-    assert bool(said) == bool(words) and all(words in text for text in said)
-    assert facts["focal_spread_px"] >= (halves[1] - halves[0]) / 2
+    monkeypatch.setattr(colmap_lens, "half_focals", lambda model: (700.0, 900.0))
+    facts, _ = settled(tmp_path, model)
+    assert facts["focal_spread_px"] >= 100
 
 
 def test_halves_of_a_clip_without_a_zoom_agree_and_few_pictures_have_none():
