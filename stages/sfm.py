@@ -14,6 +14,7 @@ from stages.contract import Job, StageError
 from stages.formats.facts import Listing, MaskFacts, read_facts
 
 if TYPE_CHECKING:
+    from stages.estimators.cameras.intrinsics import Prior
     from stages.estimators.cameras.parts import Parts
     from stages.estimators.cameras.sparse_model import Pinholes
     from stages.formats.datasets.undistorted import Grid
@@ -44,11 +45,21 @@ class Params(contract.Params):
     """Whether outlines are corrected where the static scene shows behind them. auto: ours are, imported masks are kept."""
 
 
-def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | None = None) -> None:
+def run(
+    job: Job,
+    params: Params,
+    *,
+    frames: Path,
+    masks: Path,
+    cameras: Path | None = None,
+    smpl_fit: Path | None = None,
+) -> None:
     """Solve the camera of each frame, with the person masked out, and undistort the frames.
 
     `cameras` of another program (a COLMAP model, transforms.json) take the place of mapping; where they have no points,
-    COLMAP triangulates them. A camera that stood still or only turned is named in sfm.json `verdict` and by a warning.
+    COLMAP triangulates them. Of `smpl_fit` only the focal length counts, if its tool has one and the video tells none: with
+    it a camera that stands still sees the person as the tool did. A camera that stood still or only turned is named in
+    sfm.json `verdict` and by a warning.
     """
     from stages.estimators.cameras.check import compare_colors, triangulate
     from stages.estimators.cameras.given import import_cameras
@@ -65,7 +76,8 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, cameras: Path | 
         check_masks(names, masks, *size)
     with tempfile.TemporaryDirectory(dir=job.out) as scratch:
         if cameras is None:
-            found = map_cameras(job, params, listing, frames, masks, Path(scratch), parts)
+            told = None if params.focal else what_is_told(job, listing, smpl_fit)
+            found = map_cameras(job, params, listing, frames, masks, Path(scratch), parts, told)
         else:
             found = import_cameras(job, Path(cameras), listing, params.min_share, params.cameras_from)
         with parts.timed("pictures"):
@@ -115,6 +127,22 @@ def correct_outlines(job: Job) -> float:
     return share
 
 
+def what_is_told(job: Job, listing: Listing, smpl_fit: Path | None) -> Prior | None:
+    """The focal length that the video's file tells, or else the tool that made `smpl_fit`; None if neither does."""
+    from stages.estimators.cameras.intrinsics import FOCAL_SPREAD, Prior
+    from stages.formats.given_fits.recognize import fit_focal
+
+    size = (listing.width, listing.height)
+    if listing.focal is not None:
+        told = Prior(listing.focal.share * max(size), listing.focal.spread, listing.focal.words)
+    elif smpl_fit is not None and (found := fit_focal(smpl_fit, size)):
+        told = Prior(found[0], FOCAL_SPREAD, f"{found[1]}'s, {smpl_fit.name}")
+    else:
+        return None
+    job.note(f"the file tells its focal length: {told.said}")
+    return told
+
+
 def map_cameras(
     job: Job,
     params: Params,
@@ -123,22 +151,19 @@ def map_cameras(
     masks: Path,
     scratch: Path,
     parts: Parts,
+    told: Prior | None,
 ) -> Pinholes:
-    """Cameras found by COLMAP, and the pinhole that replaces their lens."""
+    """Cameras found by COLMAP, and the pinhole that replaces their lens; `told` is what a file says of it."""
     import numpy as np
 
     from stages.avatar.cameras import lens
     from stages.avatar.cameras.pinhole import pinhole
     from stages.estimators.cameras import colmap, solving
-    from stages.estimators.cameras.intrinsics import Prior
     from stages.estimators.cameras.solving import GUESSED_FOCAL, Task
     from stages.estimators.cameras.sparse_model import Pinholes
 
     names, (width, height) = [frame.name for frame in listing.frames], (listing.width, listing.height)
-    size, told = (width, height), None
-    if listing.focal is not None and params.focal is None:
-        told = Prior(listing.focal.share * max(size), listing.focal.spread, listing.focal.words)
-        job.note(f"the file tells its focal length: {told.said}")
+    size = (width, height)
     task = Task(
         job=job,
         names=names,

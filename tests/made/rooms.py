@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -94,10 +95,10 @@ def walk(count: int, travel: float, turn: float = 6.0) -> np.ndarray:
     return views
 
 
-def run(folder, **settings) -> tuple[dict, list[dict]]:
+def run(folder, smpl_fit: Path | None = None, **settings) -> tuple[dict, list[dict]]:
     events: list[dict] = []
     out = folder / "out"
     out.mkdir()
     job = Job(out, emit=events.append)
-    sfm.run(job, sfm.Params(**settings), frames=folder / "frames", masks=folder / "masks")
+    sfm.run(job, sfm.Params(**settings), frames=folder / "frames", masks=folder / "masks", smpl_fit=smpl_fit)
     return json.loads((out / "sfm.json").read_text()), events

@@ -12,6 +12,7 @@ from stages.estimators.cameras.sparse_model import write_ignored
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points
+from tests.made import fits
 from tests.made.rooms import FOCAL, HEIGHT, K1, WALLS, WIDTH, run, walk, write_clip
 from tests.made.worlds import umeyama
 
@@ -139,3 +140,16 @@ def test_i04_the_person_and_its_rim_are_ignored(tmp_path):
     assert (
         ignored[50, 60] == 0 and ignored[50, 48] == 0 and ignored[50, 45] == 255 and set(np.unique(ignored)) == {0, 255}
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("tool", "source"), [("GVHMR", "file"), ("TRAM", "file"), ("WHAM", "guessed")])
+def test_a_still_camera_has_the_focal_length_of_the_tool_that_fitted_the_person(tool, source, tmp_path):
+    """WHAM takes the picture's diagonal for every clip, which is no more than our guess."""
+    truth = fits.make_truth(frames=2, width=WIDTH, height=HEIGHT)
+    write_clip(tmp_path, np.tile(np.eye(4), (2, 1, 1)))
+    fit = fits.write(tool, fits.contents(tool, truth), tmp_path)
+    facts, events = run(tmp_path, smpl_fit=fit, camera="fixed")
+    assert facts["focal_source"] == source
+    assert facts["focal_px"] == pytest.approx(truth.focal if source == "file" else 1.2 * WIDTH, rel=1e-4)
+    assert any(tool in event.get("text", "") for event in events) == (source == "file")

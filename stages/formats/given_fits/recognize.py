@@ -17,6 +17,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stages.contract import StageError
 from stages.formats.given_fits.easymocap import read_easymocap
 from stages.formats.given_fits.npz import TRANSL, read_plain
@@ -31,6 +33,8 @@ HINT = (
 )
 WHOLE = ("hmr4d_results.pt", "wham_output.pkl", "video_results.npz")
 """Files that hold all frames of a folder."""
+OWN_FOCAL = ("GVHMR", "TRAM")
+"""Tools that tell a focal length of their own for each clip."""
 
 
 def read_smpl_fit(path: Path, size: tuple[int, int]) -> SmplFit:
@@ -46,6 +50,15 @@ def read_smpl_fit(path: Path, size: tuple[int, int]) -> SmplFit:
     if path.suffix == ".json":
         return read_easymocap([path], str(path))
     return _recognised(read_tool_file(path, HINT), path, size)
+
+
+def fit_focal(path: Path, size: tuple[int, int]) -> tuple[float, str] | None:
+    """Focal length in px of pictures of `size` with which a tool saw the person, and the tool; None for one that has none.
+
+    PHALP, ROMP and WHAM take the same camera for every clip.
+    """
+    fit = read_smpl_fit(path, size)
+    return (float(np.median(fit.focal)), fit.tool) if fit.focal is not None and fit.tool in OWN_FOCAL else None
 
 
 def _read_folder(folder: Path, size: tuple[int, int]) -> SmplFit:

@@ -56,3 +56,18 @@ def test_sides_exchanged_for_a_third_of_the_clip_in_one_piece_are_set_right():
     voted, changed = vote_sides(exchanged)
     assert np.flatnonzero(changed).tolist() == [i for i in range(30)[run] if evidence.seen[i]]
     np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
+
+
+def test_the_last_frames_of_somebody_who_walks_away_do_not_turn_front_to_back():
+    """The farther away, the less is seen: landmarks exchanged until the end of the clip, half as visible."""
+    model = read_body_model()
+    clip = bodyfit_clips.make(model, frames=30)
+    names, _ = model_landmarks(model)
+    evidence, _ = vote_sides(gather(clip.tracks, names))
+    exchanged = replace(evidence, xy=evidence.xy.copy(), world=evidence.world.copy(), weight=evidence.weight.copy())
+    exchanged.weight[24:] *= 0.5
+    for values in (exchanged.xy, exchanged.world, exchanged.weight):
+        values[24:] = values[24:][:, mirrored_columns(names)]
+    voted, changed = vote_sides(exchanged)
+    assert np.flatnonzero(changed).tolist() == list(range(24, 30))
+    np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
