@@ -16,6 +16,7 @@ from typer import Option
 
 from hugs_cli import options, pipelines, words
 from hugs_cli.app_compare import ablate, costs
+from hugs_cli.app_compose import compose
 from hugs_cli.app_draw import animate, render
 from hugs_cli.app_fleet import fleet
 from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
@@ -253,6 +254,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "costs": costs,
     "render": render,
     "animate": animate,
+    "compose": compose,
     "view": view,
     "fleet": fleet,
 }

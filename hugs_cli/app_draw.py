@@ -7,7 +7,9 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
+from hugs_cli import film as films
 from hugs_cli import options, words
+from hugs_cli.app_compose import shoot
 from hugs_cli.cache import engine
 from hugs_cli.cache.workspace import Stamp, Workspace, clip_name
 from hugs_cli.console import Console
@@ -17,6 +19,7 @@ from hugs_cli.outputs import check_out, remember_out
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
 
+SIZE = (640, 640)  # px of a film of an avatar alone
 Clip = Annotated[
     Path | None, Argument(metavar="[VIDEO]", help="The video of `hugs run`; not with --avatar.", show_default=False)
 ]
@@ -24,7 +27,11 @@ AvatarFile = Annotated[
     Path | None, Option("--avatar", help="An exported avatar.npz or .glb in place of VIDEO; needs no work folder.")
 ]
 SceneFile = Annotated[
-    Path | None, Option("--scene", help="A scene of Gaussians (.ply, .spz, .npz) in place of the trained one.")
+    Path | None,
+    Option(
+        "--scene",
+        help="A scene of Gaussians (.ply, .spz, .npz) in place of the trained one; for animate also a run's folder.",
+    ),
 ]
 Overwrite = Annotated[bool, Option("--force", help="Write over what others made; never over a source or a result.")]
 
@@ -77,7 +84,10 @@ def animate(
     avatar: AvatarFile = None,
     scene: SceneFile = None,
     at: Annotated[
-        tuple[float, float, float], Option(help="With --avatar and --scene: where the soles stand, m, in its axes.")
+        tuple[float, float, float],
+        Option(
+            help="In a --scene: where the soles stand, m, in its axes; of a run to the left of its person, 0, ahead."
+        ),
     ] = (0, 0, 0),
     out: Annotated[Path | None, Option(help="The video to write (mp4).", show_default="CLIP-MOTION.mp4")] = None,
     only: Annotated[options.Only, Option(help="human: over white; both: in the scene.")] = options.Only.both,
@@ -96,43 +106,40 @@ def animate(
 ) -> None:
     """Let the person perform a motion file.
 
-    `hugs animate VIDEO MOTION`, or `hugs animate --avatar FILE MOTION`. They stay where they stood in the clip. No
-    network runs. A video that it made itself is drawn again; any other file needs --force.
+    `hugs animate VIDEO MOTION`, or `hugs animate --avatar FILE MOTION`. They stand where they stood in the clip, or in
+    the scene of another run: `--scene work/kitchen/default`. No network runs. A video that it made itself is drawn again;
+    any other file needs --force.
     """
     if avatar is not None and motion is None:
         video, motion = None, video
     check_source(video, avatar)
     if motion is None:
         raise UsageError("no motion to perform", "`hugs animate VIDEO moves.bvh`")
-    stages = ("train", "sfm", "smpl")
-    clip = dict(zip(stages, finished(video, work, pipeline, *stages), strict=True)) if video else {}
-    check_files(motion, cameras, avatar, scene)
+    run_folder = None
+    if video is not None:
+        finished(video, work, pipeline, *films.STAGES)
+        run_folder = Workspace(video, work, pipeline).links
+    check_files(motion, cameras, avatar, None if scene is None or scene.is_dir() else scene)
     if only is options.Only.scene:
         raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
     who = clip_name(video) if video else Path(avatar or "avatar").stem
     out = out or Path(f"{who}-{motion.stem}.mp4")
     if out.suffix.lower() != ".mp4":
         raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
-    check_out(out, work, (video, motion, cameras, avatar, scene), force)
-    where = engine.device_of(device.value)
-    console = Console()
-    console.started("animate", ())
-    frames = 0
-
-    def heard(event: dict[str, Any]) -> None:
-        nonlocal frames
-        if event["event"] == "note":
-            console.say(event["text"])
-        else:
-            frames = event["total"]
-            console.heard("animate", event)
-
-    settings = {"fps": fps, "motion_fps": motion_fps, "up": up and up.value, "only": only.value, "at": at}
-    inputs = {**clip, "motion": motion, "avatar": avatar, "scene": scene, "cameras": cameras}
-    run_directly("stages.animate", Job(out, where, emit=heard), settings, **inputs)
-    remember_out(out, work)
-    console.say(f"{words.count(frames, 'frame')}, {words.duration(frames / fps)} at {fps:g} fps")
-    console.result(words.relative(out))
+    person = {"avatar": run_folder or avatar, "motion": str(motion), "motion_fps": motion_fps, "up": up and up.value}
+    film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene": scene}
+    film["camera"] = str(cameras) if cameras else "before"
+    if scene is not None and scene.is_dir():
+        film |= {"people": [person | {"at": (at[0], at[2])}], "camera": str(cameras) if cameras else "still"}
+    elif run_folder is not None:
+        own = {"scene": run_folder, "gaussians": scene, "camera": str(cameras) if cameras else "still"}
+        film |= {"people": [person]} | own
+    else:
+        film |= {"people": [person], "colour": "off", "size": SIZE} | (
+            {} if scene is None else {"ground": {"point": at}}
+        )
+    given = [path for path in (video, motion, cameras, avatar, scene) if path is not None]
+    shoot(films.checked(film, "animate"), None, device.value, work, force, given, "animate")
 
 
 def check_source(video: Path | None, avatar: Path | None) -> None:

@@ -101,9 +101,9 @@ def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None, sol
         if "sog" in formats:
             write_sog(job.out / f"{name}.sog", splats)
     if "usd" in formats:
-        write_usd(job.out / "avatar.usdc", "avatar", [turned(avatar, np.eye(3), below)])
+        write_usd(job.out / "avatar.usdc", {"avatar": turned(avatar, np.eye(3), below)})
     if "usd" in formats and scene:
-        write_usd(job.out / "scene.usdc", "scene", [turned(scene, ground.turn.T, ground.point)])
+        write_usd(job.out / "scene.usdc", {"scene": turned(scene, ground.turn.T, ground.point)})
     if bounded:
         job.note(f"{bounded} opacities of 0 or 1 written to .ply as logits of +-15")
 
@@ -181,9 +181,8 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
             yield splats
 
     if "usd_motion" in params.formats:
-        write_usd(
-            job.out / f"{name}.usdc", "avatar", pictures(), (len(take) - 1) / take.times[-1] if len(take) > 1 else 1
-        )
+        fps = (len(take) - 1) / take.times[-1] if len(take) > 1 else 1.0
+        write_usd(job.out / f"{name}.usdc", {}, {"avatar": pictures()}, fps)
     else:
         for _ in pictures():
             pass
@@ -252,21 +251,31 @@ def _viewer(
         "Result": train.resolve().name,
         "Made by": made_by,
     }
-    shown = viewer.Exhibit(
-        title=title,
-        subtitle=f"{len(rig):,} Gaussians in the person" + ("" if scene is None else f", {len(scene):,} in the scene"),
-        facts=list(facts.items()),
+    effects = read_effects(train / "effects.npz")
+    parts = None
+    if effects.middles is not None and effects.covariances is not None:
+        parts = effects.middles, effects.covariances
+    figure = viewer.Figure(
         rig=rig,
         weights=avatar.lbs_weights,
-        scene=scene,
-        effects=read_effects(train / "effects.npz"),
-        cameras=clip.world_cameras,
-        images=clip.images,
-        absent=np.flatnonzero(clip.body.confidence <= 0).tolist(),
         moves=[clip_move(clip.body, _times(listing, clip.names)), *made_moves(ground, soles)],
         turn=ground.turn,
         spot=ground.point,
         soles=soles.at_rest(),
+        parts=parts,
+    )
+    shown = viewer.Exhibit(
+        title=title,
+        subtitle=f"{len(rig):,} Gaussians in the person" + ("" if scene is None else f", {len(scene):,} in the scene"),
+        facts=list(facts.items()),
+        figures=[figure],
+        scene=scene,
+        effects=effects,
+        cameras=clip.world_cameras,
+        images=clip.images,
+        absent=np.flatnonzero(clip.body.confidence <= 0).tolist(),
+        turn=ground.turn,
+        spot=ground.point,
         made_by=made_by,
     )
     lacks = viewer.write_viewer(path, shown)

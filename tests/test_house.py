@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("stages", "hugs_cli")
-HOUSES = ("avatar", "training", "estimators", "formats", "synthetic")
+HOUSES = ("avatar", "training", "estimators", "formats", "synthetic", "filming")
 LONGEST = 350  # lines
 TABLES: set[str] = set()  # files that are long because they are lists
 KERNELS = ("njit", "jit", "intrinsic", "overload", "vectorize")  # decorators of functions that numba gives their types

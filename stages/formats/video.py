@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -181,10 +182,25 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
 
     An odd width or height gets its last column or row repeated. Raises ValueError without frames or with mixed sizes.
     """
-    path = Path(path)
+    _write_whole(Path(path), lambda part: encode(part, frames, fps, crf))
+
+
+def write_alpha_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Write uint8 [H,W,4] frames, alpha not multiplied into colour, as ProRes 4444 in MOV, which editors read."""
+    _write_whole(Path(path), lambda part: encode_alpha(part, frames, fps))
+
+
+def join_videos(path: Path, parts: Sequence[Path], fps: float) -> None:
+    """Write films of one coding, size and rate, one after the other, as one, without coding anything again."""
+    kind = "mov" if Path(path).suffix.lower() == ".mov" else "mp4"
+    _write_whole(Path(path), lambda part: _joined(part, parts, fps, kind))
+
+
+def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Let `write` make a file that appears under its name when it is whole, and not at all where that fails."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        encode(part, frames, fps, crf)
+        write(part)
         os.replace(part, path)
     finally:
         with suppress(OSError):  # it is there only where something failed
@@ -194,21 +210,73 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
 def encode(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int) -> None:
     """Encode frames into a file, see `write_video`."""
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-        stream, size = None, None
-        for frame in frames:
+        stream = None
+        for frame in _alike(frames, 3):
             if stream is None:
-                size = frame.shape
-                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-                stream.width, stream.height = size[1] + size[1] % 2, size[0] + size[0] % 2
+                stream = _stream(container, "libx264", frame, fps)
                 stream.pix_fmt, stream.options = "yuv420p", {"crf": str(crf), "preset": "fast"}
-                context = stream.codec_context
-                context.colorspace = context.color_primaries = context.color_trc = BT709
-                context.color_range, context.thread_count = 1, THREADS  # 1: studio range
-            if frame.shape != size or frame.dtype != np.uint8:
-                raise ValueError(f"frames are uint8 of one size {size}, not {frame.dtype} {frame.shape}")
-            even = np.pad(frame, ((0, size[0] % 2), (0, size[1] % 2), (0, 0)), mode="edge")
+            even = np.pad(frame, ((0, frame.shape[0] % 2), (0, frame.shape[1] % 2), (0, 0)), mode="edge")
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgb24")
             container.mux(stream.encode(picture.reformat(format="yuv420p", dst_colorspace="ITU709")))
-        if stream is None:
-            raise ValueError("a video needs at least one frame")
-        container.mux(stream.encode(None))
+        container.mux(_begun(stream).encode(None))
+
+
+def encode_alpha(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Encode frames into a file, see `write_alpha_video`."""
+    with av.open(str(path), "w", format="mov") as container:
+        stream = None
+        for frame in _alike(frames, 4):
+            if stream is None:
+                stream = _stream(container, "prores_ks", frame, fps)
+                stream.pix_fmt, stream.options = (
+                    "yuva444p10le",
+                    {"profile": "4444", "alpha_bits": "16", "vendor": "apl0"},
+                )
+            even = np.pad(frame, ((0, frame.shape[0] % 2), (0, frame.shape[1] % 2), (0, 0)), mode="edge")
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgba")
+            container.mux(stream.encode(picture.reformat(format="yuva444p10le", dst_colorspace="ITU709")))
+        container.mux(_begun(stream).encode(None))
+
+
+def _alike(frames: Iterable[np.ndarray], channels: int) -> Iterator[np.ndarray]:
+    size = None
+    for frame in frames:
+        size = size or (*frame.shape[:2], channels)
+        if frame.shape != size or frame.dtype != np.uint8:
+            raise ValueError(f"frames are uint8 of one size {size}, not {frame.dtype} {frame.shape}")
+        yield frame
+
+
+def _stream(container: av.container.OutputContainer, codec: str, frame: np.ndarray, fps: float) -> Any:
+    """A stream for pictures of a frame's size, made even."""
+    stream: Any = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
+    height, width = frame.shape[:2]
+    stream.width, stream.height = width + width % 2, height + height % 2
+    context = stream.codec_context
+    context.colorspace = context.color_primaries = context.color_trc = BT709
+    context.color_range, context.thread_count = 1, THREADS  # 1: studio range
+    return stream
+
+
+def _begun(stream: Any) -> Any:
+    if stream is None:
+        raise ValueError("a video needs at least one frame")
+    return stream
+
+
+def _joined(path: Path, parts: Sequence[Path], fps: float, kind: str) -> None:
+    with av.open(str(path), "w", format=kind, options={"movflags": "+faststart"} if kind == "mp4" else {}) as out:
+        stream: Any = None
+        begin = Fraction(0)  # s
+        for part in parts:
+            with av.open(str(part)) as film:
+                own: Any = film.streams.video[0]
+                stream = stream or out.add_stream_from_template(own)
+                shift, count = round(begin / own.time_base), 0
+                for packet in film.demux(own):
+                    if packet.dts is None or packet.pts is None:  # the end
+                        continue
+                    packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
+                    packet.stream, count = stream, count + 1
+                    out.mux(packet)
+                begin += count / Fraction(fps).limit_denominator(1001)

@@ -65,8 +65,10 @@ def run(folders: dict[str, Path]) -> viewer.Exhibit:
 
 def rename(shown: viewer.Exhibit) -> viewer.Exhibit:
     """The same under a name made to break the page, which no file system would allow, wherever a name stands."""
-    first, *others = shown.moves
-    return replace(shown, title=NAME, subtitle=NAME, facts=[(NAME, NAME)], moves=[replace(first, name=NAME), *others])
+    (figure,) = shown.figures
+    first, *others = figure.moves
+    named = replace(figure, moves=[replace(first, name=NAME), *others])
+    return replace(shown, title=NAME, subtitle=NAME, facts=[(NAME, NAME)], figures=[named])
 
 
 def spread(weights: np.ndarray) -> np.ndarray:

@@ -140,10 +140,10 @@ def test_in_usd_the_floor_of_the_scene_is_at_height_0(clip, tmp_path, monkeypatc
     monkeypatch.setattr("stages.formats.exchange.usd.write_usd", lambda path, *what: written.update({path.name: what}))
     made(clip, tmp_path, formats=["usd"])
     ground, scene = read_ground(clip["smpl"] / "ground.json"), read_scene(clip["train"] / "scene.npz")
-    (found,) = written["scene.usdc"][1]
+    found = written["scene.usdc"][0]["scene"]
     np.testing.assert_allclose(found.means[:, 1], ground.point[1] - scene.means[:, 1], atol=1e-6)
     np.testing.assert_allclose(found.means[:, 2], (scene.means - ground.point) @ ground.ahead, atol=1e-6)
-    (avatar,) = written["avatar.usdc"][1]
+    avatar = written["avatar.usdc"][0]["avatar"]
     assert abs(np.sort(avatar.means[:, 1])[5]) < 0.03
     np.testing.assert_array_equal(avatar.quats, read_avatar(clip["train"] / "avatar.npz").quats)
 

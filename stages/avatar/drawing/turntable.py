@@ -1,10 +1,9 @@
-"""Cameras around a person and before them, in a frame whose y is up."""
+"""Cameras around a person, in a frame whose y is up."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from stages.avatar.cameras.pinhole import look_at
 from stages.avatar.drawing.draw import Pose
 from stages.avatar.rasterize import Camera
 
@@ -12,7 +11,6 @@ SIDE = 640  # px
 FOCAL = 2.2  # of the side
 AWAY = 2.7  # of the person's height
 STAND = {2: 0.25, 5: -0.25, 47: -0.9, 50: 0.9}  # entries of body_pose, rad
-AHEAD = np.array([0.4, 0.15, 1.0])  # from the person to the camera of `before`
 
 
 def standing() -> Pose:
@@ -34,14 +32,6 @@ def around(means: np.ndarray, count: int) -> list[Camera]:
         view[:3, 3] = [0, 0, away] - view[:3, :3] @ ((low + high) / 2)
         cameras.append(Camera.of(view, _lens(), SIDE, SIDE))
     return cameras
-
-
-def before(points: np.ndarray) -> Camera:
-    """A camera before a person, a little aside, that sees all points[P,3] of a motion with room around."""
-    low, high = points.min(0), points.max(0)
-    middle, reach = (low + high) / 2, max(np.linalg.norm(high - low) / 2, 0.5)
-    eye = middle + AHEAD / np.linalg.norm(AHEAD) * reach * 1.2 * (2 * FOCAL)
-    return Camera.of(look_at(eye, middle, np.array([0.0, 1, 0])), _lens(), SIDE, SIDE)
 
 
 def _lens() -> np.ndarray:

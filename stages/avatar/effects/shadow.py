@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor, nn
 from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.model.person import bone_transforms
 from stages.avatar.splats.gaussians import Splats
-from stages.avatar.splats.sh import SH_C0
+from stages.avatar.splats.sh import with_gain
 
 DARKNESS, SOFTNESS, DENSITY, SIZE = 0.5, 0.04, 3.0, 0.6  # to begin with
 REACH = 3.0  # standard deviations beyond which a bone casts nothing
@@ -100,6 +101,10 @@ class Shadow(nn.Module):
 
     def light_shares(self, points: Tensor, body: Casters) -> Tensor:
         """Share [M] of the light that reaches points[M,3] past the posed `body`, from 1 - darkness to 1."""
+        return 1 - self.darkness.sigmoid() * (1 - (-self.thickness(points, body)).exp())
+
+    def thickness(self, points: Tensor, body: Casters) -> Tensor:
+        """Optical depth [M] of the posed `body` between the lamp and points[M,3]."""
         turn = rotation_z_to(self.light())
         at, middles = points @ turn, body.middles @ turn
         spread = self.size.exp() * (turn.T @ body.covariances @ turn)
@@ -111,7 +116,7 @@ class Shadow(nn.Module):
         before = torch.sigmoid(dz / ABOVE)
         before = before * (body.covariances.diagonal(dim1=1, dim2=2).sum(1) > 0)
         thick = self.density.exp() * (-0.5 * distance).exp() * before
-        return 1 - self.darkness.sigmoid() * (1 - (-thick.sum(1)).exp())
+        return thick.sum(1)
 
     def rows_in_reach(self, points: Tensor, body: Casters) -> Tensor:
         """Rows of points[N,3] that any part of the posed `body` may shade."""
@@ -131,9 +136,16 @@ class Shadow(nn.Module):
         rows = self.rows_in_reach(points, body)
         return torch.ones_like(points[:, 0]).index_put((rows,), self.light_shares(points[rows], body))
 
+    @torch.no_grad()
+    def light_past(self, points: Tensor, bodies: Iterable[Casters]) -> Tensor:
+        """Share [N] of the light that reaches points[N,3] past several posed bodies: what lies behind two is behind more."""
+        thick = torch.zeros_like(points[:, 0])
+        for body in bodies:
+            rows = self.rows_in_reach(points, body)
+            thick[rows] += self.thickness(points[rows], body)
+        return 1 - self.darkness.sigmoid() * (1 - (-thick).exp())
+
     def forward(self, scene: Splats, stance: Stance) -> Splats:
         """The scene with its colours multiplied by their share of light."""
-        share = self.light_left(scene.means.detach(), stance)[:, None, None]
-        dimmed = scene.sh * share
-        base = dimmed[:, :1] + (share - 1) * (0.5 / SH_C0)  # a colour is 0.5 + SH_C0 sh0 + higher terms
-        return scene._replace(sh=torch.cat([base, dimmed[:, 1:]], 1))
+        share = self.light_left(scene.means.detach(), stance)
+        return scene._replace(sh=with_gain(scene.sh, share[:, None]))

@@ -126,6 +126,13 @@ def on_floor(motion: Performance, fps: float, soles: Soles) -> Placed:
     return Placed(orient, pose, transl, float(np.ptp(floor)))
 
 
+def seen_in_order(body: records.BodyPoses, times: np.ndarray) -> np.ndarray:
+    """The frames that show the person, in the order of `times` [F] s, one of each moment that several cameras took."""
+    seen = np.flatnonzero(body.confidence > 0)
+    seen = seen[np.argsort(times[seen], kind="stable")]
+    return seen[np.diff(times[seen], prepend=-np.inf) > 0]
+
+
 def filmed(body: records.BodyPoses, rows: np.ndarray, ground: records.Ground, soles: Soles) -> Performance:
     """What the person did in frames `rows` of their clip, seen from its floor: y up, floor at y = 0, z ahead."""
     back = Rotation.from_matrix(ground.turn.T)

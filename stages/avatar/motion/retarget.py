@@ -135,10 +135,14 @@ def leg_of(joints: np.ndarray) -> float:
 
 def resample(motion: Performance, fps: float, wanted: float) -> Performance:
     """The performance at `wanted` frames a second instead of `fps`, turning evenly between frames; same length in time."""
-    count = len(motion.hips)
-    if count == 1:
+    return resample_at(motion, np.arange(len(motion.hips)) / fps, wanted)
+
+
+def resample_at(motion: Performance, times: np.ndarray, wanted: float) -> Performance:
+    """As `resample`, of frames at any rising `times` [F] s."""
+    if len(times) == 1:
         return motion
-    times = np.arange(count) / fps
+    times = times - times[0]
     new = np.arange(np.floor(times[-1] * wanted + 1e-6) + 1) / wanted
     new = new.clip(max=times[-1])
     turned = [Slerp(times, Rotation.from_matrix(motion.rotations[:, joint]))(new).as_matrix() for joint in range(24)]

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from stages import records
 from stages.avatar.motion.formulas import MOTIONS
-from stages.avatar.motion.placing import Soles, face_ahead, filmed, on_floor
+from stages.avatar.motion.placing import Soles, face_ahead, filmed, on_floor, seen_in_order
 
 SECONDS, FPS = 4.0, 30.0  # of a made motion
 
@@ -18,9 +18,7 @@ def clip_take(body: records.BodyPoses, times: np.ndarray, ground: records.Ground
     Frames without evidence are left out, and so are those not later than one before them (other cameras of a moment).
     It begins where the T-pose stands, looks ahead there, and keeps its feet on the T-pose's floor.
     """
-    seen = np.flatnonzero(body.confidence > 0)
-    seen = seen[np.argsort(times[seen], kind="stable")]
-    rows = seen[np.diff(times[seen], prepend=-np.inf) > 0]
+    rows = seen_in_order(body, times)
     if len(rows) == 0:
         return None
     passed = float(np.ptp(times[rows]))
@@ -28,7 +26,7 @@ def clip_take(body: records.BodyPoses, times: np.ndarray, ground: records.Ground
     placed = on_floor(motion, (len(rows) - 1) / passed if passed > 0 else 1.0, soles)
     pelvis = placed.transl + soles.joints[0] * [0, 1, 0] + [0, soles.floor, 0]
     pelvis += (soles.joints[0] - pelvis[0]) * [1, 0, 1]
-    return _take("clip", times[rows] - times[rows[0]], placed.global_orient, placed.body_pose, pelvis)
+    return take_of("clip", times[rows] - times[rows[0]], placed.global_orient, placed.body_pose, pelvis)
 
 
 def made_takes(pelvis: np.ndarray) -> list[records.Take]:
@@ -36,11 +34,12 @@ def made_takes(pelvis: np.ndarray) -> list[records.Take]:
     takes = []
     for name, make in MOTIONS.items():
         turns, poses, places = (part.numpy().astype(np.float64) for part in make(SECONDS, FPS))
-        takes.append(_take(name, np.arange(len(turns)) / FPS, turns, poses, pelvis + places))
+        takes.append(take_of(name, np.arange(len(turns)) / FPS, turns, poses, pelvis + places))
     return takes
 
 
-def _take(name: str, times: np.ndarray, orient: np.ndarray, pose: np.ndarray, pelvis: np.ndarray) -> records.Take:
+def take_of(name: str, times: np.ndarray, orient: np.ndarray, pose: np.ndarray, pelvis: np.ndarray) -> records.Take:
+    """The take of rotation vectors orient [F,3] and pose [F,69] rad, and pelvis [F,3] m, at `times` [F] s."""
     rotvecs = np.concatenate([orient, pose], 1).reshape(-1, 3)
     quats = Rotation.from_rotvec(rotvecs).as_quat(scalar_first=True).reshape(len(times), -1, 4)
     near = np.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)  # q and -q are one turn; players interpolate

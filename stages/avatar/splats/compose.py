@@ -29,14 +29,19 @@ def painted_pixels(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) ->
 def compose(
     human: Splats | None, scene: Splats | None, camera: Camera, layers: Sequence[Layer] = (Layer(),)
 ) -> list[Rendering]:
-    """Draw person and scene together, the person's rows first, sorted by depth as one set: a picture for each layer.
-
-    Colours are evaluated per set, so each has its own spherical-harmonics degree; all layers share colours, projection,
-    order and `antialias`. Raises ValueError when both sets are None.
-    """
+    """Draw person and scene together, the person's rows first, as `draw_together`. Raises ValueError when both are None."""
     sets = [s for s in (human, scene) if s is not None]
     if not sets:
         raise ValueError("compose needs a person or a scene")
+    return draw_together(sets, camera, layers)
+
+
+def draw_together(sets: Sequence[Splats], camera: Camera, layers: Sequence[Layer] = (Layer(),)) -> list[Rendering]:
+    """Draw sets of Gaussians, one or more, sorted by depth as one: a picture for each layer, rows in the order of the sets.
+
+    Colours are evaluated per set, so each has its own spherical-harmonics degree; all layers share colours, projection,
+    order and `antialias`.
+    """
     antialias = any(s.antialias for s in sets)
     centre = camera_centers(camera.viewmat)
     colors = [s.colors(centre) for s in sets]

@@ -96,3 +96,11 @@ def rotate_sh(higher: Tensor, rotations: Tensor) -> Tensor:
 def sh_from_rgb(rgb: Tensor) -> Tensor:
     """Degree-0 coefficient of a colour in 0..1."""
     return (rgb - 0.5) / SH_C0
+
+
+def with_gain(sh: Tensor, gain: Tensor) -> Tensor:
+    """Coefficients sh[N,K,3] whose colours are `gain` times as bright; gain [N,1], [N,3] or [3]."""
+    gain = gain[..., None, :]
+    scaled = sh * gain
+    base = scaled[:, :1] + (gain - 1) * (0.5 / SH_C0)  # a colour is 0.5 + SH_C0 sh0 + higher terms
+    return torch.cat([base, scaled[:, 1:]], 1)

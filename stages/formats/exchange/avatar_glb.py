@@ -20,49 +20,85 @@ from stages.contract import StageError
 from stages.formats.exchange.bone_names import Names, bone_names
 from stages.formats.exchange.glb import HINT, Arrays, Glb, write_glb
 from stages.formats.splats import impossible
-from stages.records import BETAS, JOINTS, Avatar, Mesh, Rig, Take
+from stages.records import BETAS, JOINTS, Avatar, Mesh, Rig, Scene, Take
 
 SPLATS = "KHR_gaussian_splatting"
 FORMAT = 1  # of what stands under "hugs" in the file
 SH_C0 = 0.28209479
 VERTICES, TRIANGLES = 34962, 34963  # glTF's targets of buffer views
 POINTS = 0  # glTF's mode
+Stand = tuple[list[float], list[float], float]
+"""Where somebody stands: place [3] m, turn as x y z w, and how many times as large they are."""
 
 
 def write_avatar_glb(
     path: Path, rig: Rig, mesh: Mesh, takes: Sequence[Take], names: Names = "smpl", floor: float = 0.0
 ) -> None:
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
-    arrays = Arrays()
-    first = 3  # the nodes before the joints: mesh, Gaussians and what stands on the floor
-    content: dict[str, Any] = {
+    arrays, content = Arrays(), start()
+    content["extras"] = {"hugs": {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}}
+    stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
+    first = add_figure(content, arrays, rig, mesh, names, stand)
+    content["scenes"][0]["name"] = "avatar"
+    if takes:  # glTF knows no empty lists
+        content["animations"] = [{"name": take.name, **animation(take, arrays, first)} for take in takes]
+    write_glb(path, content, arrays)
+
+
+def write_film_glb(
+    path: Path, figures: Sequence[tuple[str, Rig, Mesh | None, Take, Stand]], scene: Scene | None
+) -> None:
+    """Write people with a motion each, one animation for all, and a scene of Gaussians; y up, floor at 0.
+
+    Of each person: name, rig, mesh, motion on a floor at height 0, and where they stand.
+    """
+    arrays, content = Arrays(), start()
+    content["scenes"][0]["name"] = "film"
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
+    for name, rig, mesh, take, (place, quat, scale) in figures:
+        stand = {"name": name, "translation": place, "rotation": quat, "scale": [scale] * 3}
+        moves = animation(take, arrays, add_figure(content, arrays, rig, mesh, "smpl", stand))
+        channels += [channel | {"sampler": channel["sampler"] + len(samplers)} for channel in moves["channels"]]
+        samplers += moves["samplers"]
+    content["animations"] = [{"name": "film", "samplers": samplers, "channels": channels}]
+    if scene is not None:
+        content["scenes"][0]["nodes"].append(len(content["nodes"]))
+        content["nodes"].append({"name": "scene", "mesh": len(content["meshes"])})
+        content["meshes"].append({"name": "scene", "primitives": [_points(scene, arrays, {})]})
+    write_glb(path, content, arrays)
+
+
+def start() -> dict[str, Any]:
+    """The JSON of a file without figures."""
+    return {
         "asset": {"version": "2.0", "generator": "hugs"},
         "extensionsUsed": [SPLATS],
-        "extras": {"hugs": {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}},
         "scene": 0,
-        "scenes": [{"name": "avatar", "nodes": [0, 1, 2]}],
-        "nodes": [
-            {"name": "body", "mesh": 0, "skin": 0},
-            {"name": "gaussians", "mesh": 1, "skin": 0},
-            {"name": "stand", "translation": [0.0, -floor, 0.0], "children": [first]},
-            *_joints(rig, bone_names(names), first),
-        ],
-        "skins": [
-            {
-                "inverseBindMatrices": arrays.add(_inverse_binds(rig.joints)),
-                "skeleton": first,
-                "joints": list(range(first, first + JOINTS)),
-            }
-        ],
+        "scenes": [{"nodes": []}],
+        "nodes": [],
+        "skins": [],
         "materials": [{"name": "skin", "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}],
-        "meshes": [
-            {"name": "body", "primitives": [_surface(mesh, arrays)]},
-            {"name": "gaussians", "primitives": [_gaussians(rig, arrays)]},
-        ],
+        "meshes": [],
     }
-    if takes:  # glTF knows no empty lists
-        content["animations"] = [_animation(take, arrays, first) for take in takes]
-    write_glb(path, content, arrays)
+
+
+def add_figure(
+    content: dict[str, Any], arrays: Arrays, rig: Rig, mesh: Mesh | None, names: Names, stand: dict[str, Any]
+) -> int:
+    """Add mesh, Gaussians and skeleton of a person below the node `stand`; returns the node of the first joint."""
+    nodes, meshes, skins = (content[kind] for kind in ("nodes", "meshes", "skins"))
+    shapes = {} if mesh is None else {"body": _surface(mesh, arrays)}
+    shapes["gaussians"] = _points(rig, arrays, _weights(rig, arrays))
+    begin, skin = len(nodes), len(skins)
+    first = begin + len(shapes) + 1
+    nodes += [{"name": name, "mesh": len(meshes) + i, "skin": skin} for i, name in enumerate(shapes)]
+    nodes += [stand | {"children": [first]}, *_joints(rig, bone_names(names), first)]
+    binds = arrays.add(_inverse_binds(rig.joints))
+    skins.append({"inverseBindMatrices": binds, "skeleton": first, "joints": list(range(first, first + JOINTS))})
+    meshes += [{"name": name, "primitives": [primitive]} for name, primitive in shapes.items()]
+    content["scenes"][0]["nodes"] += range(begin, first)
+    return first
 
 
 def _joints(rig: Rig, names: Sequence[str], first: int) -> list[dict[str, Any]]:
@@ -96,24 +132,26 @@ def _surface(mesh: Mesh, arrays: Arrays) -> dict[str, Any]:
     return {"attributes": attributes, "indices": indices, "material": 0}
 
 
-def _gaussians(rig: Rig, arrays: Arrays) -> dict[str, Any]:
+def _points(splats: Scene, arrays: Arrays, weights: dict[str, int]) -> dict[str, Any]:
+    """A primitive of Gaussians, skinned where there are `weights`."""
+
     def add(values: np.ndarray) -> int:
         return arrays.add(values.astype(np.float32), target=VERTICES)
 
-    shown = np.clip(0.5 + SH_C0 * rig.sh0, 0, 1)
+    shown = np.clip(0.5 + SH_C0 * splats.sh0, 0, 1)
     attributes = {
-        "POSITION": arrays.add(rig.means.astype(np.float32), bounds=True, target=VERTICES),
-        "COLOR_0": arrays.add(_linear(shown, rig.opacities), scaled=True, target=VERTICES),
-        **_weights(rig, arrays),
-        f"{SPLATS}:ROTATION": add(rig.quats[:, [1, 2, 3, 0]]),
-        f"{SPLATS}:SCALE": add(rig.scales),
-        f"{SPLATS}:OPACITY": add(rig.opacities),
-        f"{SPLATS}:SH_DEGREE_0_COEF_0": add(rig.sh0),
+        "POSITION": arrays.add(splats.means.astype(np.float32), bounds=True, target=VERTICES),
+        "COLOR_0": arrays.add(_linear(shown, splats.opacities), scaled=True, target=VERTICES),
+        **weights,
+        f"{SPLATS}:ROTATION": add(splats.quats[:, [1, 2, 3, 0]]),
+        f"{SPLATS}:SCALE": add(splats.scales),
+        f"{SPLATS}:OPACITY": add(splats.opacities),
+        f"{SPLATS}:SH_DEGREE_0_COEF_0": add(splats.sh0),
     }
     for degree in range(1, 4):
         for i, row in enumerate(range(degree**2 - 1, (degree + 1) ** 2 - 1)):
-            if row < rig.shN.shape[1]:
-                attributes[f"{SPLATS}:SH_DEGREE_{degree}_COEF_{i}"] = add(rig.shN[:, row])
+            if row < splats.shN.shape[1]:
+                attributes[f"{SPLATS}:SH_DEGREE_{degree}_COEF_{i}"] = add(splats.shN[:, row])
     attributes["_SCALE"] = attributes[f"{SPLATS}:SCALE"]
     kind = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
     return {"mode": POINTS, "attributes": attributes, "extensions": {SPLATS: kind}}
@@ -134,7 +172,8 @@ def _linear(colors: np.ndarray, alphas: np.ndarray) -> np.ndarray:
     return np.rint(np.concatenate([linear, alphas[:, None]], 1) * 65535).astype(np.uint16)
 
 
-def _animation(take: Take, arrays: Arrays, first: int) -> dict[str, Any]:
+def animation(take: Take, arrays: Arrays, first: int) -> dict[str, Any]:
+    """Samplers and channels of a motion for the joints from node `first`."""
     times = arrays.add(take.times.astype(np.float32), bounds=True)
     samplers = [{"input": times, "output": arrays.add(take.pelvis.astype(np.float32))}]
     channels = [{"sampler": 0, "target": {"node": first, "path": "translation"}}]
@@ -142,7 +181,7 @@ def _animation(take: Take, arrays: Arrays, first: int) -> dict[str, Any]:
         turns = take.rotations[:, joint, [1, 2, 3, 0]].astype(np.float32)
         channels.append({"sampler": len(samplers), "target": {"node": first + joint, "path": "rotation"}})
         samplers.append({"input": times, "output": arrays.add(turns)})
-    return {"name": take.name, "samplers": samplers, "channels": channels}
+    return {"samplers": samplers, "channels": channels}
 
 
 def read_avatar_glb(path: Path) -> Avatar:

@@ -6,7 +6,7 @@ https://openusd.org. It needs the package usd-core, the extra `usd`.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,12 @@ def check_usd() -> None:
         raise StageError("this usd-core knows no Gaussians", "pip install 'usd-core>=26.3'")
 
 
-def write_usd(path: Path, name: str, frames: Iterable[Scene], fps: float | None = None) -> None:
-    """Write Gaussians, y up, metres, as /World/`name`; with `fps` one sample a frame, else the first alone.
+def write_usd(
+    path: Path, still: Mapping[str, Scene], moving: Mapping[str, Iterable[Scene]] | None = None, fps: float = 24.0
+) -> None:
+    """Write Gaussians, y up, metres, as /World/NAME: `still` ones, and `moving` ones with a sample a frame, `fps` a second.
 
-    The frames of one file have the same Gaussians: opacities and colours are the first one's. Moving places, turns and
+    The frames of one name have the same Gaussians: opacities and colours are the first one's. Moving places, turns and
     scales are half floats. Colours are what was captured: lights do not change them.
     """
     Gf, Sdf, Usd, UsdGeom, UsdVol, Vt = (
@@ -41,24 +43,23 @@ def write_usd(path: Path, name: str, frames: Iterable[Scene], fps: float | None 
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     world = UsdGeom.Xform.Define(stage, "/World")
     stage.SetDefaultPrim(world.GetPrim())
-    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, Sdf.Path(f"/World/{name}"))
-    count = 0
-    for number, splats in enumerate(frames):
-        time = Usd.TimeCode.Default() if fps is None else Usd.TimeCode(number)
-        _place(field, splats, time, Gf, Vt, half=fps is not None)
-        if number == 0:
-            field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(_f32(splats.opacities)))
-            sh = np.concatenate([splats.sh0[:, None], splats.shN], 1)
-            field.CreateRadianceSphericalHarmonicsDegreeAttr(round(sh.shape[1] ** 0.5) - 1)
-            coefficients = Vt.Vec3fArray.FromNumpy(_f32(sh.reshape(-1, 3)))
-            field.CreateRadianceSphericalHarmonicsCoefficientsAttr(coefficients)
-        count = number + 1
-        if fps is None:
-            break
-    if fps is not None:
+    last = 0
+    for name, frames in [(name, [splats]) for name, splats in still.items()] + list((moving or {}).items()):
+        field = UsdVol.ParticleField3DGaussianSplat.Define(stage, Sdf.Path(f"/World/{name}"))
+        for number, splats in enumerate(frames):
+            time = Usd.TimeCode.Default() if name in still else Usd.TimeCode(number)
+            _place(field, splats, time, Gf, Vt, half=name not in still)
+            last = max(last, number)
+            if number == 0:
+                field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(_f32(splats.opacities)))
+                sh = np.concatenate([splats.sh0[:, None], splats.shN], 1)
+                field.CreateRadianceSphericalHarmonicsDegreeAttr(round(sh.shape[1] ** 0.5) - 1)
+                coefficients = Vt.Vec3fArray.FromNumpy(_f32(sh.reshape(-1, 3)))
+                field.CreateRadianceSphericalHarmonicsCoefficientsAttr(coefficients)
+    if moving:
         stage.SetTimeCodesPerSecond(fps)
         stage.SetStartTimeCode(0)
-        stage.SetEndTimeCode(max(count - 1, 0))
+        stage.SetEndTimeCode(last)
     stage.GetRootLayer().Save()
 
 

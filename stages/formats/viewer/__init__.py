@@ -1,4 +1,4 @@
-"""viewer.html: the person, their scene and their motions in one file that a browser opens without a network."""
+"""viewer.html: people, their scene and their motions in one file that a browser opens without a network."""
 
 from __future__ import annotations
 
@@ -38,29 +38,45 @@ PICTURES, SIDE, QUALITY, BYTES = 60, 480, 80, 900_000  # frames shown, px of the
 
 
 @dataclass(frozen=True)
-class Exhibit:
-    """All that the page shows. The world is that of the clip, in metres.
+class Figure:
+    """One person of a page.
 
-    `weights` [N,24] skin the Gaussians of `rig`, rows sum to 1. `cameras` in metres, one a frame of the clip, and its
-    frames `images(i)` uint8 [H,W,3]; `absent` are frames that show nobody. The first of `moves` is the clip's own, a pose a
-    frame. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person stood. `soles`: points [P,3]
-    m of the body at rest, and their weights [P,24]. `facts` are names and values in words.
+    `weights` [N,24] skin the Gaussians of `rig`, rows sum to 1. All figures have as many `moves`, of the same names and
+    lengths. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person stands; they are `scale` times
+    as large there. `soles`: points [P,3] m of the body at rest, and their weights [P,24]. `parts` cast the shadow: middles
+    [24,3] m and covariances [24,3,3] m^2 at rest.
+    """
+
+    rig: Rig
+    weights: np.ndarray
+    moves: Sequence[Move]
+    turn: np.ndarray
+    spot: np.ndarray
+    soles: tuple[np.ndarray, np.ndarray]
+    parts: tuple[np.ndarray, np.ndarray] | None
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """All that the page shows. The world is that of the clip, in metres; `turn` [3,3] and `spot` [3] m lead to it from one with
+    y up and the floor at 0.
+
+    `cameras` in metres, one a frame of the first motion, and of a clip its frames `images(i)` uint8 [H,W,3]; `absent` are
+    frames that show nobody. `effects` have the lamp. `facts` are names and values in words.
     """
 
     title: str
     subtitle: str
     facts: Sequence[tuple[str, str]]
-    rig: Rig
-    weights: np.ndarray
+    figures: Sequence[Figure]
     scene: Scene | None
     effects: Effects
     cameras: Cameras
-    images: Callable[[int], np.ndarray]
+    images: Callable[[int], np.ndarray] | None
     absent: Sequence[int]
-    moves: Sequence[Move]
     turn: np.ndarray
     spot: np.ndarray
-    soles: tuple[np.ndarray, np.ndarray]
     made_by: str
 
 
@@ -77,6 +93,7 @@ def write_viewer(path: Path, shown: Exhibit) -> list[str]:
         title=shown.title, subtitle=shown.subtitle, facts=shown.facts, lacks=lacks, made_by=shown.made_by, policy=POLICY,
         style=Markup(_text(STYLE)), boot=Markup(_text(BOOT)), licences=licences(),
         icon={name: Markup(drawn) for name, drawn in json.loads(_text(ICONS)).items()},
+        compared=shown.images is not None,
         facts_json=_json(_facts(shown, scene, packer)), modules_json=_json(modules), libraries_json=_json(packed()),
         data=base64.b64encode(packer.data).decode(),
     )  # fmt: skip
@@ -85,27 +102,33 @@ def write_viewer(path: Path, shown: Exhibit) -> list[str]:
 
 
 def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
-    packer, rig = Packer(), shown.rig
-    packer.gaussians("person", rig, 16)
-    packer.whole("person/weights", np.rint(np.sqrt(np.asarray(shown.weights, np.float64)) * TEN_BITS), 16)
-    packer.exact("person/joints", rig.joints)
-    if rig.clothes is not None:
-        for name in ("nodes", "mean", "axes", "low", "high", "offsets"):
-            packer.exact(f"person/{name}", getattr(rig.clothes, name))
+    packer = Packer()
+    for number, figure in enumerate(shown.figures):
+        _pack_figure(packer, figure, number)
     if scene is not None:
         packer.gaussians("scene", scene, 24)
-    if shown.effects.middles is not None and shown.effects.covariances is not None:
-        packer.exact("shadow/middles", shown.effects.middles)
-        packer.exact("shadow/covariances", shown.effects.covariances)
-    for i, move in enumerate(shown.moves):
-        packer.exact(f"motion{i}/rotvecs", move.rotvecs)
-        packer.exact(f"motion{i}/steps", move.steps)
     Ks = shown.cameras.Ks
     packer.exact("clip/views", shown.cameras.viewmats)
     packer.exact("clip/lenses", np.stack([Ks[:, 0, 0], Ks[:, 1, 1], Ks[:, 0, 2], Ks[:, 1, 2]], 1))
-    for name, values in zip(("points", "weights"), shown.soles, strict=True):
-        packer.exact(f"soles/{name}", values)
     return packer
+
+
+def _pack_figure(packer: Packer, figure: Figure, number: int) -> None:
+    rig = figure.rig
+    packer.gaussians(f"person{number}", rig, 16)
+    packer.whole(f"person{number}/weights", np.rint(np.sqrt(np.asarray(figure.weights, np.float64)) * TEN_BITS), 16)
+    packer.exact(f"person{number}/joints", rig.joints)
+    if rig.clothes is not None:
+        for name in ("nodes", "mean", "axes", "low", "high", "offsets"):
+            packer.exact(f"person{number}/{name}", getattr(rig.clothes, name))
+    if figure.parts is not None:
+        for name, values in zip(("middles", "covariances"), figure.parts, strict=True):
+            packer.exact(f"person{number}/{name}", values)
+    for i, move in enumerate(figure.moves):
+        packer.exact(f"motion{number}.{i}/rotvecs", move.rotvecs)
+        packer.exact(f"motion{number}.{i}/steps", move.steps)
+    for name, values in zip(("points", "weights"), figure.soles, strict=True):
+        packer.exact(f"soles{number}/{name}", values)
 
 
 def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any]:
@@ -114,18 +137,27 @@ def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any
     world = np.eye(4)
     world[:3, :3], world[:3, 3] = shown.turn.T, -shown.turn.T @ shown.spot
     shadow = None
-    if effects.light is not None:
+    if effects.light is not None and all(figure.parts is not None for figure in shown.figures):
         names = ("darkness", "softness", "density", "size")
         shadow = {name: getattr(effects, name) for name in names} | {"light": np.asarray(effects.light).tolist()}
     return {
         "title": shown.title,
         "arrays": packer.table,
-        "parents": np.asarray(shown.rig.parents).tolist(),
-        "antialias": shown.rig.antialias or (scene is not None and scene.antialias),
+        "antialias": shown.figures[0].rig.antialias if scene is None else scene.antialias,
         "world": world.ravel().tolist(),
-        "stand": {"turn": shown.turn.ravel().tolist(), "spot": shown.spot.tolist()},
+        "people": [
+            {
+                "parents": np.asarray(figure.rig.parents).tolist(),
+                "stand": {
+                    "turn": figure.turn.ravel().tolist(),
+                    "spot": figure.spot.tolist(),
+                    "scale": figure.scale,
+                },
+            }
+            for figure in shown.figures
+        ],
         "shadow": shadow,
-        "motions": [{"name": move.name, "fps": move.fps} for move in shown.moves],
+        "motions": [{"name": move.name, "fps": move.fps} for move in shown.figures[0].moves],
         "clip": {
             "names": cameras.names,
             "size": [cameras.width, cameras.height],
@@ -138,6 +170,8 @@ def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any
 
 def _pictures(shown: Exhibit) -> list[tuple[int, str]]:
     """Frames spread over the clip, (frame, data: URL) each: at most PICTURES and about BYTES."""
+    if shown.images is None:
+        return []
     count = min(PICTURES, len(shown.cameras))
     chosen = np.unique(np.linspace(0, len(shown.cameras) - 1, count).round().astype(int)).tolist()
     jpegs = [(i, _jpeg(shrink(shown.images(i), SIDE))) for i in chosen]
@@ -156,7 +190,7 @@ def _jpeg(pixels: np.ndarray) -> bytes:
 def _lacks(shown: Exhibit) -> list[str]:
     """What was learned and the page does not show."""
     found = {
-        "Colour of the person that changes with the view.": np.any(shown.rig.shN),
+        "Colour of the person that changes with the view.": any(np.any(one.rig.shN) for one in shown.figures),
         "Colour of the scene that changes with the view.": shown.scene is not None and np.any(shown.scene.shN),
         "The person's shadow: there is no scene to fall on.": shown.effects.light is not None and shown.scene is None,
         "Motion blur and rolling shutter of the clip's camera.": shown.effects.shutter or shown.effects.readout,

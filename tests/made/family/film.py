@@ -9,12 +9,11 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages import animate
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
 from stages.avatar.motion.formulas import MOTIONS as FORMULAS
 from stages.avatar.motion.placing import Soles
-from stages.contract import Job
+from stages.filming.motions import Manner, from_file
 from stages.formats.body_model import read_body_model
 from stages.records import BodyModel, BodyPoses, Cameras
 from stages.synthetic import clip as synthetic
@@ -118,8 +117,8 @@ def moved(
         raise ValueError(f"{shot.name} needs the folder of captured motions")
     else:
         rate = CAPTURE_FPS if shot.motion.endswith(".npz") else None
-        params, soles = animate.Params(fps=FPS, motion_fps=rate), Soles.of_model(model, betas)
-        placed = animate._placed(Job(out=captures), params, captures / shot.motion, soles, model.parents)
+        soles = Soles.of_model(model, betas)
+        placed, _ = from_file(captures / shot.motion, Manner(FPS, motion_fps=rate), soles, model.parents.tolist())
         first = round(shot.start * FPS)
         motion = tuple(
             values[first : first + FRAMES] for values in (placed.global_orient, placed.body_pose, placed.transl)

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages import animate
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.moves import made_moves
 from stages.avatar.motion.placing import Soles
 from stages.avatar.rasterize import Camera
-from stages.contract import Job
+from stages.filming.motions import Manner, from_file
 from stages.formats import viewer
 from stages.formats.body_model import read_body_model
 from stages.formats.clip import load_clip
@@ -187,7 +186,7 @@ def test_a_bvh_is_performed_as_animate_performs_it(page, folders, tmp_path, rest
         tmp_path / "walk.bvh", joints * 1.3, local, transl + [0, 0.9, 0.4], stance, fps=20, to_file=to_file
     )
     soles = Soles.of_rig(rig_of(read_avatar(folders["train"] / "avatar.npz")))
-    ours = animate._placed(Job(tmp_path), animate.Params(fps=20), path, soles, model.parents)
+    ours, _ = from_file(path, Manner(20.0), soles, model.parents.tolist())
     found = page.run(
         f"(() => {{ const {{ rotvecs, steps, fps }} = hugs.perform({json.dumps(path.read_text())});"
         "return { rotvecs: Array.from(rotvecs), steps: Array.from(steps), fps }; })()"
@@ -261,7 +260,7 @@ def test_a_slider_bends_its_joint_and_what_hangs_on_it(page):
     )
     wait(page, "!hugs.player.stage.busy")
     moved = page.run(
-        "(() => { const p = hugs.player, at = () => p.person.take(p.bent(p.motion.at(5))).places;"
+        "(() => { const p = hugs.player, at = () => p.people[0].take(p.bent(p.motion.at(5))).places;"
         "const bent = at(); p.bends.clear(); const straight = at();"
         "return bent.map((place, i) => Math.hypot(...place.map((x, k) => x - straight[i][k])) > 1e-6); })()"
     )

@@ -18,8 +18,9 @@ export class Clip {
     return this.pictures.findLast(([at]) => at <= frame) ?? this.pictures[0];
   }
 
-  /** The frame with a picture that is nearest. */
+  /** The frame with a picture that is nearest; any frame where none has one. */
   nearest(frame) {
+    if (!this.pictures.length) return Math.floor(frame);
     return this.pictures.reduce((best, [at]) => (Math.abs(at - frame) < Math.abs(best - frame) ? at : best), Infinity);
   }
 }

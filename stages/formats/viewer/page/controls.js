@@ -98,7 +98,8 @@ export function connect(player, read, facts) {
 
   for (const id of ["both", "scene"]) $(id).disabled = !player.scene;
   $("shade").hidden = !player.shadow;
-  $("clip").disabled = !facts.clip.pictures.length;
+  if (!facts.clip.pictures.length) Object.assign($("clip"), { textContent: "Camera", title: "Through the film's camera (C)" });
+  if (player.people.length > 1) Object.assign($("person"), { textContent: "People", title: "The people alone (1)" });
   $("full").hidden = !document.fullscreenEnabled;
   offerHeadset(player, $("headset"), say, home);
 
@@ -122,8 +123,9 @@ export function connect(player, read, facts) {
       slider.value = angles[i];
       slider.nextElementSibling.textContent = `${angles[i]}°`;
     });
-    document.body.classList.toggle("paired", player.view === "clip");
-    if (player.view !== "clip") return;
+    const paired = player.view === "clip" && player.clip.pictures.length > 0;
+    document.body.classList.toggle("paired", paired);
+    if (!paired) return;
     const [frame, picture] = player.clip.pictured(at);
     if ($("picture").dataset.frame !== String(frame)) {
       $("picture").dataset.frame = frame;

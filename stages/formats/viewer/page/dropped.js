@@ -1,4 +1,4 @@
-// A motion that the user brings, performed where the person stood in the clip.
+// A motion that the user brings, performed where people stand.
 import { parseBvh } from "hugs/bvh";
 import { faceAhead, onFloor } from "hugs/floor";
 import { Motion } from "hugs/motion";
@@ -8,14 +8,14 @@ import { add, apply, matrixOfRotvec, mul, row, rotvecOfMatrix, sub } from "hugs/
 
 const LARGEST = 64e6; // bytes
 
-/** The motion of a dropped file; Error in words that a user can act on. */
-export async function readMotion(file, body, stand) {
+/** The motion of a dropped file, performed by each of the people; Error in words that a user can act on. */
+export async function readMotion(file, people) {
   if (!/\.bvh$/i.test(file.name)) throw new Error(`${file.name} is no BVH; hugs animate also takes .npz`);
   if (file.size > LARGEST) throw new Error(`${file.name} is larger than ${LARGEST / 1e6} MB`);
   try {
-    const { rotvecs, steps, fps } = performed(await file.text(), body);
-    stood(rotvecs, steps, stand, row(body.joints, 0));
-    return new Motion(file.name.replace(/\.bvh$/i, ""), fps, rotvecs, steps);
+    const text = await file.text(), tracks = people.map((person) => performed(text, person));
+    tracks.forEach(({ rotvecs, steps }, who) => stood(rotvecs, steps, people[who].stand, row(people[who].joints, 0)));
+    return new Motion(file.name.replace(/\.bvh$/i, ""), tracks[0].fps, tracks);
   } catch (error) {
     throw new Error(`${file.name}: ${error.message}`);
   }

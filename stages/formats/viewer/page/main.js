@@ -18,17 +18,15 @@ export async function start(facts, buffer) {
   }
   let player = null;
   const stage = new Stage(document.getElementById("canvas"), facts, () => player.step());
-  const person = new Person(groups.person, facts.parents);
+  const people = facts.people.map((own, i) => new Person(groups[`person${i}`], own, groups[`soles${i}`]));
   const scene = groups.scene ? new Splats(groups.scene) : null;
-  stage.world.add(person.mesh);
+  stage.world.add(...people.map(({ mesh }) => mesh));
   if (scene) stage.world.add(scene.mesh);
-  const shadow = facts.shadow && scene ? new Shadow(facts.shadow, groups.shadow) : null;
-  const motions = facts.motions.map(({ name, fps }, i) => new Motion(name, fps, groups[`motion${i}`].rotvecs, groups[`motion${i}`].steps));
-  player = new Player(stage, person, scene, shadow, new Clip(facts.clip, groups.clip), motions);
-  const body = { joints: person.joints, parents: person.parents, soles: groups.soles };
-  const read = (file) => readMotion(file, body, facts.stand);
-  connect(player, read, facts);
-  window.hugs = { player, facts, show: (wanted) => show(player, wanted), perform: (text) => performed(text, body) };
+  const shadow = facts.shadow && scene ? new Shadow(facts.shadow) : null;
+  const motions = facts.motions.map(({ name, fps }, i) => new Motion(name, fps, people.map((_, who) => groups[`motion${who}.${i}`])));
+  player = new Player(stage, people, scene, shadow, new Clip(facts.clip, groups.clip), motions);
+  connect(player, (file) => readMotion(file, people), facts);
+  window.hugs = { player, facts, show: (wanted) => show(player, wanted), perform: (text) => performed(text, people[0]) };
   player.position = facts.clip.middle;
   player.home(facts.clip.middle);
   await stage.shown;

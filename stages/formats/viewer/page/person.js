@@ -1,14 +1,16 @@
-// The person: Gaussians in the T-pose, skinned on the graphics card, clothes hung before.
+// A person: Gaussians in the T-pose, skinned on the graphics card, clothes hung before.
 import { Clothes } from "hugs/clothes";
 import { bonesOf } from "hugs/skeleton";
 import { Skin } from "hugs/skin";
 import { Splats } from "hugs/splats";
-import { rotvecOfQuat } from "hugs/turns";
+import { add, rotvecOfQuat, scale as mulScalar, sub } from "hugs/turns";
 
 export class Person {
-  constructor(arrays, parents) {
-    this.joints = arrays.joints;
-    this.parents = parents;
+  /** `stand`: `turn` [9] and `spot` [3] m take a motion to the clip's world, where they are `scale` times as large. */
+  constructor(arrays, { parents, stand }, soles) {
+    Object.assign(this, { joints: arrays.joints, parents, stand, soles });
+    const { middles, covariances } = arrays;
+    this.parts = middles ? { middles, covariances } : null; // what casts their shadow
     this.body = new Splats(arrays);
     this.skin = new Skin(this.mesh, arrays.weights, this.body.splats.textures[0].image);
     this.mesh.skinning = this.skin;
@@ -26,7 +28,14 @@ export class Person {
     const bones = bonesOf(quats, this.joints, this.parents);
     this.skin.take(bones);
     if (this.clothes) this.clothes.hang(this.body, this.clothes.features(quats.slice(1).flatMap(rotvecOfQuat)));
-    this.mesh.position.fromArray(step);
+    this.mesh.position.fromArray(this.placed(step));
+    this.mesh.scale.setScalar(this.stand.scale);
     return { ...bones, step };
+  }
+
+  /** A point [3] of the person as they would be if they were no larger, where it is. */
+  placed(point) {
+    const { spot, scale } = this.stand;
+    return add(spot, mulScalar(sub(point, spot), scale));
   }
 }

@@ -1,10 +1,10 @@
 // What is shown: which motion, at what time, through which camera. All else follows from it.
 import { Vector3 } from "three";
-import { matrixOfQuat, matrixOfRotvec, mul, quatOfMatrix } from "hugs/turns";
+import { add, matrixOfQuat, matrixOfRotvec, mul, quatOfMatrix, row } from "hugs/turns";
 
 export class Player {
-  constructor(stage, person, scene, shadow, clip, motions) {
-    Object.assign(this, { stage, person, scene, shadow, clip, motions });
+  constructor(stage, people, scene, shadow, clip, motions) {
+    Object.assign(this, { stage, people, scene, shadow, clip, motions });
     this.motion = motions[0];
     this.position = 0; // in frames of the motion
     this.playing = false;
@@ -48,9 +48,9 @@ export class Player {
       this.changed();
       this.stage.dirty = true;
     }
-    const { stage, person, scene } = this, absent = this.motion === this.motions[0] && this.clip.absent.has(Math.floor(this.position));
+    const { stage, people, scene } = this, absent = this.motion === this.motions[0] && this.clip.absent.has(Math.floor(this.position));
     const seen = this.show !== "scene" && !absent;
-    person.mesh.visible = seen;
+    for (const { mesh } of people) mesh.visible = seen;
     if (scene) scene.mesh.visible = this.show !== "person";
     stage.floor.visible = this.show === "person" && this.view === "orbit" && !this.plain;
     stage.lens = this.view === "clip" ? this.clip.lens(Math.floor(this.position)) : this.given;
@@ -58,8 +58,8 @@ export class Player {
     const wanted = JSON.stringify([this.motions.indexOf(this.motion), at, seen, this.show, this.shaded, [...this.bends]]);
     if (wanted === this.posed) return;
     this.posed = wanted;
-    const bones = person.take(this.bent(this.motion.at(at)));
-    if (scene && this.shadow && this.show !== "person") this.shadow.cast(scene, this.shaded && seen ? bones : null);
+    const bones = people.map((person, who) => person.take(this.bent(this.motion.at(at, who))));
+    if (scene && this.shadow && this.show !== "person") this.shadow.cast(scene, this.shaded && seen ? people : [], bones);
   }
 
   bent(pose) {
@@ -79,10 +79,13 @@ export class Player {
   /** Orbit about where the person is now, from where the camera stands. */
   orbit() {
     Object.assign(this, { view: "orbit", given: null, plain: false });
-    const { step } = this.motion.at(this.position), { joints } = this.person;
-    const middle = new Vector3(joints[0] + step[0], joints[1] + step[1], joints[2] + step[2]);
+    const middle = new Vector3(), { people } = this;
+    people.forEach((person, who) => {
+      const { step } = this.motion.at(this.position, who);
+      middle.add(new Vector3(...person.placed(add(row(person.joints, 0), step))).divideScalar(people.length));
+    });
     this.changed();
-    this.stage.orbit(middle.applyMatrix4(this.stage.world.matrix), this.person.height);
+    this.stage.orbit(middle.applyMatrix4(this.stage.world.matrix), Math.max(...people.map(({ height }) => height)));
   }
 
   /** Orbit from the clip's camera of a frame. */

@@ -1,4 +1,4 @@
-// The person's shadow: soft ellipsoids, one a bone, take light from the scene's Gaussians behind them.
+// People's shadows: soft ellipsoids, one a bone, take light from the scene's Gaussians behind them.
 // The same as stages/avatar/effects/shadow.py.
 import { add, apply, column, dot, mul, row, transpose } from "hugs/turns";
 
@@ -6,28 +6,36 @@ const REACH = 3; // standard deviations beyond which a bone casts nothing
 const ABOVE = 0.05; // m: width of the sigmoid that tells before from behind
 
 export class Shadow {
-  /** `facts`: light (a unit vector), darkness, softness, density, size; `parts`: middles [24,3], covariances [24,3,3]. */
-  constructor(facts, parts) {
-    Object.assign(this, facts, parts);
+  /** light (a unit vector), darkness, softness, density, size. */
+  constructor(facts) {
+    Object.assign(this, facts);
     this.frame = frameTo(facts.light);
     this.shaded = [];
   }
 
-  /** Light a scene as with the body at these bones, or with nobody. */
-  cast(scene, bones) {
+  /** Light a scene as with people at these bones. What lies behind two of them is behind more. */
+  cast(scene, people, bones) {
     for (const i of this.shaded) scene.dim(i, 1);
-    this.shaded = bones ? this.shade(scene, this.flatten(bones)) : [];
+    const thick = new Map();
+    people.forEach((person, who) => this.add(thick, scene, this.flatten(person, bones[who])));
+    this.shaded = [];
+    for (const [i, depth] of thick) {
+      const share = 1 - this.darkness * (1 - Math.exp(-this.density * depth));
+      if (share > 0.999) continue;
+      scene.dim(i, share);
+      this.shaded.push(i);
+    }
     scene.send(1);
   }
 
   /** Of each part that casts: its middle along the axes of the light, and its ellipse across them. */
-  flatten({ turns, shifts, step }) {
-    const parts = [], back = transpose(this.frame);
+  flatten(person, { turns, shifts, step }) {
+    const parts = [], back = transpose(this.frame), { middles, covariances } = person.parts, grown = person.stand.scale ** 2;
     for (let k = 0; k < 24; k++) {
-      const spread = Array.from(this.covariances.subarray(9 * k, 9 * k + 9));
+      const spread = Array.from(covariances.subarray(9 * k, 9 * k + 9), (value) => grown * value);
       const turned = mul(mul(turns[k], spread), transpose(turns[k]));
       if (turned[0] + turned[4] + turned[8] <= 0) continue;
-      const at = apply(back, add(add(apply(turns[k], row(this.middles, k)), shifts[k]), step));
+      const at = apply(back, person.placed(add(add(apply(turns[k], row(middles, k)), shifts[k]), step)));
       const flat = mul(mul(back, turned), this.frame);
       const a = this.size * flat[0] + this.softness ** 2, c = this.size * flat[4] + this.softness ** 2;
       const b = this.size * flat[1], det = a * c - b * b;
@@ -36,14 +44,14 @@ export class Shadow {
     return parts;
   }
 
-  /** Dim what lies behind the parts; returns which Gaussians that changed. */
-  shade(scene, parts) {
-    if (!parts.length) return [];
+  /** Add to the depth in shadow, by number, of all Gaussians behind the parts. */
+  add(depths, scene, parts) {
+    if (!parts.length) return;
     const reach = REACH * Math.sqrt(Math.max(...parts.map((part) => part.wide)));
     const [xs, ys, zs] = [0, 1, 2].map((axis) => parts.map((part) => part.at[axis]));
     const low = [Math.min(...xs) - reach, Math.min(...ys) - reach];
     const high = [Math.max(...xs) + reach, Math.max(...ys) + reach], top = Math.max(...zs) + REACH * ABOVE;
-    const [ex, ey, ez] = [0, 1, 2].map((j) => column(this.frame, j)), changed = [], means = scene.means;
+    const [ex, ey, ez] = [0, 1, 2].map((j) => column(this.frame, j)), means = scene.means;
     for (let i = 0; i < scene.count; i++) {
       const place = row(means, i), x = dot(ex, place), y = dot(ey, place);
       if (x <= low[0] || x >= high[0] || y <= low[1] || y >= high[1]) continue;
@@ -55,12 +63,8 @@ export class Shadow {
         const before = 1 / (1 + Math.exp((z - at[2]) / ABOVE));
         thick += before * Math.exp(-0.5 * (xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy));
       }
-      const share = 1 - this.darkness * (1 - Math.exp(-this.density * thick));
-      if (share > 0.999) continue;
-      scene.dim(i, share);
-      changed.push(i);
+      depths.set(i, (depths.get(i) ?? 0) + thick);
     }
-    return changed;
   }
 }
 

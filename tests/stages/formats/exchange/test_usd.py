@@ -37,7 +37,7 @@ def test_a_still_holds_everything_exactly(tmp_path):
     check_usd()
     splats = some()
     for name in ("a.usdc", "b.usdc"):
-        write_usd(tmp_path / name, "person", iter([splats]))
+        write_usd(tmp_path / name, {"person": splats})
     assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
     stage, prim = opened(tmp_path / "a.usdc")
     assert stage.GetMetadata("upAxis") == "Y" and stage.GetMetadata("metersPerUnit") == 1
@@ -52,8 +52,10 @@ def test_a_still_holds_everything_exactly(tmp_path):
 
 
 def test_a_motion_has_a_sample_a_frame(tmp_path, held):
-    write_usd(tmp_path / "a.usdc", "person", (some(i) for i in range(3)), fps=24)
+    write_usd(tmp_path / "a.usdc", {"room": some(9)}, {"person": (some(i) for i in range(3))}, fps=24)
     stage, prim = opened(tmp_path / "a.usdc")
+    np.testing.assert_array_equal(stage.GetPrimAtPath("/World/room").GetAttribute("positions").Get(), some(9).means)
+    assert stage.GetEndTimeCode() == 2
     places = prim.GetAttribute("positionsh")
     assert places.GetTimeSamples() == [0, 1, 2] and stage.GetTimeCodesPerSecond() == 24
     held(np.abs(np.array(places.Get(2)).astype(float) - some(2).means).max(), 2e-3, "half floats, m")

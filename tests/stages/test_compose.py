@@ -1,8 +1,6 @@
-"""`hugs animate` on a trained body whose truth is known: where it stands, where it looks, what is said."""
+"""`hugs animate`, which draws through the stage compose: where people stand, where they look, what is said."""
 
-import shutil
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +8,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hugs_cli.app import main
-from hugs_cli.cache.fingerprint import content_digest
-from hugs_cli.cache.workspace import Stamp
 from stages import export
 from stages.avatar.motion.formulas import MOTIONS
 from stages.contract import Job
-from stages.formats.body_model import read_body_model, write_body_model
+from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.images import read_pixels
-from stages.formats.poses import read_poses, write_poses
-from stages.formats.splats import read_avatar, write_splats
 from stages.formats.video import decode
 from stages.records import Cameras
 from tests.made import bvh as bvh_made
-from tests.made import tiny
+from tests.made import finished
 from tests.made.tiny import HEIGHT, WIDTH, colour_of
 
 RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
@@ -34,19 +28,7 @@ RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
 def trained(tmp_path_factory):
     """A working folder with a clip that looks finished, and motions beside it."""
     folder = tmp_path_factory.mktemp("animate")
-    made = tiny.make(folder / "made")
-    move_pelvis(made, np.array([0.01, -0.225, 0.03]))
-    store, links = folder / "work/clip/store", folder / "work/clip/default"
-    links.mkdir(parents=True)
-    (folder / "clip.mp4").write_text("pixels")
-    film = {"video": content_digest(folder / "clip.mp4")}
-    for name in ("sfm", "smpl", "train"):
-        shutil.copytree(made[name], store / f"{name}-01234567")
-        (links / name).symlink_to(f"../store/{name}-01234567")
-        made_of = {"seed": 0, "code": {}, "params": {}, "inputs": film, "content": "", "files": {}, "seconds": 1.0}
-        machine = {"host": "h", "device": "cpu", "system": "s", "processors": 1, "versions": {}}
-        made_by = {"made": "2026-01-01T00:00:00+00:00", "peak_memory_bytes": 0, "machine": machine}
-        Stamp(name, "", **made_of, **made_by).write(store / f"{name}-01234567")
+    finished.make(folder)
     orient, pose, transl = (t.numpy().astype(float) for t in MOTIONS["wave"](2.0, 25))
     turn = Rotation.from_euler("x", 90, degrees=True)  # AMASS: z up; and turned from where the person looks
     turned = (turn * Rotation.from_euler("y", 70, degrees=True) * Rotation.from_rotvec(orient)).as_rotvec()
@@ -56,18 +38,6 @@ def trained(tmp_path_factory):
     local = bvh_made.matrices(orient, pose)
     bvh_made.write_bvh(folder / "wave.bvh", joints * 1.4, local, transl, bvh_made.a_pose(), fps=25)
     return folder
-
-
-def move_pelvis(made, shift):
-    """The same clip by a body whose pelvis is not at the origin, as SMPL's."""
-    model = read_body_model(made["smpl"] / "body_model.npz")
-    write_body_model(made["smpl"] / "body_model.npz", replace(model, v_template=model.v_template + shift))
-    avatar = read_avatar(made["train"] / "avatar.npz")
-    moved = replace(avatar, means=avatar.means + shift, joints=avatar.joints + shift)
-    write_splats(made["train"] / "avatar.npz", moved)
-    for path in (made["smpl"] / "body.npz", made["train"] / "body.npz"):
-        poses = read_poses(path)
-        write_poses(path, replace(poses, transl=poses.transl - shift))
 
 
 @pytest.fixture
@@ -232,7 +202,7 @@ def exported(trained):
     """A folder with what `export` writes of the trained clip, and nothing of the work folder."""
     out = trained / "exported"
     out.mkdir()
-    made = {name: trained / "made" / name for name in ("frames", "sfm", "smpl", "train")}
+    made = {name: trained / "made_clip" / name for name in ("frames", "sfm", "smpl", "train")}
     export.run(Job(out), export.Params(), **made)
     return out
 

@@ -1,0 +1,148 @@
+"""The command that puts people of several clips into one scene: compose. `animate` draws through it, too."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Argument, Option
+
+from hugs_cli import film as films
+from hugs_cli import words
+from hugs_cli.cache import engine
+from hugs_cli.cache.fingerprint import Code, digest
+from hugs_cli.console import Console
+from hugs_cli.direct import run_directly
+from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
+from hugs_cli.outputs import check_out, remember_out
+from hugs_cli.pipelines import UsageError
+from stages.contract import Job
+
+KEPT = ".films"  # in the work folder: pieces of films, a folder each
+FIRST = "film.yaml"
+
+
+def compose(
+    films_: Annotated[
+        list[Path] | None,
+        Argument(
+            metavar="FILM | RUN...", help="The film, a .yaml; with --init runs or exported avatars.", show_default=False
+        ),
+    ] = None,
+    init: Annotated[
+        bool, Option("--init", help="Write a film of these RUNs to begin with; the first is the scene.")
+    ] = False,
+    out: Annotated[Path, Option(help="With --init: the film to write.")] = Path(FIRST),
+    force: Annotated[
+        bool, Option("--force", help="Write over what others made; never over a source or a result.")
+    ] = False,
+    device: DeviceName = Device.cpu,
+    work: Work = Path("work"),
+) -> None:
+    """Put people of several clips into one scene, as a film, pictures, a page or files.
+
+    `hugs compose --init work/kitchen/default work/dance/default` writes film.yaml, `hugs compose film.yaml` makes it. What
+    is as it was is not made again; a film that was cut short goes on where it was.
+    """
+    given = films_ or []
+    if init:
+        begin(given, out, force)
+        return
+    if len(given) != 1:
+        raise UsageError(f"{len(given)} films to make", "`hugs compose film.yaml`")
+    film = films.checked(films.read_film(given[0]), given[0].name)
+    if not films.outputs(film):
+        raise UsageError(f"{given[0].name} asks for nothing", "add `out: {film: film.mp4}`")
+    kept = work / KEPT / f"{given[0].stem}-{digest(os.path.realpath(given[0]))[:8]}"
+    shoot(film, kept, device.value, work, force, [given[0]])
+
+
+def shoot(
+    film: Any, kept: Path | None, device: str, work: Path, force: bool, given: list[Path], name: str = "compose"
+) -> None:
+    """Make a film, keeping its pieces in the folder `kept`; the paths of what was made are the result."""
+    sources = [*given, *films.check_sources(film)]
+    for path in films.outputs(film):
+        check_out(path, work, sources, force, is_folder=film.out.stills is not None and path == film.out.stills.folder)
+    where = engine.device_of(device)
+    console = Console()
+    console.started(name, ())
+
+    def heard(event: dict[str, Any]) -> None:
+        if event["event"] == "note":
+            console.say(event["text"])
+        elif event["event"] == "warning":
+            console.say(f"warning: {event['text']}")
+        else:
+            console.heard(name, event)
+
+    code = Code(work / CODE_MEMORY)
+    settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
+    run_directly(films.MODULE, Job(kept or work, where, emit=heard), settings)
+    for path in films.outputs(film):
+        remember_out(path, work)
+        console.result(words.relative(path))
+
+
+TEMPLATE = """\
+# A film of people of several clips in one scene: `hugs compose {name}` makes it. Paths count from this file's folder.
+scene: {scene}
+# ground: {{point: [0, 1, 3], up: [0, -1, 0], ahead: [0, 0, -1]}}   # where the scene is a .ply or .spz: its floor
+
+people:
+{people}
+camera: {camera}              # clip, still, follow (of the scene's clip), orbit, before, or an .npz of cameras
+light: auto               # auto: as the scene's own light falls; above; off
+colour: auto              # match people to the scene: off, auto (where clips differ clearly), always
+fps: 30
+# seconds: 8              # as long as the longest motion, if not said
+# size: [640, 360]        # that of the scene's clip, if not said
+# moment: 2.0             # second of the film that `splats` shows
+
+out:
+  film: {stem}.mp4
+  # page: {stem}.html         # all of them in a browser
+  # stills: {{folder: {stem}, at: [0.5, 2.0]}}
+  # alpha: {stem}.mov         # the people alone, with alpha
+  # splats: {stem}.ply        # scene and people at `moment`, .ply or .spz
+  # glb: {stem}.glb           # skinned people with their motions, and the scene
+  # usd: {stem}.usdc          # needs the extra `usd`
+"""
+PERSON = """\
+  - avatar: {avatar}
+    motion: {motion}          # a .bvh or .npz; clip: as in their own clip; wave, squats, jumping_jacks, walk_in_place
+    at: [{aside:.1f}, 0.0]        # m on the floor from where the scene's person stood: to their left, ahead of them
+    turn: 0               # degrees to the left
+    # start: 1.5          # second of the film at which the motion begins; less than 0: it is under way
+    # speed: 1.0          # times as fast
+    # loop: true          # begin again at the end
+    # scale: 1.0          # times as large
+"""
+APART = 1.0  # m between people
+
+
+def begin(runs: list[Path], out: Path, force: bool) -> None:
+    """Write a commented film of runs and exported avatars, side by side in the scene of the first."""
+    if not runs:
+        raise UsageError("nobody to make a film of", "`hugs compose --init work/kitchen/default work/dance/default`")
+    if out.exists() and not force:
+        raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
+    names = [os.path.relpath(run, out.parent) for run in runs]
+    scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
+    people = [
+        PERSON.format(
+            avatar=name,
+            motion="clip" if run.is_dir() else "wave",
+            aside=APART * (i - (len(runs) - 1) / 2),
+        )
+        for i, (name, run) in enumerate(zip(names, runs, strict=True))
+    ]
+    camera = "clip" if scene else "before"
+    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera, "name": out.name, "stem": out.stem}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    text = TEMPLATE.format(**parts)
+    read = films.checked(films.with_paths(films.plain_yaml.read(text), out.parent), out.name)
+    films.check_sources(read)
+    out.write_text(text, encoding="utf-8")
+    Console().result(words.relative(out))

@@ -1,0 +1,187 @@
+"""A film of people of several clips in one scene. No pipeline names it; `hugs compose` and `hugs animate` run it."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stages.contract import Job, StageError
+from stages.filming.spec import Film
+
+if TYPE_CHECKING:
+    from stages.filming.cast import Actor
+    from stages.filming.colours import Look
+    from stages.filming.parts import Parts
+    from stages.filming.setting import Setting
+    from stages.filming.shoot import Shoot
+
+
+class Params(Film):
+    """The keys of film.yaml; `code` stands for the version of the program, with which all that was kept is out of date."""
+
+    keep: bool = True
+    """Keep in `job.out` what a later run may use."""
+    code: str = ""
+
+
+def run(job: Job, params: Params) -> None:
+    """Draw the film that `params` describe, and write what they ask for; `job.out` keeps its pieces for the next run.
+
+    All is read and looked at before anything is drawn. StageError for what cannot be read or does not go together.
+    """
+    from stages.filming.cameras import cameras_of
+    from stages.filming.checks import faults_of
+    from stages.filming.parts import Parts
+    from stages.filming.setting import load_setting
+    from stages.filming.shoot import Shoot
+
+    _check_endings(params)
+    setting = load_setting(params, job.device)
+    cast = _cast(job, params, setting)
+    count = length_of(params, cast)
+    cameras = cameras_of(params.camera, count, params.fps, params.size, setting, cast)
+    for fault in faults_of(cast, setting.ground, count, params.fps):
+        job.warn(fault)
+    shoot = Shoot(setting, cast, cameras, params.fps)
+    with tempfile.TemporaryDirectory() as passing:
+        _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code))
+
+
+def length_of(film: Film, cast: Sequence[Actor]) -> int:
+    """How many pictures the film has: as said, or until the last motion has ended once."""
+    if film.seconds is not None:
+        return max(1, round(film.seconds * film.fps))
+    return max(1, *(actor.first + len(actor.transl) for actor in cast))
+
+
+def names_of(film: Film) -> list[str]:
+    """A name for each person, of letters and digits: the clip's or the file's, with a number where two share it."""
+    names: list[str] = []
+    for person in film.people:
+        own = person.avatar.parent.name if person.avatar.is_dir() else person.avatar.stem
+        plain = re.sub(r"\W", "_", own, flags=re.ASCII) or "person"
+        plain = plain if plain[0].isalpha() else f"person_{plain}"
+        taken = sum(re.fullmatch(rf"{plain}(_\d+)?", name) is not None for name in names)
+        names.append(plain if not taken else f"{plain}_{taken + 1}")
+    return names
+
+
+def _check_endings(film: Film) -> None:
+    from stages.avatar.motion.formulas import MOTIONS
+    from stages.filming.cameras import KINDS
+
+    wanted = {"film": ".mp4", "alpha": ".mov", "page": ".html", "glb": ".glb", "usd": ".usdc"}
+    for name, ending in wanted.items():
+        path = getattr(film.out, name)
+        if path is not None and path.suffix.lower() != ending:
+            facts = [f"it ends in {path.suffix!r}"]
+            raise StageError(f"cannot write {path}: `out: {name}` is a {ending}", f"give it the ending {ending}", facts)
+    for person in film.people:
+        if not Path(person.motion).suffix and person.motion not in ("clip", *MOTIONS):
+            hint = f"a .bvh or .npz, or one of clip, {', '.join(MOTIONS)}"
+            raise StageError(f"no motion {person.motion!r}", hint)
+    if not Path(film.camera).suffix and film.camera not in KINDS:
+        raise StageError(f"no camera {film.camera!r}", f"an .npz of cameras, or one of {', '.join(KINDS)}")
+    if film.out.usd is not None:
+        from stages.formats.exchange.usd import check_usd
+
+        check_usd()
+
+
+def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
+    """The people, in the colours of the scene; says what is to be said of them and of the scene."""
+    from stages.filming.cast import cast, in_colour
+    from stages.filming.colours import gain_between
+
+    said = dict.fromkeys(setting.facts)
+    people, looks = [], _Looks(film, setting)
+    for person, name in zip(film.people, names_of(film), strict=True):
+        actor = cast(person, name, setting.ground, film.fps, job.device)
+        said |= dict.fromkeys(actor.facts)
+        mode = person.colour or film.colour
+        if mode != "off" and setting.scene is not None and person.avatar != film.scene:
+            own, there = looks.of(person.avatar), looks.of_scene()
+            if own is None or there is None:
+                said[
+                    f"{name}'s colours are left: {'their clip' if own is None else 'the scene'} cannot be measured"
+                ] = None
+            else:
+                gain = gain_between(own, there, mode == "always")
+                if abs(gain - 1).max() > 0.005:
+                    said[f"{name}'s red, green and blue times {', '.join(f'{part:.2f}' for part in gain)}"] = None
+                    actor = in_colour(actor, gain)
+        people.append(actor)
+    flags = {actor.baked.antialias for actor in people} | ({setting.scene.antialias} if setting.scene else set())
+    if len(flags) == 2:
+        one = setting.scene.antialias if setting.scene else people[-1].baked.antialias
+        said[f"some were learned with anti-aliasing and some without: all are drawn {'with' if one else 'without'}"] = (
+            None
+        )
+    for fact in said:
+        job.note(fact, at_once=True)
+    return people
+
+
+class _Looks:
+    """How clips look, each measured once, when it is asked for."""
+
+    def __init__(self, film: Film, setting: Setting):
+        self.film, self.setting = film, setting
+        self.known: dict[Path, Look | None] = {}
+
+    def of(self, run: Path) -> Look | None:
+        from stages.filming.colours import look_of_clip
+        from stages.formats.clip import load_clip
+
+        if run not in self.known:
+            folders = (run / "sfm", run / "smpl", run / "train")
+            self.known[run] = look_of_clip(load_clip(*folders)) if run.is_dir() else None
+        return self.known[run]
+
+    def of_scene(self) -> Look | None:
+        from stages.filming.colours import look_of_scene
+
+        scene, setting = self.film.scene, self.setting
+        if scene is None or setting.splats is None or scene.is_dir():
+            return None if scene is None else self.of(scene)
+        if scene not in self.known:
+            self.known[scene] = look_of_scene(setting.splats, setting.ground)
+        return self.known[scene]
+
+
+def _write(job: Job, film: Film, shoot: Shoot, parts: Parts) -> None:
+    """Write all that is asked for, saying of each file whether it was made or was there already."""
+    from stages.filming import outputs
+    from stages.filming.page import page
+
+    out, count = film.out, shoot.count
+
+    def done(before: int = 0) -> Callable[[int], None]:
+        return lambda number: job.progress(before + number, total)
+
+    films = [(path, path is out.alpha) for path in (out.film, out.alpha) if path is not None]
+    total = max(1, count * (len(films) + (out.usd is not None)))
+    made: dict[Path, bool] = {}
+    for number, (path, alone) in enumerate(films):
+        made[path] = outputs.film(shoot, path, parts, alone, done(number * count))
+    if out.stills is not None:
+        fresh = [not outputs.still(shoot, out.stills.folder, second, parts) for second in out.stills.at]
+        made[out.stills.folder] = not all(fresh)
+    if out.page is not None:
+        made[out.page], lacks = page(shoot, out.page, parts)
+        for line in lacks:
+            job.note(f"not in {out.page.name}: {line}", at_once=True)
+    if out.splats is not None:
+        made[out.splats] = outputs.splats(shoot, out.splats, film.moment, parts)
+    if out.glb is not None:
+        made[out.glb] = outputs.glb(shoot, out.glb, parts)
+    if out.usd is not None:
+        made[out.usd] = outputs.usd(shoot, out.usd, parts, done(len(films) * count))
+    parts.tidy()
+    for path, new in made.items():
+        if not new:
+            job.note(f"{path.name} is as it was made before")
+    job.note(f"{count} frames, {count / film.fps:.1f} s at {film.fps:g} fps")

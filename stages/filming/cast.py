@@ -1,0 +1,182 @@
+"""Who is in a film: each person's Gaussians, motion in the film's world, and what casts their shadow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from stages import records
+from stages.avatar.body.smpl import Body
+from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
+from stages.avatar.drawing.draw import Pose
+from stages.avatar.drawing.rig import rig_of
+from stages.avatar.effects.shadow import Casters, casters
+from stages.avatar.model.person import bone_transforms
+from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.placing import SOLID, Placed, Soles, put
+from stages.avatar.splats.gaussians import Splats
+from stages.avatar.splats.sh import with_gain
+from stages.contract import StageError
+from stages.filming.motions import Manner, from_clip, from_file, from_formula
+from stages.filming.spec import Person
+from stages.formats.body_model import read_body_model
+from stages.formats.exchange.read import lacks, read_any_avatar
+from stages.formats.facts import Listing, read_facts
+from stages.formats.ground import read_ground
+from stages.formats.poses import read_poses
+from stages.formats.splats import read_avatar
+
+SAME = 0.005  # m: joints nearer than that to the free body's are its own
+
+
+@dataclass(frozen=True)
+class Actor:
+    """One person of a film.
+
+    `global_orient` [P,3], `body_pose` [P,69] and `transl` [P,3] m are the poses of their motion in the film's world, as if they
+    were as large as they are; `scale` enlarges about `place` [3] m on the floor. `first` is the picture at which the motion
+    begins. `parts` cast their shadow. `gain` [3] is what their colours are multiplied by. `model` is the body that they were
+    learned on, None where that is not known.
+    """
+
+    name: str
+    record: records.Avatar
+    model: records.BodyModel | None
+    rig: records.Rig
+    baked: Baked
+    soles: Soles
+    parts: Casters
+    placed: Placed
+    global_orient: np.ndarray
+    body_pose: np.ndarray
+    transl: np.ndarray
+    place: np.ndarray
+    turn: np.ndarray
+    scale: float
+    first: int
+    loop: bool
+    facts: tuple[str, ...]
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def row(self, picture: int) -> int:
+        """Which pose of the motion a picture shows: the first before it begins, the last when it has ended, unless it loops."""
+        row, count = picture - self.first, len(self.transl)
+        return row % count if self.loop else min(max(row, 0), count - 1)
+
+    def pose(self, picture: int) -> Pose:
+        """The pose that a picture shows."""
+        row = self.row(picture)
+        return self.global_orient[row], self.body_pose[row], self.transl[row]
+
+    def splats(self, picture: int) -> Splats:
+        """Their Gaussians in the film's world."""
+        shown = pose_avatar(self.baked, *self._tensors(picture))
+        if self.scale == 1:
+            return shown
+        about = torch.as_tensor(self.place).to(shown.means)
+        return shown._replace(means=about + self.scale * (shown.means - about), axes=self.scale * shown.axes)
+
+    def casters(self, picture: int) -> Casters:
+        """What casts their shadow."""
+        orient, pose, transl = self._tensors(picture)
+        bones = bone_transforms(self.baked.joints, self.baked.parents, orient, pose)
+        posed = self.parts.posed(bones, transl)
+        about = torch.as_tensor(self.place).to(posed.middles)
+        return Casters(about + self.scale * (posed.middles - about), self.scale**2 * posed.covariances)
+
+    def joints(self, pictures: Sequence[int]) -> np.ndarray:
+        """Joints [N,24,3] m in the film's world."""
+        rows = [self.row(picture) for picture in pictures]
+        _, joints = self.soles.at(self.global_orient[rows], self.body_pose[rows], self.transl[rows])
+        return self.place + self.scale * (joints - self.place)
+
+    def _tensors(self, picture: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        orient, pose, transl = (torch.as_tensor(part).to(self.baked.joints) for part in self.pose(picture))
+        return orient, pose, transl
+
+
+def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:
+    """Read a person and let them perform on the `ground` of the film; StageError for what cannot be read or performed."""
+    run = person.avatar if person.avatar.is_dir() else None
+    record = read_avatar(run / "train" / "avatar.npz") if run else read_any_avatar(person.avatar)
+    rig, baked = rig_of(record), load_avatar(record, device)
+    soles = Soles.of_rig(rig)
+    manner = Manner(fps, person.speed, person.motion_fps, person.up)
+    if person.motion in MOTIONS:
+        placed, facts = from_formula(person.motion, manner, soles), []
+    elif person.motion != "clip":
+        path = Path(person.motion)
+        placed, told = from_file(path, manner, soles, rig.parents.tolist())
+        facts = [f"{path.name}  {'; '.join(told)}"]
+    else:
+        placed, facts = _own(run, person, manner, soles), []
+    angle = np.radians(person.turn)
+    about = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    turn = ground.turn @ about
+    place = ground.point + ground.turn @ np.array([person.at[0], 0, person.at[1]])
+    orient, pose, transl = put(placed, turn, place, soles.joints[0])
+    model = _model(run, record)
+    return Actor(
+        name=name,
+        record=record,
+        model=model,
+        rig=rig,
+        baked=baked,
+        soles=soles,
+        parts=_parts(model, record, rig),
+        placed=placed,
+        global_orient=orient,
+        body_pose=pose,
+        transl=transl,
+        place=place,
+        turn=turn,
+        scale=person.scale,
+        first=round(person.start * fps),
+        loop=person.loop,
+        facts=(*facts, *(() if run else lacks(person.avatar, None))),
+    )
+
+
+def in_colour(actor: Actor, gain: np.ndarray) -> Actor:
+    """The same person, their colours multiplied by `gain` [3]."""
+    resting = actor.baked.resting
+    sh = with_gain(resting.sh, torch.as_tensor(gain).to(resting.sh))
+    red, green, blue = (float(value) for value in gain)
+    return replace(actor, baked=actor.baked._replace(resting=resting._replace(sh=sh)), gain=(red, green, blue))
+
+
+def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Placed:
+    """What a person of a run did in their clip."""
+    if run is None:
+        hint = "give them a motion: `motion: moves.bvh`"
+        raise StageError(f"{person.avatar} has no clip to move as in", hint, ["an exported avatar holds no motion"])
+    body = read_poses(run / "train" / "body.npz")
+    listing = read_facts(run / "frames" / "frames.json", Listing)
+    time_of = {frame.name: frame.time_s for frame in listing.frames}
+    times = np.array([time_of[name] for name in body.names], np.float64)
+    placed = from_clip(body, times, read_ground(run / "smpl" / "ground.json"), manner, soles)
+    if placed is None:
+        raise StageError(f"nobody is seen in the clip of {run}", "give them a motion: `motion: moves.bvh`")
+    return placed
+
+
+def _model(run: Path | None, record: records.Avatar) -> records.BodyModel | None:
+    """The body of the run, or of a file the free body where its joints are that one's."""
+    if run:
+        return read_body_model(run / "smpl" / "body_model.npz")
+    free = read_body_model()
+    _, joints = Body(free).rest(torch.as_tensor(record.betas).float())
+    return free if float((joints - torch.as_tensor(record.joints)).norm(dim=1).max()) < SAME else None
+
+
+def _parts(model: records.BodyModel | None, record: records.Avatar, rig: records.Rig) -> Casters:
+    """What casts the shadow, at rest: the body or, where that is not known, the Gaussians."""
+    if model is not None:
+        vertices, _ = Body(model).rest(torch.as_tensor(record.betas).float())
+        return casters(vertices, Body(model).lbs_weights)
+    solid = rig.opacities > SOLID
+    return casters(torch.as_tensor(rig.means[solid]), torch.as_tensor(record.lbs_weights[solid]).float())

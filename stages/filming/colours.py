@@ -1,0 +1,87 @@
+"""Matching people to the exposure and tint of another scene, by what the neutral places of both clips show."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from stages.avatar.cameras.pinhole import look_at, pinhole
+from stages.avatar.drawing.draw import draw
+from stages.avatar.rasterize import Camera
+from stages.avatar.splats.gaussians import Splats
+from stages.formats.clip import Clip
+from stages.formats.images import shrink
+from stages.records import Ground
+
+FRAMES, SIDE = 16, 120  # of a clip that are looked at, and their longer side in px
+DARK, BRIGHT = 20, 250  # of 255: beyond, a camera tells no colour
+FEW = 1000  # pixels from which a clip can be measured
+NEUTRAL = 0.5  # of a log ratio to green: standard deviation of what counts as neutral
+STEPS = 30
+DOUBT_EXPOSURE, DOUBT_TINT = 0.2, 0.12  # log: what the rooms themselves differ by
+MOST_EXPOSURE, MOST_TINT = (0.6, 1.6), (0.82, 1.22)
+"""Limits of what people's colours are multiplied by: of all light, and of red or blue beside green."""
+EYE, AROUND = 1.5, 8  # m and views: how a scene without a clip is looked at
+
+
+class Look(NamedTuple):
+    """How a clip shows neutral places: log `exposure`, and log `tint` [2] of red and blue beside green."""
+
+    exposure: float
+    tint: np.ndarray
+
+
+def look_of(pixels: np.ndarray) -> Look | None:
+    """The look of pixels uint8 [N,3]; None where too few are neither dark nor clipped.
+
+    Places count the less, the farther their colour is from neutral, which is where most of them are (mean shift).
+    """
+    clear = (pixels.min(1) >= DARK) & (pixels.max(1) <= BRIGHT)
+    if clear.sum() < FEW:
+        return None
+    logs = np.log(pixels[clear] / 255)
+    ratios, weight = logs[:, [0, 2]] - logs[:, [1]], np.ones(len(logs))
+    for _ in range(STEPS):
+        tint = weight @ ratios / weight.sum()
+        weight = np.exp(-0.5 * ((ratios - tint) ** 2).sum(1) / NEUTRAL**2)
+    return Look(float(weight @ logs.mean(1) / weight.sum()), tint)
+
+
+def look_of_clip(clip: Clip) -> Look | None:
+    """The look of a clip's frames beside the person."""
+    rows = np.unique(np.linspace(0, len(clip.names) - 1, FRAMES).round().astype(int))
+    found = []
+    for i in rows:
+        picture, mask = shrink(clip.images(int(i)), SIDE), np.repeat(clip.mask(int(i))[..., None], 3, 2)
+        found.append(picture[shrink(mask, SIDE)[..., 0] < 64])
+    return look_of(np.concatenate(found))
+
+
+def look_of_scene(scene: Splats, ground: Ground) -> Look | None:
+    """The look of a scene without a clip, as people see it who stand on its floor and turn around."""
+    eye = ground.point + EYE * ground.up
+    K, found = pinhole(0.5 * SIDE, SIDE, SIDE), []
+    for angle in np.linspace(0, 2 * np.pi, AROUND, endpoint=False):
+        way = ground.turn @ np.array([np.sin(angle), 0, np.cos(angle)])
+        image, alpha = draw(None, scene, Camera.of(look_at(eye, eye + way, ground.up), K, SIDE, SIDE))
+        found.append(np.rint(image.clip(0, 1) * 255)[alpha > 0.95])
+    return look_of(np.concatenate(found))
+
+
+def gain_between(own: Look, there: Look, sure: bool) -> np.ndarray:
+    """What colours [3] of a person of one look are multiplied by in a scene of another, within MOST_EXPOSURE and MOST_TINT.
+
+    Unless `sure`, differences that the rooms themselves may have count for nothing, and twice as large ones in full (firm
+    shrinkage, Gao and Bruce 1997): it then never errs by more than no gain does, as long as the rooms differ by no more.
+    """
+    light, tint = np.array(there.exposure - own.exposure), there.tint - own.tint
+    if not sure:
+        light, tint = _firm(light, DOUBT_EXPOSURE), _firm(tint, DOUBT_TINT)
+    light, tint = np.log(np.exp(light).clip(*MOST_EXPOSURE)), np.log(np.exp(tint).clip(*MOST_TINT))
+    ratios = np.array([tint[0], 0, tint[1]])
+    return np.exp(light + ratios - ratios.mean())
+
+
+def _firm(value: np.ndarray, doubt: float) -> np.ndarray:
+    return np.sign(value) * np.minimum(np.abs(value), 2 * np.maximum(0, np.abs(value) - doubt))

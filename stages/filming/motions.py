@@ -1,0 +1,106 @@
+"""Motions for the people of a film: read from a file or taken from their clip, on a floor at y = 0, at the film's rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stages.avatar.motion import placing, retarget
+from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.placing import Placed, Soles
+from stages.avatar.motion.retarget import Performance
+from stages.contract import StageError
+from stages.formats.motions import bvh, bvh_names
+from stages.formats.motions.smpl_npz import read_smpl_motion
+from stages.records import BodyPoses, Ground
+
+DEFAULT_FPS = 30.0  # of a motion file that does not say
+MADE = 4.0  # s of a motion made by formula
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a motion is performed: at `fps` pictures a second, `speed` times as fast as it was.
+
+    `motion_fps`: frames a second of its file in place of what that says. `up`: the axis that points up in the file (y, -y, z,
+    -z), in place of the direction in which its pelvis points.
+    """
+
+    fps: float
+    speed: float = 1.0
+    motion_fps: float | None = None
+    up: str | None = None
+
+    @property
+    def wanted(self) -> float:
+        """Pictures of the film for each second of the motion."""
+        return self.fps / self.speed
+
+
+def from_file(path: Path, manner: Manner, soles: Soles, parents: Sequence[int]) -> tuple[Placed, list[str]]:
+    """A .bvh or .npz retargeted to the body of `soles`, and facts about it; StageError for what is no motion."""
+    performance, rate, facts = _read(path, manner.motion_fps, soles, parents)
+    up = manner.up or placing.which_is_up(performance)
+    if up is None:
+        pelvis = ", ".join(f"{x:.2f}" for x in performance.rotations[:, 0, :, 1].mean(0))
+        found = [f"the pelvis points along ({pelvis}) on average"]
+        raise StageError(f"cannot tell which way is up in {path}", "say it with `--up`: y, -y, z or -z", found)
+    performance = retarget.resample(placing.face_ahead(performance, up), rate, manner.wanted)
+    placed = placing.on_floor(performance, manner.wanted, soles)
+    facts.append(f"{up} is up")
+    if placed.drift > 0.05:
+        facts.append(f"its floor rose and fell by {placed.drift:.2f} m, which is taken out")
+    return placed, facts
+
+
+def from_formula(name: str, manner: Manner, soles: Soles) -> Placed:
+    """A motion made by formula, MADE seconds of it."""
+    move = MOTIONS[name](MADE, manner.wanted)
+    turns, bends, steps = (part.numpy().astype(np.float64) for part in move)
+    points, _ = soles.at(turns[:1], bends[:1], steps[:1])
+    steps[:, 1] -= points[..., 1].min()  # formulas know no feet
+    return Placed(turns, bends, steps, 0.0)
+
+
+def from_clip(body: BodyPoses, times: np.ndarray, ground: Ground, manner: Manner, soles: Soles) -> Placed | None:
+    """What a person did in their clip, as seen from its floor, where they stood being the origin; None if nobody was seen.
+
+    `times` [F] s are those of the poses in `body`; frames without evidence are left out.
+    """
+    rows = placing.seen_in_order(body, times)
+    if len(rows) == 0:
+        return None
+    performance = placing.filmed(body, rows, ground, soles)
+    return placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
+
+
+def _read(path: Path, fps: float | None, soles: Soles, parents: Sequence[int]) -> tuple[Performance, float, list[str]]:
+    """The motion for SMPL's joints, its frames a second (`fps`, if given), and facts about the file in words."""
+    own_fps: float | None
+    if path.suffix.lower() == ".bvh":
+        found = bvh.read_bvh(path)
+        body = bvh_names.map_body(found, path)
+        skeleton = retarget.Skeleton(found.names, found.parents, found.places, found.rotations)
+        chains = (body.limbs, body.pelvis, body.spine, body.neck)
+        try:
+            performance = retarget.from_skeleton(skeleton, *chains, soles.joints, parents)
+        except ValueError as error:
+            raise StageError(f"{path} has bones without length", bvh.HINT, [str(error)]) from error
+        notes = [f"{body.used} of {body.used + len(body.unused)} joints used"]
+        length, own_fps = len(found), found.fps
+    elif path.suffix.lower() == ".npz":
+        smpl = read_smpl_motion(path)
+        performance, notes = retarget.from_smpl(smpl.rotvecs, smpl.transl, soles.joints), list(smpl.notes)
+        length, own_fps = len(smpl), smpl.fps
+    else:
+        raise StageError(
+            f"{path} is no motion", "give a .bvh, or an .npz of SMPL poses", [f"it ends in {path.suffix!r}"]
+        )
+    rate = fps or own_fps
+    if rate is None:
+        rate = DEFAULT_FPS
+        notes.append(f"how fast is not said: {rate:g} frames a second taken (`--motion-fps`)")
+    return performance, rate, [f"{length} frames, {(length - 1) / rate:.1f} s at {rate:.4g} fps", *notes]

@@ -1,0 +1,156 @@
+"""What a film is written as: films of pieces that are kept, pictures, and files for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.drawing.surface import surface_of
+from stages.avatar.motion.takes import take_of
+from stages.avatar.splats.factor import factored
+from stages.avatar.splats.turn import OVER, turned
+from stages.contract import StageError
+from stages.filming.cast import Actor
+from stages.filming.parts import Parts, spans
+from stages.filming.picture import everybody
+from stages.filming.shoot import Shoot
+from stages.formats.exchange.avatar_glb import Stand, write_film_glb
+from stages.formats.exchange.ply import write_ply
+from stages.formats.exchange.spz import write_spz
+from stages.formats.exchange.usd import write_usd
+from stages.formats.images import write_image
+from stages.formats.video import join_videos, write_alpha_video, write_video
+from stages.records import Rig, Scene, Take
+
+PIECE = 2.0  # s of film that are drawn and kept as one
+SPLATS: dict[str, Callable[[Path, Scene], object]] = {".ply": write_ply, ".spz": write_spz}
+
+
+def film(shoot: Shoot, out: Path, parts: Parts, alone: bool, progress: Callable[[int], None]) -> bool:
+    """The film, or the people `alone` with alpha; whether it was made. What was drawn before is kept, piece by piece.
+
+    `progress` hears of each picture that is done.
+    """
+    pieces, done = list(spans(shoot.count, max(1, round(PIECE * shoot.fps)))), 0
+    keys = [shoot.made_of(piece) for piece in pieces]
+
+    def shot(piece: range, done: int) -> Iterator[np.ndarray]:
+        for number, picture in enumerate(shoot.pictures(piece, alone), start=1):
+            yield picture
+            progress(done + number)
+
+    def make() -> None:
+        nonlocal done
+        paths = []
+        for piece, key in zip(pieces, keys, strict=True):
+            path = parts.piece(out.suffix, key, shoot.fps)
+            if not path.is_file():
+                if alone:
+                    write_alpha_video(path, shot(piece, done), shoot.fps)
+                else:
+                    write_video(path, shot(piece, done), shoot.fps)
+            done += len(piece)
+            progress(done)
+            paths.append(path)
+        join_videos(out, paths, shoot.fps)
+
+    made = parts.bring(out, make, keys, shoot.fps, alone)
+    for key in keys:
+        parts.piece(out.suffix, key, shoot.fps)  # kept for the next run
+    return made
+
+
+def still(shoot: Shoot, folder: Path, seconds: float, parts: Parts) -> bool:
+    """A picture at a second of the film, named after it; whether it was made."""
+    number = shoot.where(seconds)
+    out = folder / f"{seconds:07.3f}.png"
+    return parts.bring(out, lambda: write_image(out, shoot.picture(number)), shoot.made_of([number]))
+
+
+def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> bool:
+    """People and scene as one set of Gaussians, y down as viewers take it; whether it was made."""
+    if out.suffix.lower() not in SPLATS:
+        raise StageError(f"cannot write {out}", "give a .ply or an .spz", [f"it ends in {out.suffix!r}"])
+    number = shoot.where(seconds)
+
+    def make() -> None:
+        with torch.no_grad():
+            sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, number)
+        whole = joined([factored(one) for one in sets])
+        down = whole if shoot.setting.ground.up[1] < 0 else turned(whole, OVER)
+        SPLATS[out.suffix.lower()](out, down)
+
+    return parts.bring(out, make, shoot.made_of([number]))
+
+
+def joined(sets: list[Scene]) -> Scene:
+    """Sets of Gaussians as one, with as many colours as the richest has."""
+    most = max(one.shN.shape[1] for one in sets)
+    rich = [np.pad(one.shN, ((0, 0), (0, most - one.shN.shape[1]), (0, 0))) for one in sets]
+    rows = {
+        n: np.concatenate([getattr(one, n) for one in sets]) for n in ("means", "quats", "scales", "opacities", "sh0")
+    }
+    return Scene(**rows, shN=np.concatenate(rich), antialias=sets[-1].antialias)
+
+
+def usd(shoot: Shoot, out: Path, parts: Parts, progress: Callable[[int], None]) -> bool:
+    """The scene and the people with a sample a picture, y up, floor at 0; whether it was made."""
+    ground = shoot.setting.ground
+
+    def poses(actor: Actor, before: int) -> Iterator[Scene]:
+        for number in range(shoot.count):
+            with torch.no_grad():
+                posed = factored(actor.splats(number))
+            yield turned(posed, ground.turn.T, ground.point)
+            progress((before * shoot.count + number + 1) // len(shoot.cast))
+
+    def make() -> None:
+        scene = shoot.setting.scene
+        here = {} if scene is None else {"scene": turned(scene, ground.turn.T, ground.point)}
+        write_usd(out, here, {actor.name: poses(actor, i) for i, actor in enumerate(shoot.cast)}, shoot.fps)
+
+    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps)
+
+
+def glb(shoot: Shoot, out: Path, parts: Parts) -> bool:
+    """Skinned people with their motions, and the scene's Gaussians, y up, floor at 0; whether it was made."""
+    ground, scene = shoot.setting.ground, shoot.setting.scene
+
+    def make() -> None:
+        figures = []
+        for actor in shoot.cast:
+            rig = in_gain(actor)
+            mesh = None if actor.model is None else surface_of(actor.model, rig)
+            figures.append((actor.name, rig, mesh, take(shoot, actor), stand(shoot, actor)))
+        write_film_glb(out, figures, None if scene is None else turned(scene, ground.turn.T, ground.point))
+
+    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps)
+
+
+def in_gain(actor: Actor) -> Rig:
+    """An actor's rig in the colours of the film."""
+    gain = np.array(actor.gain, np.float32)
+    return replace(
+        actor.rig, sh0=actor.rig.sh0 * gain + (gain - 1) * np.float32(0.5 / 0.28209479), shN=actor.rig.shN * gain
+    )
+
+
+def stand(shoot: Shoot, actor: Actor) -> Stand:
+    """Where an actor's motion begins, seen from the film's floor."""
+    ground = shoot.setting.ground
+    place = (actor.place - ground.point) @ ground.turn
+    return place.tolist(), Rotation.from_matrix(ground.turn.T @ actor.turn).as_quat().tolist(), actor.scale
+
+
+def take(shoot: Shoot, actor: Actor) -> Take:
+    """What an actor does in the film, on a floor at height 0."""
+    rows, placed = [actor.row(number) for number in range(shoot.count)], actor.placed
+    pelvis = placed.transl[rows] + actor.soles.joints[0]
+    return take_of(
+        "film", np.arange(shoot.count) / shoot.fps, placed.global_orient[rows], placed.body_pose[rows], pelvis
+    )

@@ -1,0 +1,80 @@
+"""A film as a page: all its people, each with the film's motion and the made ones, and its camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from stages.avatar.motion.moves import made_moves
+from stages.filming.cast import Actor
+from stages.filming.outputs import in_gain
+from stages.filming.parts import Parts
+from stages.filming.shoot import Shoot
+from stages.formats import viewer
+from stages.records import Cameras, Effects, Move
+
+
+def page(shoot: Shoot, out: Path, parts: Parts) -> tuple[bool, list[str]]:
+    """Write the page; whether it was made, and what it lacks, in sentences."""
+    lacks: list[str] = []
+
+    def make() -> None:
+        lacks.extend(viewer.write_viewer(out, exhibit(shoot, out.stem)))
+
+    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, out.stem), lacks
+
+
+def exhibit(shoot: Shoot, title: str) -> viewer.Exhibit:
+    """What the page shows."""
+    scene, ground, first = shoot.setting.scene, shoot.setting.ground, shoot.cameras[0]
+    names = tuple(f"{number:05d}" for number in range(shoot.count))
+    views = np.stack([camera.viewmat.double().numpy() for camera in shoot.cameras])
+    Ks = np.stack([camera.K.double().numpy() for camera in shoot.cameras])
+    around = "none" if scene is None else f"{len(scene):,} Gaussians"
+    people = ", ".join(f"{actor.name} ({len(actor.rig):,} Gaussians)" for actor in shoot.cast)
+    length = f"{shoot.count} pictures, {shoot.count / shoot.fps:.1f} s"
+    made_by = f"hugs {version('hugs-avatar')}"
+    return viewer.Exhibit(
+        title=title,
+        subtitle=f"{len(shoot.cast)} {'person' if len(shoot.cast) == 1 else 'people'}, {shoot.count / shoot.fps:.1f} s",
+        facts=[("Film", length), ("People", people), ("Scene", around), ("Made by", made_by)],
+        figures=[figure(shoot, actor) for actor in shoot.cast],
+        scene=scene,
+        effects=lamp(shoot),
+        cameras=Cameras(names, views, Ks, first.width, first.height),
+        images=None,
+        absent=[],
+        turn=ground.turn,
+        spot=ground.point,
+        made_by=made_by,
+    )
+
+
+def figure(shoot: Shoot, actor: Actor) -> viewer.Figure:
+    """A person as the page has them."""
+    rows = [actor.row(number) for number in range(shoot.count)]
+    rotvecs = np.concatenate([actor.global_orient[rows], actor.body_pose[rows]], 1)
+    own = replace(shoot.setting.ground, point=actor.place, up=actor.turn[:, 1], ahead=actor.turn[:, 2])
+    middles, spreads = (torch.as_tensor(part).cpu().numpy() for part in actor.parts)
+    return viewer.Figure(
+        rig=in_gain(actor),
+        weights=actor.record.lbs_weights,
+        moves=[Move("The film", shoot.fps, rotvecs, actor.transl[rows]), *made_moves(own, actor.soles)],
+        turn=actor.turn,
+        spot=actor.place,
+        soles=actor.soles.at_rest(),
+        parts=(middles, spreads),
+        scale=actor.scale,
+    )
+
+
+def lamp(shoot: Shoot) -> Effects:
+    """The film's lamp as the page takes it."""
+    shadow = shoot.setting.shadow
+    if shadow is None or shoot.setting.scene is None:
+        return Effects()
+    return Effects(**{name: value for name, value in shadow.known().items() if name not in ("middles", "covariances")})

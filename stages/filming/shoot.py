@@ -1,0 +1,69 @@
+"""A film ready to be shot: its setting, cast and cameras, and what each picture is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from stages.avatar.drawing.draw import to_uint8
+from stages.avatar.rasterize import Camera
+from stages.filming.cast import Actor
+from stages.filming.parts import mark
+from stages.filming.picture import draw_picture
+from stages.filming.setting import Setting
+
+
+@dataclass(frozen=True)
+class Shoot:
+    """`count` pictures, `fps` a second, one of `cameras` each."""
+
+    setting: Setting
+    cast: Sequence[Actor]
+    cameras: Sequence[Camera]
+    fps: float
+
+    @property
+    def count(self) -> int:
+        return len(self.cameras)
+
+    def picture(self, number: int) -> np.ndarray:
+        """A picture, uint8 [H,W,3]: in the scene, or over white."""
+        white = 1.0 if self.setting.splats is None else 0.0
+        scene, shadow = self.setting.splats, self.setting.shadow
+        return to_uint8(draw_picture(scene, shadow, self.cast, number, self.cameras[number], white)[0])
+
+    def people(self, number: int) -> np.ndarray:
+        """The people of a picture alone, uint8 [H,W,4], alpha not multiplied into colour."""
+        image, alpha = draw_picture(None, None, self.cast, number, self.cameras[number], 0.0)
+        color = image / np.maximum(alpha, 1 / 255)[..., None]
+        return to_uint8(np.concatenate([color, alpha[..., None]], 2))
+
+    def pictures(self, numbers: range, alone: bool) -> Iterator[np.ndarray]:
+        """Pictures in their order, of the people `alone` or of all."""
+        return map(self.people if alone else self.picture, numbers)
+
+    def where(self, seconds: float) -> int:
+        """The picture that a second of the film falls on; the last one for all after it."""
+        return min(self.count - 1, round(seconds * self.fps))
+
+    def made_of(self, numbers: Sequence[int]) -> str:
+        """A digest of all that these pictures are made of."""
+        poses = [[actor.pose(number) for actor in self.cast] for number in numbers]
+        seen = [tuple(self.cameras[number]) for number in numbers]
+        return mark(self.stuff, poses, seen)
+
+    @cached_property
+    def stuff(self) -> str:
+        """A digest of what all pictures are made of: Gaussians, lamp, where people stand and how large they are."""
+        scene, shadow = self.setting.splats, self.setting.shadow
+        lamp = None if shadow is None else [shadow.light(), *shadow.parameters()]
+        people = []
+        for actor in self.cast:
+            clothing = actor.baked.clothing
+            cloth = None if clothing is None else [*clothing.buffers(), *clothing.parameters()]
+            rest = list(actor.baked.resting), actor.baked.joints, actor.baked.parents, actor.baked.antialias
+            people.append([*rest, cloth, list(actor.parts), actor.place, actor.turn, actor.scale])
+        return mark(None if scene is None else list(scene), lamp, people)

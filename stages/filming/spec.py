@@ -1,0 +1,100 @@
+"""What can be asked of a film: the keys of film.yaml, as `hugs compose` checks them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from stages import contract
+
+Axis = tuple[float, float, float]
+Matching = Literal["off", "auto", "always"]
+Moment = Annotated[float, Field(ge=0)]
+
+
+class Person(contract.Params):
+    avatar: Path
+    """The folder of a run, such as work/dance/default, or an exported avatar.npz or .glb."""
+    motion: str = "clip"
+    """A .bvh or .npz file; clip: as they moved in their own clip; or made by formula: wave, squats, jumping_jacks,
+    walk_in_place."""
+    at: tuple[float, float] = (0.0, 0.0)
+    """Where their motion begins, m on the floor from where the scene's own person stood: to the left, ahead."""
+    turn: float = 0.0
+    """Degrees to the left, seen from above."""
+    start: float = 0.0
+    """Second of the film at which their motion begins; less than 0: it is under way when the film begins."""
+    speed: float = Field(1.0, gt=0)
+    """Times as fast as it was."""
+    loop: bool = False
+    """Begin again at the end; else they stand still before and after."""
+    scale: float = Field(1.0, gt=0)
+    """Times as large as they are."""
+    colour: Matching | None = None
+    """As the film's `colour`, for this person alone."""
+    motion_fps: float | None = Field(None, gt=0)
+    """Frames a second of the motion file, in place of what it says."""
+    up: Literal["y", "-y", "z", "-z"] | None = None
+    """The axis that points up in the motion file, in place of the direction in which its pelvis points."""
+
+
+class Floor(contract.Params):
+    point: Axis
+    """A point of the floor, m, from which `at` counts."""
+    up: Axis = (0.0, -1.0, 0.0)
+    """Its normal."""
+    ahead: Axis = (0.0, 0.0, -1.0)
+    """The way that people look who are not turned."""
+
+
+class Stills(contract.Params):
+    folder: Path
+    at: list[Moment]
+    """Seconds of the film."""
+
+
+class Out(contract.Params):
+    film: Path | None = None
+    """The film, .mp4."""
+    alpha: Path | None = None
+    """The people alone, with alpha: .mov (ProRes 4444)."""
+    stills: Stills | None = None
+    """Pictures, .png."""
+    page: Path | None = None
+    """The page on which all of them move, .html."""
+    splats: Path | None = None
+    """Scene and people at `moment` as one set of Gaussians, .ply or .spz."""
+    glb: Path | None = None
+    """Skinned people with their motions and the scene's Gaussians, .glb."""
+    usd: Path | None = None
+    """The scene, and the people with a sample a picture, .usdc."""
+
+
+class Film(contract.Params):
+    scene: Path | None = None
+    """The folder of a run, or a .ply, .spz or .npz of Gaussians; none: over white."""
+    gaussians: Path | None = None
+    """A file in place of the Gaussians that the run of `scene` trained, in its axes: a scene that was edited."""
+    ground: Floor | None = None
+    """The floor of a scene that is a file."""
+    people: list[Person] = Field(min_length=1)
+    camera: str = "clip"
+    """clip: the path of the scene's clip, to and fro. still: the camera of its middle frame. orbit: around the people.
+    follow: still, but turning after them. before: one that sees all that they do. Or an .npz of cameras, one or one a picture."""
+    light: Literal["auto", "above", "off"] = "auto"
+    """Where shadows fall. auto: as learned of the scene, or as its survey saw it, else from above."""
+    colour: Matching = "auto"
+    """Match people to the scene's exposure and tint. auto: where the clips differ by more than the measure errs."""
+    fps: float = Field(30.0, gt=0, le=240)
+    """Pictures a second."""
+    seconds: float | None = Field(None, gt=0)
+    """Length of the film; as long as the longest motion if not said."""
+    size: tuple[int, int] | None = None
+    """Width and height, px; those of the scene's clip, or 640x360, if not said."""
+    moment: Moment = 0.0
+    """Second of the film that `splats` shows."""
+    only: Literal["human", "both"] = "both"
+    """human: over white; both: in the scene."""
+    out: Out = Out()

@@ -1,0 +1,190 @@
+"""`hugs compose`: from two finished runs to films, pictures, files and the page; what is kept, and what is said."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from hugs_cli.app import main
+from stages.filming.shoot import Shoot
+from stages.formats.exchange.glb import Glb
+from stages.formats.exchange.read import read_any_scene
+from stages.formats.images import read_image
+from stages.formats.video import decode
+from tests.made import finished
+from tests.made.tiny import colour_of
+
+pytestmark = pytest.mark.slow
+
+FILM = """
+scene: work/ann/default
+people:
+  - {avatar: work/ann/default, motion: wave, at: [-0.4, 0.0]}
+  - {avatar: work/bob/default, motion: squats, at: [0.45, 0.0], start: -0.5}
+camera: still
+fps: 4
+seconds: 2.5
+size: [96, 128]
+out:
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("compose")
+    for clip in ("ann", "bob"):
+        finished.make(folder, clip)
+    return folder
+
+
+@pytest.fixture
+def hugs(made, monkeypatch, capsys):
+    """Runs `hugs compose ...` in this process; its stdout and stderr."""
+
+    def run(*args, code=0):
+        monkeypatch.chdir(made)
+        monkeypatch.setattr("signal.signal", lambda number, handler: None)  # Ctrl-C stays pytest's
+        monkeypatch.setattr(sys, "argv", ["hugs", "compose", *args])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capsys.readouterr()
+        assert end.value.code == code, out + err
+        return out, err
+
+    return run
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Counts the pictures that are drawn."""
+    numbers: list[int] = []
+    whole, alone = Shoot.picture, Shoot.people
+    monkeypatch.setattr(Shoot, "picture", lambda self, number: numbers.append(number) or whole(self, number))
+    monkeypatch.setattr(Shoot, "people", lambda self, number: numbers.append(number) or alone(self, number))
+    return numbers
+
+
+def write(made: Path, name: str, out: str, *changes: tuple[str, str]) -> str:
+    text = FILM
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (made / name).write_text(text + "".join(f"  {line}\n" for line in out.split("; ")))
+    return name
+
+
+def test_what_init_writes_runs_as_it_is(made, hugs):
+    out, _ = hugs("--init", "work/ann/default", "work/bob/default", "--out", "new/first.yaml")
+    assert out == "new/first.yaml\n"
+    text = (made / "new/first.yaml").read_text()
+    assert text.count("#") > 15 and "avatar: ../work/bob/default" in text
+    (made / "new/first.yaml").write_text(text.replace("fps: 30", "fps: 4"))
+    out, err = hugs("new/first.yaml")
+    assert out == "new/first.mp4\n" and "3 frames, 0.8 s at 4 fps" in err
+    assert len(list(decode(made / "new/first.mp4"))) == 3
+    assert "first.yaml is already there" in hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1]
+    assert "nobody to make a film of" in hugs("--init", code=2)[1]
+
+
+def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs, drawn):
+    film = write(made, "a.yaml", "film: a.mp4")
+    _, err = hugs(film)
+    assert "10 frames, 2.5 s at 4 fps" in err and drawn == list(range(10))
+    first = (made / "a.mp4").read_bytes()
+    seen = colour_of(next(decode(made / "a.mp4"))[2])
+    columns = np.argwhere(seen == 3)[:, 1]  # heads
+    assert (columns < 48).sum() > 20 and (columns > 48).sum() > 20
+    again = hugs(film)[1]
+    assert "a.mp4 is as it was made before" in again and len(drawn) == 10
+    other = write(made, "b.yaml", "film: b.mp4")
+    hugs(other)
+    assert (made / "b.mp4").read_bytes() == first and len(drawn) == 20
+
+
+def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monkeypatch):
+    film = write(made, "long.yaml", "film: long.mp4", ("seconds: 2.5", "seconds: 5"))
+    picture = Shoot.picture
+
+    def stop(self, number):
+        if number == 13:
+            raise OSError(28, "No space left on device")
+        return picture(self, number)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Shoot, "picture", stop)
+        hugs(film, code=1)
+    assert not (made / "long.mp4").exists() and drawn == list(range(13))
+    drawn.clear()
+    hugs(film)
+    assert drawn == list(range(8, 20)), "the first piece of 2 s was kept"
+    longer = write(made, "long.yaml", "film: long.mp4", ("seconds: 2.5", "seconds: 6"))
+    drawn.clear()
+    hugs(longer)
+    assert drawn == list(range(16, 24)), "only what is new is drawn"
+    assert len(list(decode(made / "long.mp4"))) == 24
+
+
+def test_a_change_draws_again_what_depends_on_it_and_nothing_else(made, hugs, drawn):
+    film = write(made, "c.yaml", "film: c.mp4")
+    hugs(film)
+    count = len(drawn)
+    write(made, "c.yaml", "film: c.mp4; page: c.html")
+    hugs(film)
+    assert len(drawn) == count and (made / "c.html").stat().st_size > 1e6
+    write(made, "c.yaml", "film: c.mp4; page: c.html", ("at: [0.45, 0.0]", "at: [0.5, 0.0]"))
+    assert "c.mp4 is as it" not in hugs(film)[1] and len(drawn) == 2 * count
+    (made / "c.mp4").write_bytes(b"edited")
+    assert "c.mp4 is already there" in hugs(film, code=2)[1]
+
+
+def test_stills_splats_alpha_and_glb(made, hugs):
+    outs = "stills: {folder: shots, at: [0.0, 1.3]}; splats: d.ply; alpha: d.mov; glb: d.glb"
+    out, _ = hugs(write(made, "d.yaml", outs))
+    assert out.split() == ["d.mov", "d.ply", "d.glb", "shots"]
+    names = [path.name for path in sorted((made / "shots").iterdir())]
+    assert names == ["000.000.png", "001.300.png"] and read_image(made / "shots" / names[0]).shape == (128, 96, 3)
+    whole = read_any_scene(made / "d.ply")
+    scene = read_any_scene(made / "work/ann/default/train/scene.npz")
+    assert len(whole) == len(scene) + 2 * 1723
+    np.testing.assert_allclose(whole.means[-len(scene) :], scene.means, atol=1e-6)
+    with av.open(str(made / "d.mov")) as film:
+        frames = [frame.to_ndarray(format="rgba") for frame in film.decode(video=0)]
+    assert len(frames) == 10 and frames[0][:4, :4, 3].max() == 0 and (frames[0][..., 3] > 250).sum() > 300
+    glb = Glb(made / "d.glb")
+    nodes = {node["name"]: node for node in glb.content["nodes"]}
+    assert {"ann", "bob", "scene"} <= set(nodes) and len(glb.content["skins"]) == 2
+    np.testing.assert_allclose(nodes["bob"]["translation"], [0.45, 0, 0], atol=1e-9)
+    (moves,) = glb.content["animations"]
+    assert len(moves["channels"]) == 2 * 25 and max(c["sampler"] for c in moves["channels"]) == 49
+
+
+def test_the_page_has_all_people_and_the_films_camera(made, hugs):
+    hugs(write(made, "e.yaml", "page: e.html"))
+    html = (made / "e.html").read_text(encoding="utf-8")
+    facts = json.loads(re.search(r'id="facts">(.*?)</script>', html, re.S)[1])
+    assert len(facts["people"]) == 2 and facts["motions"][0]["name"] == "The film"
+    assert facts["clip"]["pictures"] == [] and len(facts["clip"]["names"]) == 10
+    assert facts["arrays"]["motion1.0/steps"]["shape"] == [10, 3]
+    spots = np.array([one["stand"]["spot"] for one in facts["people"]])
+    assert np.linalg.norm(spots[1] - spots[0]) == pytest.approx(0.85)
+
+
+def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs):
+    film = write(made, "f.yaml", "stills: {folder: near, at: [0]}", ("at: [0.45, 0.0]", "at: [-0.3, 0.0]"))
+    assert re.search(r"warning: ann and bob are in each other by \d+ cm at \d\.\d s", hugs(film)[1])
+    for old, new, problem in (
+        ("motion: wave", "motion: wvae", "no motion 'wvae'"),
+        ("camera: still", "camera: stil", "no camera 'stil'"),
+        ("scene: work/ann", "scene: work/eve", "scene: nothing at"),
+    ):
+        assert problem in hugs(write(made, "g.yaml", "film: g.mp4", (old, new)), code=2 if "eve" in new else 1)[1]
+    assert "`out: film` is a .mp4" in hugs(write(made, "g.yaml", "film: g.avi"), code=1)[1]
+    assert "asks for nothing" in hugs(write(made, "g.yaml", "{}"), code=2)[1]
+    inside = write(made, "g.yaml", "film: work/ann/default/train/film.mp4")
+    assert "is a folder of results, or lies in it" in hugs(inside, "--force", code=2)[1]

@@ -1,0 +1,94 @@
+"""film.yaml as it is read: unknown keys, values that cannot be, paths from its folder, runs that are not finished."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from hugs_cli import film as films
+from hugs_cli.pipelines import UsageError
+
+GOOD = """
+scene: runs/room
+people:
+  - {avatar: runs/ann, motion: moves.bvh, at: [0.5, 0]}
+  - {avatar: /elsewhere/bob.npz, motion: wave}
+camera: orbit
+out: {film: films/a.mp4, stills: {folder: shots, at: [1]}}
+"""
+
+
+def read(folder: Path, text: str) -> object:
+    (folder / "film.yaml").write_text(text)
+    return films.checked(films.read_film(folder / "film.yaml"), "film.yaml")
+
+
+def test_paths_count_from_the_films_folder_and_words_are_no_paths(tmp_path):
+    film = read(tmp_path, GOOD)
+    assert film.scene == tmp_path / "runs/room" and film.people[0].avatar == tmp_path / "runs/ann"
+    assert film.people[0].motion == str(tmp_path / "moves.bvh") and film.people[1].motion == "wave"
+    assert film.people[1].avatar == Path("/elsewhere/bob.npz") and film.camera == "orbit"
+    assert film.out.film == tmp_path / "films/a.mp4" and film.out.stills.folder == tmp_path / "shots"
+    assert films.outputs(film) == [tmp_path / "films/a.mp4", tmp_path / "shots"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem", "help"),
+    [
+        ("camera: orbit", "camra: orbit", "film.yaml: no key 'camra'", "did you mean `camera`?"),
+        ("motion: moves.bvh", "motoin: moves.bvh", "film.yaml, people 1: no key 'motoin'", "did you mean `motion`?"),
+        ("{film:", "{flim:", "film.yaml, out: no key 'flim'", "did you mean `film`?"),
+        ("{folder:", "{fodler:", "film.yaml, out, stills: no key 'fodler'", "did you mean `folder`?"),
+        ("camera: orbit", "code: orbit", "film.yaml: no key 'code'", ""),
+        ("at: [0.5, 0]", "at: [0.5]", "film.yaml: not a film that can be made", "people 1, at 2"),
+        (
+            "at: [0.5, 0]",
+            "speed: 0",
+            "film.yaml: not a film that can be made",
+            "people 1, speed: input should be greater",
+        ),
+        ("camera: orbit", "fps: fast", "film.yaml: not a film that can be made", "fps"),
+        ("people:", "folk:", "film.yaml: no key 'folk'", ""),
+        (GOOD, "scene: a", "film.yaml: not a film that can be made", "people"),
+        (GOOD, "[1, 2]", "holds no film", "--init"),
+        (GOOD, "{", "is not valid YAML", ""),
+    ],
+)
+def test_what_is_no_film_is_refused_by_name(tmp_path, old, new, problem, help):
+    assert old in GOOD
+    with pytest.raises(UsageError) as refused:
+        read(tmp_path, GOOD.replace(old, new))
+    assert problem in refused.value.problem
+    assert help in "\n".join([refused.value.hint, *refused.value.facts])
+
+
+def test_a_film_that_is_not_there_is_said(tmp_path):
+    with pytest.raises(UsageError, match="cannot read"):
+        films.read_film(tmp_path / "film.yaml")
+
+
+def test_runs_and_files_that_are_missing_are_named_before_anything_is_drawn(tmp_path):
+    film = read(tmp_path, GOOD)
+    with pytest.raises(UsageError, match="scene: nothing at"):
+        films.check_sources(film)
+    (tmp_path / "runs/room/train").mkdir(parents=True)
+    with pytest.raises(UsageError, match=r"scene: .* is no finished run") as refused:
+        films.check_sources(film)
+    assert "no finished train, smpl, sfm, frames, survey" in refused.value.facts[0]
+    film = read(tmp_path, GOOD.replace("scene: runs/room", "scene: room.ply"))
+    shutil.copyfile(tmp_path / "film.yaml", tmp_path / "room.ply")
+    with pytest.raises(UsageError, match="person 1: nothing at"):
+        films.check_sources(film)
+    (tmp_path / "runs/ann.npz").touch()
+    text = (
+        GOOD.replace("scene: runs/room", "scene: room.ply")
+        .replace("runs/ann", "runs/ann.npz")
+        .replace("/elsewhere/bob", "runs/ann")
+    )
+    film = read(tmp_path, text)
+    with pytest.raises(UsageError, match=r"no file at .*moves.bvh"):
+        films.check_sources(film)
+    (tmp_path / "moves.bvh").touch()
+    assert [path.name for path in films.check_sources(film)] == ["room.ply", "ann.npz", "ann.npz", "moves.bvh"]

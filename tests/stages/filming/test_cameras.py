@@ -1,0 +1,92 @@
+"""Cameras of a film: people stay in view, and paths are those that were asked for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages.avatar.cameras.pinhole import project
+from stages.contract import StageError
+from stages.filming.cameras import cameras_of
+from stages.filming.cast import cast
+from stages.filming.setting import load_setting
+from stages.filming.spec import Film, Person
+from stages.formats.cameras import write_cameras
+from stages.records import Cameras
+
+FPS = 20.0
+
+
+@pytest.fixture(scope="module")
+def stage(tiny):
+    run = tiny["train"].parent
+    film = Film(scene=run, people=[Person(avatar=run, motion="jumping_jacks", at=(x, 0)) for x in (-0.4, 0.5)])
+    setting = load_setting(film, "cpu")
+    return setting, [cast(person, "a", setting.ground, FPS, "cpu") for person in film.people]
+
+
+def test_the_clips_path_is_gone_to_and_fro_at_its_own_pace(stage):
+    setting, people = stage
+    times, views = setting.times, setting.clip.viewmats
+    cameras = cameras_of("clip", 100, FPS, None, setting, people)
+    assert (cameras[0].width, cameras[0].height) == (setting.clip.width, setting.clip.height)
+    passed = times[-1] - times[0]
+    at = np.arange(100) / FPS
+    for i in (0, 3, 7):
+        nearest = np.abs(at - (times[i] - times[0])).argmin()
+        np.testing.assert_allclose(cameras[nearest].viewmat, views[i], atol=0.06)
+    period = round(2 * passed * FPS)
+    np.testing.assert_allclose(cameras[period].viewmat, cameras[0].viewmat, atol=0.03)
+    steps = [np.abs((b.viewmat - a.viewmat).numpy()).max() for a, b in zip(cameras, cameras[1:])]
+    assert max(steps) < 0.1, "no jump where it turns back"
+
+
+@pytest.mark.parametrize("kind", ["orbit", "before"])
+def test_all_that_people_do_is_in_view_and_upright(stage, kind):
+    setting, people = stage
+    cameras = cameras_of(kind, 40, FPS, (320, 180), setting, people)
+    joints = np.concatenate([actor.joints(range(40)) for actor in people], 1)
+    for camera, here in zip(cameras, joints, strict=True):
+        pixels, depth = project(here, camera.viewmat.numpy(), camera.K.numpy())
+        assert (depth > 0).all() and (pixels > 0).all() and (pixels < [320, 180]).all()
+        down = camera.viewmat.numpy()[:3, :3] @ -setting.ground.up
+        assert down[1] > 0.9
+    ways = {tuple(np.round(camera.viewmat.numpy()[2, :3], 3)) for camera in cameras}
+    assert len(ways) == (40 if kind == "orbit" else 1)
+
+
+def test_following_keeps_the_eye_and_turns_after_people(stage):
+    setting, people = stage
+    still = cameras_of("still", 40, FPS, None, setting, people)
+    cameras = cameras_of("follow", 40, FPS, None, setting, people)
+    for camera in cameras:
+        a, b = (-(c.viewmat[:3, :3].T @ c.viewmat[:3, 3]) for c in (camera, still[0]))
+        np.testing.assert_allclose(a, b, atol=1e-9)
+        here = np.concatenate([actor.joints([20])[0] for actor in people]).mean(0, keepdims=True)
+        pixels, _ = project(here, camera.viewmat.numpy(), camera.K.numpy())
+        assert np.abs(pixels[0] - [camera.width / 2, camera.height / 2]).max() < 12
+
+
+def test_another_size_shows_as_much_about_the_same_middle(stage):
+    setting, people = stage
+    (own,), (wide,) = (cameras_of("still", 1, FPS, size, setting, people) for size in (None, (256, 128)))
+    ray = np.linalg.inv(own.K.numpy()) @ [own.width / 2, own.height / 2, 1]
+    np.testing.assert_allclose(wide.K.numpy() @ ray, [128, 64, 1], atol=1e-9)
+    assert wide.K[0, 0] / own.K[0, 0] == pytest.approx(256 / own.width), "the wider side decides"
+
+
+def test_given_cameras_are_one_or_one_a_picture_and_others_are_refused(stage, tmp_path):
+    setting, people = stage
+    clip = setting.clip
+    write_cameras(tmp_path / "three.npz", Cameras(("a", "b", "c"), clip.viewmats[:3], clip.Ks[:3], 32, 24))
+    assert len(cameras_of(str(tmp_path / "three.npz"), 3, FPS, None, setting, people)) == 3
+    with pytest.raises(StageError, match="do not belong together"):
+        cameras_of(str(tmp_path / "three.npz"), 4, FPS, None, setting, people)
+
+
+@pytest.mark.parametrize("kind", ["clip", "still", "follow"])
+def test_without_a_clip_its_camera_cannot_be_had(stage, kind):
+    setting, people = stage
+    with pytest.raises(StageError, match="no clip whose camera") as refused:
+        cameras_of(kind, 4, FPS, None, replace(setting, clip=None), people)
+    assert "orbit" in refused.value.hint

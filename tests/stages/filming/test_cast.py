@@ -1,0 +1,110 @@
+"""People on the floor of a film: where they stand, which pose a picture shows, their size and colours."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from stages.contract import StageError
+from stages.filming.cast import cast, in_colour
+from stages.filming.spec import Person
+from stages.formats.ground import read_ground
+from stages.formats.poses import read_poses
+from stages.formats.splats import read_avatar, write_splats
+from stages.records import Ground
+
+FPS = 30.0
+LEAN = Rotation.from_euler("xyz", [170, 20, -11], degrees=True)  # a floor that no axis of its world is square to
+SLOPE = Ground(
+    np.array([0.3, -2.0, 5.0]), LEAN.apply([0, 1, 0]), LEAN.apply([0, 0, 1]), 1.0, 0.01, 0.01, 9, "a floor elsewhere"
+)
+
+
+@pytest.fixture(scope="module")
+def run(tiny):
+    return tiny["train"].parent
+
+
+def heights(actor, ground, pictures):
+    """Of the lowest sole over the floor in each picture, m."""
+    rows = [actor.row(picture) for picture in pictures]
+    points, _ = actor.soles.at(actor.global_orient[rows], actor.body_pose[rows], actor.transl[rows])
+    points = actor.place + actor.scale * (points - actor.place)
+    return ((points - ground.point) @ ground.up).min(1)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0), (2.0, -2.2), (-1.0, 2.8)])
+@pytest.mark.parametrize("motion", ["clip", "walk_in_place"])
+def test_soles_are_on_another_floor_wherever_they_stand_on_it(run, at, motion):
+    actor = cast(Person(avatar=run, motion=motion, at=at, turn=77, scale=1.3), "a", SLOPE, FPS, "cpu")
+    low = heights(actor, SLOPE, range(len(actor.transl)))
+    assert np.abs(low).max() < 0.02
+    first = actor.joints([0])[0, 0]
+    left, ahead = ((first - SLOPE.point) @ SLOPE.turn)[[0, 2]]
+    start = np.array(at) + (0.05 if motion == "clip" else 0)
+    np.testing.assert_allclose([left, ahead], start, atol=0.15)
+
+
+def test_people_look_ahead_or_where_they_are_turned(run):
+    for turn, way in ((0, [0, 0, 1]), (90, [1, 0, 0]), (-30, [-0.5, 0, np.sqrt(0.75)])):
+        actor = cast(Person(avatar=run, motion="wave", turn=turn), "a", SLOPE, FPS, "cpu")
+        looks = Rotation.from_rotvec(actor.global_orient[0]).apply([0, 0, 1])
+        assert looks @ (SLOPE.turn @ way) > 0.99
+
+
+def test_in_their_own_scene_people_do_what_they_did_there(tiny, run):
+    """With their feet put on the floor, which is at most a few millimetres."""
+    body, ground = read_poses(tiny["train"] / "body.npz"), read_ground(tiny["smpl"] / "ground.json")
+    actor = cast(Person(avatar=run), "a", ground, 10.0, "cpu")
+    assert len(actor.transl) == 7, "nobody is seen in the last frame"
+    _, joints = actor.soles.at(body.global_orient[:7], body.body_pose[:7], body.transl[:7])
+    away = actor.joints(range(7)) - joints
+    assert np.abs(away - np.median(away, (0, 1))).max() < 0.02 and np.abs(away).max() < 0.04
+
+
+def test_a_motion_begins_ends_loops_and_goes_at_its_speed(run):
+    def rows(**more):
+        actor = cast(Person(avatar=run, motion="squats", **more), "a", SLOPE, FPS, "cpu")
+        return len(actor.transl), [actor.row(picture) for picture in (0, 30, 119, 130)]
+
+    assert rows() == (120, [0, 30, 119, 119])
+    assert rows(start=1.0) == (120, [0, 0, 89, 100])
+    assert rows(start=-0.5) == (120, [15, 45, 119, 119])
+    assert rows(start=-0.5, loop=True) == (120, [15, 45, 14, 25])
+    assert rows(speed=2.0) == (60, [0, 30, 59, 59])
+
+
+def test_size_is_about_the_place_and_colours_are_multiplied(run):
+    plain = cast(Person(avatar=run, motion="wave", at=(1, 1)), "a", SLOPE, FPS, "cpu")
+    giant = cast(Person(avatar=run, motion="wave", at=(1, 1), scale=2), "a", SLOPE, FPS, "cpu")
+    one, two = (torch.as_tensor(actor.splats(9).means).double().numpy() for actor in (plain, giant))
+    np.testing.assert_allclose(two - plain.place, 2 * (one - plain.place), atol=1e-5)
+    np.testing.assert_allclose(giant.splats(9).axes, 2 * plain.splats(9).axes, atol=1e-6)
+    (small, thin), (large, thick) = ([part.double().numpy() for part in actor.casters(9)] for actor in (plain, giant))
+    np.testing.assert_allclose(large - plain.place, 2 * (small - plain.place), atol=1e-5)
+    np.testing.assert_allclose(thick, 4 * thin, atol=1e-7)
+    gain = np.array([0.5, 1.0, 1.4])
+    eye = torch.zeros(3)
+    coloured = in_colour(plain, gain).splats(9).colors(eye)
+    np.testing.assert_allclose(coloured, plain.splats(9).colors(eye) * torch.as_tensor(gain).float(), atol=1e-5)
+
+
+def test_what_casts_the_shadow_is_the_body_or_where_that_is_not_known_the_gaussians(tiny, run, tmp_path):
+    own = cast(Person(avatar=run, motion="wave"), "a", SLOPE, FPS, "cpu")
+    alone = cast(Person(avatar=run / "train" / "avatar.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
+    assert alone.model is not None
+    np.testing.assert_allclose(alone.parts.middles, own.parts.middles, atol=1e-6)
+    avatar = read_avatar(tiny["train"] / "avatar.npz")
+    write_splats(tmp_path / "other.npz", replace(avatar, joints=avatar.joints * 1.1))
+    other = cast(Person(avatar=tmp_path / "other.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
+    assert other.model is None
+    limb = own.parts.covariances.diagonal(dim1=1, dim2=2).sum(1) > 1e-4
+    assert (other.parts.middles - own.parts.middles)[limb].norm(dim=1).median() < 0.05
+
+
+def test_a_file_has_no_clip_to_move_as_in(run):
+    with pytest.raises(StageError, match="no clip to move as in") as refused:
+        cast(Person(avatar=run / "train" / "avatar.npz"), "a", SLOPE, FPS, "cpu")
+    assert "motion: moves.bvh" in refused.value.hint

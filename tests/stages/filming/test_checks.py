@@ -1,0 +1,50 @@
+"""People in each other and under the floor are seen before anything is drawn."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages.filming.cast import cast
+from stages.filming.checks import faults_of, lowest, overlap
+from stages.filming.spec import Person
+from stages.formats.ground import read_ground
+from stages.records import Ground
+
+LEVEL = Ground(np.zeros(3), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), 1, 0, 0, 0, "")
+
+
+def ball(x: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """A hollow ball: its points' covariance is a third of radius^2."""
+    return np.array([[x, 0.5, 0]]), np.eye(3)[None] * radius**2 / 3
+
+
+def test_balls_are_as_deep_in_each_other_as_they_are():
+    assert overlap(ball(0, 0.2), ball(0.25, 0.1)) == pytest.approx(0.05)
+    assert overlap(ball(0, 0.2), ball(1, 0.1)) == pytest.approx(-0.7)
+    assert lowest(*ball(0, 0.6), LEVEL) == pytest.approx(-0.1)
+
+
+def stand_at(run, ground, **more):
+    return cast(Person(avatar=run, **more), "x", ground, 30.0, "cpu")
+
+
+def test_people_who_stand_apart_are_no_fault_and_people_in_each_other_are_named(tiny):
+    run = tiny["train"].parent
+    ground = read_ground(tiny["smpl"] / "ground.json")
+    here = replace(stand_at(run, ground, motion="wave"), name="ann")
+    near, far = (stand_at(run, ground, motion="wave", at=(x, 0)) for x in (0.25, 2.0))
+    assert faults_of([here, replace(far, name="bob")], ground, 30, 30.0) == []
+    (fault,) = faults_of([here, replace(near, name="bob")], ground, 30, 30.0)
+    assert fault.startswith("ann and bob are in each other by ") and fault.endswith(" s")
+    assert 5 < float(fault.split(" by ")[1].split(" cm")[0]) < 40
+
+
+def test_a_person_under_the_floor_is_named_with_the_distance(tiny):
+    run = tiny["train"].parent
+    ground = read_ground(tiny["smpl"] / "ground.json")
+    sunk = stand_at(run, replace(ground, point=ground.point - 0.3 * ground.up), motion="wave")
+    (fault,) = faults_of([replace(sunk, name="ann")], ground, 30, 30.0)
+    assert (
+        fault.startswith("ann is under the floor by ") and abs(float(fault.split(" by ")[1].split(" cm")[0]) - 30) < 4
+    )

@@ -1,0 +1,60 @@
+"""Motions for the people of a film: at its rate and their speed, on a floor at height 0."""
+
+import numpy as np
+import pytest
+
+from stages.avatar.motion.placing import Soles
+from stages.contract import StageError
+from stages.filming.motions import Manner, from_clip, from_file, from_formula
+from stages.formats.body_model import read_body_model
+from tests.made import bvh as bvh_made
+from tests.made.tiny import EMPTY, FRAMES, make_ground, make_poses
+
+MODEL = read_body_model()
+
+
+@pytest.fixture(scope="module")
+def soles():
+    return Soles.of_model(MODEL, np.zeros(10))
+
+
+def low(placed, soles):
+    return soles.at(placed.global_orient, placed.body_pose, placed.transl)[0][..., 1].min(1)
+
+
+@pytest.mark.parametrize("name", ["wave", "squats"])
+def test_a_made_motion_goes_at_its_speed(soles, name):
+    plain, slow = (from_formula(name, Manner(20.0, speed), soles) for speed in (1.0, 0.5))
+    assert len(plain.transl) == 80 and len(slow.transl) == 160
+    np.testing.assert_allclose(slow.body_pose[::2], plain.body_pose, atol=0.15)
+    assert np.abs(low(plain, soles)).max() < 0.02
+
+
+def test_the_clips_own_motion_has_the_films_rate_and_both_ends(soles):
+    body, ground = make_poses(), make_ground(make_poses(), MODEL)
+    times = np.arange(FRAMES) * 0.1
+    placed = from_clip(body, times, ground, Manner(30.0), soles)
+    assert len(placed.transl) == 3 * (EMPTY - 1) + 1
+    np.testing.assert_allclose(placed.body_pose[::3], body.body_pose[:EMPTY], atol=1e-9)
+    half = from_clip(body, times, ground, Manner(30.0, 0.5), soles)
+    assert len(half.transl) == 6 * (EMPTY - 1) + 1 and np.abs(low(half, soles)).max() < 0.02
+
+
+def test_a_jump_stays_a_jump_however_slowly_it_is_shown(soles, tmp_path):
+    orient, pose = np.zeros((60, 3)), np.zeros((60, 69))
+    t = np.arange(60) / 60
+    jump = np.maximum(0, 2.4 * (t - 0.4) - 0.5 * 9.81 * (t - 0.4) ** 2) * (t > 0.4)
+    joints = MODEL.J_regressor.astype(float) @ MODEL.v_template
+    steps = np.stack([0 * t, jump, 0 * t], 1)
+    local = bvh_made.matrices(orient, pose)
+    bvh_made.write_bvh(tmp_path / "jump.bvh", joints, local, steps, bvh_made.a_pose(), fps=60)
+    for speed in (1.0, 0.2):
+        placed, facts = from_file(tmp_path / "jump.bvh", Manner(30.0, speed), soles, MODEL.parents.tolist())
+        assert low(placed, soles).max() == pytest.approx(jump.max(), abs=0.03), facts
+        assert len(placed.transl) == pytest.approx(30 / speed, abs=1 / speed)
+
+
+def test_what_is_no_motion_is_refused(soles, tmp_path):
+    (tmp_path / "moves.txt").write_text("up and down")
+    with pytest.raises(StageError, match="is no motion"):
+        from_file(tmp_path / "moves.txt", Manner(30.0), soles, MODEL.parents.tolist())
