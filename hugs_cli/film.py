@@ -127,6 +127,7 @@ def check_sources(film: Any) -> list[Path]:
             if missing:
                 facts = [f"no finished {', '.join(missing)} in it"]
                 raise UsageError(f"{who}: {path} is no finished run", "finish it with `hugs run VIDEO`", facts)
+            check_together(who, path)
         read.append(path)
     files = [Path(person.motion) for person in people if is_path("motion", person.motion)]
     files += [Path(film.camera)] if is_path("camera", film.camera) else []
@@ -135,6 +136,16 @@ def check_sources(film: Any) -> list[Path]:
         if not file.is_file():
             raise UsageError(f"no file at {file}", "check the path")
     return read + files
+
+
+def check_together(who: str, run: Path) -> None:
+    """UsageError where training used another body fit or other cameras than the run now has: they are in other worlds."""
+    train = Stamp.read(run / "train")
+    for stage in ("sfm", "smpl"):
+        now = Stamp.read(run / stage)
+        if train and now and train.inputs.get(stage, now.content) != now.content:
+            facts = [f"{stage} was made again after train"]
+            raise UsageError(f"{who}: {run} is half made again", "finish it with `hugs run VIDEO`", facts)
 
 
 def outputs(film: Any) -> list[Path]:

@@ -85,8 +85,8 @@ class Film(contract.Params):
     follow: still, but turning after them. before: one that sees all that they do. Or an .npz of cameras, one or one a picture."""
     light: Literal["auto", "above", "off"] = "auto"
     """Where shadows fall. auto: as learned of the scene, or as its survey saw it, else from above."""
-    colour: Matching = "auto"
-    """Match people to the scene's exposure and tint. auto: where the clips differ by more than the measure errs."""
+    colour: Matching = "off"
+    """Match people to the scene's exposure and tint. auto: where the clips differ by more than rooms do."""
     fps: float = Field(30.0, gt=0, le=240)
     """Pictures a second."""
     seconds: float | None = Field(None, gt=0)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from hugs_cli import film as films
+from hugs_cli.cache.workspace import Stamp
 from hugs_cli.pipelines import UsageError
+from tests.made import finished
 
 GOOD = """
 scene: runs/room
@@ -92,3 +95,13 @@ def test_runs_and_files_that_are_missing_are_named_before_anything_is_drawn(tmp_
         films.check_sources(film)
     (tmp_path / "moves.bvh").touch()
     assert [path.name for path in films.check_sources(film)] == ["room.ply", "ann.npz", "ann.npz", "moves.bvh"]
+
+
+def test_a_run_of_which_a_part_was_made_again_is_refused(tmp_path):
+    links = finished.make(tmp_path, "ann")
+    film = films.checked({"people": [{"avatar": links}]}, "film.yaml")
+    films.check_sources(film)
+    stamp = Stamp.read(links / "train")
+    replace(stamp, inputs=stamp.inputs | {"smpl": "of before"}).write(links / "train")
+    with pytest.raises(UsageError, match="half made again"):
+        films.check_sources(film)
