@@ -57,6 +57,8 @@ def place_in_world(
             seen, turned = _change_camera(seen, fit.focal, fit.center, Ks)
             orient = turned * orient
         away, orient = back.apply(seen), back * orient
+    if fit.offset is not None:
+        away = away + orient.apply(fit.offset)
     shape = median_shape(fit)[0]
     own = regressor @ (model.v_template + model.shapedirs @ shape)
     transl = away + world_from_sfm * centers - own

@@ -54,23 +54,20 @@ def onto_body(fit: SmplFit, model: BodyModel) -> SmplFit:
     """A fit of SMPL as one of `model`, which is not SMPL: joints in the same places as nearly as its bones allow.
 
     The tool's betas are left out, since they are other shapes there; instead limbs and trunk are as long as those of SMPL's
-    mean shape. The place of the pelvis goes into `transl`: the new fit's `pelvis` is 0.
+    mean shape. The new fit still turns about SMPL's pelvis, so that another camera sees the same pixel; `offset` leads to ours.
     """
     regressor = model.J_regressor.astype(np.float64)
     theirs, rest = smpl_rest(), regressor @ model.v_template
     betas = nearest_shape(rest, np.einsum("jv,vcb->jcb", regressor, model.shapedirs), theirs)
     ours = rest + np.einsum("jv,vcb,b->jc", regressor, model.shapedirs, betas)
     orient, pose, way = carry_over(fit.global_orient, fit.body_pose, theirs, ours)
-    pelvis = np.tile(theirs[0] if fit.pelvis is None else fit.pelvis, (len(fit), 1))
-    away = way + (pelvis if fit.turns is None else Rotation.from_rotvec(fit.turns).apply(pelvis))
     return replace(
         fit,
         betas=np.tile(betas, (len(fit), 1)),
         global_orient=orient,
         body_pose=pose,
-        transl=fit.transl + away * (1 if fit.scale is None else fit.scale[:, None]),
-        turns=None,
-        pelvis=np.zeros(3),
+        pelvis=theirs[0] if fit.pelvis is None else fit.pelvis,
+        offset=Rotation.from_rotvec(orient).inv().apply(way),
         notes=(
             *fit.notes,
             f"the poses of {fit.tool} are SMPL's, carried over to the {model.name}; its shape is not used",

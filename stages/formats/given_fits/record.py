@@ -25,6 +25,7 @@ _PER_ROW = (
     "transl",
     "scale",
     "turns",
+    "offset",
     "numbers",
     "times",
     "focal",
@@ -43,7 +44,8 @@ class SmplFit:
     with none of these, row i is frame number i. `tracks` tell several people apart; rows of one frame in one track are
     different people too. `turns` [N,3]: rotation vectors, part of `global_orient`, by which the posed body was turned
     about the origin instead of its pelvis. `pelvis` [3] is the rest pelvis about which the tool's own body turns, where
-    it is not SMPL's. `joints2d` [N,24,2] px is where the tool itself sees SMPL's joints, NaN where it does not say.
+    it is not SMPL's; `offset` [N,3] m, turned as `global_orient` is, leads from there to the pelvis of our body, where that
+    is another point. `joints2d` [N,24,2] px is where the tool itself sees SMPL's joints, NaN where it does not say.
     `notes` say what was left out or simplified.
     """
 
@@ -62,6 +64,7 @@ class SmplFit:
     center: np.ndarray | None = None
     turns: np.ndarray | None = None
     pelvis: np.ndarray | None = None
+    offset: np.ndarray | None = None
     joints2d: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 

@@ -45,7 +45,8 @@ def test_the_limbs_of_the_free_body_are_where_smpls_are(tool):
     origin = smpl_rest()[0] if pelvis is None else pelvis
     wanted = size * (posed_joints(smpl_rest(), orient, pose)[0] - smpl_rest()[0] + origin) + place[:, None]
     ours, _ = posed_joints(joints_of(fit.betas[0]), fit.global_orient, fit.body_pose)
-    ours = size * (ours - ours[:, :1]) + fit.transl[:, None] + fit.pelvis
+    root = fit.pelvis + Rotation.from_rotvec(fit.global_orient).apply(fit.offset)
+    ours = size * (ours - ours[:, :1] + root[:, None]) + fit.transl[:, None]
     off = np.linalg.norm(ours - wanted, axis=-1) / np.min(size)
     naive, _ = posed_joints(joints_of(np.zeros(10)), orient, pose)
     before = np.linalg.norm(size * (naive - naive[:, :1] + origin) + place[:, None] - wanted, axis=-1)

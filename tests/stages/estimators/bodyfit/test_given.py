@@ -1,0 +1,40 @@
+"""Files of tools whose body rests as SMPL does, imported onto the free body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages.avatar.cameras.pinhole import rescale_viewmats
+from stages.estimators.bodyfit.given import import_fit
+from stages.estimators.bodyfit.resting import posed_joints, smpl_rest
+from stages.formats.body_model import read_body_model
+from stages.formats.given_fits.recognize import read_smpl_fit
+from stages.records import Cameras
+from tests.made import fits
+from tests.made.truth import joints_of
+
+TOOLS = [tool for tool in fits.FILES if tool not in ("AMASS", "AMASS SMPL-X", "plain")]  # poses of whichever body
+LIMBS = [4, 5, 7, 8, 16, 17, 18, 19, 20, 21]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tool", TOOLS)
+def test_pelvis_and_limbs_are_where_the_tool_sees_them(tool, tmp_path):
+    truth = replace(fits.make_truth(), rest=smpl_rest()[0])
+    cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
+    fit = read_smpl_fit(fits.write(tool, fits.contents(tool, truth), tmp_path), truth.size)
+    masks = list(truth.views.masks)
+    times, points = truth.numbers / truth.fps, np.zeros((0, 3))
+    poses, _ = import_fit(fit, read_body_model(), cameras, times, masks, points, True, ())
+    local, _ = posed_joints(smpl_rest(), truth.orient, truth.views.body_pose)
+    local = local - local[:, :1] + truth.pelvis[:, None]
+    ours = joints_of(poses, read_body_model())
+    views = rescale_viewmats(truth.viewmats, poses.world_from_sfm)
+    seen = np.einsum("fij,fkj->fki", views[:, :3, :3], ours) + views[:, None, :3, 3]
+    hips = np.linalg.norm((seen[:, 1] + seen[:, 2] - local[:, 1] - local[:, 2]) / 2, axis=-1)
+    middle = [joints[:, 1:3].mean(1, keepdims=True) for joints in (seen, local)]
+    limbs = np.linalg.norm(seen - middle[0] - local + middle[1], axis=-1)[:, LIMBS]
+    assert hips.max() < 0.01 and limbs.mean() < 0.02
