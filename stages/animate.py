@@ -86,7 +86,7 @@ def run(
     count = len(placed.transl)
     views = _views(cameras, count) or [view or _before(placed, soles, stand, spot)] * count
     poses = put(placed, stand, spot, soles.joints[0])
-    pictures = perform(learned, None if params.only == "human" else learned.scene, poses, views)
+    pictures = perform(learned, None if params.only == "human" else learned.scene, poses, views, params.fps)
     job.out.parent.mkdir(parents=True, exist_ok=True)
     write_video(job.out, _counted(job, pictures, count), params.fps)
 

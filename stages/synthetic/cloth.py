@@ -88,9 +88,9 @@ def simulate(cloth: Particles, bones: np.ndarray, skin: np.ndarray, faces: np.nd
     """
     blend = np.einsum("gj,fjab->fgab", cloth.weights, bones[:, :, :3])
     wanted = np.einsum("fgab,gb->fga", blend[..., :3], cloth.places) + blend[..., 3]
-    normals = [vertex_normals(torch.from_numpy(one), torch.from_numpy(faces)).numpy()[::EVERY] for one in skin]
+    outwards = [vertex_normals(torch.from_numpy(one), torch.from_numpy(faces)).numpy()[::EVERY] for one in skin]
     times = np.arange(len(bones)) / fps
-    goals, pushers = CubicSpline(times, wanted), CubicSpline(times, np.stack([skin[:, ::EVERY], np.stack(normals)], 1))
+    goals, pushers = CubicSpline(times, wanted), CubicSpline(times, np.stack([skin[:, ::EVERY], np.stack(outwards)], 1))
     lengths = np.linalg.norm(np.subtract(*np.moveaxis(cloth.places[cloth.rods], 1, 0)), axis=1)
     free, now, found = ~cloth.pinned, wanted[0].copy(), []
     before, tick = now.copy(), round(-WARM / STEP)
@@ -103,7 +103,8 @@ def simulate(cloth: Particles, bones: np.ndarray, skin: np.ndarray, faces: np.nd
             before, now = now, now + speed + STEP**2 * (GRAVITY + pull)
             now[cloth.pinned] = goal[cloth.pinned]
             _hold(now, cloth.rods, lengths, free.astype(np.float64), ROUNDS)
-            _push_off(now, *pushers(moment), free)
+            near, normals = pushers(moment)
+            _push_off(now, near, normals, free)
             tick += 1
         found.append(now.copy())
     return np.stack(found)

@@ -85,7 +85,8 @@ def _sheet(
 
     And which are pinned, and the stiffness, both [R,A].
     """
-    heights, places, reach = np.linspace(top, hem, rows), [], np.zeros(len(angles))
+    heights, reach = np.linspace(top, hem, rows), np.zeros(len(angles))
+    places: list[np.ndarray] = []
     for y in heights:
         if y >= held or not places:
             middle, girth = body.girth(y, angles)

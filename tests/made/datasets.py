@@ -21,7 +21,7 @@ from stages.formats.video import decode, write_video
 from stages.synthetic import clip as synthetic
 from stages.synthetic import person
 from stages.synthetic.effects import NO_EFFECTS, ClipEffects
-from stages.synthetic.files import write_truth
+from stages.synthetic.files import write_truth, write_views
 from stages.synthetic.room import make_room
 from tests.made.worlds import align_viewmats
 

@@ -41,10 +41,10 @@ PICTURES, SIDE, QUALITY, BYTES = 60, 480, 80, 900_000  # frames shown, px of the
 class Exhibit:
     """All that the page shows. The world is that of the clip, in metres.
 
-    `weights` [N,24] skin the Gaussians of `rig`, rows sum to 1. `cameras` in metres, one a frame of the clip, and its
-    frames `images(i)` uint8 [H,W,3]; `absent` are frames that show nobody. The first of `moves` is the clip's own, a pose a
-    frame. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person stood. `soles`: points [P,3]
-    m of the body at rest, and their weights [P,24]. `facts` are names and values in words.
+    `weights` [N,24+K] skin the Gaussians of `rig`, rows sum to 1; K: the bones of its clothes. `cameras` in metres, one a
+    frame of the clip, and its frames `images(i)` uint8 [H,W,3]; `absent` are frames that show nobody. The first of `moves`
+    is the clip's own, a pose a frame. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person
+    stood. `soles`: points [P,3] m of the body at rest, and their weights [P,24]. `facts` are names and values in words.
     """
 
     title: str
@@ -90,8 +90,8 @@ def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
     packer.whole("person/weights", np.rint(np.sqrt(np.asarray(shown.weights, np.float64)) * TEN_BITS), 16)
     packer.exact("person/joints", rig.joints)
     if rig.clothes is not None:
-        for name in ("nodes", "mean", "axes", "low", "high", "offsets"):
-            packer.exact(f"person/{name}", getattr(rig.clothes, name))
+        for name, values in vars(rig.clothes).items():
+            packer.exact(f"person/{name}", values)
     if scene is not None:
         packer.gaussians("scene", scene, 24)
     if shown.effects.middles is not None and shown.effects.covariances is not None:

@@ -58,7 +58,7 @@ export class Player {
     const wanted = JSON.stringify([this.motions.indexOf(this.motion), at, seen, this.show, this.shaded, [...this.bends]]);
     if (wanted === this.posed) return;
     this.posed = wanted;
-    const bones = person.take(this.bent(this.motion.at(at)));
+    const bones = person.take(this.bent(this.motion.at(at)), this.playing ? at / this.motion.fps : null);
     if (scene && this.shadow && this.show !== "person") this.shadow.cast(scene, this.shaded && seen ? bones : null);
   }
 
