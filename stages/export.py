@@ -57,7 +57,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     _still(job, formats, avatar, scene, soles, ground)
     takes = _takes(frames, train, ground, soles) if formats & {"glb", *MOVING} else []
     if "glb" in formats:
-        _rigged(job, params, rig, model, takes, soles.floor)
+        _rigged(job, params, avatar, rig, model, takes, soles.floor)
     if formats & set(MOVING):
         _moving(job, params, avatar, takes, soles.floor)
     _lacks(job, formats, avatar, rig, scene)
@@ -137,11 +137,16 @@ def _times(listing: Listing, names: tuple[str, ...]) -> np.ndarray:
     return np.array([known[name] for name in names])
 
 
-def _rigged(job: Job, params: Params, rig: Rig, model: BodyModel, takes: list[Take], floor: float) -> None:
+def _rigged(
+    job: Job, params: Params, avatar: Avatar, rig: Rig, model: BodyModel, takes: list[Take], floor: float
+) -> None:
+    from stages.avatar.drawing.avatar import load_avatar
     from stages.avatar.drawing.surface import surface_of
+    from stages.avatar.drawing.takes import hung
     from stages.formats.exchange.avatar_glb import write_avatar_glb
 
-    write_avatar_glb(job.out / "avatar.glb", rig, surface_of(model, rig), takes, params.names, floor)
+    told = [hung(load_avatar(avatar), take) for take in takes]
+    write_avatar_glb(job.out / "avatar.glb", rig, surface_of(model, rig), told, params.names, floor)
     listed = ", ".join(take.name for take in takes)
     job.note(f"avatar.glb: mesh, {params.names} skeleton, Gaussians as points; motions {listed}")
     if model.name != "free body":
@@ -206,9 +211,11 @@ def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene |
             "avatar.glb: y up; eight bones a Gaussian, and the first four "
             f"hold {100 * rig.kept.mean():.1f} % of its weights"
         )
-    stiff = among("ply", "spz", "glb", "usd", "sog")
-    if avatar.clothes is not None and stiff:
-        job.note(f"clothes move with the pose by up to {100 * avatar.clothes.largest:.1f} cm, but not in {stiff}")
+    if avatar.clothes is not None:
+        if "glb" in formats:
+            job.note(f"avatar.glb: the {len(avatar.clothes)} bones of clothes move in its own motions")
+        if stiff := among("ply", "spz", "usd", "sog"):
+            job.note(f"clothes have {len(avatar.clothes)} bones and stand still in {stiff}")
     if avatar.shN.shape[1] and "glb" in formats:
         job.note("avatar.glb: view-dependent colours turn with the person, not with each bone")
     antialias = avatar.antialias or (scene is not None and scene.antialias)

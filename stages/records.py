@@ -96,28 +96,36 @@ class BodyModel:
 
 @dataclass(frozen=True)
 class Clothes:
-    """M nodes on the body at rest, each with an offset for each of K features of the pose.
+    """K bones of clothes and hair, after the skeleton's 24 in the weights of an avatar; see `avatar.effects.clothing`.
 
-    nodes[M,3] m, offsets[M,3,K] m, features = (body_pose - mean[69]) @ axes[69,K], held within low[K] and high[K].
-    A Gaussian at rest takes the offsets of the nodes around it, see `avatar.effects.clothing`, and is then skinned.
+    centres[K,3] m at rest; carriers[K,24]: the share of each of the skeleton's bones that carries it. Before it is carried
+    it swings: swings[K,6,1+Q], for 1 and Q features of the pose = (body_pose - mean[69]) @ axes[69,Q], held within low[Q]
+    and high[Q], and sways[K,6,3] for each m of the sway of its spring[2], rad/s and share of critical damping, held
+    within reach[K] m. Of the six of a swing three are a turn in 0.3 rad, three a shift in 0.05 m.
     """
 
-    nodes: np.ndarray
+    swings: np.ndarray
+    centres: np.ndarray
+    carriers: np.ndarray
     mean: np.ndarray
     axes: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    offsets: np.ndarray
+    sways: np.ndarray
+    spring: np.ndarray
+    reach: np.ndarray
+
+    @property
+    def hang_on(self) -> np.ndarray:
+        """The joint [K] that carries most of each bone: its parent where bones are a tree."""
+        return np.asarray(self.carriers).argmax(1)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays as the file names them."""
         return {f"clothes_{f.name}": np.asarray(getattr(self, f.name)) for f in fields(self)}
 
-    @property
-    def largest(self) -> float:
-        """The largest offset in m that a feature at its limit causes: what a viewer that ignores clothes gets wrong."""
-        reach = np.maximum(abs(self.low), abs(self.high))
-        return float(np.linalg.norm(self.offsets * reach, axis=1).max(initial=0))
+    def __len__(self) -> int:
+        return len(self.centres)
 
 
 @dataclass(frozen=True)
@@ -170,8 +178,8 @@ class Scene:
 class Avatar(Scene):
     """N Gaussians in the canonical da-pose frame, metres, and all that posing them needs.
 
-    lbs_weights[N,24] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
-    canonical_pose[69] axis-angle of the pose in which the Gaussians stand; `clothes`, or None, move before skinning.
+    lbs_weights[N,24+K] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
+    canonical_pose[69] axis-angle of the pose in which the Gaussians stand; K: the bones of `clothes`, 0 with None.
     """
 
     lbs_weights: np.ndarray
@@ -189,8 +197,8 @@ class Rig(Scene):
     A pose moves a Gaussian by the sum of weight x transform of its bones; at rest all transforms are the identity, and
     bone k turns about joints[k]. joints[24,3] m, named by JOINT_NAMES; parents[24] (root -1); bones[N,4] uint8,
     the heaviest first; weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four
-    have; bones8[N,8] and words8[N,8] uint16, rows adding up to 65535, for who skins with eight; betas[10]. `clothes`, or
-    None, move before skinning, as an Avatar's.
+    have; bones8[N,8] and words8[N,8] uint16, rows adding up to 65535, for who skins with eight; betas[10]. From 24 on
+    bones are those of `clothes`, if any, as an Avatar's.
     """
 
     joints: np.ndarray
@@ -239,12 +247,14 @@ class Take:
 
     `times` [F] s, rising from 0; `rotations` [F,24,4] w x y z, unit, of each joint in its parent's axes, the root's in
     the world's; `pelvis` [F,3] m, where the root joint is. Between two poses turns are slerped, places linear.
+    `clothes` [F,K,7], with the bones of clothes: their turns, w x y z, and places, m, in the axes of the joint they hang on.
     """
 
     name: str
     times: np.ndarray
     rotations: np.ndarray
     pelvis: np.ndarray
+    clothes: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.times)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,11 @@ import torch
 
 from stages import records
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import Baked, bones_through, load_avatar
 from stages.avatar.drawing.draw import Pose
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.shadow import Casters, casters
-from stages.avatar.model.person import bone_transforms
+from stages.avatar.model import person as skinned
 from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.placing import SOLID, Placed, Soles, put
 from stages.avatar.splats.gaussians import Splats
@@ -37,10 +38,10 @@ SAME = 0.005  # m: joints nearer than that to the free body's are its own
 class Actor:
     """One person of a film.
 
-    `global_orient` [P,3], `body_pose` [P,69] and `transl` [P,3] m are the poses of their motion in the film's world, as if they
-    were as large as they are; `scale` enlarges about `place` [3] m on the floor. `first` is the picture at which the motion
-    begins. `parts` cast their shadow. `gain` [3] is what their colours are multiplied by. `model` is the body that they were
-    learned on, None where that is not known.
+    `global_orient` [P,3], `body_pose` [P,69] and `transl` [P,3] m are the poses of their motion, `fps` a second, in the film's
+    world, as if they were as large as they are; `scale` enlarges about `place` [3] m on the floor. `first` is the picture at
+    which the motion begins. `parts` cast their shadow. `gain` [3] is what their colours are multiplied by. `model` is the body
+    that they were learned on, None where that is not known.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Actor:
     place: np.ndarray
     turn: np.ndarray
     scale: float
+    fps: float
     first: int
     loop: bool
     facts: tuple[str, ...]
@@ -72,9 +74,15 @@ class Actor:
         row = self.row(picture)
         return self.global_orient[row], self.body_pose[row], self.transl[row]
 
+    def cloth(self, picture: int) -> torch.Tensor:
+        """The bones of their clothes [K,4,4] that a picture shows."""
+        return self.bones[self.row(picture), len(self.baked.parents) :]
+
     def splats(self, picture: int) -> Splats:
         """Their Gaussians in the film's world."""
-        shown = pose_avatar(self.baked, *self._tensors(picture))
+        transl = torch.as_tensor(self.transl[self.row(picture)]).to(self.baked.joints)
+        posed = skinned.pose(self.baked.resting, self.bones[self.row(picture)], transl)
+        shown = posed._replace(antialias=self.baked.antialias)
         if self.scale == 1:
             return shown
         about = torch.as_tensor(self.place).to(shown.means)
@@ -82,9 +90,8 @@ class Actor:
 
     def casters(self, picture: int) -> Casters:
         """What casts their shadow."""
-        orient, pose, transl = self._tensors(picture)
-        bones = bone_transforms(self.baked.joints, self.baked.parents, orient, pose)
-        posed = self.parts.posed(bones, transl)
+        transl = torch.as_tensor(self.transl[self.row(picture)]).to(self.baked.joints)
+        posed = self.parts.posed(self.bones[self.row(picture), : len(self.baked.parents)], transl)
         about = torch.as_tensor(self.place).to(posed.middles)
         return Casters(about + self.scale * (posed.middles - about), self.scale**2 * posed.covariances)
 
@@ -94,9 +101,14 @@ class Actor:
         _, joints = self.soles.at(self.global_orient[rows], self.body_pose[rows], self.transl[rows])
         return self.place + self.scale * (joints - self.place)
 
-    def _tensors(self, picture: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        orient, pose, transl = (torch.as_tensor(part).to(self.baked.joints) for part in self.pose(picture))
-        return orient, pose, transl
+    @cached_property
+    def bones(self) -> torch.Tensor:
+        """All bones [P,J,4,4] at each pose of the motion, of the skeleton and of clothes, which swing on from rest at the first."""
+        arrays = (self.global_orient, self.body_pose, self.transl)
+        poses = zip(*(torch.as_tensor(array).to(self.baked.joints) for array in arrays), strict=True)
+        times = [row / self.fps for row in range(len(self.transl))]
+        with torch.no_grad():
+            return torch.stack([bones for bones, _ in bones_through(self.baked, poses, times)])
 
 
 def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:
@@ -135,6 +147,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         place=place,
         turn=turn,
         scale=person.scale,
+        fps=fps,
         first=round(person.start * fps),
         loop=person.loop,
         facts=(*facts, *(() if run else lacks(person.avatar, None))),

@@ -11,6 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.drawing.surface import surface_of
+from stages.avatar.drawing.takes import hung
 from stages.avatar.motion.takes import take_of
 from stages.avatar.splats.factor import factored
 from stages.avatar.splats.turn import OVER, turned
@@ -151,6 +152,5 @@ def take(shoot: Shoot, actor: Actor) -> Take:
     """What an actor does in the film, on a floor at height 0."""
     rows, placed = [actor.row(number) for number in range(shoot.count)], actor.placed
     pelvis = placed.transl[rows] + actor.soles.joints[0]
-    return take_of(
-        "film", np.arange(shoot.count) / shoot.fps, placed.global_orient[rows], placed.body_pose[rows], pelvis
-    )
+    times = np.arange(shoot.count) / shoot.fps
+    return hung(actor.baked, take_of("film", times, placed.global_orient[rows], placed.body_pose[rows], pelvis))

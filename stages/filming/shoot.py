@@ -51,7 +51,7 @@ class Shoot:
 
     def made_of(self, numbers: Sequence[int]) -> str:
         """A digest of all that these pictures are made of."""
-        poses = [[actor.pose(number) for actor in self.cast] for number in numbers]
+        poses = [[(actor.pose(number), actor.cloth(number)) for actor in self.cast] for number in numbers]
         seen = [tuple(self.cameras[number]) for number in numbers]
         return mark(self.stuff, poses, seen)
 

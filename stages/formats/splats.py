@@ -11,10 +11,10 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, write_npz
 from stages.formats.clothes import clothes_of
-from stages.records import Avatar, Scene
+from stages.records import JOINTS, Avatar, Scene
 
 WHOLE = ("parents", "version")
-VERSION = 1  # of the files; those of 0.1.0 and 0.2.0 say none
+VERSION = 2  # of files with clothes, the others have 1; those of 0.1.0 and 0.2.0 say none
 HINT = "train again: `hugs run VIDEO train --force`"
 HIGHER = (0, 3, 8, 15)  # coefficients a colour beside the first, for degrees 0 to 3
 _ROWS = {
@@ -24,7 +24,7 @@ _ROWS = {
     "opacities": (),
     "sh0": (3,),
     "shN": (None, 3),
-    "lbs_weights": (24,),
+    "lbs_weights": (JOINTS,),
 }
 _REST = {"joints": (24, 3), "parents": (24,), "betas": (10,), "canonical_pose": (69,)}
 
@@ -34,14 +34,14 @@ S = TypeVar("S", bound=Scene)
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
 
-    `antialias` and `clothes` get arrays only where set; `version` is VERSION.
+    `antialias` and `clothes` get arrays only where set; `version` is that which first had clothes with bones, else 1.
     """
     arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
-    arrays["version"] = np.asarray(VERSION)
+    arrays["version"] = np.asarray(1)
     if splats.antialias:
         arrays["antialias"] = np.ones(())
     if isinstance(splats, Avatar) and splats.clothes is not None:
-        arrays |= splats.clothes.arrays()
+        arrays |= splats.clothes.arrays() | {"version": np.asarray(VERSION)}
     write_npz(path, {k: v.astype(np.int32 if k in WHOLE else np.float32) for k, v in arrays.items()})
 
 
@@ -97,6 +97,8 @@ def _read(path: Path, kind: type[S]) -> S:
             hint=HINT,
         )
     shapes = {n: (lengths["means"], *shape) for n, shape in _ROWS.items()} | _REST
+    if clothes := more.get("clothes"):
+        shapes["lbs_weights"] = (lengths["means"], JOINTS + len(clothes))
     found = kind(**more | {n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})
     if facts := impossible(found):
         raise StageError(f"{path.name} is damaged", HINT, facts)

@@ -18,6 +18,7 @@ from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.kernels.mesh import cast, fill
 from stages.records import BodyModel
 from stages.synthetic import person
+from stages.synthetic.cloth import Poses, settled, worn
 from stages.synthetic.effects import (
     NO_EFFECTS,
     BodyShadow,
@@ -33,6 +34,7 @@ from stages.synthetic.effects import (
     to_linear,
     to_srgb,
 )
+from stages.synthetic.garments import Garment, make_garments
 from stages.synthetic.passers import Passer, make_passers
 from stages.synthetic.room import LAMPS, Room, make_room, sky
 
@@ -55,7 +57,7 @@ class TrueViews:
 
     `images` [V,H,W,3] and `masks` [V,H,W] uint8 (255 = person, soft edges), `depths` [V,H,W] float32 z in metres at
     the pixel centres, `viewmats` [V,4,4] camera_from_world, `Ks` [V,3,3] px, `global_orient` [V,3], `body_pose` [V,69]
-    rad, `transl` [V,3] m, `joints` [V,24,3] m in the world.
+    rad, `transl` [V,3] m, `joints` [V,24,3] m in the world, `worn` [V,G,3] m the particles of what leaves the body.
     """
 
     images: np.ndarray
@@ -67,6 +69,7 @@ class TrueViews:
     body_pose: np.ndarray
     transl: np.ndarray
     joints: np.ndarray
+    worn: np.ndarray
 
     def __len__(self) -> int:
         return len(self.images)
@@ -74,12 +77,16 @@ class TrueViews:
 
 @dataclass(frozen=True)
 class SyntheticClip:
-    """The clip's `frames`, further views in `novel` poses that no frame shows, the body's `betas` [10], frame rate."""
+    """The clip's `frames`, further views in `novel` poses that no frame shows, the body's `betas` [10], frame rate.
+
+    `worn_faces` [T,3] are the triangles of what the person wears or carries.
+    """
 
     frames: TrueViews
     novel: TrueViews
     betas: np.ndarray
     fps: float
+    worn_faces: np.ndarray
 
 
 def make_clip(
@@ -92,18 +99,21 @@ def make_clip(
     fps: float = 12.0,
     camera: CameraPath = "moving",
     effects: ClipEffects = NO_EFFECTS,
+    wears: Sequence[str] = (),
     done: Callable[[int, int], None] = lambda done, total: None,
 ) -> SyntheticClip:
     """Make the clip of that seed; the same arguments give the same bytes.
 
     `model` has keypoints. `camera`: "moving" goes around the person, "rotating"
     only turns, "static" stands. `effects` change the pictures and nothing that is drawn at random; novel views have those
-    of the scene and the person, and none of the recording. Depths and masks are those of room and person at the frame's
+    of the scene and the person, and none of the recording. `wears` names garments that swing, rows of
+    `garments.MAKERS`; in novel poses they have come to rest. Depths and masks are those of room and person at the frame's
     own time, masks blurred as the pictures are. `done` hears of pictures made and their number.
     """
     rng, apart = np.random.default_rng(seed), np.random.default_rng([seed, 1])  # effects change nothing else
     room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
-    renderer = _Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects)
+    garments = make_garments(wears, model, betas, np.random.default_rng([seed, 2]))
+    renderer = _Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects, garments=garments)
     viewmats = camera_path(frames, fps, camera, rng, effects.antialias)
     orient, pose = person.make_motion(frames, fps, rng)
     novel_orient, novel_pose = person.novel_poses()
@@ -111,10 +121,10 @@ def make_clip(
     total = frames + len(novel_pose)
     passers = make_passers(round(effects.transients), frames, apart)
     gain = gains(effects, frames, apart)
-    clip = renderer.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain)
+    clip = renderer.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain, fps=fps)
     plain = replace(renderer, effects=effects.scene_only())
     novel = plain.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
-    return SyntheticClip(clip, novel, renderer.betas, fps)
+    return SyntheticClip(clip, novel, renderer.betas, fps, renderer.faces[len(model.faces) :] - len(model.v_template))
 
 
 def camera_path(
@@ -171,10 +181,13 @@ class _Renderer:
     K: np.ndarray
     effects: ClipEffects = NO_EFFECTS
     supersample: int = SUPERSAMPLE
+    garments: Sequence[Garment] = ()
 
     def __post_init__(self) -> None:
         self.body = Body(self.model, dtype=torch.float64)
-        self.faces = np.ascontiguousarray(self.model.faces, dtype=np.int64)
+        self.skin_faces = np.ascontiguousarray(self.model.faces, dtype=np.int64)
+        first = len(self.model.v_template) + np.cumsum([0, *(len(g.cloth.places) for g in self.garments)])
+        self.faces = np.concatenate([self.skin_faces, *(g.faces + n for g, n in zip(self.garments, first))])
         self.rest = np.asarray(self.model.v_template, np.float64)
         self.clothes = person.Outfit(self.model)
 
@@ -189,21 +202,30 @@ class _Renderer:
         passers: Sequence[Passer] = (),
         gain: np.ndarray | None = None,
         transl: np.ndarray | None = None,
+        fps: float | None = None,
     ) -> TrueViews:
         """Draw the person in each pose from its camera, with `passers` behind and colours times `gain` [V,3].
 
-        The person stands over the origin, or where `transl` [V,3] m says.
+        The person stands over the origin, or where `transl` [V,3] m says. Garments swing through the poses at `fps`, or
+        have come to rest in each.
         """
         transl, vertices, joints = person.pose_body(self.body, self.betas, orient, pose, transl)
         if self.effects.clothing:
-            vertices = vertices + person.swing(self.model, self.faces, vertices, pose, self.effects.clothing)
-        course, drawn = Course(viewmats, vertices), []
+            vertices = vertices + person.swing(self.model, self.skin_faces, vertices, pose, self.effects.clothing)
+        worn = self.worn((orient, pose, transl), fps)
+        course, drawn = Course(viewmats, np.concatenate([vertices, worn], 1)), []
         for i in range(len(viewmats)):
             drawn.append(self.shoot(course, i, width, height, passers, 1.0 if gain is None else gain[i]))
             done(i + 1)
         images, masks, depths = (np.stack(kind) for kind in zip(*drawn))
         Ks = np.broadcast_to(self.K, (len(viewmats), 3, 3)).copy()
-        return TrueViews(images, masks, depths, viewmats, Ks, orient, pose, transl, joints)
+        return TrueViews(images, masks, depths, viewmats, Ks, orient, pose, transl, joints, worn)
+
+    def worn(self, poses: Poses, fps: float | None) -> np.ndarray:
+        """Where the particles of all garments [V,G,3] m are in each pose."""
+        cloths, who = [garment.cloth for garment in self.garments], (self.body, self.skin_faces, self.betas)
+        found = settled(cloths, *who, poses) if fps is None else worn(cloths, *who, poses, fps)
+        return np.concatenate([np.zeros((len(poses[0]), 0, 3)), *found], 1)
 
     def shoot(
         self, course: Course, i: int, width: int, height: int, passers: Sequence[Passer], gain: np.ndarray | float
@@ -240,8 +262,18 @@ class _Renderer:
         corners, blend = self.faces[face[seen]], weights[seen][..., None]
         normals = vertex_normals(torch.from_numpy(vertices), torch.from_numpy(self.faces)).numpy()
         normal = (normals[corners] * blend).sum(1)
+        cloth = face[seen] >= len(self.skin_faces)
+        sight = (vertices[corners[cloth]] * blend[cloth]).sum(1) - np.linalg.inv(course.viewmat(t))[:3, 3]
+        normal[cloth] *= np.where((normal[cloth] * sight).sum(1) > 0, -1, 1)[:, None]  # cloth has two sides
         facing = normal @ LIGHT / np.linalg.norm(normal, axis=1)
-        room[seen] = self.clothes((self.rest[corners] * blend).sum(1)) * (0.66 + 0.34 * (0.5 + 0.5 * facing))[:, None]
+        color = np.empty_like(normal)
+        color[~cloth] = self.clothes((self.rest[corners[~cloth]] * blend[~cloth]).sum(1))
+        first = len(self.skin_faces)
+        for garment in self.garments:
+            of = (face[seen] >= first) & (face[seen] < first + len(garment.faces))
+            color[of] = garment.paint((garment.chart[face[seen][of] - first] * blend[of]).sum(1))
+            first += len(garment.faces)
+        room[seen] = color * (0.66 + 0.34 * (0.5 + 0.5 * facing))[:, None]
         return room.clip(0, 1), seen
 
     def depth(self, course: Course, t: float, width: int, height: int, pad: int) -> np.ndarray:

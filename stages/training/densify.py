@@ -13,7 +13,7 @@ from torch.optim import Optimizer
 from stages.avatar.body.rotations import matrix_from_quat
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.scene import SceneModel
-from stages.training.finishing.bake import far_from_body
+from stages.training.finishing.bake import far_from_surface
 from stages.training.person import PersonLearner
 from stages.training.schedule import HUMAN_GROWTH, SCENE_GROWTH, SETTLE, Options, Progress
 from stages.training.settings import Params
@@ -140,16 +140,16 @@ def grow_human(
     growth: Growth,
     rules: Rules,
     rounds_left: int,
-    body: Tensor,
+    surface: Tensor,
     generator: torch.Generator,
 ) -> Plan:
     """Densify the person in place, as `grow_scene`; sizes and opacities are those decoded now.
 
-    Those far from the canonical body's vertices `body`[V,3] go.
+    Those far from the canonical person's `surface`[S,3] m go.
     """
     with torch.no_grad():
         person, *_ = human()
-    lost = far_from_body(person.means, body)
+    lost = far_from_surface(person.means, surface)
     room = _room(human, rules, rounds_left)
     rows = plan(growth, person.scales.amax(1), person.opacities, rules, room, lost)
     moved = displacement(person.rotations * person.scales[:, None, :], rows, generator)
@@ -252,9 +252,9 @@ class Densifier:
         """Densify the person where the screen gradient is at least `grad`."""
         if self.person is None:
             return
-        rules, vertices = Rules(grad, 0.01, 0.1, 0.3, 0.005, self.params.human_cap), self.person.body.vertices
+        rules, surface = Rules(grad, 0.01, 0.1, 0.3, 0.005, self.params.human_cap), self.person.surface
         state = adam["human"], self.statistics["human"]
-        rows = grow_human(self.person.human, *state, rules, rounds_left, vertices, self.generator)
+        rows = grow_human(self.person.human, *state, rules, rounds_left, surface, self.generator)
         self.person.follow(rows.source)
 
     def fill_up(self, adam: dict[str, Optimizer]) -> None:

@@ -61,7 +61,7 @@ class Fit:
         self.progress = Progress(params.steps, params.joint)
         self.guard, self.clock = Guard(), Clock()
         self.learner = None if body is None or human is None else PersonLearner(body, human, self.guard)
-        self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
+        self.frames = FrameCorrections(len(views.images), 0 if body is None else body.own_bones).to(views.viewmats)
         self.trained = torch.zeros(len(views.images), dtype=torch.bool)
         self.trained[train] = True
         self.effects = (effects or FrameEffects()).to(views.viewmats)
@@ -166,7 +166,7 @@ class Fit:
             resting = learner.resting()
             self.clock.lap("person's networks")
             body = self.body(frame)
-            person, stance = self.posed(resting, *body), self.stance(*body)
+            person, stance = self.posed(resting, *body, frame=frame), self.stance(*body)
         if self.scene is not None and (self.progress.phase.scene or person is not None):
             scene = self.scene.splats()
             if not self.progress.phase.scene:
@@ -211,7 +211,8 @@ class Fit:
             there = mask[shot.window("occluders")]
             terms.append(losses.OCCLUDERS * (drawn["occluders"].alpha * there).mean())
         self.clock.lap("losses")
-        return torch.as_tensor(sum([*terms, self.effects.prior()])), numbers
+        terms += [self.effects.prior(), self.frames.swing_prior(shot.frame, self.train)]
+        return torch.as_tensor(sum(terms)), numbers
 
     def _teach(self, shot: DrawnFrame) -> None:
         """Take a step with the gradients of a frame; the person's wait for those of other frames."""
@@ -260,11 +261,13 @@ class Fit:
 
     # ---- what there is at a frame ----
 
-    def posed(self, resting: Resting, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
-        """The person in the world at one pose."""
-        body, dressed = self.person.body, self.effects.clothe(resting, body_pose)
-        splats = pose(dressed, bone_transforms(body.joints, body.parents, global_orient, body_pose), transl)
-        return splats._replace(antialias=self.options.antialias)
+    def posed(self, resting: Resting, *at: Tensor, frame: int | None = None) -> Splats:
+        """The person in the world `at` a pose as of `body`; clothes as they swing in a `frame`, or as they do in that pose."""
+        body, (orient, body_pose, transl) = self.person.body, at
+        bones = bone_transforms(body.joints, body.parents, orient, body_pose)
+        if body.clothing is not None:
+            bones = body.clothing.hang(bones, self.frames.swing_of(frame, self.effects.swing(body_pose)))
+        return pose(resting, bones, transl)._replace(antialias=self.options.antialias)
 
     def stance(self, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Stance:
         """How the person's body stands, for the shadow."""

@@ -22,7 +22,8 @@ def optimizers(
 
     Each group has its `name` and `base` rate, lengths by `extent` m.
     """
-    groups = {"frames": [([getattr(frames, n).weight], n, rate) for n, rate in LR_FRAMES.items()]}
+    tables = dict(frames.named_children())
+    groups = {"frames": [([tables[n].weight], n, rate) for n, rate in LR_FRAMES.items() if n in tables]}
     if human is not None:
         rates = LR_HUMAN | LR_OWN
         parts = {name: [getattr(owner, name)] for owner, name in human.rows()}

@@ -32,6 +32,7 @@ class PersonLearner:
     def __init__(self, body: Person, human: HumanModel, guard: Guard):
         self.body, self.human, self.guard = body, human, guard
         self.canonical_bones = body.canonical_bones()
+        self.surface, _, self.surface_weights = body.surface()
         self.leaves: Resting | None = None
         self.near: Tensor | None = None
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
@@ -87,7 +88,7 @@ class PersonLearner:
             self.reference = torch.zeros_like(self.canonical.weights.detach())
         moved = ~((at - self.reference_at).norm(dim=1) < MOVED)
         if moved.any():
-            self.reference[moved] = knn_weights(at[moved], self.body.vertices, self.body.weights)
+            self.reference[moved] = knn_weights(at[moved], self.surface, self.surface_weights)
             self.reference_at[moved] = at[moved]
         return self.reference
 

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import torch
 from torch import Tensor, nn
 
 from stages.avatar.effects.camera_refinement import correct_cameras
 from stages.training.views import Person
 
+SWING, JERK = 0.01, 0.03  # weights of the priors on the swing of clothes
+
 
 class FrameCorrections(nn.Module):
     """Corrections of F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m, log gain [F,3].
 
-    And of cameras: turn [F,3] rad and shift [F,3] m, see `effects.camera_refinement`. Rows have sparse gradients, so
-    that a frame moves only when it is seen.
+    And of cameras: turn [F,3] rad and shift [F,3] m, see `effects.camera_refinement`. With `bones` of clothes, also of
+    their swing [F,6 bones]. Rows have sparse gradients, so that a frame moves only when it is seen.
     """
 
-    def __init__(self, frames: int):
+    def __init__(self, frames: int, bones: int = 0):
         super().__init__()
         self.pose = nn.Embedding(frames, 72, sparse=True)
         self.place = nn.Embedding(frames, 3, sparse=True)
         self.gain = nn.Embedding(frames, 3, sparse=True)
         self.turn = nn.Embedding(frames, 3, sparse=True)
         self.shift = nn.Embedding(frames, 3, sparse=True)
-        for table in (self.pose, self.place, self.gain, self.turn, self.shift):
-            nn.init.zeros_(table.weight)
+        self.swing = nn.Embedding(frames, 6 * bones, sparse=True) if bones else None
+        for weight in self.parameters():
+            nn.init.zeros_(weight)
 
     def body(
         self, frame: int, global_orient: Tensor, body_pose: Tensor, transl: Tensor
@@ -37,6 +42,25 @@ class FrameCorrections(nn.Module):
     def gains(self, frame: int) -> Tensor:
         """Factors [3] on the drawn colours of one frame."""
         return self.gain(torch.tensor(frame, device=self.gain.weight.device)).exp()
+
+    def swing_of(self, frame: int | None, told: Tensor | None) -> Tensor | None:
+        """The swing [K,6] of clothes in a frame, of which the pose has `told` so much; without a frame that, None of none."""
+        if told is None or frame is None or self.swing is None:
+            return told
+        return told + self.swing(torch.tensor(frame, device=told.device)).view_as(told)
+
+    def swing_prior(self, frame: int, train: list[int]) -> Tensor | float:
+        """SWING x mean square of a frame's swing, and JERK x that of its difference from the frames of `train` beside it.
+
+        Clothes swing smoothly, and no more than the frames show. 0 without clothes.
+        """
+        if self.swing is None:
+            return 0.0
+        at = bisect_left(train, frame)
+        beside = [*train[max(0, at - 1) : at], *train[at + 1 : at + 2]]
+        rows = self.swing(torch.tensor([frame], device=self.swing.weight.device))
+        gap = rows - self.swing.weight.detach()[beside].mean(0) if beside else rows
+        return SWING * rows.square().mean() + JERK * gap.square().mean()
 
     def camera(self, frame: int, viewmat: Tensor, trained: Tensor) -> Tensor:
         """The corrected camera [4,4] of a frame; the mean correction of the frames trained[F] is taken off."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import quat_from_matrix
 from stages.avatar.effects.clothing import Clothing
+from stages.avatar.model.person import bone_transforms
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import Finished, finish, unseen
+from stages.training.finishing.swing import Course, fit_swing
 from stages.training.fit import Fit
 from stages.training.views import Person
 
@@ -50,6 +53,8 @@ def result_of(
     """Finish what was trained on a clip; `effects` is what train.json says of their gains, `say` hears about the rest."""
     orient, body_pose, transl = fit.bodies()
     body = fit.person.body._replace(global_orient=orient, body_pose=body_pose, transl=transl)
+    if body.clothing is not None and fit.frames.swing is not None:
+        _settle_swing(fit, body, body.clothing, fit.frames.swing.weight, say)
     kept = _finished(fit, body, say)
     scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
     broken = kept.broken + invalid
@@ -111,7 +116,7 @@ def result_of(
     if fit.undrawn:
         say.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
-    avatar = _avatar(kept, body, clip.body.betas, fit.effects.clothing, fit.options.antialias)
+    avatar = _avatar(kept, body, clip.body.betas, body.clothing, fit.options.antialias)
     return Result(avatar, scene, poses, Effects(**known) if known else None, cameras, curve, facts)
 
 
@@ -128,10 +133,22 @@ def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener
     return facts
 
 
+def _settle_swing(fit: Fit, body: Person, clothing: Clothing, table: Tensor, say: Listener) -> None:
+    bones = [bone_transforms(body.joints, body.parents, *pose) for pose in zip(body.global_orient, body.body_pose)]
+    moments = torch.arange(len(fit.trained)) if fit.full.moments is None else fit.full.moments
+    course = Course(torch.stack(bones), body.transl, body.body_pose, moments * fit.options.frame_seconds)
+    untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, course)
+    free = clothing.spring[0].item()
+    spring = f"springs of {free:g} rad/s" if clothing.sways.any() else "no spring"
+    say.note(
+        f"{len(clothing)} bones of clothes, {spring}; {100 * untold:.0f} % of their swing in the frames is not told"
+    )
+
+
 def _finished(fit: Fit, body: Person, say: Listener) -> Finished:
     baked, _ = fit.person.baked()
     seen = fit.full._replace(viewmats=fit.cameras())
-    dressed = body._replace(clothing=fit.effects.clothing, antialias=fit.options.antialias)
+    dressed = body._replace(antialias=fit.options.antialias)
     kept = finish(baked, fit.person.human.skinning_outliers(baked.weights), dressed, seen, fit.train)
     if kept.strays:
         say.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
@@ -148,8 +165,7 @@ def _finished(fit: Fit, body: Person, say: Listener) -> Finished:
 def _avatar(kept: Finished, body: Person, betas: np.ndarray, clothing: Clothing | None, antialias: bool) -> Avatar:
     person, clothes = kept.person, None
     if clothing is not None:
-        parts = (clothing.nodes, clothing.mean, clothing.axes, clothing.low, clothing.high, clothing.offsets)
-        clothes = Clothes(*map(_array, parts))
+        clothes = Clothes(**{field.name: _array(getattr(clothing, field.name)) for field in fields(Clothes)})
     return Avatar(
         means=_array(person.means),
         quats=_array(quat_from_matrix(person.rotations)),

@@ -27,6 +27,7 @@ LR_FRAMES = {
     "gain": 1e-2,  # a frame is seen few times: 1e-3 brings back 1.2 of the 3.0 dB that exposure costs in 400 steps, this 2.7
     "turn": 3e-4,
     "shift": 1e-3,
+    "swing": 3e-2,
 }
 LR_EFFECTS = {
     "slope": 3e-2,
@@ -36,7 +37,7 @@ LR_EFFECTS = {
     "size": 1e-2,
     "shutter": 1e-2,
     "readout": 1e-2,
-    "offsets": 3e-4,  # 1e-3 brings back 44 % of what loose clothes cost in 1,000 steps, this 62 %
+    "swings": 5e-3,
 }
 LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
@@ -49,7 +50,7 @@ SCENE_FIRST = 0.5  # share of the steps that the scene has to itself where the t
 
 
 class Options(NamedTuple):
-    """What the clip, not a setting, decides about a training: `extent` in m, and which corrections are learned."""
+    """What the clip, not a setting, decides about a training: `extent` in m, time from frame to frame, and what is learned."""
 
     extent: float
     refine_pose: bool = True
@@ -57,6 +58,7 @@ class Options(NamedTuple):
     exposure: bool = False
     antialias: bool = False
     growth_rounds: int = 20
+    frame_seconds: float = 1 / 30
 
 
 class Phase(NamedTuple):

@@ -10,20 +10,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stages.avatar.body.hull import CELL
 from stages.avatar.body.smpl import DA_POSE, Body
-from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shadow import DARKNESS, casters
 from stages.avatar.effects.sky import RADIUS, open_sky, shell
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import rest
 from stages.avatar.model.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
 from stages.avatar.motion.placing import mean_up
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.contract import StageError
 from stages.formats.clip import Clip
+from stages.records import JOINTS
+from stages.training.cloth import clothed
 from stages.training.fit import Fit
 from stages.training.init_colors import seen_colors
 from stages.training.schedule import Options
@@ -110,7 +111,8 @@ class _Start:
 
     def fit(self) -> Fit:
         clip, on = self.clip, self.decisions
-        views, person = self._views(), self._person()
+        views = self._views()
+        person = self._clothed(self._person(), views)
         human = self._human(person, views)
         extent = scene_extent(self._tensor(clip.viewmats).cpu(), self._tensor(clip.points).cpu())
         scene = self._scene(person, extent) if on.get("scene", True) and len(clip.points) else None
@@ -121,8 +123,9 @@ class _Start:
             refine_camera=on.get("camera_refinement", False),
             exposure=on.get("exposure", False),
             antialias=on.get("antialias", False),
+            frame_seconds=self.starts.get("clothing", [1 / 30])[0],
         )
-        effects = self._effects(person, human)
+        effects = self._effects(person)
         transients = Transients(views, self.train) if on.get("transients", False) and scene is not None else None
         models = views, self.train, person, human, scene, self.params.model_copy(update=caps), options
         return Fit(*models, self.generator, self.perceptual, effects, transients)
@@ -152,7 +155,9 @@ class _Start:
     def _person(self) -> Person:
         fitted, model = self.clip.body, self.clip.body_model
         body, betas = Body(model), torch.as_tensor(fitted.betas, dtype=torch.float32)
-        vertices, _ = body(betas, torch.zeros(1, 3), DA_POSE[None], torch.zeros(1, 3))
+        # clothes hang at rest: legs apart would pull a skirt apart
+        pose = torch.zeros_like(DA_POSE) if self.decisions.get("clothing", False) else DA_POSE
+        vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
         return Person(
             self._tensor(fitted.global_orient),
             self._tensor(fitted.body_pose),
@@ -160,11 +165,23 @@ class _Start:
             self._tensor(fitted.confidence),
             joints=self._tensor(body.rest(betas)[1]),
             parents=body.parents,
-            canonical_pose=DA_POSE.to(self.device),
+            canonical_pose=pose.to(self.device),
             vertices=self._tensor(vertices[0]),
             weights=body.lbs_weights.to(self.device),
             faces=torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device),
         )
+
+    def _clothed(self, person: Person, views: Views) -> Person:
+        """The person with what stands off their body, where the clip calls for it."""
+        if not self.decisions.get("clothing", False):
+            return person
+        found = clothed(person, views, self.train, CELL / 2**self.params.rounds)
+        if found.cloth is None or found.clothing is None:
+            self.note("no cloth or hair is seen off the body")
+        else:
+            count, bones = len(found.cloth.means), len(found.clothing)
+            self.note(f"{count:,} Gaussians of cloth or hair begin off the body, with {bones} bones of their own")
+        return found
 
     def _human(self, person: Person, views: Views) -> HumanModel:
         params = self.params
@@ -179,6 +196,7 @@ class _Start:
             generator=self.generator,
             lbs_learning=params.lbs_learning,
             triplane=params.triplane,
+            cloth=person.cloth,
         )
         seen = [i for i in self.train if person.confidence[i] > 0]
         colors, known = seen_colors(human, person, views, spread_evenly(seen, PAINTED))
@@ -212,15 +230,14 @@ class _Start:
                 scene.add_sky(self._tensor(far), self._tensor(tints), self._tensor(middle), RADIUS * extent)
         return scene
 
-    def _effects(self, person: Person, human: HumanModel) -> FrameEffects:
+    def _effects(self, person: Person) -> FrameEffects:
         on, orient = self.decisions, self.clip.body.global_orient
         *lamp, darkness = self.starts.get("shadow", [*mean_up(orient), DARKNESS])
         light = torch.as_tensor(lamp).to(person.joints)
         shadow = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
-        parts = casters(person.vertices, person.weights).posed(torch.linalg.inv(person.canonical_bones()))
+        bones = person.canonical_bones()[:JOINTS]
+        parts = casters(person.vertices, person.weights[:, :JOINTS]).posed(torch.linalg.inv(bones))
         times = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
         effects = FrameEffects.starting(light, parts, shadow, **times)
-        if on.get("clothing", False):
-            bare = rest(human.initial(), person.canonical_bones()).means
-            effects.clothing = Clothing.start(bare, person.body_pose[self.train])
+        effects.clothing = person.clothing
         return effects

@@ -9,9 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.speeds import Speeds
-from stages.avatar.model.person import Resting, bone_transforms, pose
+from stages.avatar.model.person import Resting, Surfels, bone_transforms, pose
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
 
@@ -54,8 +55,9 @@ class Person(NamedTuple):
     """The fitted body of all frames, and what the canonical pose needs.
 
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
-    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,24], faces[T,3],
-    how their clothes move, if they are known to, and whether they are drawn antialiased.
+    at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,J], faces[T,3],
+    the bones of their clothes, if anything stands off the body, and whether they are drawn antialiased; `cloth` is what
+    does, at the canonical pose. J: the bones of skeleton and clothes.
     """
 
     global_orient: Tensor
@@ -70,19 +72,35 @@ class Person(NamedTuple):
     faces: Tensor
     clothing: Clothing | None = None
     antialias: bool = False
+    cloth: Surfels | None = None
+
+    @property
+    def own_bones(self) -> int:
+        """How many bones the clothes have."""
+        return 0 if self.clothing is None else len(self.clothing)
+
+    def surface(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Points [S,3] m of skin and cloth at the canonical pose, unit normals [S,3] and skinning weights [S,J]."""
+        skin = self.vertices, vertex_normals(self.vertices, self.faces), self.weights
+        if self.cloth is None:
+            return skin
+        cloth = self.cloth.means, self.cloth.rotations[..., 2], self.cloth.weights
+        points, normals, weights = (torch.cat(pair) for pair in zip(skin, cloth, strict=True))
+        return points, normals, weights
 
     def canonical_bones(self) -> Tensor:
-        """Transforms [24,4,4] of the bones from rest to the canonical pose."""
-        return bone_transforms(self.joints, self.parents, torch.zeros_like(self.joints[0]), self.canonical_pose)
+        """Transforms [J,4,4] of all bones from rest to the canonical pose, in which clothes follow the skeleton."""
+        bones = bone_transforms(self.joints, self.parents, torch.zeros_like(self.joints[0]), self.canonical_pose)
+        return bones if self.clothing is None else self.clothing.hang(bones)
 
     def bones(self, frame: int) -> Tensor:
-        """Transforms [24,4,4] of the bones from rest to the pose of a frame; `transl` is not in them."""
-        return bone_transforms(self.joints, self.parents, self.global_orient[frame], self.body_pose[frame])
+        """Transforms [J,4,4] of all bones from rest to the pose of a frame; `transl` is not in them."""
+        bones = bone_transforms(self.joints, self.parents, self.global_orient[frame], self.body_pose[frame])
+        return bones if self.clothing is None else self.clothing.hang(bones, self.clothing.swing(self.body_pose[frame]))
 
     def posed(self, resting: Resting, frame: int) -> Splats:
         """Someone at rest with this body and these clothes, as they stand in a frame."""
-        dressed = resting if self.clothing is None else self.clothing(resting, self.body_pose[frame])
-        return pose(dressed, self.bones(frame), self.transl[frame])._replace(antialias=self.antialias)
+        return pose(resting, self.bones(frame), self.transl[frame])._replace(antialias=self.antialias)
 
 
 def person_frames(body: Person, views: Views, frames: list[int]) -> list[int]:

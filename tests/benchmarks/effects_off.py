@@ -33,8 +33,8 @@ class Nothing(torch.nn.Module):
 
     takes_time = blurs = False
 
-    def clothe(self, person: Any, body_pose: Tensor) -> Any:
-        return person
+    def swing(self, body_pose: Tensor) -> None:
+        return None
 
     def draw(self, human: Any, scene: Any, motion: None, *view: Any) -> list:
         return compose(human, scene, *view)

@@ -12,7 +12,8 @@ from stages import train
 from stages.avatar import rasterize
 from stages.estimators.detectors.every import DETECTORS
 from stages.records import Scene
-from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, train_step
+from stages.synthetic.garments import MAKERS
+from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, loose, train_step
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
@@ -57,7 +58,9 @@ def test_benchmarks_that_are_run_by_hand_speak_of_what_there_is(tmp_path):
     """Settings, effects and lines of code that they name exist: one that named a setting long gone had rotted unseen."""
     assert set(effects.STRENGTHS) == set(DETECTORS)
     assert set(effect_models.EFFECTS) <= set(DETECTORS)
+    assert set(loose.GARMENTS) == {*MAKERS, "none"}
     train.Params(**effect_models.PARAMS)
+    train.Params(**loose.PARAMS)
     for case in approximations.CASES.values():
         train.Params(**dict(case.settings))
         for file, text, _ in case.edits:

@@ -68,7 +68,7 @@ def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
         ("other losses", losses, "skinning"),
         ("occluders", layers, "foreground_occluders"),
         ("effects", FrameEffects, "shade"),
-        ("effects", FrameEffects, "clothe"),
+        ("effects", FrameEffects, "swing"),
         ("backward, other", torch.Tensor, "backward"),
         ("growth statistics", densify.Growth, "add"),
         ("optimiser, scene and frames", fit.Fit, "_apply"),

@@ -5,6 +5,7 @@ Each world is turned and moved against the truth's, so that a transform left out
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from stages.formats.video import decode, write_video
 from stages.synthetic import clip as synthetic
 from stages.synthetic import person
 from stages.synthetic.effects import NO_EFFECTS, ClipEffects
-from stages.synthetic.files import write_views
+from stages.synthetic.files import write_truth, write_views
 from stages.synthetic.room import make_room
 from tests.made.worlds import align_viewmats
 
@@ -50,19 +51,20 @@ def neuman(
     effects: ClipEffects = NO_EFFECTS,
     seed: int = 0,
     crf: int | None = None,
+    wears: Sequence[str] = (),
 ) -> Made:
     """A NeuMan sequence called bike; poses have scales that differ by up to 8 % and look right from their own camera.
 
     `noise` is the standard deviation of what is added to the poses: in radians to joint angles, and of the mean
     distance to the camera to places. `camera_noise` is the same for the cameras: radians, and of the mean distance from
-    the person. With `crf` the pictures are what is left of them in a video coded so.
+    the person. With `crf` the pictures are what is left of them in a video coded so. `wears`: see `synthetic.make_clip`.
     """
     model = read_body_model()
-    clip = synthetic.make_clip(model, seed=seed, frames=frames, width=width, height=height, effects=effects)
+    size = {"frames": frames, "width": width, "height": height}
+    clip = synthetic.make_clip(model, seed=seed, effects=effects, wears=wears, **size)
     views = clip.frames
     made = Made(folder / "bike", folder / "truth")
-    write_views(made.truth, views, clip.betas)
-    write_views(made.truth / "novel", clip.novel, clip.betas)
+    write_truth(made.truth, clip)
     four = made.folder / "4d_humans" / "sam_segmentations"
     for path in (made.folder / "images", made.folder / "sparse", four, made.folder / "segmentations"):
         path.mkdir(parents=True)

@@ -18,8 +18,9 @@ from stages.formats import viewer
 from stages.formats.body_model import read_body_model
 from stages.formats.effects import write_effects
 from stages.formats.splats import read_avatar, read_scene, write_splats
-from stages.records import Clothes, Effects, Scene
+from stages.records import Effects, Scene
 from tests.made import tiny
+from tests.made.clothes import dress, some_clothes
 
 HAZE = 8  # layers
 ROWS = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -35,7 +36,8 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     listing.write_text(json.dumps(facts | {"frames": frames}))
     train = folders["train"]
     person = read_avatar(train / "avatar.npz")
-    write_splats(train / "avatar.npz", replace(person, clothes=clothes(), lbs_weights=spread(person.lbs_weights)))
+    person = replace(person, lbs_weights=spread(person.lbs_weights))
+    write_splats(train / "avatar.npz", dress(person, some_clothes()))
     if scene:
         body = Body(read_body_model())
         parts = casters(body.rest(torch.zeros(10))[0], body.lbs_weights)
@@ -83,12 +85,3 @@ def hazy(scene: Scene) -> Scene:
     more["means"] = more["means"] - rng.uniform([-0.1, -0.1, 0.2], [0.1, 0.1, 0.5], (count, 3))
     more |= {"opacities": np.full(count, 0.012), "sh0": np.full((count, 3), 1.7)}
     return replace(scene, **{name: np.concatenate([getattr(scene, name), part]) for name, part in more.items()})
-
-
-def clothes() -> Clothes:
-    """Nodes down the body that swing by up to 12 cm, each its own way, with the shoulders and one knee."""
-    rng = np.random.default_rng(5)
-    nodes = np.stack([rng.normal(0, 0.15, 40), np.linspace(-1.0, 0.5, 40), np.zeros(40)], 1)
-    axes = np.zeros((69, 2))
-    axes[[47, 50], 0], axes[9, 1] = [1.2, -0.8], 1.0
-    return Clothes(nodes, np.full(69, 0.02), axes, np.full(2, -0.7), np.full(2, 0.6), rng.normal(0, 0.05, (40, 3, 2)))

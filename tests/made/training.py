@@ -9,7 +9,6 @@ import torch
 import trimesh
 from torch.nn.functional import avg_pool2d
 
-from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import bone_transforms, pose, rest
@@ -21,6 +20,7 @@ from stages.training.schedule import Options
 from stages.training.settings import Params
 from stages.training.transients import Transients
 from stages.training.views import Person, Views
+from tests.made.clothes import dressed
 from tests.made.skeleton import PARENTS
 
 WIDTH, HEIGHT, FRAMES = 48, 40, 6
@@ -122,7 +122,10 @@ def everything(clip, steps: int = 24) -> Fit:
     views, person = clip
     blurred = avg_pool2d(views.images.permute(0, 3, 1, 2).float(), 7, 1, 3, count_include_pad=False)
     views = views._replace(images=blurred.permute(0, 2, 3, 1).round().byte())  # of noise others know nothing
-    human, _, generator = models()
+    person = dressed(person, TRAIN)
+    generator = torch.Generator().manual_seed(1)
+    body, sizes = (person.vertices, person.faces, person.weights), {"rounds": 0, "channels": 8, "resolution": 24}
+    human = HumanModel(*body, **sizes, sh_degree=0, generator=generator, cloth=person.cloth)
     wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
     scene = SceneModel(wall, torch.full((150, 3), 0.5), 3, 1.0, antialias=True)
     scene.add_sky(
@@ -132,7 +135,7 @@ def everything(clip, steps: int = 24) -> Fit:
         300.0,
     )
     effects = FrameEffects()
-    effects.clothing = Clothing.start(rest(human.initial(), person.canonical_bones()).means, person.body_pose[TRAIN])
+    effects.clothing = person.clothing
     how = settings(steps, exposure=True, antialias=True)
     return Fit(
         views, TRAIN, person, human, scene, *how, generator, effects=effects, transients=Transients(views, TRAIN)

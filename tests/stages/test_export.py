@@ -18,7 +18,7 @@ from stages.formats.exchange.read import read_any_scene
 from stages.formats.exchange.spz import read_spz
 from stages.formats.ground import read_ground
 from stages.formats.splats import read_avatar, read_scene, write_splats
-from stages.records import Clothes
+from tests.made.clothes import dress, some_clothes
 
 
 def made(clip, out, **settings):
@@ -38,9 +38,8 @@ def clip(tiny, tmp_path_factory):
     for path in tiny["train"].iterdir():
         (train / path.name).write_bytes(path.read_bytes())
     avatar, rng = read_avatar(train / "avatar.npz"), np.random.default_rng(0)
-    clothes = Clothes(*(np.zeros(s) for s in ((2, 3), 69, (69, 1), 1)), np.array([2.0]), np.full((2, 3, 1), 0.01))
     more = {"shN": rng.normal(0, 0.1, (len(avatar), 3, 3)), "quats": rng.normal(size=(len(avatar), 4))}
-    write_splats(train / "avatar.npz", replace(avatar, **more, antialias=True, clothes=clothes))
+    write_splats(train / "avatar.npz", dress(replace(avatar, **more, antialias=True), some_clothes(2)))
     return tiny | {"train": train}
 
 
@@ -92,19 +91,19 @@ def test_the_rig_stands_up_and_has_the_clips_motion(out):
 
 def test_what_a_viewer_cannot_show_is_said_once(out):
     said = (out.parent / "said.txt").read_text()
-    for words in ("up to 3.5 cm", "anti-aliasing", "y down", "eight bones", "view-dependent"):
+    for words in ("clothes have 2 bones", "anti-aliasing", "y down", "eight bones", "view-dependent"):
         assert said.count(words) == 1, words
 
 
 def test_only_formats_that_lack_something_are_said_to_lack_it(clip, tmp_path):
-    """The page hangs clothes and knows of anti-aliasing, .spz of the second only."""
+    """Page and glb hang clothes; the page knows of anti-aliasing, .spz of the second only."""
     for formats, clothes, antialias in (
         (["viewer"], None, None),
-        (["spz"], "but not in spz", None),
-        (["ply", "glb", "spz_motion"], "but not in ply, glb", "by ply, glb:"),
+        (["spz"], "stand still in spz", None),
+        (["ply", "glb", "spz_motion"], "stand still in ply", "by ply, glb:"),
     ):
         said = made(clip, tmp_path / "-".join(formats), formats=formats)
-        for wanted, about in ((clothes, "clothes move"), (antialias, "learned with anti-aliasing")):
+        for wanted, about in ((clothes, "clothes have"), (antialias, "learned with anti-aliasing")):
             (line,) = [line for line in said if line.startswith(about)] or [None]
             assert line is None if wanted is None else wanted in line, formats
 

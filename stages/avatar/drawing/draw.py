@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from stages import records
-from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import Baked, load_avatar, pose_through
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import FrameMotion, Speeds
@@ -28,9 +28,14 @@ class Learned(NamedTuple):
     effects: FrameEffects
 
     def person(self, pose: Pose) -> Splats:
-        """The person's Gaussians in the world at one pose."""
+        """The person's Gaussians in the world at one pose, their clothes at rest."""
+        return next(self.people([pose], np.zeros(1)))
+
+    def people(self, poses: Iterable[Pose], times: np.ndarray) -> Iterator[Splats]:
+        """The same going through `poses` at `times` [F] s, rising, with clothes that swing."""
         like = self.avatar.joints
-        return pose_avatar(self.avatar, *(torch.as_tensor(part).to(like) for part in pose))
+        told = (tuple(torch.as_tensor(part).to(like) for part in pose) for pose in poses)
+        return pose_through(self.avatar, ((orient, body, transl) for orient, body, transl in told), times.tolist())
 
     def shade(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
         """A scene, ours or another, with the shadow of the person at a pose, None for nobody."""
@@ -96,11 +101,15 @@ def perform(
     scene: Splats | None,
     poses: tuple[np.ndarray, np.ndarray, np.ndarray],
     cameras: Iterable[Camera],
+    fps: float,
 ) -> Iterator[np.ndarray]:
-    """Pictures of the person going through `poses`: global_orient [F,3], body_pose [F,69], transl [F,3]; a camera each."""
-    for *parts, camera in zip(*poses, cameras, strict=True):
-        there = parts[0], parts[1], parts[2]
-        human = learned.person(there)
+    """Pictures of the person going through `poses`, `fps` a second; a camera each.
+
+    `poses`: global_orient [F,3], body_pose [F,69], transl [F,3].
+    """
+    each = list(zip(*poses, strict=True))
+    people = learned.people(each, np.arange(len(each)) / fps)
+    for there, human, camera in zip(each, people, cameras, strict=True):
         yield to_uint8(draw(human, learned.shade(scene, there), camera, background=0.0 if scene else 1.0)[0])
 
 

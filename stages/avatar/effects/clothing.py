@@ -1,82 +1,145 @@
-"""Clothes that leave the body as the pose changes: offsets that are linear in a few features of the pose.
+"""Bones of their own for cloth and hair: the skeleton carries them, and they swing beyond it.
 
-Features are principal components of the training poses, held within what training saw, so that no new pose makes clothes
-explode. Each of a few nodes on the body at rest has an offset per feature; a Gaussian moves with the nodes near it, before
-it is skinned. So posing stays linear algebra. SMPL's pose blend shapes (https://smpl.is.tue.mpg.de) are linear likewise.
+Game characters have such bones for skirts and hair; ReLoo (https://arxiv.org/abs/2409.15269) learns them from video. A bone
+is carried by a blend of the skeleton's, so without a swing it moves like the skin around. Its swing, a turn and a shift
+in the rest pose, is linear in features of the pose, principal components of the training poses, and in the sway of a
+damped spring that hangs on it. Both are held within what training saw, so that nothing new makes clothes explode. Posing
+stays skinning.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from stages import records
-from stages.avatar.model.person import Resting
+from stages.avatar.body.rotations import matrix_from_rotvec
+from stages.avatar.body.smpl import affine
 from stages.avatar.splats.neighbours import farthest_points
 
-NODES = 160  # about 0.1 m apart on a body
-REACH = 0.07  # m: a node's Gaussian sigma
+BONES = 24  # at most
+APART = 0.1  # m between bones, at least
+BELL = 0.9  # of the distance between bones: sigma of a bone's share
+LOOSE = (0.02, 0.06)  # m off the skin between which cloth changes from the skeleton's bones to its own
 FEATURES = 6
-FLOOR = 1e-6  # of the weights' sum: far from all nodes nothing moves, and nothing is divided by 0
-PRIOR = 0.1  # weight of the mean squared offset / LOOSE; a 20th of it, at 3 times the rate, cost the person 1.1 dB
-LOOSE = 0.05  # m
+PRIOR = 0.1  # weight of the mean squared swing
+UNITS = (0.3, 0.3, 0.3, 0.05, 0.05, 0.05)  # rad, m: a usual swing
+
+
+class Hung(NamedTuple):
+    """Where K bones hang: `centres` [K,3] m at rest, and `carriers` [K,24], the share that each of the skeleton's carries."""
+
+    centres: Tensor
+    carriers: Tensor
 
 
 class Clothing(nn.Module):
-    """Offsets [M,3,K] m of nodes[M,3] for features of body poses: (pose - mean[69]) @ axes[69,K], within low and high[K].
+    """K bones at `centres` [K,3] m at rest, carried by `carriers` [K,24] of the skeleton's.
 
-    Nodes and offsets are in the rest pose of the skeleton, from which every pose starts.
+    Their swing in UNITS is swings[K,6,1+Q] @ features + sways[K,6,3] @ sway. Features [1+Q] of a body pose are 1 and (pose -
+    mean[69]) @ axes[69,Q], within low and high[Q]; the sway [K,3] m is that of a spring[2], rad/s and share of critical damping,
+    within reach[K] m.
     """
 
-    nodes: Tensor
+    centres: Tensor
+    carriers: Tensor
     mean: Tensor
     axes: Tensor
     low: Tensor
     high: Tensor
+    sways: Tensor
+    spring: Tensor
+    reach: Tensor
+    units: Tensor
 
-    def __init__(self, nodes: Tensor, mean: Tensor, axes: Tensor, low: Tensor, high: Tensor, offsets: Tensor):
+    def __init__(self, swings: Tensor, **fixed: Tensor):
         super().__init__()
-        for name, value in {"nodes": nodes, "mean": mean, "axes": axes, "low": low, "high": high}.items():
+        for name, value in fixed.items():
             self.register_buffer(name, value)
-        self.offsets = nn.Parameter(offsets)
-        self.known: tuple[Tensor, Tensor] | None = None
+        self.register_buffer("units", torch.tensor(UNITS).to(swings), persistent=False)
+        self.swings = nn.Parameter(swings)
 
     @classmethod
-    def start(cls, points: Tensor, poses: Tensor) -> Clothing:
-        """Clothes at offset 0 for points[P,3] of a body at rest and the training frames' body poses[F,69] in rad."""
+    def start(cls, hung: Hung, poses: Tensor) -> Clothing:
+        """Bones that follow the skeleton, and the features of the training frames' body poses[F,69] in rad."""
         mean = poses.mean(0)
         _, spread, axes = torch.linalg.svd((poses - mean).double(), full_matrices=False)
         kept = (spread[:FEATURES] > 1e-3 * len(poses) ** 0.5).sum()
         axes = (axes[:kept] / spread[:kept, None] * len(poses) ** 0.5).T.to(poses)  # features of variance 1
         features = (poses - mean) @ axes
-        nodes = points[farthest_points(points, NODES)]
-        offsets = torch.zeros(len(nodes), 3, int(kept)).to(points)
-        return cls(nodes, mean, axes, features.amin(0), features.amax(0), offsets)
+        count = len(hung.centres)
+        return cls(
+            poses.new_zeros(count, 6, 1 + int(kept)),
+            **hung._asdict(),
+            mean=mean,
+            axes=axes,
+            low=features.amin(0),
+            high=features.amax(0),
+            sways=poses.new_zeros(count, 6, 3),
+            spring=poses.new_ones(2),
+            reach=poses.new_zeros(count),
+        )
 
     @classmethod
     def of(cls, clothes: records.Clothes) -> Clothing:
         """Trained clothes, float32, as constants."""
-        arrays = (clothes.nodes, clothes.mean, clothes.axes, clothes.low, clothes.high, clothes.offsets)
-        return cls(*(torch.as_tensor(array, dtype=torch.float32) for array in arrays)).requires_grad_(False)
+        arrays = {name: torch.as_tensor(array, dtype=torch.float32) for name, array in vars(clothes).items()}
+        return cls(**arrays).requires_grad_(False)
+
+    def __len__(self) -> int:
+        return len(self.centres)
 
     def features(self, body_pose: Tensor) -> Tensor:
-        """Features [K] of a pose [69] in rad, clamped to the limits of training."""
-        return ((body_pose - self.mean) @ self.axes).clamp(self.low, self.high)
+        """Features [...,1+Q] of poses [...,69] in rad, clamped to the limits of training."""
+        principal = ((body_pose - self.mean) @ self.axes).clamp(self.low, self.high)
+        return torch.cat([torch.ones_like(body_pose[..., :1]), principal], -1)
 
-    @torch.no_grad()
-    def weights(self, means: Tensor) -> Tensor:
-        """Weights [N,M] of the nodes' offsets for rest-pose means[N,3]; rows sum to 1 at most. Kept for the next call."""
-        if self.known is None or self.known[0] is not means:
-            away = torch.cdist(means, self.nodes, compute_mode="donot_use_mm_for_euclid_dist")
-            bells = torch.exp(-0.5 * (away / REACH).square())
-            self.known = means, bells / (bells.sum(1, keepdim=True) + FLOOR)
-        return self.known[1]
+    def swing(self, body_pose: Tensor, sway: Tensor | None = None) -> Tensor:
+        """The bones' swing [K,6] in UNITS in one pose [69] while their springs are off by `sway` [K,3] m, at rest if None."""
+        swing = self.swings @ self.features(body_pose)
+        if sway is None:
+            return swing
+        size = sway.norm(dim=1).clamp_min(1e-9)
+        held = sway * (self.reach / size).clamp(max=1)[:, None]
+        return swing + (self.sways @ held[..., None])[..., 0]
 
-    def forward(self, person: Resting, body_pose: Tensor) -> Resting:
-        """The person at rest with their clothes moved as in one pose [69]."""
-        away = self.weights(person.means) @ (self.offsets @ self.features(body_pose))
-        return person._replace(means=person.means + away)
+    def carried(self, bones: Tensor) -> Tensor:
+        """Transforms [...,K,4,4] by which the skeleton's bones[...,24,4,4] carry those here."""
+        return (self.carriers @ bones.flatten(-2)).unflatten(-1, (4, 4))
+
+    def hang(self, bones: Tensor, swing: Tensor | None = None) -> Tensor:
+        """All transforms [24+K,4,4] from rest: those of the skeleton's `bones`[24,4,4], then of those here, with a swing [K,6]."""
+        carried = self.carried(bones)
+        if swing is not None:
+            moved = swing * self.units
+            turn = matrix_from_rotvec(moved[:, :3])
+            shift = self.centres - (turn @ self.centres[..., None])[..., 0] + moved[:, 3:]
+            carried = carried @ affine(turn, shift)
+        return torch.cat([bones, carried])
 
     def prior(self) -> Tensor:
-        """The regularizer PRIOR x mean squared offset in units of LOOSE, 0 without features: it pulls clothes to the body."""
-        return PRIOR * (self.offsets / LOOSE).square().sum() / max(1, self.offsets.numel())
+        """The regularizer PRIOR x mean squared swing for a feature of one: it lets clothes follow the body."""
+        return PRIOR * self.swings.square().sum() / max(1, self.swings.numel())
+
+
+def bones_for(points: Tensor, away: Tensor, weights: Tensor) -> tuple[Hung, Tensor]:
+    """Bones for cloth at points[C,3] m at rest, away[C] m off the skin, that spreads weights[C,24] there.
+
+    Also the weights [C,24+K] of the cloth with them: its own bones have what is LOOSE, by a bell around each.
+    """
+    loose = ((away - LOOSE[0]) / (LOOSE[1] - LOOSE[0])).clamp(0, 1)
+    free = (loose > 0.5).nonzero()[:, 0]
+    if len(free) == 0:
+        return Hung(points[free], weights[free]), weights
+    chosen = free[farthest_points(points[free], BONES)]
+    before = torch.cdist(points[chosen], points[chosen]).tril(-1)
+    before[before == 0] = torch.inf
+    chosen = chosen[before.amin(1) > APART]
+    gaps = torch.cdist(points, points[chosen])
+    gap = gaps[free].amin(1).max().clamp_min(0.5 * APART)
+    bells = torch.exp(-0.5 * (gaps / (BELL * gap)).square())
+    own = loose[:, None] * bells / bells.sum(1, keepdim=True).clamp_min(1e-12)
+    rest = (1 - own.sum(1, keepdim=True)).clamp_min(0)
+    return Hung(points[chosen], weights[chosen]), torch.cat([weights * rest, own], 1)

@@ -14,7 +14,6 @@ from stages.avatar.effects.motion_blur import START, BlurredRendering, expose
 from stages.avatar.effects.rolling_shutter import roll_shutter
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
 from stages.avatar.effects.speeds import FrameMotion, move
-from stages.avatar.model.person import Resting
 from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
@@ -25,7 +24,7 @@ class FrameEffects(nn.Module):
 
     `shutter` [1] is the share of a moment for which the shutter is open (motion blur), `readout` [1] the share in which
     the rows are read from top to bottom (rolling shutter). A moment is the time between two frames of the clip.
-    `clothing` moves the person's Gaussians before they are posed.
+    `clothing` are the bones of the person's clothes.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -56,9 +55,9 @@ class FrameEffects(nn.Module):
         """Whether frames have motion blur."""
         return self.shutter is not None
 
-    def clothe(self, person: Resting, body_pose: Tensor) -> Resting:
-        """The person at rest with their clothes moved as in the pose [69]."""
-        return person if self.clothing is None else self.clothing(person, body_pose)
+    def swing(self, body_pose: Tensor) -> Tensor | None:
+        """How far the bones of clothes turn and shift [K,6] in the pose [69]; None: they follow the skeleton."""
+        return None if self.clothing is None else self.clothing.swing(body_pose)
 
     def prior(self) -> Tensor | float:
         """The regularizer of the effects, part of a step's loss."""

@@ -58,6 +58,20 @@ def fill(points: np.ndarray, faces: np.ndarray, K: np.ndarray, width: int, heigh
     return depth, face, weights
 
 
+def covered(
+    vertices: np.ndarray, faces: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int, height: int
+) -> np.ndarray:
+    """bool [height,width]: the pixels whose centres a mesh covers; faces behind the camera are left out.
+
+    `vertices` [V,3] in the world of `viewmat` [4,4] camera_from_world, `faces` [T,3], `K` [3,3] px.
+    """
+    local = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+    faces = np.asarray(faces, np.int64)
+    faces = faces[(local[faces, 2] > NEAR).all(1)]
+    local[:, 2] = np.maximum(local[:, 2], NEAR)
+    return fill(local, faces, K, width, height)[1] >= 0
+
+
 @njit(cache=True, parallel=True)
 def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mips, per_metre: float, light,
          gloss: float = 0.0, lamps=NO_LAMPS, open_air: bool = False):  # fmt: skip

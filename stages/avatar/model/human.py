@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from stages.avatar.body.rotations import matrix_from_6d, rotation_z_to
 from stages.avatar.body.smpl import edge_lengths, subdivide, vertex_normals
 from stages.avatar.model.decoders import TEMPERATURE, Decoders, Residuals
-from stages.avatar.model.person import Canonical
+from stages.avatar.model.person import Canonical, Surfels
 from stages.avatar.model.triplane import Triplane
 from stages.avatar.splats.sh import bases
 
@@ -25,7 +25,8 @@ SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 class HumanModel(nn.Module):
     """The trainable person: positions per Gaussian; all else = initial value + networks' output + residual of the Gaussian.
 
-    Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J]. Two of the paper's ablations:
+    Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J], and `cloth` off it, if any,
+    which has Gaussians of its own. Two of the paper's ablations:
     without `lbs_learning` the skinning weights stay as they began; without `triplane` there are no networks.
     """
 
@@ -57,6 +58,7 @@ class HumanModel(nn.Module):
         generator: torch.Generator,
         lbs_learning: bool = True,
         triplane: bool = True,
+        cloth: Surfels | None = None,
     ):
         super().__init__()
         triangles, (points, skinning) = subdivide(faces, rounds, vertices, weights)
@@ -64,16 +66,22 @@ class HumanModel(nn.Module):
         self.triplane: Triplane | None = None
         self.decoders: Decoders | None = None
         if triplane:
-            size = vertices.amax(0) - vertices.amin(0)
-            pad = MARGIN * torch.maximum(size, size.max() * 0.25)
-            self.triplane = Triplane(vertices.amin(0) - pad, vertices.amax(0) + pad, channels, resolution, generator)
+            everything = vertices if cloth is None else torch.cat([vertices, cloth.means])
+            low, high = everything.amin(0), everything.amax(0)
+            pad = MARGIN * torch.maximum(high - low, (high - low).max() * 0.25)
+            self.triplane = Triplane(low - pad, high + pad, channels, resolution, generator)
             self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(vertices)
-        self.residuals = Residuals(len(points), sh_degree, joints, alone=not triplane).to(vertices)
         half = (0.5 * edge_lengths(points, triangles)).clamp_min(1e-4)
+        rotations, sizes = rotation_z_to(vertex_normals(points, triangles)), torch.stack([half, half, 0.5 * half], 1)
+        if cloth is not None:
+            body = Surfels(points, rotations, sizes, skinning)
+            points, rotations, sizes, skinning = (torch.cat(pair) for pair in zip(body, cloth, strict=True))
+        self.residuals = Residuals(len(points), sh_degree, joints, alone=not triplane).to(vertices)
         self.xyz = nn.Parameter(points.clone())
-        self.register_buffer("rotations", rotation_z_to(vertex_normals(points, triangles)))
-        self.register_buffer("log_sizes", torch.stack([half, half, 0.5 * half], 1).log())
-        self.register_buffer("logits", torch.full_like(half, math.log(START_OPACITY / (1 - START_OPACITY))))
+        self.register_buffer("rotations", rotations)
+        self.register_buffer("log_sizes", sizes.log())
+        opaque = torch.full_like(points[:, 0], math.log(START_OPACITY / (1 - START_OPACITY)))
+        self.register_buffer("logits", opaque)
         self.register_buffer("sh_starts", torch.zeros_like(points))
         self.register_buffer("skin_logits", TEMPERATURE * (skinning + WEIGHT_FLOOR).log())
         self.register_buffer("homes", points.clone())  # where each Gaussian began, see `initial`

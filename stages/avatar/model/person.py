@@ -24,6 +24,18 @@ class Canonical(NamedTuple):
     weights: Tensor
 
 
+class Surfels(NamedTuple):
+    """Flat Gaussians of a surface at the canonical pose, before they have a colour.
+
+    means[N,3] m, rotations[N,3,3] whose third columns are outward normals, scales[N,3] m, weights[N,J].
+    """
+
+    means: Tensor
+    rotations: Tensor
+    scales: Tensor
+    weights: Tensor
+
+
 class Resting(NamedTuple):
     """The same person in the rest pose of the skeleton, from which every pose starts.
 

@@ -90,14 +90,16 @@ class Soles:
 
     @classmethod
     def of_rig(cls, rig: records.Rig) -> Soles:
-        """The soles of an avatar's own Gaussians; of an avatar without feet, its joints."""
+        """The soles of an avatar's own Gaussians, as the skeleton alone moves them; of an avatar without feet, its joints."""
         f64 = torch.float64
         feet = np.isin(rig.bones[:, 0], [*ANKLES, *FEET]) & (rig.opacities > SOLID)
         heights = rig.means[feet, 1]
         kept = np.flatnonzero(feet)[heights >= np.quantile(heights, STRAY)] if len(heights) else feet.nonzero()[0]
         joints, stiff = torch.as_tensor(rig.joints, dtype=f64), torch.eye(len(rig.joints), dtype=f64)
         points = torch.cat([torch.as_tensor(rig.means[kept], dtype=f64), joints])
-        weights = torch.cat([torch.as_tensor(all_bones(rig.bones8[kept], rig.words8[kept], len(joints))), stiff])
+        own = 0 if rig.clothes is None else len(rig.clothes.centres)
+        share = torch.as_tensor(all_bones(rig.bones8[kept], rig.words8[kept], len(joints) + own))[:, : len(joints)]
+        weights = torch.cat([share / share.sum(1, keepdim=True), stiff])
         return cls(Body.still(points, weights, joints, rig.parents.tolist()), rig.betas)
 
     def at_rest(self) -> tuple[np.ndarray, np.ndarray]:

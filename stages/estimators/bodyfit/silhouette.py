@@ -47,7 +47,9 @@ def silhouette(
 ) -> np.ndarray:
     """The body painted as bool `shape` (rows, columns) for a camera whose picture has `size` (rows, columns).
 
-    `vertices` [V,3] in the world of `viewmat` [4,4] camera_from_world, `faces` [T,3], `K` [3,3] px.
+    `vertices` [V,3] in the world of `viewmat` [4,4] camera_from_world, `faces` [T,3], `K` [3,3] px. Also paints pixels that
+    an edge only touches, unlike `kernels.mesh.covered`: the survey's limits were set on exact outlines, the body fit's
+    confidence on painted ones, so both stay.
     """
     pixels, z = project(vertices, viewmat, K)
     pixels = pixels * np.array([shape[1] / size[1], shape[0] / size[0]])
@@ -79,18 +81,3 @@ def seen_vertices(points: np.ndarray, faces: np.ndarray, Ks: np.ndarray, chosen:
         column, row = ((pixels[chosen] - low) * zoom).astype(int).clip(0, VISIBLE_SIDE - 1).T
         seen[i] = body[chosen, 2] < depth[row, column] + HIDDEN
     return seen
-
-
-def exact_silhouette(
-    vertices: np.ndarray, faces: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int, height: int
-) -> np.ndarray:
-    """bool [height,width]: the pixels whose centres the body covers; faces behind the camera are left out.
-
-    `silhouette` also paints pixels that an edge only touches. The survey's limits were set on exact outlines, the body
-    fit's confidence on painted ones, so both stay.
-    """
-    local = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
-    faces = np.asarray(faces, np.int64)
-    faces = faces[(local[faces, 2] > NEAR).all(1)]
-    local[:, 2] = np.maximum(local[:, 2], NEAR)
-    return fill(local, faces, K, width, height)[1] >= 0

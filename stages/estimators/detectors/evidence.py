@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.estimators.bodyfit.silhouette import exact_silhouette, posed_bodies
+from stages.avatar.kernels.mesh import covered
+from stages.estimators.bodyfit.silhouette import posed_bodies
 from stages.estimators.detectors.bundle import BundleResiduals, adjust_bundle
 from stages.estimators.detectors.light import frame_gains
 from stages.estimators.detectors.tracks import Tracks, follow
@@ -24,12 +25,13 @@ FRAMES = 30  # enough for a median or a share; detectors that look at pictures t
 class ClipEvidence:
     """A clip before training, with the facts of sfm.json; what several detectors need is computed once.
 
-    `fitted`: the poses are our own fit to landmarks, not given.
+    `fitted`: the poses are our own fit to landmarks, not given. `frame_seconds`: the time from frame to frame.
     """
 
     clip: Clip
     facts: Sfm
     fitted: bool = False
+    frame_seconds: float = 1 / 30
 
     @property
     def moving(self) -> bool:
@@ -72,6 +74,6 @@ class ClipEvidence:
         """The body's silhouettes, bool [H,W] for each of `sampled`."""
         clip = self.clip
         return [
-            exact_silhouette(vertices, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
+            covered(vertices, clip.body_model.faces, clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
             for i, vertices in zip(self.sampled, self.bodies)
         ]

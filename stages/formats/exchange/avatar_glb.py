@@ -5,7 +5,8 @@ KHR_gaussian_splatting (https://github.com/KhronosGroup/glTF, extensions/2.0/Khr
 Gaussians show points: their colour has the opacity for its alpha, and `_SCALE` is kept by Blender for geometry nodes. One
 such name only: the importer of Blender 5.0 mixes several up, in an order that changes from start to start.
 y is up, metres, the T-pose, its soles at height 0 by the node above the skeleton; the inverse bind matrices are plain
-steps, see `records.Rig`.
+steps, see `records.Rig`. Bones of clothes are joints like others, and motions move them as they swing; how they do is
+kept for hugs.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.clothes import clothes_of
 from stages.formats.exchange.bone_names import Names, bone_names
 from stages.formats.exchange.glb import HINT, Arrays, Glb, write_glb
 from stages.formats.splats import impossible
@@ -36,7 +38,8 @@ def write_avatar_glb(
 ) -> None:
     """Write the avatar; the same avatar makes the same bytes. The floor of the T-pose is at the height `floor` m of the rig."""
     arrays, content = Arrays(), start()
-    content["extras"] = {"hugs": {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}}
+    hugs = {"format": FORMAT, "betas": rig.betas.tolist(), "antialias": rig.antialias}
+    content["extras"] = {"hugs": hugs | _clothes(rig)}
     stand = {"name": "stand", "translation": [0.0, -floor, 0.0]}
     first = add_figure(content, arrays, rig, mesh, names, stand)
     content["scenes"][0]["name"] = "avatar"
@@ -94,8 +97,9 @@ def add_figure(
     first = begin + len(shapes) + 1
     nodes += [{"name": name, "mesh": len(meshes) + i, "skin": skin} for i, name in enumerate(shapes)]
     nodes += [stand | {"children": [first]}, *_joints(rig, bone_names(names), first)]
-    binds = arrays.add(_inverse_binds(rig.joints))
-    skins.append({"inverseBindMatrices": binds, "skeleton": first, "joints": list(range(first, first + JOINTS))})
+    places = _places(rig)
+    joints = list(range(first, first + len(places)))
+    skins.append({"inverseBindMatrices": arrays.add(_inverse_binds(places)), "skeleton": first, "joints": joints})
     meshes += [{"name": name, "primitives": [primitive]} for name, primitive in shapes.items()]
     content["scenes"][0]["nodes"] += range(begin, first)
     return first
@@ -104,16 +108,32 @@ def add_figure(
 def _joints(rig: Rig, names: Sequence[str], first: int) -> list[dict[str, Any]]:
     """A node a joint, at rest: its step from its parent."""
     nodes: list[dict[str, Any]] = []
-    for joint, (name, parent) in enumerate(zip(names, rig.parents.tolist(), strict=True)):
-        step = rig.joints[joint] - (rig.joints[parent] if parent >= 0 else 0)
+    places, parents = _places(rig), np.asarray(rig.parents)
+    if rig.clothes is not None:
+        parents = np.concatenate([parents, rig.clothes.hang_on])
+        names = [*names, *(f"cloth_{k:02d}" for k in range(len(rig.clothes)))]
+    for joint, (name, parent) in enumerate(zip(names, parents.tolist(), strict=True)):
+        step = places[joint] - (places[parent] if parent >= 0 else 0)
         nodes.append({"name": name, "translation": step.astype(float).tolist()})
-        children = [first + int(child) for child in np.flatnonzero(rig.parents == joint)]
+        children = [first + int(child) for child in np.flatnonzero(parents == joint)]
         nodes[-1] |= {"children": children} if children else {}
     return nodes
 
 
+def _places(rig: Rig) -> np.ndarray:
+    """Where the joints are at rest, then the bones of clothes."""
+    return rig.joints if rig.clothes is None else np.concatenate([rig.joints, rig.clothes.centres]).astype(np.float32)
+
+
+def _clothes(rig: Rig) -> dict[str, Any]:
+    """The clothes as lists, by name; nothing without them."""
+    if rig.clothes is None:
+        return {}
+    return {"clothes": {name: np.asarray(values).tolist() for name, values in vars(rig.clothes).items()}}
+
+
 def _inverse_binds(joints: np.ndarray) -> np.ndarray:
-    """Rows [24,16] of the matrices, column by column."""
+    """Rows [J,16] of the matrices, column by column."""
     matrices = np.tile(np.eye(4, dtype=np.float32), (len(joints), 1, 1))
     matrices[:, 3, :3] = -joints
     return matrices.reshape(-1, 16)
@@ -181,11 +201,16 @@ def animation(take: Take, arrays: Arrays, first: int) -> dict[str, Any]:
         turns = take.rotations[:, joint, [1, 2, 3, 0]].astype(np.float32)
         channels.append({"sampler": len(samplers), "target": {"node": first + joint, "path": "rotation"}})
         samplers.append({"input": times, "output": arrays.add(turns)})
+    for k in range(0 if take.clothes is None else take.clothes.shape[1]):
+        moved = np.asarray(take.clothes)[:, k].astype(np.float32)
+        for path, values in (("rotation", moved[:, [1, 2, 3, 0]]), ("translation", moved[:, 4:])):
+            channels.append({"sampler": len(samplers), "target": {"node": first + JOINTS + k, "path": path}})
+            samplers.append({"input": times, "output": arrays.add(np.ascontiguousarray(values))})
     return {"samplers": samplers, "channels": channels}
 
 
 def read_avatar_glb(path: Path) -> Avatar:
-    """The avatar in a .glb that `write_avatar_glb` wrote: in the T-pose, with eight bones a Gaussian and without clothes.
+    """The avatar in a .glb that `write_avatar_glb` wrote: in the T-pose, with eight bones a Gaussian.
 
     StageError for any other GLB, and for values that cannot be.
     """
@@ -213,8 +238,11 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
         return glb.array(attributes[name], kind, columns)
 
     means = column("POSITION", 3)
-    n = len(means)
-    weights = np.zeros((n, JOINTS), np.float32)
+    n, clothes = len(means), None
+    if "clothes" in marks:
+        lists = {f"clothes_{name}": np.asarray(values, np.float32) for name, values in marks["clothes"].items()}
+        clothes = clothes_of(lists, "extras.hugs", HINT)
+    weights = np.zeros((n, JOINTS + (0 if clothes is None else len(clothes))), np.float32)
     for part in range(2):
         bones, words = column(f"JOINTS_{part}", 4, "u1"), column(f"WEIGHTS_{part}", 4, "<u2")
         for i in range(4):
@@ -223,7 +251,7 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
     rest = [column(name, 3) for name in higher if name in attributes]
     skin = glb.content["skins"][0]
     binds = glb.array(skin["inverseBindMatrices"], "<f4", 16)
-    joints, parents = -binds[:, 12:15], np.full(JOINTS, -1, np.int32)
+    joints, parents = -binds[:, 12:15], np.full(len(binds), -1, np.int32)
     places = {node: joint for joint, node in enumerate(skin["joints"])}
     for joint, node in enumerate(skin["joints"]):
         for child in glb.content["nodes"][node].get("children", ()):
@@ -236,11 +264,12 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
         sh0=column(f"{SPLATS}:SH_DEGREE_0_COEF_0", 3),
         shN=np.stack(rest, 1) if rest else np.zeros((n, 0, 3), np.float32),
         lbs_weights=weights,
-        joints=joints,
-        parents=parents,
+        joints=joints[:JOINTS],
+        parents=parents[:JOINTS],
         betas=np.asarray(marks["betas"], np.float32),
         canonical_pose=np.zeros(3 * (JOINTS - 1), np.float32),
         antialias=bool(marks["antialias"]),
+        clothes=clothes,
     )
 
 

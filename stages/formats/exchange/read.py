@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from stages.contract import StageError
+from stages.formats.clothes import has_old_clothes
 from stages.formats.exchange.avatar_glb import read_avatar_glb
 from stages.formats.exchange.ply import read_ply
 from stages.formats.exchange.spz import read_spz
@@ -42,10 +43,14 @@ def read_given(train: Path | None, avatar: Path | None, scene: Path | None) -> t
 
 
 def lacks(avatar: Path | None, scene: Path | None) -> list[str]:
-    """What the formats of these files cannot hold, in words."""
+    """What these files do not hold, or no longer say to us, in words."""
     found = []
     if avatar is not None and avatar.suffix.lower() == ".glb":
-        found.append(f"{avatar.name} holds no clothes and eight bones a Gaussian; avatar.npz holds all")
+        found.append(f"{avatar.name} holds eight bones a Gaussian; avatar.npz holds all")
+    if avatar is not None and avatar.suffix.lower() == ".npz" and has_old_clothes(avatar):
+        found.append(
+            f"{avatar.name} was made before clothes had bones: they follow the skin; train again for clothes that swing"
+        )
     if scene is not None and scene.suffix.lower() == ".ply":
         found.append(f"{scene.name} cannot say that it was learned with anti-aliasing: drawn without")
     return found

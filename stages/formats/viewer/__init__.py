@@ -41,10 +41,10 @@ PICTURES, SIDE, QUALITY, BYTES = 60, 480, 80, 900_000  # frames shown, px of the
 class Figure:
     """One person of a page.
 
-    `weights` [N,24] skin the Gaussians of `rig`, rows sum to 1. All figures have as many `moves`, of the same names and
-    lengths. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person stands; they are `scale` times
-    as large there. `soles`: points [P,3] m of the body at rest, and their weights [P,24]. `parts` cast the shadow: middles
-    [24,3] m and covariances [24,3,3] m^2 at rest.
+    `weights` [N,24+K] skin the Gaussians of `rig`, rows sum to 1; K: the bones of its clothes. All figures have as many
+    `moves`, of the same names and lengths. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person
+    stands; they are `scale` times as large there. `soles`: points [P,3] m of the body at rest, and their weights [P,24].
+    `parts` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 at rest.
     """
 
     rig: Rig
@@ -119,8 +119,8 @@ def _pack_figure(packer: Packer, figure: Figure, number: int) -> None:
     packer.whole(f"person{number}/weights", np.rint(np.sqrt(np.asarray(figure.weights, np.float64)) * TEN_BITS), 16)
     packer.exact(f"person{number}/joints", rig.joints)
     if rig.clothes is not None:
-        for name in ("nodes", "mean", "axes", "low", "high", "offsets"):
-            packer.exact(f"person{number}/{name}", getattr(rig.clothes, name))
+        for name, values in vars(rig.clothes).items():
+            packer.exact(f"person{number}/{name}", values)
     if figure.parts is not None:
         for name, values in zip(("middles", "covariances"), figure.parts, strict=True):
             packer.exact(f"person{number}/{name}", values)

@@ -55,7 +55,7 @@ def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, fram
     """
     whole = finite_rows(person)
     kept = Canonical(*(part[whole] for part in person))
-    stray = far_from_body(kept.means, body.vertices) | outliers[whole]
+    stray = far_from_surface(kept.means, body.surface()[0]) | outliers[whole]
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
     kept, recolored = recolor(kept, body, views, frames)
@@ -63,9 +63,9 @@ def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, fram
     return Finished(done, int((~whole).sum()), int(stray.sum()), snapped, recolored, len(done.means) - len(kept.means))
 
 
-def far_from_body(means: Tensor, vertices: Tensor) -> Tensor:
-    """Which of the canonical means[N,3] are farther than OFF_BODY from all of the body's vertices[V,3]."""
-    distance, _ = nearest(vertices, means, 1)
+def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:
+    """Which of the canonical means[N,3] are farther than OFF_BODY from all points of the `surface`[S,3] of skin and cloth."""
+    distance, _ = nearest(surface, means, 1)
     return distance[:, 0] > OFF_BODY
 
 
@@ -73,10 +73,11 @@ def floating(person: Canonical, body: Person) -> Tensor:
     """Which rows [N] are no part of a surface: far from their neighbours by the body's spacing there (APART) and by
     their own size (SMALL), or THICK across the skin.
     """
-    under = nearest(body.vertices, person.means, 1)[1][:, 0]
-    usual = nearest(body.vertices, body.vertices, COMPANY + 1)[0][under, -1]
+    surface, outwards, _ = body.surface()
+    under = nearest(surface, person.means, 1)[1][:, 0]
+    usual = nearest(surface, surface, COMPANY + 1)[0][under, -1]
     away = nearest(person.means, person.means, COMPANY + 1)[0][:, -1]
-    normals = vertex_normals(body.vertices, body.faces)[under]
+    normals = outwards[under]
     thick = ((normals[:, None] @ person.rotations)[:, 0] * person.scales).norm(dim=1)
     return ((away > APART * usual) & (away > SMALL * person.scales.amax(1))) | (thick > THICK)
 
@@ -160,8 +161,8 @@ def _count_pixels(person: Canonical, body: Person, views: Views, frames: list[in
     The first two count only where the skin under a Gaussian faces the camera: the far side shines through the near one.
     """
     bones = body.canonical_bones()
-    _, under = nearest(body.vertices, person.means, 1)
-    outwards = vertex_normals(body.vertices, body.faces)[under[:, 0]]
+    surface, normals, _ = body.surface()
+    outwards = normals[nearest(surface, person.means, 1)[1][:, 0]]
     resting, skin = rest(person, bones), rest(person._replace(rotations=rotation_z_to(outwards)), bones)
     counts, pixels = torch.zeros_like(person.means), 0.0
     for i in person_frames(body, views, frames):

@@ -6,12 +6,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.splats.neighbours import nearest
 from stages.training.views import Person, Views, person_frames
 
-UNDER = 4  # vertices of the body that tell where its skin is
+UNDER = 4  # points of the surface that tell where it is
 AROUND = 24  # neighbours over the skin whose middle height is that of the surface
 OUT = 0.005  # metres from it that a Gaussian may stand out. Phone clip, 10,000 steps: 0.06 / 0.07 dB; 0.01 leaves dots
 FACING = 0.5  # least cosine between sight and skin: what is seen edge-on is held by outlines. With 0.3 it costs 0.2 dB
@@ -25,10 +24,11 @@ def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[
     Those frames see no change; from the side it was a dot off the outline, and longer training makes more of
     them. Along the normal of the skin the same move costs ten times as much.
     """
-    distance, under = nearest(body.vertices, person.means, UNDER)
+    surface, outwards, _ = body.surface()
+    distance, under = nearest(surface, person.means, UNDER)
     share = F.normalize(1 / (distance.to(person.means) + 1e-3), p=1, dim=1)[..., None]
-    normals = F.normalize((share * vertex_normals(body.vertices, body.faces)[under]).sum(1), dim=1)
-    height = ((person.means - (share * body.vertices[under]).sum(1)) * normals).sum(1)
+    normals = F.normalize((share * outwards[under]).sum(1), dim=1)
+    height = ((person.means - (share * surface[under]).sum(1)) * normals).sum(1)
     foot = person.means - height[:, None] * normals
     off = height - height[nearest(foot, foot, AROUND + 1)[1][:, 1:]].median(1).values
     sights, alike = _sights(person, body, views, frames)

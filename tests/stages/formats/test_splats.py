@@ -6,6 +6,7 @@ import pytest
 from stages.contract import StageError
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Avatar, Scene
+from tests.made.clothes import dress, some_clothes
 
 
 def scene(n: int = 5) -> dict[str, np.ndarray]:
@@ -90,7 +91,7 @@ def test_what_no_avatar_can_have_is_refused_by_name(tmp_path, change, said):
 
 
 def test_files_of_earlier_versions_are_read_and_newer_ones_refused(tmp_path):
-    for name, value in (("old.npz", {}), ("now.npz", {"version": 1}), ("new.npz", {"version": 2})):
+    for name, value in (("old.npz", {}), ("now.npz", {"version": 1}), ("new.npz", {"version": 3})):
         np.savez(tmp_path / name, **avatar(), **{key: np.int32(number) for key, number in value.items()})
     assert len(read_avatar(tmp_path / "old.npz")) == len(read_avatar(tmp_path / "now.npz")) == 5
     with pytest.raises(StageError, match=r"new.npz was made by a newer hugs"):
@@ -98,6 +99,12 @@ def test_files_of_earlier_versions_are_read_and_newer_ones_refused(tmp_path):
     write_splats(tmp_path / "written.npz", Avatar(**avatar()))
     with np.load(tmp_path / "written.npz") as data:
         assert data["version"] == 1
+    write_splats(tmp_path / "dressed.npz", dress(Avatar(**avatar()), some_clothes()))
+    with np.load(tmp_path / "dressed.npz") as data:
+        assert data["version"] == 2, "older ones know no bones of clothes"
+    back, clothes = read_avatar(tmp_path / "dressed.npz"), some_clothes()
+    assert back.lbs_weights.shape == (5, 29) and len(back.clothes) == 5
+    np.testing.assert_allclose(back.clothes.swings, clothes.swings, rtol=1e-6)
 
 
 def test_an_avatar_of_0_1_0_and_0_2_0_still_reads(tmp_path):

@@ -9,10 +9,13 @@ import re
 import cv2
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
+from stages.avatar.drawing.avatar import bones_through
 from stages.avatar.drawing.draw import draw, load_learned, to_uint8
 from stages.avatar.drawing.rig import rig_of
+from stages.avatar.model.person import bone_transforms
 from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.moves import made_moves
 from stages.avatar.motion.placing import Soles
@@ -162,6 +165,37 @@ def test_firefox_draws_it_too(folders, tmp_path):
         assert whole >= 45 and person >= 45
     finally:
         page.close()
+
+
+@pytest.mark.slow
+def test_clothes_swing_on_the_page_as_they_do_here(page, folders):
+    clip, learned = (
+        load_clip(folders["sfm"], folders["smpl"], folders["train"]),
+        load_learned(*read_trained(folders["train"])),
+    )
+    soles = Soles.of_model(clip.body_model, clip.body.betas)
+    jacks = made_moves(read_ground(folders["smpl"] / "ground.json"), soles)[0]
+    rows = range(30)
+    poses = [tuple(map(torch.as_tensor, (r[:3], r[3:], s))) for r, s in zip(jacks.rotvecs[:30], jacks.steps)]
+    told = ([part.float() for part in pose] for pose in poses)
+    ours = [bones for bones, _ in bones_through(learned.avatar, told, [i / jacks.fps for i in rows])]
+    theirs = page.run(
+        f"(() => {{ const {{ person, motions }} = hugs.player, motion = motions[{JACKS}];"
+        "const { clothes } = person, hang = clothes.hang.bind(clothes), found = [];"
+        "clothes.hang = (...told) => { const hung = hang(...told); found.push([hung.turns, hung.shifts]); return hung; };"
+        f"for (let i = 0; i < {len(rows)}; i++) person.take(motion.frame(i), i / motion.fps);"
+        "person.take(motion.frame(5));"
+        "delete clothes.hang; return found; })()"
+    )
+    for bones, (turns, shifts) in zip(ours, theirs, strict=False):
+        np.testing.assert_allclose(np.reshape(turns, (-1, 3, 3)), bones[24:, :3, :3], atol=2e-4)
+        np.testing.assert_allclose(shifts, bones[24:, :3, 3], atol=2e-4)
+    still = learned.avatar.clothing
+    swing = still.swing(poses[5][1].float())
+    bare = bone_transforms(learned.avatar.joints, learned.avatar.parents, *(part.float() for part in poses[5][:2]))
+    np.testing.assert_allclose(theirs[-1][1], still.hang(bare, swing)[24:, :3, 3], atol=2e-4, err_msg="at rest")
+    moved = np.abs(np.array(theirs[5][1]) - np.array(theirs[-1][1])).max()
+    assert moved > 0.005, "else the springs say nothing"
 
 
 def picture(url: str) -> np.ndarray:

@@ -20,9 +20,8 @@ def changing(clip):
     """A training in which all that frames can do is on, and learned to something that shows."""
     fit = everything(clip, 24)
     run(fit, 24)
-    body = casters(fit.person.body.vertices, fit.person.body.weights).posed(
-        torch.linalg.inv(fit.person.canonical_bones)
-    )
+    bones, body = fit.person.canonical_bones[:24], fit.person.body
+    body = casters(body.vertices, body.weights[:, :24]).posed(torch.linalg.inv(bones))
     effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)
     effects.clothing = fit.effects.clothing
     fit.effects, fit.speeds = effects, frame_speeds(fit.full, fit.person.body)
@@ -30,7 +29,7 @@ def changing(clip):
     fit.adam = optimizers(fit.frames, fit.human, fit.scene, 1.0, effects)
     fit.densifier.settled = torch.zeros(len(fit.scene.means), dtype=torch.bool)
     with torch.no_grad():
-        fit.effects.readout.fill_(0.8), fit.effects.clothing.offsets.fill_(0.01)
+        fit.effects.readout.fill_(0.8), fit.effects.clothing.swings.fill_(0.2)
         fit.scene.shN.fill_(0.05), fit.frames.gain.weight[1].fill_(0.3), fit.frames.place.weight.fill_(0.02)
         fit.frames.shift.weight[:3] = 0.02
     return fit

@@ -15,7 +15,9 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
     straight, first, second = (everything(clip) for _ in range(3))
     run(straight, 24)
     run(first, 11)
-    assert first.effects.clothing.offsets.abs().max() > 0, "clothes are learned"
+    assert first.effects.clothing.swings.abs().max() > 0 and first.frames.swing.weight.abs().max() > 0, (
+        "clothes are learned"
+    )
     second.load(stored(first))
     run(second, 24)
     assert same(straight, second) and straight.guard.left_out == 0
@@ -37,13 +39,20 @@ def test_what_is_off_changes_no_bit(clip):
 def test_clothes_move_the_person_that_is_drawn_and_judged(clip):
     fit = everything(clip)
     body = [part[1] for part in clip[1][:3]]
-    resting = fit.person.resting()
+    resting, clothing = fit.person.resting(), fit.effects.clothing
     before = fit.posed(resting, *body).means
     with torch.no_grad():
-        fit.effects.clothing.offsets[..., 0] = 0.02
+        clothing.swings[:, 3:, 1] = 0.4
     moved = fit.posed(resting, *body)
-    shift = 0.02 * fit.effects.clothing.features(body[1])[0].abs()
-    torch.testing.assert_close((moved.means - before).norm(dim=1).max(), shift * 3**0.5, rtol=0.05, atol=0)
-    assert moved.antialias and fit.scene.splats().antialias
-    dressed = fit.person.body._replace(clothing=fit.effects.clothing)
-    torch.testing.assert_close(dressed.posed(resting, 1).means, moved.means, rtol=0, atol=1e-6)
+    own = resting.weights[:, 24:].sum(1)
+    shift = 0.02 * clothing.features(body[1])[1].abs() * 3**0.5
+    torch.testing.assert_close((moved.means - before).norm(dim=1), own * shift, rtol=0.05, atol=2e-4)
+    assert own.max() > 0.9 and moved.antialias and fit.scene.splats().antialias
+    torch.testing.assert_close(fit.person.body.posed(resting, 1).means, moved.means, rtol=0, atol=1e-6)
+    with torch.no_grad():
+        fit.frames.swing.weight[1] = 0.3
+    assert torch.equal(fit.posed(resting, *body).means, moved.means)
+    gone = (fit.posed(resting, *body, frame=1).means - moved.means).norm(dim=1)
+    assert gone[own > 0.9].min() > 0.01 and gone[own < 0.01].max() < 1e-3, (
+        "a frame's swing is that of cloth in that frame"
+    )

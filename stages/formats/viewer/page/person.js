@@ -1,4 +1,4 @@
-// A person: Gaussians in the T-pose, skinned on the graphics card, clothes hung before.
+// A person: Gaussians in the T-pose, skinned on the graphics card.
 import { Clothes } from "hugs/clothes";
 import { bonesOf } from "hugs/skeleton";
 import { Skin } from "hugs/skin";
@@ -12,22 +12,22 @@ export class Person {
     const { middles, covariances } = arrays;
     this.parts = middles ? { middles, covariances } : null; // what casts their shadow
     this.body = new Splats(arrays);
-    this.skin = new Skin(this.mesh, arrays.weights, this.body.splats.textures[0].image);
+    this.clothes = arrays.centres ? new Clothes(arrays) : null;
+    const bones = parents.length + (this.clothes ? this.clothes.count : 0);
+    this.skin = new Skin(this.mesh, arrays.weights, bones, this.body.splats.textures[0].image);
     this.mesh.skinning = this.skin;
     this.mesh.updateGenerator();
-    const { nodes, mean, axes, low, high, offsets } = arrays;
-    this.clothes = nodes ? new Clothes({ nodes, mean, axes, low, high, offsets }, arrays.means) : null;
     const heights = arrays.means.filter((_, i) => i % 3 === 1).sort();
     this.height = heights.at(-1) - heights[0]; // m, at rest
   }
 
   get mesh() { return this.body.mesh; }
 
-  /** Take a pose, {quats [24], step [3]}; returns where its bones are. */
-  take({ quats, step }) {
-    const bones = bonesOf(quats, this.joints, this.parents);
-    this.skin.take(bones);
-    if (this.clothes) this.clothes.hang(this.body, this.clothes.features(quats.slice(1).flatMap(rotvecOfQuat)));
+  /** Take a pose, {quats [24], step [3]}, at a `time` of its motion in s, or null; returns where its bones are. */
+  take({ quats, step }, time = null) {
+    const bones = bonesOf(quats, this.joints, this.parents), { turns, shifts } = bones;
+    const hung = this.clothes?.hang(bones, quats.slice(1).flatMap(rotvecOfQuat), step, time);
+    this.skin.take(hung ? { turns: [...turns, ...hung.turns], shifts: [...shifts, ...hung.shifts] } : bones);
     this.mesh.position.fromArray(this.placed(step));
     this.mesh.scale.setScalar(this.stand.scale);
     return { ...bones, step };

@@ -2,26 +2,24 @@
 import { DataArrayTexture, DataTexture, FloatType, RGBAFormat, RGBAIntegerFormat, UnsignedIntType } from "three";
 import { dyno } from "@sparkjsdev/spark";
 
-const BONES = 24, PER_WORD = 3, BITS = 10; // the roots of 24 weights in 10 bits each: two texels of four words
+const PER_WORD = 3, PER_TEXEL = 12, BITS = 10; // the roots of weights in 10 bits each, three in each of a texel's four words
 const SKIN = { type: "HugsSkin" };
-const GLSL = `
+const glsl = (bones, names) => `
 struct HugsSkin {
-  usampler2DArray first;
-  usampler2DArray second;
+  ${names.map((name) => `usampler2DArray ${name};`).join("\n  ")}
   sampler2D bones;
 };
 
 void hugsSkin(
-  usampler2DArray first, usampler2DArray second, sampler2D bones,
+  ${names.map((name) => `usampler2DArray ${name}`).join(", ")}, sampler2D bones,
   int index, inout vec3 center, inout vec3 xxyyzz, inout vec3 xyxzyz
 ) {
   ivec3 at = splatTexCoord(index);
-  uvec4 words[2];
-  words[0] = texelFetch(first, at, 0);
-  words[1] = texelFetch(second, at, 0);
+  uvec4 words[${names.length}];
+  ${names.map((name, i) => `words[${i}] = texelFetch(${name}, at, 0);`).join("\n  ")}
   float total = 0.0;
   vec4 x = vec4(0.0), y = vec4(0.0), z = vec4(0.0);
-  for (int k = 0; k < ${BONES}; k++) {
+  for (int k = 0; k < ${bones}; k++) {
     uint word = words[k / 12][(k % 12) / ${PER_WORD}];
     float root = float((word >> uint(${BITS} * (k % ${PER_WORD}))) & 1023u);
     if (root > 0.0) {
@@ -41,24 +39,27 @@ void hugsSkin(
   xyxzyz = vec3(cov[0][1], cov[0][2], cov[1][2]);
 }`;
 
-/** What Spark asks of a mesh's skinning: `weights` [24 a Gaussian], their roots in 10 bits, in the order of the mesh's texture. */
+/** What Spark asks of a mesh's skinning: `weights` [`bones` a Gaussian], their roots in 10 bits, in the order of the mesh's texture. */
 export class Skin {
-  constructor(mesh, weights, { width, height, depth }) {
+  constructor(mesh, weights, bones, { width, height, depth }) {
     this.mesh = mesh;
-    const halves = [0, 1].map(() => new Uint32Array(4 * width * height * depth));
+    const parts = Array.from({ length: Math.ceil(bones / PER_TEXEL) }, () => new Uint32Array(4 * width * height * depth));
     for (let i = 0; i < weights.length; i++) {
-      const row = Math.floor(i / BONES), k = i % BONES;
-      halves[Math.floor(k / 12)][4 * row + Math.floor((k % 12) / PER_WORD)] |= weights[i] << (BITS * (k % PER_WORD));
+      const row = Math.floor(i / bones), k = i % bones, word = Math.floor((k % PER_TEXEL) / PER_WORD);
+      parts[Math.floor(k / PER_TEXEL)][4 * row + word] |= weights[i] << (BITS * (k % PER_WORD));
     }
-    const [first, second] = halves.map((half) => {
-      const texture = new DataArrayTexture(half, width, height, depth);
+    const textures = parts.map((part) => {
+      const texture = new DataArrayTexture(part, width, height, depth);
       Object.assign(texture, { format: RGBAIntegerFormat, type: UnsignedIntType, internalFormat: "RGBA32UI", needsUpdate: true });
       return texture;
     });
-    this.rows = new Float32Array(12 * BONES);
-    this.bones = new DataTexture(this.rows, 3, BONES, RGBAFormat, FloatType);
+    this.rows = new Float32Array(12 * bones);
+    this.bones = new DataTexture(this.rows, 3, bones, RGBAFormat, FloatType);
     this.bones.needsUpdate = true;
-    this.uniform = new dyno.DynoUniform({ key: "skin", type: SKIN, globals: () => [GLSL], value: { first, second, bones: this.bones } });
+    this.names = textures.map((_, i) => `weights${i}`);
+    this.code = glsl(bones, this.names);
+    const value = { ...Object.fromEntries(textures.map((texture, i) => [this.names[i], texture])), bones: this.bones };
+    this.uniform = new dyno.DynoUniform({ key: "skin", type: SKIN, globals: () => [this.code], value });
   }
 
   /** Of each bone its turn [9] and shift [3] from rest. */
@@ -74,13 +75,13 @@ export class Skin {
     const step = new dyno.Dyno({
       inTypes: { covsplat: dyno.CovSplat, skin: SKIN },
       outTypes: { covsplat: dyno.CovSplat },
-      globals: () => [GLSL],
+      globals: () => [this.code],
       inputs: { covsplat, skin: this.uniform },
       statements: ({ inputs, outputs }) => {
         const { skin } = inputs, out = outputs.covsplat;
         return dyno.unindentLines(`
           ${out} = ${inputs.covsplat};
-          hugsSkin(${skin}.first, ${skin}.second, ${skin}.bones, ${out}.index, ${out}.center, ${out}.xxyyzz, ${out}.xyxzyz);
+          hugsSkin(${this.names.map((name) => `${skin}.${name}`).join(", ")}, ${skin}.bones, ${out}.index, ${out}.center, ${out}.xxyyzz, ${out}.xyxzyz);
         `);
       },
     });

@@ -14,15 +14,17 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.avatar import load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import bones_through, load_avatar, pose_avatar, pose_through
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.drawing.surface import surface_of
+from stages.avatar.drawing.takes import _poses, hung
 from stages.avatar.motion.takes import made_takes
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.avatar_glb import SPLATS, read_avatar_glb, write_avatar_glb
 from stages.formats.exchange.bone_names import bone_names
 from stages.formats.exchange.glb import Arrays, Glb, write_glb
+from tests.made.clothes import dress, some_clothes
 from tests.made.tiny import make_avatar
 
 MODEL = read_body_model()
@@ -119,6 +121,42 @@ def test_a_program_that_skins_by_the_file_puts_mesh_and_gaussians_where_we_do(av
     eight = replace(eight, lbs_weights=read_avatar_glb(file).lbs_weights, canonical_pose=np.zeros(69))
     there = pose_avatar(load_avatar(eight), turn[:3], turn[3:], step).means.numpy()
     np.testing.assert_allclose(skinned(gaussians), there, atol=2e-6)
+
+
+def test_bones_of_clothes_are_joints_that_motions_swing_and_hugs_reads_them_back(avatar, tmp_path):
+    dressed = dress(avatar, some_clothes())
+    rig, baked = rig_of(dressed), load_avatar(dressed)
+    take = hung(baked, made_takes(rig.joints[0])[0])
+    write_avatar_glb(tmp_path / "dressed.glb", rig, surface_of(MODEL, rig), [take])
+    glb, pose = Glb(tmp_path / "dressed.glb"), 25
+    nodes, (skin,), (move,) = (glb.content[name] for name in ("nodes", "skins", "animations"))
+    assert [nodes[node]["name"] for node in skin["joints"][24:]] == [f"cloth_{k:02d}" for k in range(5)]
+    local = {node: (np.eye(3), np.array(nodes[node].get("translation", [0, 0, 0]), float)) for node in skin["joints"]}
+    for channel in move["channels"]:
+        value, node = array(glb, move["samplers"][channel["sampler"]]["output"])[pose], channel["target"]["node"]
+        turn, place = local[node]
+        turned = channel["target"]["path"] == "rotation"
+        local[node] = (Rotation.from_quat(value).as_matrix(), place) if turned else (turn, value)
+    world = {skin["joints"][0]: local[skin["joints"][0]]}
+    for node in skin["joints"]:  # parents come first
+        turn, place = world[node]
+        for child in nodes[node].get("children", ()):
+            world[child] = (turn @ local[child][0], turn @ local[child][1] + place)
+    bones = [bones for bones, _ in bones_through(baked, list(_poses(baked, take)), take.times.tolist())][pose][
+        24:
+    ].numpy()
+    step = take.pelvis[pose] - rig.joints[0]
+    for node, bone, centre in zip(skin["joints"][24:], bones, dressed.clothes.centres):
+        np.testing.assert_allclose(world[node][1], bone[:3, :3] @ centre + bone[:3, 3] + step, atol=2e-5)
+        u, _, vt = np.linalg.svd(bone[:3, :3])
+        np.testing.assert_allclose(world[node][0], u @ vt, atol=2e-4)
+    back = read_avatar_glb(tmp_path / "dressed.glb")
+    assert back.lbs_weights.shape == (len(avatar), 29)
+    for name, values in vars(some_clothes()).items():
+        np.testing.assert_allclose(getattr(back.clothes, name), values, rtol=1e-6)
+    poses = list(_poses(baked, take))[:8]
+    both = [list(pose_through(one, poses, take.times[:8].tolist()))[-1].means for one in (baked, load_avatar(back))]
+    assert (both[0] - both[1]).norm(dim=1).median() < 0.005, "up to bones beyond eight"
 
 
 def test_colours_are_linear_and_the_mesh_has_those_of_the_gaussians(avatar, file):

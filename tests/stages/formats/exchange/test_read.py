@@ -34,7 +34,24 @@ def test_other_endings_are_refused_by_name(tmp_path):
     assert list(refused.value.facts) == ["it ends in '.ply'"], "a .ply has no skeleton"
 
 
-def test_what_a_format_cannot_hold_is_said():
-    assert lacks(Path("avatar.npz"), Path("scene.spz")) == lacks(None, None) == []
+def test_what_a_format_cannot_hold_is_said(tiny):
+    assert lacks(tiny["train"] / "avatar.npz", Path("scene.spz")) == lacks(None, None) == []
     glb, ply = lacks(Path("x/avatar.GLB"), Path("room.ply"))
-    assert "avatar.GLB holds no clothes" in glb and "anti-aliasing" in ply
+    assert "avatar.GLB holds eight bones" in glb and "anti-aliasing" in ply
+
+
+def test_clothes_of_before_they_had_bones_are_left_out_and_that_is_said(tiny, tmp_path):
+    """As 0.3.0 wrote them until bones came: offsets of nodes."""
+    with np.load(tiny["train"] / "avatar.npz") as arrays:
+        plain = {name: arrays[name] for name in arrays if not name.startswith("clothes_")}
+    plain["lbs_weights"] = plain["lbs_weights"][:, :24]
+    plain["lbs_weights"] /= plain["lbs_weights"].sum(1, keepdims=True)
+    nodes = {"nodes": np.zeros((4, 3)), "mean": np.zeros(69), "axes": np.zeros((69, 2)), "low": -np.ones(2),
+             "high": np.ones(2), "offsets": np.ones((4, 3, 2))}  # fmt: skip
+    np.savez(
+        tmp_path / "old.npz", **plain | {"version": 1} | {f"clothes_{name}": array for name, array in nodes.items()}
+    )
+    avatar = read_any_avatar(tmp_path / "old.npz")
+    assert avatar.clothes is None and avatar.lbs_weights.shape[1] == 24
+    (fact,) = lacks(tmp_path / "old.npz", None)
+    assert "old.npz was made before clothes had bones" in fact

@@ -1,0 +1,204 @@
+"""What an avatar in a skirt, a long coat, a ponytail or with a bag is like in new poses: synthetic clips with all truth.
+
+    python -m tests.benchmarks.loose WORK [--half setting] [--only skirt] [--own] [--steps 500] [--json out.json]
+
+Seed 0 of each garment is for setting constants, seed 1 is asked; `none` wears nothing loose. Each clip is a NeuMan folder;
+cameras are the true ones.
+Masks and poses are true or, with `--own`, found as the stages masks, sfm and smpl find them. Survey's detector decides
+whether clothes are modelled. Printed: PSNR and LPIPS in the person's box, of frames that were not trained on, as
+training draws them and as the finished avatar swings through them, and of six poses that no frame shows, in which its
+clothes are at rest. A picture of each clip shows the latter beside the truth; the avatar is kept, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import time
+from pathlib import Path
+from statistics import fmean
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from stages import calibrated, masks, neuman, smpl, train
+from stages.avatar.drawing.draw import Learned, Pose, draw, load_learned, pose_of, to_uint8
+from stages.avatar.measures.lpips import Lpips
+from stages.avatar.measures.metrics import person_crop, scores
+from stages.avatar.rasterize import Camera
+from stages.avatar.splats.gaussians import Splats
+from stages.contract import Job
+from stages.estimators.assets import fetch
+from stages.estimators.detectors.clothing import detect
+from stages.estimators.detectors.evidence import ClipEvidence
+from stages.estimators.person.static_scene import corrected
+from stages.formats.body_model import read_body_model
+from stages.formats.cameras import read_cameras
+from stages.formats.clip import Clip, load_clip
+from stages.formats.facts import Sfm, read_facts
+from stages.formats.images import read_image, read_mask, write_image, write_mask
+from stages.formats.points import read_points
+from stages.formats.splats import write_splats
+from stages.records import Effects
+from stages.training.accuracy import heldout_accuracy
+from stages.training.fit import Fit
+from stages.training.results import Result, result_of
+from stages.training.start import Task, build
+from tests.made import datasets
+from tests.made.truth import align, in_result_world
+
+GARMENTS = ("skirt", "coat", "ponytail", "bag", "none")
+SEEDS = {"setting": 0, "asked": 1}
+FPS = 12.0
+KINDS = (read_image, "images"), (read_mask, "masks")
+Scored = tuple[dict[str, float | None], np.ndarray]
+SIZE = {"frames": 40, "width": 192, "height": 256, "points": 3000}
+PARAMS = {"rounds": 0, "human_cap": 12_000, "scene_cap": 16_000, "scene_fill": 8_000}
+
+
+def inputs(work: Path, garment: str, seed: int, own: bool) -> Path:
+    """The folder with what the stages before `survey` make of the clip; made once."""
+    made, place = work / f"{garment}{seed}", work / f"{garment}{seed}" / ("own" if own else "true")
+    if not (made / "bike").exists():
+        datasets.neuman(made, seed=seed, wears=() if garment == "none" else (garment,), **SIZE)
+    if (place / "smpl" / "body.npz").exists():
+        return place
+    shutil.rmtree(place, ignore_errors=True)
+    folders = {name: place / name for name in ("frames", "masks", "sfm", "smpl")}
+    for folder in folders.values():
+        folder.mkdir(parents=True)
+    jobs = {name: Job(folder, emit=lambda event: None) for name, folder in folders.items()}
+    frames, sfm = folders["frames"], folders["sfm"]
+    neuman.run(jobs["frames"], neuman.Params(), video=made / "bike")
+    if own:
+        shutil.rmtree(frames / "given" / "masks")
+        (frames / "given" / "smpl_fit.npz").unlink()
+    masks.run(jobs["masks"], masks.Params(), frames=frames)
+    calibrated.run(jobs["sfm"], calibrated.Params(), frames=frames, masks=folders["masks"])
+    if own:
+        correct_masks(sfm)
+    smpl.run(jobs["smpl"], smpl.Params(), frames=frames, sfm=sfm)
+    return place
+
+
+def correct_masks(sfm: Path) -> None:
+    """Correct the masks by the scene, as the stage sfm does."""
+    cameras, points = read_cameras(sfm / "cameras.npz"), read_points(sfm / "points.ply")[0].astype(np.float64)
+    paths = [sfm / "masks" / f"{name}.png" for name in cameras.names]
+    images = [read_image(sfm / "images" / f"{name}.png") for name in cameras.names]
+    for path, mask in zip(paths, corrected([read_mask(path) for path in paths], images, cameras, points), strict=True):
+        write_mask(path, mask)
+
+
+def trained(place: Path, steps: int, own: bool, clothing: bool | None) -> tuple[Fit, dict[str, Any]]:
+    """The training of a clip, and what is to be said of it; `clothing` overrides the detector."""
+    clip, facts = load_clip(place / "sfm", place / "smpl"), read_facts(place / "sfm" / "sfm.json", Sfm)
+    finding = detect(ClipEvidence(clip, facts, own, 1 / FPS))
+    on = finding.called_for if clothing is None else clothing
+    params = train.Params(steps=steps, **PARAMS)
+    starts = {"clothing": [1 / FPS]}
+    fit = build(Task(clip, params, {"pose_refinement": own, "clothing": on}, starts), lambda text: None)
+    began = time.process_time()
+    while fit.progress.step < steps:
+        fit.advance()
+    return fit, {"on": on, "off": finding.value, "cpu_seconds": time.process_time() - began}
+
+
+class Shown(NamedTuple):
+    """The finished avatar of a clip, and how it is compared."""
+
+    clip: Clip
+    result: Result
+    learned: Learned
+    lpips: Lpips | None
+
+    def score(self, person: Splats, pose: Pose, camera: Camera, wanted: np.ndarray, mask: np.ndarray) -> Scored:
+        """Scores in the person's box, and the picture."""
+        picture, _ = draw(person, self.learned.shade(self.learned.scene, pose), camera)
+        crop = person_crop(torch.as_tensor(mask).float() / 255)
+        both = (torch.tensor(picture).clamp(0, 1), torch.tensor(wanted).float() / 255)
+        return scores(*(one[crop].contiguous() for one in both), self.lpips), to_uint8(picture)
+
+
+def novel(place: Path, shown: Shown) -> tuple[dict[str, float], np.ndarray]:
+    """Mean scores of new poses and cameras, clothes at rest, and a picture: truth above result."""
+    clip, truth, body = shown.clip, place.parent / "truth", shown.result.body
+    similarity = align(clip.cameras, read_cameras(truth / "cameras.npz"), clip.body.world_from_sfm)
+    cameras, poses = in_result_world(truth / "novel", similarity, body, clip.body_model, read_body_model())
+    found, tiles = [], []
+    for i, name in enumerate(cameras.names):
+        pose = pose_of(poses, i)
+        camera = Camera.of(cameras.viewmats[i], cameras.Ks[i], cameras.width, cameras.height)
+        wanted, mask = (read(truth / "novel" / kind / f"{name}.png") for read, kind in KINDS)
+        row, picture = shown.score(shown.learned.person(pose), pose, camera, wanted, mask)
+        found.append(row)
+        tiles.append(np.concatenate([wanted, picture]))
+    return means(found), np.concatenate(tiles, 1)
+
+
+def swinging(shown: Shown, fit: Fit, others: list[int]) -> dict[str, float]:
+    """Mean scores of the frames `others` while the avatar goes through the whole clip and its clothes swing."""
+    poses = [pose_of(shown.result.body, i) for i in range(len(shown.clip.names))]
+    viewmats, views, found = fit.cameras(), fit.full, []
+    for i, person in enumerate(shown.learned.people(poses, np.arange(len(poses)) / FPS)):
+        if i in others:
+            mask = views.masks[i].numpy()
+            camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
+            found.append(shown.score(person, poses[i], camera, views.images[i].numpy(), mask)[0])
+    return means(found)
+
+
+def means(rows: list[dict[str, float | None]]) -> dict[str, float]:
+    """PSNR in dB and LPIPS, that of the boxes that are large enough for it."""
+    return {key: fmean(value for row in rows if (value := row[key]) is not None) for key in ("psnr", "lpips")}
+
+
+def rate(work: Path, garment: str, seed: int, args: argparse.Namespace, lpips: Lpips | None) -> dict[str, Any]:
+    """Make, train and score one clip."""
+    place = inputs(work, garment, seed, args.own)
+    fit, row = trained(place, args.steps, args.own, args.clothing)
+    others = [int(i) for i in np.flatnonzero(~load_clip(place / "sfm", place / "smpl").training)]
+    heldout = heldout_accuracy(fit, others, lpips)
+    clip, quiet = load_clip(place / "sfm", place / "smpl"), SimpleNamespace(note=lambda *_: None, warn=lambda *_: None)
+    result = result_of(fit, clip, [{"seconds": 0.0}], {}, quiet)
+    write_splats(place / f"avatar{args.tag}.npz", result.avatar)
+    shown = Shown(clip, result, load_learned(result.avatar, result.scene, result.effects or Effects()), lpips)
+    scored, picture = novel(place, shown)
+    write_image(place / f"novel{args.tag}.png", picture)
+    row |= {"clip": f"{garment}{seed}", "own": args.own, "novel": scored, "swinging": swinging(shown, fit, others)}
+    return row | {"heldout": {key: heldout[f"{key}_person"] for key in ("psnr", "lpips")}}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--half", choices=SEEDS, default="setting")
+    parser.add_argument("--only", nargs="+", choices=GARMENTS, default=GARMENTS)
+    parser.add_argument("--own", action="store_true")
+    parser.add_argument("--clothing", action=argparse.BooleanOptionalAction, help="override the detector")
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--tag", default="", help="of the picture's name")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    rows = []
+    with np.load(fetch("lpips_alex.npz")) as arrays:
+        lpips = Lpips(arrays)
+    for garment in args.only:
+        rows.append(rate(args.work, garment, SEEDS[args.half], args, lpips))
+        row = rows[-1]
+        parts = "   ".join(
+            f"{kind} {row[kind]['psnr']:.2f} dB, LPIPS {row[kind]['lpips']:.3f}"
+            for kind in ("heldout", "swinging", "novel")
+        )
+        off = "nothing" if row["off"] is None else f"{row['off']:.3f}"
+        print(f"{row['clip']:<10} {'own' if args.own else 'true'}  off the body {off}, {'on ' if row['on'] else 'off'}  "
+              f"{parts}   {row['cpu_seconds']:.0f} s", flush=True)  # fmt: skip
+        if args.json:
+            args.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Cloth off the body: a tube around two legs is found where masks show it, and nothing where they show the body alone."""
+
+import numpy as np
+import pytest
+
+from stages.avatar.body.hull import CELL, CLEAR, Sight, Skin, Space, carve, space_around, surface
+from stages.avatar.cameras.pinhole import look_at, pinhole
+
+SIDE = 96
+K = pinhole(90.0, SIDE, SIDE)
+
+
+def column(x: float, radius: float, top: float, bottom: float, count: int = 900) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of an upright cylinder's side."""
+    i = np.arange(count)
+    angle, height = 2.399963 * i, bottom + (top - bottom) * (i + 0.5) / count
+    normals = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], 1)
+    return np.array([x, 0, 0]) + radius * normals + height[:, None] * [0, 1, 0], normals
+
+
+@pytest.fixture(scope="module")
+def legs() -> Skin:
+    (left, out), (right, outer) = column(0.12, 0.07, 0.5, -0.5), column(-0.12, 0.07, 0.5, -0.5)
+    weights = np.zeros((len(left) + len(right), 24))
+    weights[: len(left), 1] = weights[len(left) :, 2] = 1
+    return Skin(np.concatenate([left, right]), np.concatenate([out, outer]), weights)
+
+
+@pytest.fixture(scope="module")
+def space(legs) -> Space:
+    return space_around(legs)
+
+
+def pictures(legs: Skin, skirt: float | None, step: float = 0.0) -> list[Sight]:
+    """Twelve frames around; `skirt`: the radius of a tube from 0.2 down to -0.2; the left leg steps aside by up to `step`."""
+    found = []
+    for i, turn in enumerate(np.linspace(0, 2 * np.pi, 12, endpoint=False)):
+        bones = np.tile(np.eye(4), (24, 1, 1))
+        bones[1, 0, 3] = step * (i % 3) / 2
+        view = look_at(2.5 * np.array([np.sin(turn), 0.1, np.cos(turn)]), np.zeros(3), np.array([0.0, 1, 0]))
+        rays = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), -1)
+        body = covers(view, rays, 0.12 + bones[1, 0, 3], 0.07, 0.5) | covers(view, rays, -0.12, 0.07, 0.5)
+        worn = body if skirt is None else body | covers(view, rays, bones[1, 0, 3] / 2, skirt, 0.2)
+        found.append(Sight(bones, view, K, worn * 1.0, body))
+    return found
+
+
+def covers(view: np.ndarray, pixels: np.ndarray, x: float, radius: float, half: float) -> np.ndarray:
+    """Where a camera sees an upright cylinder: its outline from points all over it, closed by their convex hull."""
+    import cv2
+
+    places = column(x, radius, half, -half, 400)[0]
+    local = places @ view[:3, :3].T + view[:3, 3]
+    at = (local[:, :2] / local[:, 2:] * np.diag(K)[:2] + K[:2, 2] - 0.5).astype(np.float32)
+    canvas = np.zeros(pixels.shape[:2], np.uint8)
+    cv2.fillConvexPoly(canvas, np.rint(cv2.convexHull(at) * 16).astype(np.int32), 1, shift=4)
+    return canvas.astype(bool)
+
+
+def test_weights_spread_from_the_skin_and_are_halves_between_two_legs(legs):
+    points = np.array([[0.12, 0, 0.08], [-0.2, 0.1, 0], [0, 0, 0], [0, 0.2, 0.2]])
+    weights = legs.spread(points)
+    np.testing.assert_allclose(weights.sum(1), 1)
+    assert weights[0, 1] > 0.9 and weights[1, 2] > 0.95
+    np.testing.assert_allclose(weights[2:, 1:3], 0.5, atol=0.02)
+
+
+def test_a_skirt_is_found_and_is_one_tube_not_two_legs(legs, space):
+    carved = carve(space, pictures(legs, 0.3))
+    inside = carved.cloth
+    middle = (np.abs(space.points[:, 1]) < 0.15) & (np.hypot(space.points[:, 0], space.points[:, 2]) < 0.25)
+    assert inside[middle & (space.away > CELL) & (np.abs(space.points[:, 2]) > 0.09)].mean() > 0.95
+    assert not inside[np.abs(space.points[:, 1]) > 0.3].any()
+    cloth = surface(space, legs, carved, CELL)
+    side = np.abs(cloth.points[:, 1]) < 0.12
+    radius = np.hypot(cloth.points[side, 0], cloth.points[side, 2])
+    assert np.abs(radius - 0.3).max() < 0.04 and np.abs(np.median(radius) - 0.3) < 0.015
+    outward = (cloth.normals[side] * cloth.points[side]).sum(1) / radius
+    assert outward.min() > 0.8 and (cloth.away > CLEAR).all()
+    np.testing.assert_allclose(cloth.weights.sum(1), 1)
+
+
+def test_a_skirt_that_goes_along_with_both_legs_is_found_while_they_step(legs, space):
+    inside = carve(space, pictures(legs, 0.3, step=0.16)).cloth
+    front = (np.abs(space.points[:, 0]) < 0.05) & (space.points[:, 2] > 0.1) & (space.points[:, 2] < 0.2)
+    assert inside[front & (np.abs(space.points[:, 1]) < 0.15)].all()
+
+
+def test_a_body_alone_has_no_cloth_between_legs_that_step_or_stand(legs, space):
+    for step in (0.0, 0.16):
+        assert not carve(space, pictures(legs, None, step)).cloth.any()
+
+
+def test_what_few_frames_show_is_no_cloth(legs, space):
+    assert not carve(space, pictures(legs, 0.3)[:3]).cloth.any()
+    whole, rare = pictures(legs, 0.3), [*pictures(legs, 0.3)[:4], *pictures(legs, None)[4:]]
+    assert carve(space, rare).cloth.sum() < 0.1 * carve(space, whole).cloth.sum()
+    within = [sight._replace(viewmat=np.eye(4)) for sight in pictures(legs, 0.3)]
+    assert not carve(space, within).cloth[space.points[:, 2] < 0.05].any(), "what is behind the camera is not seen"
+
+
+def test_finer_points_are_nearer_to_each_other(legs, space):
+    carved = carve(space, pictures(legs, 0.3))
+    coarse, fine = (surface(space, legs, carved, spacing) for spacing in (CELL, CELL / 2))
+    assert fine.spacing == pytest.approx(CELL / 2, rel=0.02) and 3 < len(fine.points) / len(coarse.points) < 5
