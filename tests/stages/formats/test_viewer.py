@@ -180,11 +180,11 @@ def test_clothes_swing_on_the_page_as_they_do_here(page, folders):
     told = ([part.float() for part in pose] for pose in poses)
     ours = [bones for bones, _ in bones_through(learned.avatar, told, [i / jacks.fps for i in rows])]
     theirs = page.run(
-        f"(() => {{ const {{ person, motions }} = hugs.player, motion = motions[{JACKS}];"
+        f"(() => {{ const {{ people: [person], motions }} = hugs.player, motion = motions[{JACKS}];"
         "const { clothes } = person, hang = clothes.hang.bind(clothes), found = [];"
         "clothes.hang = (...told) => { const hung = hang(...told); found.push([hung.turns, hung.shifts]); return hung; };"
-        f"for (let i = 0; i < {len(rows)}; i++) person.take(motion.frame(i), i / motion.fps);"
-        "person.take(motion.frame(5));"
+        f"for (let i = 0; i < {len(rows)}; i++) person.take(motion.at(i, 0), i / motion.fps);"
+        "person.take(motion.at(5, 0));"
         "delete clothes.hang; return found; })()"
     )
     for bones, (turns, shifts) in zip(ours, theirs, strict=False):
