@@ -97,7 +97,7 @@ light: auto               # auto: as the scene's own light falls; above; off
 colour: off               # match people to the scene: off, auto (where clips differ clearly), always
 fps: 30
 # seconds: 8              # as long as the longest motion, if not said
-# size: [640, 360]        # that of the scene's clip, if not said
+# size: [640, 360]        # that of the scene's clip, if not said; of another shape, it shows a part of what the clip does
 # moment: 2.0             # second of the film that `splats` shows
 
 out:
