@@ -40,10 +40,10 @@ def compose(
     device: DeviceName = Device.cpu,
     work: Work = Path("work"),
 ) -> None:
-    """Put people of several clips into one scene, as a film, pictures, a page or files.
+    """Put people of several clips into one scene.
 
-    `hugs compose --init work/kitchen/default work/dance/default` writes film.yaml, `hugs compose film.yaml` makes it. What
-    is as it was is not made again; a film that was cut short goes on where it was.
+    `hugs compose --init work/kitchen/default work/dance/default` writes film.yaml, `hugs compose film.yaml` makes it: a film,
+    pictures, a page, files for other programs. What is as it was is not made again; a film that was cut short goes on.
     """
     given = films_ or []
     if init:
