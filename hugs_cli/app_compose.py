@@ -12,6 +12,7 @@ from hugs_cli import film as films
 from hugs_cli import words
 from hugs_cli.cache import engine
 from hugs_cli.cache.fingerprint import Code, digest
+from hugs_cli.cache.whole import replace
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
@@ -144,5 +145,5 @@ def begin(runs: list[Path], out: Path, force: bool) -> None:
     text = TEMPLATE.format(**parts)
     read = films.checked(films.with_paths(films.plain_yaml.read(text), out.parent), out.name)
     films.check_sources(read)
-    out.write_text(text, encoding="utf-8")
+    replace(out, text)
     Console().result(words.relative(out))

@@ -135,9 +135,7 @@ def animate(
         own = {"scene": run_folder, "gaussians": scene, "camera": str(cameras) if cameras else "still"}
         film |= {"people": [person]} | own
     else:
-        film |= {"people": [person], "colour": "off", "size": SIZE} | (
-            {} if scene is None else {"ground": {"point": at}}
-        )
+        film |= {"people": [person], "size": SIZE} | ({} if scene is None else {"ground": {"point": at}})
     given = [path for path in (video, motion, cameras, avatar, scene) if path is not None]
     shoot(films.checked(film, "animate"), None, device.value, work, force, given, "animate")
 

@@ -14,10 +14,7 @@ from stages import contract
 from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from stages.avatar.motion.placing import Soles
-    from stages.formats.facts import Listing
     from stages.records import Avatar, BodyModel, BodyPoses, Ground, Rig, Scene, Take
 
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
@@ -116,25 +113,15 @@ def _say_clamped(job: Job, name: str, clamped: dict[str, int]) -> None:
 
 def _takes(frames: Path, train: Path, ground: Ground, soles: Soles) -> list[Take]:
     """The clip's own motion, if anybody was seen, and the made ones."""
+    import numpy as np
+
     from stages.avatar.motion.takes import clip_take, made_takes
     from stages.formats.facts import Listing, read_facts
     from stages.formats.poses import read_poses
 
     body: BodyPoses = read_poses(train / "body.npz")
-    clip = clip_take(body, _times(read_facts(frames / "frames.json", Listing), body.names), ground, soles)
+    clip = clip_take(body, np.array(read_facts(frames / "frames.json", Listing).times(body.names)), ground, soles)
     return [*([clip] if clip else []), *made_takes(soles.joints[0])]
-
-
-def _times(listing: Listing, names: tuple[str, ...]) -> np.ndarray:
-    """When the frames `names` were taken, s."""
-    import numpy as np
-
-    known = {frame.name: frame.time_s for frame in listing.frames}
-    missing = [name for name in names if name not in known]
-    if missing:
-        facts = [f"{len(missing)} frames, first {missing[0]}"]
-        raise StageError("train has poses of frames that are not of this clip", "hugs run VIDEO train --force", facts)
-    return np.array([known[name] for name in names])
 
 
 def _rigged(
@@ -265,7 +252,7 @@ def _viewer(
     figure = viewer.Figure(
         rig=rig,
         weights=avatar.lbs_weights,
-        moves=[clip_move(clip.body, _times(listing, clip.names)), *made_moves(ground, soles)],
+        moves=[clip_move(clip.body, np.array(listing.times(clip.names))), *made_moves(ground, soles)],
         turn=ground.turn,
         spot=ground.point,
         soles=soles.at_rest(),

@@ -139,7 +139,7 @@ def what_is_told(job: Job, listing: Listing, smpl_fit: Path | None) -> Prior | N
         told = Prior(found[0], FOCAL_SPREAD, f"{found[1]}'s, {smpl_fit.name}")
     else:
         return None
-    job.note(f"the file tells its focal length: {told.said}")
+    job.note(f"the focal length is told: {told.said}")
     return told
 
 

@@ -103,11 +103,10 @@ def read_inputs(listing: Listing, sfm: Path, body_model: Path | None) -> Inputs:
     from stages.formats.points import read_points
 
     cameras = read_cameras(sfm / "cameras.npz")
-    time_of = {frame.name: frame.time_s for frame in listing.frames}
     return Inputs(
         model=read_body_model(body_model),
         cameras=cameras,
-        times=np.array([time_of[name] for name in cameras.names], np.float64),
+        times=np.array(listing.times(cameras.names)),
         masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
         points=read_points(sfm / "points.ply")[0].astype(np.float64),
         moving=read_facts(sfm / "sfm.json", Sfm).verdict == "moving",

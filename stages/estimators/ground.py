@@ -10,10 +10,8 @@ from stages.estimators.bodyfit.gravity import camera_up
 from stages.records import Ground
 
 STEEPEST = np.cos(np.radians(30))  # between the floor's normal and what is up for the cameras or the bodies
-NEAR, REACHES = (
-    1.5,
-    (0.8, 0.8, 1.6, 1.6, 3.2, 3.2, 4.0, 4.0),
-)  # m from where they stood: the plane is sought, and widened
+NEAR = 1.5  # m from where they stood: there the plane is sought
+REACHES = (0.8, 0.8, 1.6, 1.6, 3.2, 3.2, 4.0, 4.0)  # m: and so far it is widened
 THICK = 0.03  # m from the plane up to which a thing belongs to it
 CELL, PATCH = 0.1, 0.3  # m: one height is taken for each cell; errors of the scene's depth are alike within a patch
 FEW = 25  # cells that make a floor

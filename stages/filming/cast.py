@@ -18,11 +18,13 @@ from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.model import person as skinned
 from stages.avatar.motion.formulas import MOTIONS
+from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import SOLID, Placed, Soles, put
+from stages.avatar.motion.takes import SECONDS
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import with_gain
 from stages.contract import StageError
-from stages.filming.motions import Manner, from_clip, from_file, from_formula
+from stages.filming.motions import Manner, from_clip, from_file
 from stages.filming.spec import Person
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.read import lacks, read_any_avatar
@@ -119,7 +121,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     soles = Soles.of_rig(rig)
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
     if person.motion in MOTIONS:
-        placed, facts = from_formula(person.motion, manner, soles), []
+        placed, facts = by_formula(person.motion, soles, SECONDS, manner.wanted), []
     elif person.motion != "clip":
         path = Path(person.motion)
         placed, told = from_file(path, manner, soles, rig.parents.tolist())
@@ -168,9 +170,7 @@ def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Plac
         hint = "give them a motion: `motion: moves.bvh`"
         raise StageError(f"{person.avatar} has no clip to move as in", hint, ["an exported avatar holds no motion"])
     body = read_poses(run / "train" / "body.npz")
-    listing = read_facts(run / "frames" / "frames.json", Listing)
-    time_of = {frame.name: frame.time_s for frame in listing.frames}
-    times = np.array([time_of[name] for name in body.names], np.float64)
+    times = np.array(read_facts(run / "frames" / "frames.json", Listing).times(body.names))
     placed = from_clip(body, times, read_ground(run / "smpl" / "ground.json"), manner, soles)
     if placed is None:
         raise StageError(f"nobody is seen in the clip of {run}", "give them a motion: `motion: moves.bvh`")

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from stages.avatar.motion import placing, retarget
-from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.placing import Placed, Soles
 from stages.avatar.motion.retarget import Performance
 from stages.contract import StageError
@@ -18,7 +17,6 @@ from stages.formats.motions.smpl_npz import read_smpl_motion
 from stages.records import BodyPoses, Ground
 
 DEFAULT_FPS = 30.0  # of a motion file that does not say
-MADE = 4.0  # s of a motion made by formula
 
 
 @dataclass(frozen=True)
@@ -54,15 +52,6 @@ def from_file(path: Path, manner: Manner, soles: Soles, parents: Sequence[int]) 
     if placed.drift > 0.05:
         facts.append(f"its floor rose and fell by {placed.drift:.2f} m, which is taken out")
     return placed, facts
-
-
-def from_formula(name: str, manner: Manner, soles: Soles) -> Placed:
-    """A motion made by formula, MADE seconds of it."""
-    move = MOTIONS[name](MADE, manner.wanted)
-    turns, bends, steps = (part.numpy().astype(np.float64) for part in move)
-    points, _ = soles.at(turns[:1], bends[:1], steps[:1])
-    steps[:, 1] -= points[..., 1].min()  # formulas know no feet
-    return Placed(turns, bends, steps, 0.0)
 
 
 def from_clip(body: BodyPoses, times: np.ndarray, ground: Ground, manner: Manner, soles: Soles) -> Placed | None:

@@ -14,6 +14,7 @@ from stages.avatar.drawing.surface import surface_of
 from stages.avatar.drawing.takes import hung
 from stages.avatar.motion.takes import take_of
 from stages.avatar.splats.factor import factored
+from stages.avatar.splats.sh import with_gain
 from stages.avatar.splats.turn import OVER, turned
 from stages.contract import StageError
 from stages.filming.cast import Actor
@@ -135,10 +136,10 @@ def glb(shoot: Shoot, out: Path, parts: Parts) -> bool:
 
 def in_gain(actor: Actor) -> Rig:
     """An actor's rig in the colours of the film."""
-    gain = np.array(actor.gain, np.float32)
-    return replace(
-        actor.rig, sh0=actor.rig.sh0 * gain + (gain - 1) * np.float32(0.5 / 0.28209479), shN=actor.rig.shN * gain
-    )
+    rig = actor.rig
+    as_learned = torch.as_tensor(np.concatenate([rig.sh0[:, None], rig.shN], 1))
+    sh = with_gain(as_learned, torch.tensor(actor.gain)).numpy()
+    return replace(rig, sh0=sh[:, 0], shN=sh[:, 1:])
 
 
 def stand(shoot: Shoot, actor: Actor) -> Stand:

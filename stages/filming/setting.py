@@ -61,9 +61,7 @@ def load_setting(film: Film, device: str) -> Setting:
         return Setting(scene, shown, ground, shadow, None, nothing, (*lacks(None, film.scene), *fact))
     train, sfm, smpl = (film.scene / stage for stage in ("train", "sfm", "smpl"))
     ground, clip = read_ground(smpl / "ground.json"), load_clip(sfm, smpl, train)
-    listing = read_facts(film.scene / "frames" / "frames.json", Listing)
-    time_of = {frame.name: frame.time_s for frame in listing.frames}
-    times = np.array([time_of[name] for name in clip.names], np.float64)
+    times = np.array(read_facts(film.scene / "frames" / "frames.json", Listing).times(clip.names))
     if film.only == "human":
         return Setting(None, None, ground, None, clip, times, ())
     if film.gaussians is None:

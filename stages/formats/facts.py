@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -99,6 +100,16 @@ class Listing(Facts):
     frames: tuple[Frame, ...]
     dataset: Dataset | None = None
     focal: Told | None = None
+
+    def times(self, names: Sequence[str]) -> list[float]:
+        """When frames were taken, s; StageError for names that the clip does not have."""
+        known = {frame.name: frame.time_s for frame in self.frames}
+        if missing := [name for name in names if name not in known]:
+            facts = [f"{len(missing)} frames, first {missing[0]}"]
+            raise StageError(
+                "there are poses of frames that are not of this clip", "hugs run VIDEO train --force", facts
+            )
+        return [known[name] for name in names]
 
 
 class DatasetFrame(Frame):

@@ -21,7 +21,7 @@ HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # ITU-T H.273 transfer characteristi
 BT709 = 1  # H.273 number of BT.709 for matrix, primaries and transfer
 QUARTER = 90  # degrees
 THREADS = 2
-ALIKE = "mbtree=0"
+REPEATABLE = "mbtree=0"
 """Of x264: the same pictures give the same bytes. Its macroblock tree reads memory that nobody wrote, at widths such as 480."""
 LISTS = {"concat", "hls", "applehttp", "dash", "imf"}  # formats that name other files, whose changes nobody would see
 AGAIN = "the file is damaged or its codec unknown; export it again as H.264"
@@ -211,33 +211,38 @@ def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 def encode(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int) -> None:
     """Encode frames into a file, see `write_video`."""
+    options = {"crf": str(crf), "preset": "fast", "x264-params": REPEATABLE}
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-        stream = None
-        for frame in _alike(frames, 3):
-            if stream is None:
-                stream = _stream(container, "libx264", frame, fps)
-                stream.pix_fmt, stream.options = "yuv420p", {"crf": str(crf), "preset": "fast", "x264-params": ALIKE}
-            even = np.pad(frame, ((0, frame.shape[0] % 2), (0, frame.shape[1] % 2), (0, 0)), mode="edge")
-            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgb24")
-            container.mux(stream.encode(picture.reformat(format="yuv420p", dst_colorspace="ITU709")))
-        container.mux(_begun(stream).encode(None))
+        _encode(container, _alike(frames, 3), fps, ("libx264", "rgb24", "yuv420p"), options)
 
 
 def encode_alpha(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     """Encode frames into a file, see `write_alpha_video`."""
+    options = {"profile": "4444", "alpha_bits": "16", "vendor": "apl0"}
     with av.open(str(path), "w", format="mov") as container:
-        stream = None
-        for frame in _alike(frames, 4):
-            if stream is None:
-                stream = _stream(container, "prores_ks", frame, fps)
-                stream.pix_fmt, stream.options = (
-                    "yuva444p10le",
-                    {"profile": "4444", "alpha_bits": "16", "vendor": "apl0"},
-                )
-            even = np.pad(frame, ((0, frame.shape[0] % 2), (0, frame.shape[1] % 2), (0, 0)), mode="edge")
-            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format="rgba")
-            container.mux(stream.encode(picture.reformat(format="yuva444p10le", dst_colorspace="ITU709")))
-        container.mux(_begun(stream).encode(None))
+        _encode(container, _alike(frames, 4), fps, ("prores_ks", "rgba", "yuva444p10le"), options)
+
+
+def _encode(
+    container: av.container.OutputContainer,
+    frames: Iterable[np.ndarray],
+    fps: float,
+    kinds: tuple[str, str, str],
+    options: dict[str, str],
+) -> None:
+    """Encode frames by a codec, from the format of their pixels to that of the film's; even in size."""
+    codec, given, kept = kinds
+    stream: Any = None
+    for frame in frames:
+        if stream is None:
+            stream = _stream(container, codec, frame, fps)
+            stream.pix_fmt, stream.options = kept, options
+        even = np.pad(frame, ((0, frame.shape[0] % 2), (0, frame.shape[1] % 2), (0, 0)), mode="edge")
+        picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(even), format=given)
+        container.mux(stream.encode(picture.reformat(format=kept, dst_colorspace="ITU709")))
+    if stream is None:
+        raise ValueError("a video needs at least one frame")
+    container.mux(stream.encode(None))
 
 
 def _alike(frames: Iterable[np.ndarray], channels: int) -> Iterator[np.ndarray]:
@@ -257,12 +262,6 @@ def _stream(container: av.container.OutputContainer, codec: str, frame: np.ndarr
     context = stream.codec_context
     context.colorspace = context.color_primaries = context.color_trc = BT709
     context.color_range, context.thread_count = 1, THREADS  # 1: studio range
-    return stream
-
-
-def _begun(stream: Any) -> Any:
-    if stream is None:
-        raise ValueError("a video needs at least one frame")
     return stream
 
 

@@ -33,9 +33,12 @@ class Learned(NamedTuple):
 
     def people(self, poses: Iterable[Pose], times: np.ndarray) -> Iterator[Splats]:
         """The same going through `poses` at `times` [F] s, rising, with clothes that swing."""
-        like = self.avatar.joints
-        told = (tuple(torch.as_tensor(part).to(like) for part in pose) for pose in poses)
-        return pose_through(self.avatar, ((orient, body, transl) for orient, body, transl in told), times.tolist())
+
+        def tensors(pose: Pose) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+            orient, body, transl = (torch.as_tensor(part).to(self.avatar.joints) for part in pose)
+            return orient, body, transl
+
+        return pose_through(self.avatar, map(tensors, poses), times.tolist())
 
     def shade(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
         """A scene, ours or another, with the shadow of the person at a pose, None for nobody."""

@@ -17,14 +17,20 @@ def clip_move(body: records.BodyPoses, times: np.ndarray) -> records.Move:
     return records.Move("In the clip", fps, np.concatenate([body.global_orient, body.body_pose], 1), body.transl)
 
 
+def by_formula(name: str, soles: Soles, seconds: float, fps: float) -> Placed:
+    """A motion of MOTIONS for the body of `soles`, its feet on the floor at first: formulas know none."""
+    turns, bends, steps = (part.numpy().astype(np.float64) for part in MOTIONS[name](seconds, fps))
+    points, _ = soles.at(turns[:1], bends[:1], steps[:1])
+    steps[:, 1] -= points[..., 1].min()
+    return Placed(turns, bends, steps, 0.0)
+
+
 def made_move(
     name: str, ground: records.Ground, soles: Soles, seconds: float = SECONDS, fps: float = FPS
 ) -> records.Move:
     """A motion made by formula, as the body of `soles` performs it on the floor where the person stood."""
-    turns, bends, steps = (part.numpy().astype(np.float64) for part in MOTIONS[name](seconds, fps))
-    points, _ = soles.at(turns[:1], bends[:1], steps[:1])
-    steps[:, 1] -= points[..., 1].min()  # formulas know no feet
-    orient, pose, transl = put(Placed(turns, bends, steps, 0.0), ground.turn, ground.point, soles.joints[0])
+    placed = by_formula(name, soles, seconds, fps)
+    orient, pose, transl = put(placed, ground.turn, ground.point, soles.joints[0])
     return records.Move(name.replace("_", " ").capitalize(), fps, np.concatenate([orient, pose], 1), transl)
 
 

@@ -15,7 +15,6 @@ FREE = 1e-3  # information per m^2 and rad^2 that place and turn have without an
 # courtyard. Frames help each other, which makes it less; some is common to all frames; and no limb goes farther than its length.
 ALONG, ACROSS = 0.6, 0.7
 COMMON, LIMB = 0.035, 0.3  # m, along the view; and of a joint that nothing holds
-
 PIXELS = 0.03  # of the scene's points that err together
 
 

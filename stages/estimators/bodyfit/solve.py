@@ -40,11 +40,8 @@ BETAS = 0.4  # weight of one squared beta against one frame's evidence: at 0.12 
 # 4.1 cm off in place of 4.4, but the twelve clips for setting stand 1 cm nearer: clothes pull. At 300 and without room for
 # clothes 14.4.
 OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 60.0, 100.0, 0.5, 0.5
-MARKS, COARSE, DENSE = (
-    300,
-    300,
-    2500,
-)  # vertices that flow moves and the floor holds, that masks hold, that outlines choose from
+# Vertices: that flow moves and the floor holds, that masks hold, that outlines choose from
+MARKS, COARSE, DENSE = 300, 300, 2500
 SEGMENTS = (
     *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("shoulder", "elbow"),
     ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"), ("ear", "eye"), ("wrist", "hand"))),

@@ -12,10 +12,7 @@ from stages.estimators.bodyfit.flow import SurfaceFlow, flow_cost, surface_flow
 from stages.estimators.bodyfit.silhouette import seen_vertices
 from stages.estimators.bodyfit.ties import Ties
 
-NEXT_SHARE, TIE_SHARE = (
-    120.0,
-    100.0,
-)  # of the flow to the next frame, and of ties to frames far away, which all points share
+NEXT_SHARE, TIE_SHARE = 120.0, 100.0  # of flow to the next frame, and of ties to frames far away; all points share it
 LOOK_EVERY = 1 / 6  # of the steps, after which it is seen anew which points are hidden
 TIED_AT = (0.4, 0.7)  # share of the steps after which frames far apart are laid over each other
 

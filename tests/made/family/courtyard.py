@@ -60,10 +60,9 @@ def read_finished(results: Path) -> Take:
     cameras, blank = read_cameras(sfm / "cameras.npz"), np.zeros(len(NAMES))
     tracks = [Pose(xy, blank, sure, world, 1.0, NOWHERE, NOWHERE) if xy.any() else None
               for xy, sure, world in zip(stored["xy"], stored["visibility"], stored["world"], strict=True)]  # fmt: skip
-    time_of = {frame.name: frame.time_s for frame in read_facts(results / "frames" / "frames.json", Listing).frames}
     return Take(
         cameras=cameras,
-        times=np.array([time_of[name] for name in cameras.names], np.float64),
+        times=np.array(read_facts(results / "frames" / "frames.json", Listing).times(cameras.names)),
         images=[read_image(sfm / "images" / f"{name}.png") for name in cameras.names],
         masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
         points=read_points(sfm / "points.ply")[0].astype(np.float64),

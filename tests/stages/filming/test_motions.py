@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import Soles
+from stages.avatar.motion.takes import SECONDS
 from stages.contract import StageError
-from stages.filming.motions import Manner, from_clip, from_file, from_formula
+from stages.filming.motions import Manner, from_clip, from_file
 from stages.formats.body_model import read_body_model
 from tests.made import bvh as bvh_made
 from tests.made.tiny import EMPTY, FRAMES, make_ground, make_poses
@@ -24,7 +26,7 @@ def low(placed, soles):
 
 @pytest.mark.parametrize("name", ["wave", "squats"])
 def test_a_made_motion_goes_at_its_speed(soles, name):
-    plain, slow = (from_formula(name, Manner(20.0, speed), soles) for speed in (1.0, 0.5))
+    plain, slow = (by_formula(name, soles, SECONDS, Manner(20.0, speed).wanted) for speed in (1.0, 0.5))
     assert len(plain.transl) == 80 and len(slow.transl) == 160
     np.testing.assert_allclose(slow.body_pose[::2], plain.body_pose, atol=0.15)
     assert np.abs(low(plain, soles)).max() < 0.02

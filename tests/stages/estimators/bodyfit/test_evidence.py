@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stages.estimators.bodyfit.evidence import (
     CUT,
@@ -44,30 +45,21 @@ def test_a_joint_is_as_visible_as_its_landmark_and_the_spine_as_the_trunk():
     assert joint_trust(evidence((100, 100)))[0].max() == 1
 
 
-def test_sides_exchanged_for_a_third_of_the_clip_in_one_piece_are_set_right():
+@pytest.mark.parametrize(
+    ("run", "share"),
+    [
+        pytest.param(slice(12, 22), 1.0, id="a third of the clip in one piece"),
+        pytest.param(slice(24, 30), 0.5, id="somebody who walks away: until the end, seen half as well"),
+    ],
+)
+def test_sides_that_are_exchanged_are_set_right(run, share):
     model = read_body_model()
-    clip = bodyfit_clips.make(model, frames=30)
     names, _ = model_landmarks(model)
-    evidence, _ = vote_sides(gather(clip.tracks, names))
+    evidence, _ = vote_sides(gather(bodyfit_clips.make(model, frames=30).tracks, names))
     exchanged = replace(evidence, xy=evidence.xy.copy(), world=evidence.world.copy(), weight=evidence.weight.copy())
-    order, run = mirrored_columns(names), slice(12, 22)
+    exchanged.weight[run] *= share
     for values in (exchanged.xy, exchanged.world, exchanged.weight):
-        values[run] = values[run][:, order]
+        values[run] = values[run][:, mirrored_columns(names)]
     voted, changed = vote_sides(exchanged)
     assert np.flatnonzero(changed).tolist() == [i for i in range(30)[run] if evidence.seen[i]]
-    np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
-
-
-def test_the_last_frames_of_somebody_who_walks_away_do_not_turn_front_to_back():
-    """The farther away, the less is seen: landmarks exchanged until the end of the clip, half as visible."""
-    model = read_body_model()
-    clip = bodyfit_clips.make(model, frames=30)
-    names, _ = model_landmarks(model)
-    evidence, _ = vote_sides(gather(clip.tracks, names))
-    exchanged = replace(evidence, xy=evidence.xy.copy(), world=evidence.world.copy(), weight=evidence.weight.copy())
-    exchanged.weight[24:] *= 0.5
-    for values in (exchanged.xy, exchanged.world, exchanged.weight):
-        values[24:] = values[24:][:, mirrored_columns(names)]
-    voted, changed = vote_sides(exchanged)
-    assert np.flatnonzero(changed).tolist() == list(range(24, 30))
     np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
