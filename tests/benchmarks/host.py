@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import statistics
@@ -87,3 +88,11 @@ def version(package: str) -> str | None:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
+
+
+def tell(found: dict, file: Path | None) -> None:
+    """Print what was found, with the machine it belongs to, and write it to a file too if there is one."""
+    text = json.dumps(found | {"machine": machine()}, indent=1, default=float)
+    print(text)
+    if file:
+        file.write_text(text + "\n")

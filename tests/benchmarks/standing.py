@@ -32,7 +32,7 @@ from stages.formats.ground import read_ground
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_scene
 from stages.records import Cameras
-from tests.benchmarks.host import machine, summary, use_threads
+from tests.benchmarks.host import summary, tell, use_threads
 from tests.made.truth import Similarity, align
 
 RINGS, WAYS = (0.75, 1.5, 2.25, 3.0), 8  # m from where they were filmed, and directions
@@ -149,10 +149,7 @@ def main() -> None:
         found = {str(run): soles(run, asked.motion, asked.truth) for run in asked.runs}
     else:
         found = speed(asked.runs[0], asked.runs[1:], asked.motion, asked.pictures)
-    found["machine"] = machine()
-    print(json.dumps(found, indent=1, default=float))
-    if asked.json:
-        asked.json.write_text(json.dumps(found, indent=1, default=float))
+    tell(found, asked.json)
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ from stages.synthetic.effects import ClipEffects, to_linear, to_srgb
 from stages.synthetic.files import write_views
 from stages.synthetic.room import Room, make_room
 from tests.benchmarks.effect_models import PARAMS, SIZE, inputs
-from tests.benchmarks.host import machine
+from tests.benchmarks.host import tell
 from tests.made.truth import align, in_result_world, psnr
 
 DARKNESS = 0.5  # of the true shadows
@@ -239,10 +239,7 @@ def main() -> None:
             for kind in ("demo", "painted")
             for what in ("values", "light")
         }
-    found["machine"] = machine()
-    print(json.dumps(found, indent=1, default=float))
-    if asked.json:
-        asked.json.write_text(json.dumps(found, indent=1, default=float))
+    tell(found, asked.json)
 
 
 if __name__ == "__main__":

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-import sys
+from functools import partial
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 
-from hugs_cli.app import main
 from stages.filming.shoot import Shoot
 from stages.formats.exchange.glb import Glb
 from stages.formats.exchange.read import read_any_scene
 from stages.formats.images import read_image
 from stages.formats.video import decode
 from tests.made import finished
+from tests.made.command import hugs_here
 from tests.made.tiny import colour_of
 
 pytestmark = pytest.mark.slow
@@ -47,17 +47,7 @@ def made(tmp_path_factory) -> Path:
 def hugs(made, monkeypatch, capsys):
     """Runs `hugs compose ...` in this process; its stdout and stderr."""
 
-    def run(*args, code=0):
-        monkeypatch.chdir(made)
-        monkeypatch.setattr("signal.signal", lambda number, handler: None)  # Ctrl-C stays pytest's
-        monkeypatch.setattr(sys, "argv", ["hugs", "compose", *args])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capsys.readouterr()
-        assert end.value.code == code, out + err
-        return out, err
-
-    return run
+    return partial(hugs_here, made, monkeypatch, capsys, "compose")
 
 
 @pytest.fixture

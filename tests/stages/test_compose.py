@@ -1,13 +1,11 @@
 """`hugs animate`, which draws through the stage compose: where people stand, where they look, what is said."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hugs_cli.app import main
 from stages import export
 from stages.avatar.motion.formulas import MOTIONS
 from stages.contract import Job
@@ -19,6 +17,7 @@ from stages.formats.video import decode
 from stages.records import Cameras
 from tests.made import bvh as bvh_made
 from tests.made import finished
+from tests.made.command import hugs_here
 from tests.made.tiny import HEIGHT, WIDTH, colour_of
 
 RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
@@ -45,14 +44,7 @@ def hugs(trained, monkeypatch, capsys):
     """Runs `hugs animate clip.mp4 ...`, or another command, in this process; its stdout and stderr."""
 
     def run(*args, code=0, command="animate", source=("clip.mp4",)):
-        monkeypatch.chdir(trained)
-        monkeypatch.setattr("signal.signal", lambda number, handler: None)  # Ctrl-C stays pytest's
-        monkeypatch.setattr(sys, "argv", ["hugs", command, *source, *args])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capsys.readouterr()
-        assert end.value.code == code, out + err
-        return out, err
+        return hugs_here(trained, monkeypatch, capsys, command, *source, *args, code=code)
 
     return run
 
