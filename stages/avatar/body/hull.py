@@ -22,6 +22,7 @@ SOURCES = 512  # patches of skin from which weights spread
 CLOTH = 0.5  # share of the frames from one side that must have a point inside the mask
 SIDES = 8  # directions of sight, by azimuth, in which a point must be inside: of two opposite ones either tells
 EACH, SAY = 2.0, 4.0  # frames with a say: of a side that counts, and of all, at least
+LOOKS = 1 / 16  # of all frames, that look from a side, at least
 CLEAR = 0.03  # m off the skin from which a surface is cloth, not skin
 LEAST = 30  # cells of a piece of cloth, at least
 CLOSED = 3  # cells: half the width of gaps that are closed
@@ -125,10 +126,13 @@ class Carved(NamedTuple):
 def carve(space: Space, sights: Iterable[Sight]) -> Carved:
     """Cloth is what is off the body, and inside the mask in most frames of every side that can tell.
 
-    Most of all frames would not do: a point a fifth outside a round skirt is inside its outline from half of all sides.
+    Most of all frames would not do: a point a fifth outside a round skirt is inside its outline from half of all sides. And
+    from a few sides alone a body casts long shadows of itself to the front and the back: where frames look from no side
+    within the width of two, nothing is cloth.
     """
-    inside, outside = np.zeros((2, SIDES, len(space.points)))
-    for sight in sights:
+    inside, outside, looked = np.zeros((3, SIDES, len(space.points)))
+    frames = 0
+    for frames, sight in enumerate(sights, 1):
         blend = (space.weights @ sight.bones[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
         world = np.einsum("pab,pb->pa", blend[..., :3], space.points) + blend[..., 3]
         local = world @ sight.viewmat[:3, :3].T + sight.viewmat[:3, 3]
@@ -136,18 +140,19 @@ def carve(space: Space, sights: Iterable[Sight]) -> Carved:
         height, width = sight.mask.shape
         shown = (local[:, 2] > 0.05) & (at >= 0).all(1) & (at < [width, height]).all(1)
         column, row = at[shown].astype(int).T
-        tells = ~sight.body[row, column]
-        seen = np.flatnonzero(shown)[tells]
-        value = sight.mask[row[tells], column[tells]]
         eye = -sight.viewmat[:3, :3].T @ sight.viewmat[:3, 3]
-        ray = np.einsum("pba,pb->pa", blend[seen, :, :3], world[seen] - eye)
+        ray = np.einsum("pba,pb->pa", blend[shown, :, :3], world[shown] - eye)
         side = np.floor(np.arctan2(ray[:, 0], ray[:, 2]) / np.pi * SIDES).astype(int) % SIDES
+        looked[side, shown] += 1
+        tells = ~sight.body[row, column]
+        seen, side, value = np.flatnonzero(shown)[tells], side[tells], sight.mask[row[tells], column[tells]]
         inside[side, seen] += value
         outside[side, seen] += 1 - value
-    say = inside + outside
+    say, unseen = inside + outside, looked < LOOKS * frames
+    blind = (unseen & np.roll(unseen, 1, 0)).any(0)
     held = (inside > CLOTH * say) | (say < EACH)
     may = (space.away > 0) & held.all(0) & ~(inside.sum(0) < CLOTH * say.sum(0))
-    found = may & (say.sum(0) >= SAY)
+    found = may & (say.sum(0) >= SAY) & ~blind
     pieces, _ = label(space.grid(found) | space.grid(space.away <= 0))
     large = np.bincount(pieces[space.grid(found)], minlength=pieces.max() + 1) >= LEAST
     return Carved(found & large[pieces.ravel()[space.rows]], may)

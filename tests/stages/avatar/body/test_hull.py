@@ -31,10 +31,10 @@ def space(legs) -> Space:
     return space_around(legs)
 
 
-def pictures(legs: Skin, skirt: float | None, step: float = 0.0) -> list[Sight]:
-    """Twelve frames around; `skirt`: the radius of a tube from 0.2 down to -0.2; the left leg steps aside by up to `step`."""
+def pictures(legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi) -> list[Sight]:
+    """Twelve frames from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2; the left leg steps aside by up to `step`."""
     found = []
-    for i, turn in enumerate(np.linspace(0, 2 * np.pi, 12, endpoint=False)):
+    for i, turn in enumerate(np.linspace(0, arc, 12, endpoint=False)):
         bones = np.tile(np.eye(4), (24, 1, 1))
         bones[1, 0, 3] = step * (i % 3) / 2
         view = look_at(2.5 * np.array([np.sin(turn), 0.1, np.cos(turn)]), np.zeros(3), np.array([0.0, 1, 0]))
@@ -84,6 +84,14 @@ def test_a_skirt_that_goes_along_with_both_legs_is_found_while_they_step(legs, s
     inside = carve(space, pictures(legs, 0.3, step=0.16)).cloth
     front = (np.abs(space.points[:, 0]) < 0.05) & (space.points[:, 2] > 0.1) & (space.points[:, 2] < 0.2)
     assert inside[front & (np.abs(space.points[:, 1]) < 0.15)].all()
+
+
+def test_few_sides_tell_of_no_cloth_since_outlines_are_as_deep_as_one_likes(legs, space):
+    """A man who is filmed from the front alone had wings to the front and the back."""
+    assert not carve(space, pictures(legs, 0.3, arc=np.pi / 2)).cloth.any()
+    assert (
+        carve(space, pictures(legs, 0.3, arc=np.pi)).cloth.sum() > 0.9 * carve(space, pictures(legs, 0.3)).cloth.sum()
+    )
 
 
 def test_a_body_alone_has_no_cloth_between_legs_that_step_or_stand(legs, space):
