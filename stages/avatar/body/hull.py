@@ -132,7 +132,8 @@ def carve(space: Space, sights: Iterable[Sight]) -> Carved:
     """
     inside, outside, looked = np.zeros((3, SIDES, len(space.points)))
     frames = 0
-    for frames, sight in enumerate(sights, 1):
+    for sight in sights:
+        frames += 1
         blend = (space.weights @ sight.bones[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
         world = np.einsum("pab,pb->pa", blend[..., :3], space.points) + blend[..., 3]
         local = world @ sight.viewmat[:3, :3].T + sight.viewmat[:3, 3]

@@ -32,7 +32,10 @@ def space(legs) -> Space:
 
 
 def pictures(legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi) -> list[Sight]:
-    """Twelve frames from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2; the left leg steps aside by up to `step`."""
+    """Twelve frames from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2.
+
+    The left leg steps aside by up to `step`.
+    """
     found = []
     for i, turn in enumerate(np.linspace(0, arc, 12, endpoint=False)):
         bones = np.tile(np.eye(4), (24, 1, 1))
