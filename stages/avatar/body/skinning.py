@@ -13,6 +13,7 @@ WEIGHT_GAP = 0.0021
 exp(-gap / (2 * 0.1**2)) > 0.9, so that a finger does not borrow from the thigh it touches."""
 
 BYTES, WORDS = 255, 65535  # what a row of weights adds up to
+MOST = 8  # bones that move a vertex in glTF as programs read it: two sets of four
 
 
 def skin(points: Tensor, weights: Tensor, bones: Tensor) -> tuple[Tensor, Tensor]:
@@ -46,6 +47,12 @@ def knn_weights(points: Tensor, vertices: Tensor, vertex_weights: Tensor, k: int
     share = exponents.softmax(-1).to(points)  # the nearest is always kept, so no row is empty
     blended = (share[..., None] * around).sum(1)
     return blended / blended.sum(-1, keepdim=True)
+
+
+def of_few_bones(weights: Tensor) -> Tensor:
+    """Weights [N,J] with the MOST heaviest of each row alone, whose rows sum to 1 again."""
+    heavy, chosen = weights.topk(min(MOST, weights.shape[1]), dim=1)
+    return torch.zeros_like(weights).scatter_(1, chosen, heavy / heavy.sum(1, keepdim=True))
 
 
 def heaviest(weights: np.ndarray, count: int = 4, full: int = BYTES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stages import records
-from stages.avatar.body.skinning import WORDS, heaviest
+from stages.avatar.body.skinning import MOST, WORDS, heaviest
 from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.splats.factor import factored
 from stages.avatar.splats.gaussians import Splats
@@ -22,7 +22,7 @@ def rig_of(avatar: records.Avatar) -> records.Rig:
     )
     all_weights = np.asarray(avatar.lbs_weights, np.float64)
     bones, weights, kept = heaviest(all_weights)
-    bones8, words8, _ = heaviest(all_weights, 8, WORDS)
+    bones8, words8, _ = heaviest(all_weights, MOST, WORDS)
     return records.Rig(
         **vars(resting),
         joints=np.asarray(avatar.joints, np.float32),

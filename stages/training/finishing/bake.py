@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import rotation_z_to
+from stages.avatar.body.skinning import of_few_bones
 from stages.avatar.body.smpl import edge_lengths, vertex_normals
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.splats.compose import painted_pixels
@@ -60,6 +61,8 @@ def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, fram
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
     kept, recolored = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
+    if body.clothing is not None:  # cloth shares far more bones than glTF carries
+        done = done._replace(weights=of_few_bones(done.weights))
     return Finished(done, int((~whole).sum()), int(stray.sum()), snapped, recolored, len(done.means) - len(kept.means))
 
 

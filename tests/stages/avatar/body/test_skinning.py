@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.skinning import WEIGHT_GAP, WORDS, all_bones, heaviest, knn_weights, skin
+from stages.avatar.body.skinning import MOST, WEIGHT_GAP, WORDS, all_bones, heaviest, knn_weights, of_few_bones, skin
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.model.person import bone_transforms
 
@@ -195,6 +195,18 @@ def test_e08_refuses_what_has_no_answer(skinned_cloud):
     broken[4, 1] = math.nan
     with pytest.raises(ValueError, match="point 4 is not finite"):
         knn_weights(broken, vertices, weights)
+
+
+def test_few_bones_are_the_heaviest_in_their_proportions():
+    weights = torch.as_tensor(np.random.default_rng(3).dirichlet(np.full(30, 0.3), 500))
+    found = of_few_bones(weights)
+    kept, order = found > 0, weights.sort(1, descending=True)
+    assert (kept.sum(1) <= MOST).all() and kept.sum(1).max() == MOST
+    assert torch.equal(found.argmax(1), order.indices[:, 0])
+    torch.testing.assert_close(found, torch.where(kept, weights, 0) / order.values[:, :MOST].sum(1, keepdim=True))
+    torch.testing.assert_close(found.sum(1), torch.ones(500, dtype=torch.float64))
+    narrow = torch.tensor([[0.25, 0.75, 0.0]])
+    assert torch.equal(of_few_bones(narrow), narrow)
 
 
 def test_bytes_of_weights_add_up_and_are_nearest():
