@@ -70,8 +70,6 @@ def run(
     listing = read_facts(frames / "frames.json", Listing)
     clip = read_inputs(listing, sfm, body_model)
     smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
-    if listing.dataset and body_model is None:
-        job.warn("the data set's poses are for SMPL, but the bundled body is not SMPL: give --body-model FILE")
     if smpl_fit is not None:
         pictures = {frame.name: frame.source for frame in listing.frames if frame.source}
         sources = tuple(pictures[name] for name in clip.cameras.names if name in pictures)
@@ -123,8 +121,6 @@ def import_poses(job: Job, smpl_fit: Path, clip: Inputs, sources: tuple[str, ...
     poses, facts = import_fit(fit, clip.model, cameras, clip.times, clip.masks, clip.points, clip.moving, sources)
     for note in facts.pop("notes"):
         job.warn(note)
-    if fit.tool != "npz" and clip.model.name == "free body":
-        job.warn(f"the fit of {fit.tool} is for SMPL, but the bundled body is not SMPL: give --body-model FILE")
     overlap, people = facts["overlap"], facts["people"]
     if len(people) > 1:
         others = [f"{who or 'unnamed'} {100 * share:.0f} %" for who, share in people.items() if share is not None]

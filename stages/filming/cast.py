@@ -120,11 +120,12 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
+    model = _model(run, record)
     if person.motion in MOTIONS:
         placed, facts = by_formula(person.motion, soles, SECONDS, manner.wanted), []
     elif person.motion != "clip":
         path = Path(person.motion)
-        placed, told = from_file(path, manner, soles, rig.parents.tolist())
+        placed, told = from_file(path, manner, soles, rig.parents.tolist(), model.name if model else "")
         facts = [f"{path.name}  {'; '.join(told)}"]
     else:
         placed, facts = _own(run, person, manner, soles), []
@@ -133,7 +134,6 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     turn = ground.turn @ about
     place = ground.point + ground.turn @ np.array([person.at[0], 0, person.at[1]])
     orient, pose, transl = put(placed, turn, place, soles.joints[0])
-    model = _model(run, record)
     return Actor(
         name=name,
         record=record,

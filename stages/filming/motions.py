@@ -12,6 +12,7 @@ from stages.avatar.motion import placing, retarget
 from stages.avatar.motion.placing import Placed, Soles
 from stages.avatar.motion.retarget import Performance
 from stages.contract import StageError
+from stages.formats.body_model import FREE, SMPL
 from stages.formats.motions import bvh, bvh_names
 from stages.formats.motions.smpl_npz import read_smpl_motion
 from stages.records import BodyPoses, Ground
@@ -38,9 +39,14 @@ class Manner:
         return self.fps / self.speed
 
 
-def from_file(path: Path, manner: Manner, soles: Soles, parents: Sequence[int]) -> tuple[Placed, list[str]]:
-    """A .bvh or .npz retargeted to the body of `soles`, and facts about it; StageError for what is no motion."""
-    performance, rate, facts = _read(path, manner.motion_fps, soles, parents)
+def from_file(
+    path: Path, manner: Manner, soles: Soles, parents: Sequence[int], body: str = SMPL
+) -> tuple[Placed, list[str]]:
+    """A .bvh or .npz retargeted to the body of `soles`, and facts about it; StageError for what is no motion.
+
+    `body` is its name: poses of SMPL are carried over to the free body, so that limbs point as SMPL's do.
+    """
+    performance, rate, facts = _read(path, manner.motion_fps, soles, parents, body)
     up = manner.up or placing.which_is_up(performance)
     if up is None:
         pelvis = ", ".join(f"{x:.2f}" for x in performance.rotations[:, 0, :, 1].mean(0))
@@ -66,23 +72,27 @@ def from_clip(body: BodyPoses, times: np.ndarray, ground: Ground, manner: Manner
     return placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
 
 
-def _read(path: Path, fps: float | None, soles: Soles, parents: Sequence[int]) -> tuple[Performance, float, list[str]]:
+def _read(
+    path: Path, fps: float | None, soles: Soles, parents: Sequence[int], body: str
+) -> tuple[Performance, float, list[str]]:
     """The motion for SMPL's joints, its frames a second (`fps`, if given), and facts about the file in words."""
     own_fps: float | None
     if path.suffix.lower() == ".bvh":
         found = bvh.read_bvh(path)
-        body = bvh_names.map_body(found, path)
+        named = bvh_names.map_body(found, path)
         skeleton = retarget.Skeleton(found.names, found.parents, found.places, found.rotations)
-        chains = (body.limbs, body.pelvis, body.spine, body.neck)
+        chains = (named.limbs, named.pelvis, named.spine, named.neck)
         try:
             performance = retarget.from_skeleton(skeleton, *chains, soles.joints, parents)
         except ValueError as error:
             raise StageError(f"{path} has bones without length", bvh.HINT, [str(error)]) from error
-        notes = [f"{body.used} of {body.used + len(body.unused)} joints used"]
+        notes = [f"{named.used} of {named.used + len(named.unused)} joints used"]
         length, own_fps = len(found), found.fps
     elif path.suffix.lower() == ".npz":
         smpl = read_smpl_motion(path)
-        performance, notes = retarget.from_smpl(smpl.rotvecs, smpl.transl, soles.joints), list(smpl.notes)
+        turns, notes = (smpl.rotvecs, smpl.transl, soles.joints), list(smpl.notes)
+        carried = body == FREE and smpl.body == SMPL
+        performance = retarget.carried_over(*turns, parents) if carried else retarget.from_smpl(*turns)
         length, own_fps = len(smpl), smpl.fps
     else:
         raise StageError(

@@ -15,6 +15,8 @@ from stages.records import BETAS, JOINTS, BodyModel
 
 FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"
 
+SMPL, FREE = "SMPL", "free body"
+"""Bodies for which poses are made."""
 HINT = "give SMPL_NEUTRAL.pkl (SMPL 1.0 or 1.1, 24 joints) or its .npz, or leave --body-model out to use the free body"
 _OTHER_NAMES = {"f": "faces", "weights": "lbs_weights"}
 _SIBLINGS = {52: "an SMPL-H", 55: "an SMPL-X", 16: "a MANO"}
@@ -26,7 +28,7 @@ def read_body_model(path: Path | None = None) -> BodyModel:
     Raises StageError naming the key with its found and wanted shape, or the kind of model that the file is.
     """
     if path is None:
-        return _from_arrays(read_npz(FREE_BODY), FREE_BODY, "free body")
+        return _from_arrays(read_npz(FREE_BODY), FREE_BODY, FREE)
     path = Path(path)
     if not path.is_file():
         raise StageError(f"no body model {path}", HINT)

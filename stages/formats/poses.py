@@ -9,9 +9,20 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, take, write_npz
+from stages.formats.body_model import SMPL
 from stages.records import BodyPoses
 
 HINT = "body.npz needs names [F], betas [10], global_orient [F,3], body_pose [F,69], transl [F,3], world_from_sfm"
+
+
+def whose(arrays: Mapping[str, np.ndarray], path: Path | str) -> str:
+    """The body whose poses a file of arrays holds: what its `body` says, "" for a body.npz, which goes with its run, else SMPL."""
+    if "body" not in arrays:
+        return "" if "world_from_sfm" in arrays else SMPL
+    named = np.asarray(arrays["body"])
+    if named.shape != () or named.dtype.kind != "U":
+        raise StageError(f"body in {path} is no name", HINT, [f"found {named.shape} of {named.dtype}"])
+    return str(named)
 
 
 def write_poses(path: Path, poses: BodyPoses) -> None:

@@ -85,3 +85,13 @@ def test_only_drawings_that_are_still_there_are_remembered(work):
     remember_out(Path("three.mp4"), work)
     known = json.loads((work / ".drawn.json").read_bytes())
     assert [Path(path).name for path in known] == ["two.mp4", "three.mp4"]
+
+
+def test_pictures_are_not_drawn_over_a_file_nor_a_film_over_a_folder(work):
+    with pytest.raises(UsageError, match="a file, and pictures need a folder"):
+        check_out(Path("other.mp4"), work, (), True, is_folder=True)
+    Path("views").mkdir()
+    with pytest.raises(UsageError, match="a folder, and a video is a file"):
+        check_out(Path("views"), work, (), True)
+    with pytest.raises(UsageError, match=r"other\.mp4 is no folder"):
+        check_out(Path("other.mp4/views"), work, (), True, is_folder=True)

@@ -100,6 +100,7 @@ def neuman(
         transl=(moved - scale[:, None] * pelvis).astype(np.float32),
         scale=scale.astype(np.float32),
         bbox=np.zeros((frames, 4), np.float32),
+        body=np.array(model.name),
     )
     return made
 
@@ -227,4 +228,5 @@ def write_params(folder: Path, stage, views: synthetic.TrueViews, moments: int, 
         assert np.ptp(away, axis=0).max() < 1e-9, "a rigid motion takes one to the other"
         poses = np.concatenate([np.zeros(3), views.body_pose[m]])
         arrays = {"Rh": turn.as_rotvec()[None], "Th": away[:1], "poses": poses[None], "shapes": stage.betas[None]}
-        np.save(folder / f"{m + first}.npy", {key: a.astype(np.float32) for key, a in arrays.items()})
+        rows: dict[str, object] = {key: a.astype(np.float32) for key, a in arrays.items()}
+        np.save(folder / f"{m + first}.npy", rows | {"body": "free body"})

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from stages import smpl
 from stages.avatar.body.rotations import rotvec_from_matrix
 from stages.avatar.body.smpl import Body
+from stages.avatar.body.smpl_rest import smpl_rest
 from stages.contract import Job, StageError
-from stages.estimators.bodyfit.resting import carry_over, smpl_rest
+from stages.estimators.bodyfit.resting import carry_over
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
@@ -77,7 +78,8 @@ def camera_fit(clip):
         _, turn, _ = umeyama(a.astype(float), b)
         orient.append(rotvec_from_matrix(torch.tensor(turn)).numpy())
         transl.append(b[0] - a[0])
-    return {"betas": np.zeros(10), "global_orient": np.array(orient), "body_pose": pose, "transl": np.array(transl)}
+    arrays = {"betas": np.zeros(10), "global_orient": np.array(orient), "body_pose": pose, "transl": np.array(transl)}
+    return arrays | {"body": np.array(MODEL.name)}
 
 
 def in_sfm(clip, fit):
@@ -94,7 +96,7 @@ def test_i05_j05_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folder
     clip, frames, sfm = folders
     fit = camera_fit(clip)
     kept = np.delete(np.arange(16), [4, 5])
-    rows = {key: value if key == "betas" else value[kept] for key, value in fit.items()}
+    rows = {key: value if key in ("betas", "body") else value[kept] for key, value in fit.items()}
     np.savez(tmp_path / "fit.npz", names=np.array(clip.cameras.names)[kept], **rows)
     poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit.npz")
     assert poses.world_from_sfm == pytest.approx(clip.scale, rel=0.03)
@@ -165,7 +167,10 @@ def test_of_two_people_in_a_folder_of_easymocap_the_masked_one_is_taken(folders,
     assert facts["person"] == "1" and facts["overlap"] > 0.8 and facts["people"]["0"] < 0.3
     texts = [event["text"] for event in said if event["event"] in ("note", "warning")]
     assert any(text.startswith("person 1 of EasyMocap is the masked one; overlap with the masks: ") for text in texts)
-    assert any("the fit of EasyMocap is for SMPL, but the bundled body is not SMPL" in text for text in texts)
+    assert any(
+        "the poses of EasyMocap are SMPL's, carried over to the free body" in text and "--body-model" in text
+        for text in texts
+    )
 
 
 @pytest.mark.slow

@@ -292,6 +292,13 @@ MUTANTS = (
         "tests/hugs_cli/cache/test_engine.py::force_discards_what_a_stage_would_go_on_from",
     ),
     Mutant(
+        "a result that knows no --smpl-fit",
+        "hugs_cli/cache/freshness.py",
+        "for need in sorted(stage.needs)}",
+        'for need in sorted(stage.needs) if need != "smpl_fit"}',
+        "tests/hugs_cli/cache/test_engine.py::a_result_is_that_of_each_file_that_its_stage_reads",
+    ),
+    Mutant(
         "a stage without the lock",
         "hugs_cli/cache/child.py",
         "pass_fds=(write, lock),",

@@ -29,6 +29,8 @@ from stages.avatar.body.joints import (
     SPINE,
     WRISTS,
 )
+from stages.avatar.body.smpl_rest import PARENTS, smpl_rest
+from stages.records import JOINT_NAMES
 
 LIMBS = {
     bone: end
@@ -41,6 +43,9 @@ STANDING = 0.7
 """The zero pose is a stand where leg bones have over this mean cosine with the trunk's down."""
 SMPL_LEG = 0.79
 """Hip to knee to ankle of SMPL's mean body, m: the scale of a motion whose body is not known."""
+
+
+_PAIRS = (COLLARS, HIPS, SHOULDERS, KNEES, ELBOWS, ANKLES, WRISTS, FEET, HANDS)
 
 
 class Skeleton(NamedTuple):
@@ -104,7 +109,7 @@ def from_skeleton(
     def follow(joint: int, source: int) -> np.ndarray:
         return turns[:, source] @ turns[reference, source].T @ start[joint]
 
-    for joint in (*COLLARS, *HIPS, *SHOULDERS, *KNEES, *ELBOWS, *ANKLES, *WRISTS, *FEET, *HANDS):
+    for joint in (joint for pair in _PAIRS for joint in pair):
         mapped = joint in limbs and joint not in FEET
         world[:, joint] = follow(joint, limbs[joint]) if mapped else world[:, parents[joint]]
         if joint in LIMBS:  # twist bones inside a limb let it bend: aim at where its end is
@@ -126,6 +131,20 @@ def from_smpl(rotvecs: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> Pe
     rotations = Rotation.from_rotvec(rotvecs.reshape(-1, 3)).as_matrix().reshape(*rotvecs.shape[:2], 3, 3)
     below = (joints[HIPS[0]] + joints[HIPS[1]]) / 2 - joints[0]
     return Performance(rotations, transl + rotations[:, 0] @ below * (SMPL_LEG / leg_of(joints)), SMPL_LEG)
+
+
+def carried_over(rotvecs: np.ndarray, transl: np.ndarray, joints: np.ndarray, parents: Sequence[int]) -> Performance:
+    """As `from_smpl`, for a body that rests otherwise than SMPL: SMPL's skeleton is then one like any other.
+
+    Its limbs point where those of SMPL's mean body point.
+    """
+    rest = smpl_rest()
+    places = np.tile(rest - rest[np.maximum(PARENTS, 0)], (len(transl), 1, 1))
+    places[:, 0] = rest[0] + transl
+    rotations = Rotation.from_rotvec(rotvecs.reshape(-1, 3)).as_matrix().reshape(*rotvecs.shape[:2], 3, 3)
+    skeleton = Skeleton(JOINT_NAMES, np.array(PARENTS), places, rotations)
+    limbs = {joint: joint for pair in _PAIRS for joint in pair}
+    return from_skeleton(skeleton, limbs, 0, SPINE, (NECK, HEAD), joints, parents)
 
 
 def leg_of(joints: np.ndarray) -> float:

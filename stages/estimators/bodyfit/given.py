@@ -20,10 +20,10 @@ from stages.estimators.bodyfit.resting import onto_body
 from stages.estimators.bodyfit.scale import TimedCameras, find_scale
 from stages.estimators.bodyfit.silhouette import posed_vertices
 from stages.estimators.bodyfit.start import fill_poses
+from stages.formats.body_model import FREE, SMPL
 from stages.formats.given_fits.record import SmplFit
 from stages.records import BodyModel, BodyPoses, Cameras
 
-FREE_BODY, OWN = "free body", ("npz",)  # the body that is not SMPL, and fits whose poses may be of any body
 SPARSE = 20  # one vertex of so many stands for the skin
 
 
@@ -44,7 +44,7 @@ def import_fit(
     without a row are filled in between with confidence 0.
     """
     fit, frames = join_frames(fit, cameras.names, times, sources)
-    if model.name == FREE_BODY and fit.tool not in OWN:
+    if model.name == FREE and fit.body == SMPL:
         fit = onto_body(fit, model)
     fit, rows, person = choose_person(fit, frames, cameras, masks, model)
     names = tuple(cameras.names[i] for i in rows)

@@ -7,51 +7,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stages.avatar.body.smpl_rest import PARENTS, smpl_rest
 from stages.avatar.motion.retarget import turn_between
 from stages.formats.given_fits.record import SmplFit
 from stages.records import BodyModel
 
 STRENGTH = 0.01  # m that a beta of 1 counts as when bones are made as long as SMPL's
-_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
-_BONES = (
-    (-0.0018, -0.2233, 0.0282),
-    (0.0695, -0.0914, -0.0068),
-    (-0.0677, -0.0905, -0.0043),
-    (-0.0025, 0.1090, -0.0267),
-    (0.0343, -0.3752, -0.0045),
-    (-0.0383, -0.3826, -0.0089),
-    (0.0055, 0.1352, 0.0011),
-    (-0.0136, -0.3980, -0.0437),
-    (0.0158, -0.3984, -0.0423),
-    (0.0015, 0.0529, 0.0254),
-    (0.0264, -0.0558, 0.1193),
-    (-0.0254, -0.0481, 0.1233),
-    (-0.0028, 0.2139, -0.0429),
-    (0.0788, 0.1217, -0.0341),
-    (-0.0818, 0.1188, -0.0386),
-    (0.0052, 0.0650, 0.0513),
-    (0.0910, 0.0305, -0.0089),
-    (-0.0960, 0.0326, -0.0091),
-    (0.2596, -0.0128, -0.0275),
-    (-0.2537, -0.0133, -0.0214),
-    (0.2492, 0.0090, -0.0012),
-    (-0.2553, 0.0078, -0.0056),
-    (0.0840, -0.0082, -0.0149),
-    (-0.0846, -0.0061, -0.0103),
-)
-"""Each joint of neutral SMPL of mean shape from its parent, m: published with the SMPL humanoid of MuJoCo benchmarks."""
-
-
-def smpl_rest() -> np.ndarray:
-    """Joints [24,3] of neutral SMPL of mean shape at rest, m."""
-    joints = np.array(_BONES)
-    for joint, parent in enumerate(_PARENTS[1:], 1):
-        joints[joint] += joints[parent]
-    return joints
 
 
 def onto_body(fit: SmplFit, model: BodyModel) -> SmplFit:
-    """A fit of SMPL as one of `model`, which is not SMPL: joints in the same places as nearly as its bones allow.
+    """A fit of SMPL as one of `model`, which rests otherwise: joints in the same places as nearly as its bones allow.
 
     The tool's betas are left out, since they are other shapes there; instead limbs and trunk are as long as those of SMPL's
     mean shape. The new fit still turns about SMPL's pelvis, so that another camera sees the same pixel; `offset` leads to ours.
@@ -70,7 +35,8 @@ def onto_body(fit: SmplFit, model: BodyModel) -> SmplFit:
         offset=Rotation.from_rotvec(orient).inv().apply(way),
         notes=(
             *fit.notes,
-            f"the poses of {fit.tool} are SMPL's, carried over to the {model.name}; its shape is not used",
+            f"the poses of {fit.tool} are SMPL's, carried over to the {model.name} without their shape; "
+            "give --body-model FILE to keep both",
         ),
     )
 
@@ -80,7 +46,7 @@ def posed_joints(rest: np.ndarray, orient: np.ndarray, pose: np.ndarray) -> tupl
     turns = Rotation.from_rotvec(np.concatenate([orient, pose], 1).reshape(-1, 3)).as_matrix()
     world = turns.reshape(-1, 24, 3, 3)
     joints = np.tile(rest, (len(orient), 1, 1))
-    for joint, parent in enumerate(_PARENTS[1:], 1):
+    for joint, parent in enumerate(PARENTS[1:], 1):
         joints[:, joint] = joints[:, parent] + world[:, parent] @ (rest[joint] - rest[parent])
         world[:, joint] = world[:, parent] @ world[:, joint]
     return joints, world
@@ -102,7 +68,7 @@ def carry_over(
     world, joints = turns @ trunk, np.zeros_like(wanted)
     hips = 0.5 * (wanted[:, 1] + wanted[:, 2])
     joints[:, 0] = hips - world[:, 0] @ (0.5 * (ours[1] + ours[2]) - ours[0])
-    for joint, parent in enumerate(_PARENTS):
+    for joint, parent in enumerate(PARENTS):
         if parent >= 0:
             joints[:, joint] = joints[:, parent] + world[:, parent] @ (ours[joint] - ours[parent])
         if joint in _AIMS:
@@ -111,7 +77,7 @@ def carry_over(
             aim = wanted[:, end] - joints[:, joint]
             world[:, joint] = turn_between(_unit(bone), _unit(aim)) @ world[:, joint]
     local = world.copy()
-    for joint, parent in enumerate(_PARENTS[1:], 1):
+    for joint, parent in enumerate(PARENTS[1:], 1):
         local[:, joint] = world[:, parent].mT @ world[:, joint]
     vectors = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 24, 3)
     return vectors[:, 0], vectors[:, 1:].reshape(-1, 69), joints[:, 0] - wanted[:, 0]

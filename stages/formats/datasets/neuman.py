@@ -132,7 +132,7 @@ def _masks(folder: Path, model: GivenCameras, files: list[Path]) -> tuple[dict[s
 
 
 def _fit(path: Path, model: GivenCameras, files: list[Path]) -> dict[str, np.ndarray]:
-    """The arrays of the fit, a row for each registered picture."""
+    """The arrays of the fit, a row for each registered picture; and whose poses they are, where it says so."""
     arrays = read_npz(path, HINT)
     missing = [key for key in FIT_KEYS if key not in arrays]
     if missing:
@@ -141,7 +141,8 @@ def _fit(path: Path, model: GivenCameras, files: list[Path]) -> dict[str, np.nda
     rows = _in_order(list(range(count)), model, files, f"poses in {path}")
     order = [rows[name] for name in model.files]
     whole = arrays["betas"].ndim < 2 or len(arrays["betas"]) == 1 != count
-    return {key: arrays[key] if key == "betas" and whole else arrays[key][order] for key in FIT_KEYS}
+    fit = {key: arrays[key] if key == "betas" and whole else arrays[key][order] for key in FIT_KEYS}
+    return fit | {key: arrays[key] for key in ("body",) if key in arrays}
 
 
 def _in_order(rows: list[Row], model: GivenCameras, files: list[Path], what: str) -> dict[str, Row]:

@@ -146,7 +146,10 @@ def _person(shot: Shot) -> np.ndarray:
 
 
 def _fit(folder: Path, numbers: list[int]) -> dict[str, np.ndarray]:
-    """Rh, Th, poses and betas of each shot; moments that several cameras saw are read once."""
+    """Rh, Th, poses and betas of each shot, and whose poses they are, where they say so.
+
+    Moments that several cameras saw are read once.
+    """
     kind = next((name for name in PARAMS if (folder / name).is_dir()), None)
     if kind is None:
         raise StageError(f"{folder} has no body poses", HINT, [f"looked for {' and '.join(PARAMS)}"])
@@ -159,4 +162,5 @@ def _fit(folder: Path, numbers: list[int]) -> dict[str, np.ndarray]:
             array = as_array(take(values, key, path, HINT), key, path, HINT)
             rows[n][key] = checked(array.reshape(-1), (size,), key, path, HINT).astype(np.float64)
     named = (("Rh", "Rh"), ("Th", "Th"), ("poses", "poses"), ("shapes", "betas"))
-    return {to: np.stack([rows[n][key] for n in numbers]) for key, to in named}
+    told = {"body": np.asarray(values["body"])} if "body" in values else {}
+    return {to: np.stack([rows[n][key] for n in numbers]) for key, to in named} | told

@@ -10,6 +10,7 @@
 | ZJU-MoCap (NeuralBody)      | Rh, Th, poses, betas: X = exp(Rh) SMPL + Th         | world, metres  |
 
 Rows belong to frames by `names` (or `frame_ids`), or by time where the file has a frame rate or `times` in seconds.
+Poses are SMPL's, but for ours and for files that name another `body`.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from stages.contract import StageError
 from stages.formats.arrays import checked
 from stages.formats.given_fits.record import OTHER_SHAPE, SMPLX_PELVIS, Fields, SmplFit
+from stages.formats.poses import whose
 
 HINT = (
     "an SMPL fit needs betas [10], global_orient [N,3], body_pose [N,69] (or thetas or poses [N,72]) and transl [N,3]"
@@ -68,6 +70,7 @@ def read_plain(content: dict[str, Any], path: str) -> SmplFit:
         transl=transl,
         scale=scale,
         turns=turns,
+        body=whose(content, path),
         names=names,
         times=times,
         **more,

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, take
+from stages.formats.body_model import SMPL
 from stages.formats.images import same_shape
 
 SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
@@ -46,7 +47,8 @@ class SmplFit:
     about the origin instead of its pelvis. `pelvis` [3] is the rest pelvis about which the tool's own body turns, where
     it is not SMPL's; `offset` [N,3] m, turned as `global_orient` is, leads from there to the pelvis of our body, where that
     is another point. `joints2d` [N,24,2] px is where the tool itself sees SMPL's joints, NaN where it does not say.
-    `notes` say what was left out or simplified.
+    `body` is whose poses they are: SMPL's, those of another body by its name, or "" for the body of this run, whichever
+    that is. `notes` say what was left out or simplified.
     """
 
     path: str
@@ -66,6 +68,7 @@ class SmplFit:
     pelvis: np.ndarray | None = None
     offset: np.ndarray | None = None
     joints2d: np.ndarray | None = None
+    body: str = SMPL
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:

@@ -20,12 +20,15 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, take
+from stages.formats.body_model import SMPL
+from stages.formats.poses import whose
 
 HINT = "an SMPL motion needs poses [F,72] (AMASS: 156 or 165, AIST++: smpl_poses) and trans [F,3]"
 BODY = 22  # joints that SMPL, SMPL-H and SMPL-X share; SMPL's two more are stiff hands
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 AIST_FPS = 60.0
-KEYS = ("poses", "smpl_poses", "global_orient", "body_pose", "trans", "transl", "smpl_trans", "smpl_scaling", *RATES)
+_MOTION = ("poses", "smpl_poses", "global_orient", "body_pose", "trans", "transl", "smpl_trans", "smpl_scaling")
+KEYS = (*_MOTION, *RATES, "body", "world_from_sfm")
 """All that is read: SMPL-X files of AMASS hold pickles too."""
 
 
@@ -33,13 +36,15 @@ KEYS = ("poses", "smpl_poses", "global_orient", "body_pose", "trans", "transl", 
 class SmplMotion:
     """F poses as their file means them: `rotvecs` [F,24,3] rad, root first; `transl` [F,3] m, in the file's axes.
 
-    `fps` frames a second, None where the file does not say. `notes` say what was left out.
+    `fps` frames a second, None where the file does not say. `notes` say what was left out. `body`: whose poses they are, as
+    `formats.poses.whose` says.
     """
 
     rotvecs: np.ndarray
     transl: np.ndarray
     fps: float | None
     notes: tuple[str, ...] = ()
+    body: str = SMPL
 
     def __len__(self) -> int:
         return len(self.transl)
@@ -58,7 +63,7 @@ def read_smpl_motion(path: Path) -> SmplMotion:
     poses, notes = _poses(arrays, len(transl), path)
     rate = next((key for key in RATES if key in arrays), None)
     fps = _positive(arrays, rate, path) if rate else AIST_FPS if aist else None
-    return SmplMotion(poses, transl, fps, notes)
+    return SmplMotion(poses, transl, fps, notes, whose(arrays, path))
 
 
 def _poses(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -11,7 +11,8 @@ import pytest
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import UsageError
 from hugs_cli.cache.fingerprint import digest
-from tests.made.flow import ALL, LONGEST, WHOLE
+from hugs_cli.pipelines import SOURCES
+from tests.made.flow import ALL, LONGEST, STAGE, WHOLE
 
 
 def child_of(pid: int) -> list[int]:
@@ -93,6 +94,21 @@ def test_settings_that_only_change_speed_make_nothing_stale(made):
     assert made.ran("--set", "four.word=b") == {"four": ["params.word: a -> b"]}
     assert made.ran() == {}  # the first result is still there
     assert made.text("four") == WHOLE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", SOURCES)
+def test_h20_a_result_is_that_of_each_file_that_its_stage_reads(flow, source):
+    flow.write("one", STAGE.format(name="one", needs=", ".join(SOURCES), resumes=False))
+    pipelines = flow.folder / "pipelines.yaml"
+    pipelines.write_text(pipelines.read_text().replace("[video]", f"[{', '.join(SOURCES)}]"))
+    files = {name: flow.folder / f"{name}.txt" for name in SOURCES} | {"video": flow.video}
+    given = [word for name in SOURCES if name != "video" for word in (SOURCES[name], files[name].name)]
+    for name, path in files.items():
+        path.write_text(name)
+    assert list(flow.ran("one", *given)) == ["one"] and flow.ran("one", *given) == {}
+    files[source].write_text("other content")
+    assert flow.ran("one", *given) == {"one": [f"inputs.{source} changed"]}
 
 
 @pytest.mark.slow

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from stages.avatar.body.smpl_rest import smpl_rest
 from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import Soles
 from stages.avatar.motion.takes import SECONDS
 from stages.contract import StageError
+from stages.estimators.bodyfit.resting import posed_joints
 from stages.filming.motions import Manner, from_clip, from_file
 from stages.formats.body_model import read_body_model
 from tests.made import bvh as bvh_made
@@ -54,6 +57,33 @@ def test_a_jump_stays_a_jump_however_slowly_it_is_shown(soles, tmp_path):
         placed, facts = from_file(tmp_path / "jump.bvh", Manner(30.0, speed), soles, MODEL.parents.tolist())
         assert low(placed, soles).max() == pytest.approx(jump.max(), abs=0.03), facts
         assert len(placed.transl) == pytest.approx(30 / speed, abs=1 / speed)
+
+
+LIMBS = [(a, b) for chain in ((1, 4, 7), (2, 5, 8), (16, 18, 20), (17, 19, 21)) for a, b in zip(chain, chain[1:])]
+
+
+@pytest.mark.parametrize("layout", ["AMASS", "plain", "ours"])
+def test_limbs_point_where_smpls_point_though_the_free_body_rests_otherwise(soles, tmp_path, layout):
+    rng = np.random.default_rng(0)
+    orient, pose = np.zeros((9, 3)), 0.3 * rng.normal(size=(9, 69))
+    orient[:, 1] = 0.1 * np.arange(9)
+    columns = np.zeros((9, 156 if layout == "AMASS" else 72))
+    pose[:, 63:] = 0  # hands
+    columns[:, :66] = np.concatenate([orient, pose[:, :63]], 1)
+    ours = {"world_from_sfm": 1.0} if layout == "ours" else {}
+    np.savez(tmp_path / "move.npz", poses=columns, trans=np.zeros((9, 3)), fps=30.0, **ours)
+
+    def limbs(rest, *turns):
+        joints, _ = posed_joints(rest, *turns)
+        bones = np.stack([joints[:, b] - joints[:, a] for a, b in LIMBS], 1)
+        return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+    wanted = limbs(soles.joints if layout == "ours" else smpl_rest(), orient, pose)
+    placed, _ = from_file(tmp_path / "move.npz", Manner(30.0), soles, MODEL.parents.tolist(), MODEL.name)
+    found = limbs(soles.joints, placed.global_orient, placed.body_pose)
+    turned, _ = Rotation.align_vectors(wanted[0], found[0])  # it is made to look ahead
+    off = np.degrees(np.arccos(np.clip((turned.apply(found.reshape(-1, 3)) * wanted.reshape(-1, 3)).sum(-1), -1, 1)))
+    assert off.max() < 0.01
 
 
 def test_what_is_no_motion_is_refused(soles, tmp_path):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
-from stages.formats.poses import read_poses, write_poses
+from stages.formats.body_model import FREE, SMPL
+from stages.formats.poses import read_poses, whose, write_poses
 from stages.records import BodyPoses
 
 
@@ -70,3 +71,13 @@ def test_a_missing_key_or_file_is_named(tmp_path):
     (tmp_path / "cut.npz").write_bytes((tmp_path / "body.npz").read_bytes()[:100])
     with pytest.raises(StageError, match="cannot read"):
         read_poses(tmp_path / "cut.npz")
+
+
+@pytest.mark.parametrize("more,body", [({}, SMPL), ({"world_from_sfm": 1.0}, ""), ({"body": FREE}, FREE)])
+def test_a_file_says_whose_poses_it_holds(more, body):
+    assert whose({key: np.asarray(value) for key, value in more.items()}, "a.npz") == body
+
+
+def test_a_body_that_is_no_name_is_refused():
+    with pytest.raises(StageError, match="is no name"):
+        whose({"body": np.zeros(3)}, "a.npz")

@@ -7,23 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stages.avatar.body.smpl_rest import smpl_rest
 from stages.avatar.cameras.pinhole import rescale_viewmats
 from stages.estimators.bodyfit.given import import_fit
-from stages.estimators.bodyfit.resting import posed_joints, smpl_rest
+from stages.estimators.bodyfit.resting import posed_joints
 from stages.formats.body_model import read_body_model
 from stages.formats.given_fits.recognize import read_smpl_fit
 from stages.records import Cameras
 from tests.made import fits
 from tests.made.truth import joints_of
 
-TOOLS = [tool for tool in fits.FILES if tool not in ("AMASS", "AMASS SMPL-X", "plain")]  # poses of whichever body
 LIMBS = [4, 5, 7, 8, 16, 17, 18, 19, 20, 21]
 
 
+@pytest.fixture(scope="module")
+def truth():
+    """The clip as tools see it whose body rests as SMPL does."""
+    return replace(fits.make_truth(), rest=smpl_rest()[0])
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("tool", TOOLS)
-def test_pelvis_and_limbs_are_where_the_tool_sees_them(tool, tmp_path):
-    truth = replace(fits.make_truth(), rest=smpl_rest()[0])
+@pytest.mark.parametrize("tool", fits.FILES)
+def test_pelvis_and_limbs_are_where_the_tool_sees_them(tool, truth, tmp_path):
     cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
     fit = read_smpl_fit(fits.write(tool, fits.contents(tool, truth), tmp_path), truth.size)
     masks = list(truth.views.masks)

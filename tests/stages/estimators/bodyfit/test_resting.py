@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.estimators.bodyfit.resting import carry_over, nearest_shape, onto_body, posed_joints, smpl_rest
+from stages.avatar.body.smpl_rest import smpl_rest
+from stages.estimators.bodyfit.resting import carry_over, nearest_shape, onto_body, posed_joints
 from stages.formats.body_model import read_body_model
 from stages.formats.given_fits.record import SMPLX_PELVIS, SmplFit
 
