@@ -100,8 +100,7 @@ class Clothes:
 
     centres[K,3] m at rest; carriers[K,24]: the share of each of the skeleton's bones that carries it. Before it is carried
     it swings: swings[K,6,1+Q], for 1 and Q features of the pose = (body_pose - mean[69]) @ axes[69,Q], held within low[Q]
-    and high[Q], and sways[K,6,3] for each m of the sway of its spring[2], rad/s and share of critical damping, held
-    within reach[K] m. Of the six of a swing three are a turn in 0.3 rad, three a shift in 0.05 m.
+    and high[Q]. Of the six of a swing three are a turn in 0.3 rad, three a shift in 0.05 m.
     """
 
     swings: np.ndarray
@@ -111,9 +110,6 @@ class Clothes:
     axes: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    sways: np.ndarray
-    spring: np.ndarray
-    reach: np.ndarray
 
     @property
     def hang_on(self) -> np.ndarray:

@@ -123,4 +123,4 @@ def _motion(clip: Clip, learned: Learned, ground: Ground, soles: Soles, params: 
     middle = len(clip.names) // 2
     camera = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
     poses = (move.rotvecs[:, :3], move.rotvecs[:, 3:], move.steps)
-    yield from perform(learned, learned.scene, poses, [camera] * len(move.steps), params.fps)
+    yield from perform(learned, learned.scene, poses, [camera] * len(move.steps))

@@ -12,7 +12,7 @@ from stages.contract import Job
 if TYPE_CHECKING:
     from stages.estimators.detectors.finding import Finding
     from stages.formats.clip import Clip
-    from stages.formats.facts import Listing, Sfm
+    from stages.formats.facts import Sfm
 
 Effect = Literal["auto", "always", "never"]
 
@@ -60,12 +60,11 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     from stages.estimators.detectors.every import DETECTORS
     from stages.estimators.detectors.evidence import ClipEvidence
     from stages.formats.clip import load_clip
-    from stages.formats.facts import Listing, Sfm, read_facts
+    from stages.formats.facts import Sfm, read_facts
 
     facts = read_facts(sfm / "sfm.json", Sfm)
     clip = load_clip(sfm, smpl)
-    seconds = frame_seconds(read_facts(frames / "frames.json", Listing), clip.names)
-    evidence = ClipEvidence(clip, facts, (smpl / "landmarks.npz").exists(), seconds)
+    evidence = ClipEvidence(clip, facts, fitted=(smpl / "landmarks.npz").exists())
     measures, findings = camera_measures(facts, clip) | person_measures(clip), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
         job.progress(done, len(DETECTORS))
@@ -82,14 +81,6 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     starts = {name: list(finding.start) for name, finding in findings.items() if finding.start}
     found = {"measures": measures, "effects": effects, "decisions": decisions, "starts": starts}
     (job.out / "survey.json").write_text(json.dumps(found, indent=1) + "\n")
-
-
-def frame_seconds(listing: Listing, names: tuple[str, ...]) -> float:
-    """Median time from one of the frames `names` to the next, s; one or more cameras of a moment count once."""
-    import numpy as np
-
-    times = np.unique([frame.time_s for frame in listing.frames if frame.name in set(names)])
-    return float(np.median(np.diff(times))) if len(times) > 1 else 1 / 30
 
 
 def decide(setting: Effect, finding: Finding) -> dict:

@@ -12,7 +12,7 @@ import torch
 
 from stages import records
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.avatar import Baked, bones_through, load_avatar
+from stages.avatar.drawing.avatar import Baked, bones_of, load_avatar
 from stages.avatar.drawing.draw import Pose
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.shadow import Casters, casters
@@ -105,12 +105,10 @@ class Actor:
 
     @cached_property
     def bones(self) -> torch.Tensor:
-        """All bones [P,J,4,4] at each pose of the motion, of the skeleton and of clothes, which swing on from rest at the first."""
-        arrays = (self.global_orient, self.body_pose, self.transl)
-        poses = zip(*(torch.as_tensor(array).to(self.baked.joints) for array in arrays), strict=True)
-        times = [row / self.fps for row in range(len(self.transl))]
+        """All bones [P,J,4,4] at each pose of the motion, of the skeleton and of clothes."""
+        poses = zip(*(torch.as_tensor(part).to(self.baked.joints) for part in (self.global_orient, self.body_pose)))
         with torch.no_grad():
-            return torch.stack([bones for bones, _ in bones_through(self.baked, poses, times)])
+            return torch.stack([bones_of(self.baked, *pose) for pose in poses])
 
 
 def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:

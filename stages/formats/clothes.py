@@ -37,8 +37,5 @@ def clothes_of(arrays: Mapping[str, np.ndarray], name: str, hint: str) -> Clothe
         "axes": (3 * (JOINTS - 1), features),
         "low": (features,),
         "high": (features,),
-        "sways": (count, 6, 3),
-        "spring": (2,),
-        "reach": (count,),
     }
     return Clothes(**{key: checked(take(found, key, name, hint), shapes[key], key, name, hint) for key in shapes})

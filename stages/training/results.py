@@ -17,7 +17,7 @@ from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import Finished, finish, unseen
-from stages.training.finishing.swing import Course, fit_swing
+from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
 from stages.training.views import Person
 
@@ -135,14 +135,9 @@ def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener
 
 def _settle_swing(fit: Fit, body: Person, clothing: Clothing, table: Tensor, say: Listener) -> None:
     bones = [bone_transforms(body.joints, body.parents, *pose) for pose in zip(body.global_orient, body.body_pose)]
-    moments = torch.arange(len(fit.trained)) if fit.full.moments is None else fit.full.moments
-    course = Course(torch.stack(bones), body.transl, body.body_pose, moments * fit.options.frame_seconds)
-    untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, course)
-    free = clothing.spring[0].item()
-    spring = f"springs of {free:g} rad/s" if clothing.sways.any() else "no spring"
-    say.note(
-        f"{len(clothing)} bones of clothes, {spring}; {100 * untold:.0f} % of their swing in the frames is not told"
-    )
+    untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, torch.stack(bones), body.body_pose)
+    told = f"{100 * untold:.0f} % of their swing in the frames is not told by the pose"
+    say.note(f"{len(clothing)} bones of clothes; {told}")
 
 
 def _finished(fit: Fit, body: Person, say: Listener) -> Finished:

@@ -50,7 +50,7 @@ SCENE_FIRST = 0.5  # share of the steps that the scene has to itself where the t
 
 
 class Options(NamedTuple):
-    """What the clip, not a setting, decides about a training: `extent` in m, time from frame to frame, and what is learned."""
+    """What the clip, not a setting, decides about a training: `extent` in m, and what is learned."""
 
     extent: float
     refine_pose: bool = True
@@ -58,7 +58,6 @@ class Options(NamedTuple):
     exposure: bool = False
     antialias: bool = False
     growth_rounds: int = 20
-    frame_seconds: float = 1 / 30
 
 
 class Phase(NamedTuple):

@@ -123,7 +123,6 @@ class _Start:
             refine_camera=on.get("camera_refinement", False),
             exposure=on.get("exposure", False),
             antialias=on.get("antialias", False),
-            frame_seconds=self.starts.get("clothing", [1 / 30])[0],
         )
         effects = self._effects(person)
         transients = Transients(views, self.train) if on.get("transients", False) and scene is not None else None

@@ -6,8 +6,8 @@ Seed 0 of each garment is for setting constants, seed 1 is asked; `none` wears n
 cameras are the true ones.
 Masks and poses are true or, with `--own`, found as the stages masks, sfm and smpl find them. Survey's detector decides
 whether clothes are modelled. Printed: PSNR and LPIPS in the person's box, of frames that were not trained on, as
-training draws them and as the finished avatar swings through them, and of six poses that no frame shows, in which its
-clothes are at rest. A picture of each clip shows the latter beside the truth; the avatar is kept, too.
+training draws them and as the finished avatar is in them, and of six poses that no frame shows, in which true clothes
+are at rest. A picture of each clip shows the latter beside the truth; the avatar is kept, too.
 """
 
 from __future__ import annotations
@@ -52,7 +52,6 @@ from tests.made.truth import align, in_result_world
 
 GARMENTS = ("skirt", "coat", "ponytail", "bag", "none")
 SEEDS = {"setting": 0, "asked": 1}
-FPS = 12.0
 KINDS = (read_image, "images"), (read_mask, "masks")
 Scored = tuple[dict[str, float | None], np.ndarray]
 SIZE = {"frames": 40, "width": 192, "height": 256, "points": 3000}
@@ -96,11 +95,10 @@ def correct_masks(sfm: Path) -> None:
 def trained(place: Path, steps: int, own: bool, clothing: bool | None) -> tuple[Fit, dict[str, Any]]:
     """The training of a clip, and what is to be said of it; `clothing` overrides the detector."""
     clip, facts = load_clip(place / "sfm", place / "smpl"), read_facts(place / "sfm" / "sfm.json", Sfm)
-    finding = detect(ClipEvidence(clip, facts, own, 1 / FPS))
+    finding = detect(ClipEvidence(clip, facts, own))
     on = finding.called_for if clothing is None else clothing
     params = train.Params(steps=steps, **PARAMS)
-    starts = {"clothing": [1 / FPS]}
-    fit = build(Task(clip, params, {"pose_refinement": own, "clothing": on}, starts), lambda text: None)
+    fit = build(Task(clip, params, {"pose_refinement": own, "clothing": on}), lambda text: None)
     began = time.process_time()
     while fit.progress.step < steps:
         fit.advance()
@@ -139,15 +137,13 @@ def novel(place: Path, shown: Shown) -> tuple[dict[str, float], np.ndarray]:
     return means(found), np.concatenate(tiles, 1)
 
 
-def swinging(shown: Shown, fit: Fit, others: list[int]) -> dict[str, float]:
-    """Mean scores of the frames `others` while the avatar goes through the whole clip and its clothes swing."""
-    poses = [pose_of(shown.result.body, i) for i in range(len(shown.clip.names))]
+def finished(shown: Shown, fit: Fit, others: list[int]) -> dict[str, float]:
+    """Mean scores of the finished avatar in the frames `others`."""
     viewmats, views, found = fit.cameras(), fit.full, []
-    for i, person in enumerate(shown.learned.people(poses, np.arange(len(poses)) / FPS)):
-        if i in others:
-            mask = views.masks[i].numpy()
-            camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
-            found.append(shown.score(person, poses[i], camera, views.images[i].numpy(), mask)[0])
+    for i in others:
+        mask, pose = views.masks[i].numpy(), pose_of(shown.result.body, i)
+        camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
+        found.append(shown.score(shown.learned.person(pose), pose, camera, views.images[i].numpy(), mask)[0])
     return means(found)
 
 
@@ -168,7 +164,7 @@ def rate(work: Path, garment: str, seed: int, args: argparse.Namespace, lpips: L
     shown = Shown(clip, result, load_learned(result.avatar, result.scene, result.effects or Effects()), lpips)
     scored, picture = novel(place, shown)
     write_image(place / f"novel{args.tag}.png", picture)
-    row |= {"clip": f"{garment}{seed}", "own": args.own, "novel": scored, "swinging": swinging(shown, fit, others)}
+    row |= {"clip": f"{garment}{seed}", "own": args.own, "novel": scored, "finished": finished(shown, fit, others)}
     return row | {"heldout": {key: heldout[f"{key}_person"] for key in ("psnr", "lpips")}}
 
 
@@ -191,7 +187,7 @@ def main() -> None:
         row = rows[-1]
         parts = "   ".join(
             f"{kind} {row[kind]['psnr']:.2f} dB, LPIPS {row[kind]['lpips']:.3f}"
-            for kind in ("heldout", "swinging", "novel")
+            for kind in ("heldout", "finished", "novel")
         )
         off = "nothing" if row["off"] is None else f"{row['off']:.3f}"
         print(f"{row['clip']:<10} {'own' if args.own else 'true'}  off the body {off}, {'on ' if row['on'] else 'off'}  "

@@ -16,7 +16,7 @@ from stages.training.views import Person
 
 
 def some_clothes(count: int = 5, seed: int = 5) -> Clothes:
-    """Bones down the body that swing by some 10 cm, each its own way, with the shoulders, one knee, and on springs."""
+    """Bones down the body that swing by some 10 cm, each its own way, with the shoulders and one knee."""
     rng = np.random.default_rng(seed)
     axes = np.zeros((69, 2))
     axes[[47, 50], 0], axes[9, 1] = [1.2, -0.8], 1.0
@@ -28,9 +28,6 @@ def some_clothes(count: int = 5, seed: int = 5) -> Clothes:
         axes=axes,
         low=np.full(2, -0.7),
         high=np.full(2, 0.6),
-        sways=rng.normal(0, 4.0, (count, 6, 3)),
-        spring=np.array([7.0, 0.3]),
-        reach=np.full(count, 0.08),
     )
 
 

@@ -1,7 +1,6 @@
 """Stage survey decides on scene and effects by what it measures."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -106,19 +105,7 @@ def body_clip(tmp_path):
         write_mask(sfm / "masks" / f"{name}.png", drawn.astype(np.uint8) * 255)
     facts = {"verdict": "static camera", "distortion": {"max_shift_px": 0.0}}
     (sfm / "sfm.json").write_text(json.dumps(facts))
-    video = {"path": "/clips/dance.mp4", "width": 96, "height": 128, "fps": 30, "frames": 5}
-    listed = [{"name": name, "index": int(name), "time_s": int(name) / 30} for name in names]
-    listing = {"video": video, "width": 96, "height": 128, "frames": listed}
-    (tmp_path / "frames.json").write_text(json.dumps(listing))
     return sfm, smpl
-
-
-def test_the_time_between_frames_is_that_of_the_frames_that_have_a_camera():
-    frames = [SimpleNamespace(name=f"{i}", time_s=time) for i, time in enumerate([0.0, 0.1, 0.2, 0.2, 0.3, 9.0])]
-    listing = SimpleNamespace(frames=frames)
-    assert survey.frame_seconds(listing, ("0", "1", "2", "3", "4")) == pytest.approx(0.1)
-    assert survey.frame_seconds(listing, ("0", "4", "5")) == pytest.approx((0.3 + 8.7) / 2)
-    assert survey.frame_seconds(listing, ("2", "3")) == 1 / 30
 
 
 def test_the_stage_on_a_static_clip(body_clip, tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from torch import Tensor
 from stages import records
 from stages.avatar.body.rotations import matrix_from_quat
 from stages.avatar.effects.clothing import Clothing
-from stages.avatar.effects.spring import Springs
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
 from stages.avatar.splats.gaussians import Splats
 
@@ -49,26 +47,13 @@ Pose = tuple[Tensor, Tensor, Tensor]
 
 
 def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
-    """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs.
-
-    Clothes hang at rest.
-    """
-    return next(pose_through(avatar, [(global_orient, body_pose, transl)], [0.0]))
+    """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
+    bones = bones_of(avatar, global_orient, body_pose)
+    return pose(avatar.resting, bones, transl)._replace(antialias=avatar.antialias)
 
 
-def pose_through(avatar: Baked, poses: Iterable[Pose], times: Iterable[float]) -> Iterator[Splats]:
-    """The avatar going through poses at `times` in s, rising: clothes swing on, from rest at the first."""
-    for bones, (_, _, transl) in bones_through(avatar, poses, times):
-        yield pose(avatar.resting, bones, transl)._replace(antialias=avatar.antialias)
-
-
-def bones_through(avatar: Baked, poses: Iterable[Pose], times: Iterable[float]) -> Iterator[tuple[Tensor, Pose]]:
-    """All bones [J,4,4], the skeleton's and those of the clothes, as `pose_through`; and the poses."""
+def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
+    """All bones [J,4,4] from rest to a pose, the skeleton's and those of the clothes, as they swing in it."""
+    bones = bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose)
     clothing = avatar.clothing
-    springs = None if clothing is None else Springs(clothing)
-    for one, time in zip(poses, times, strict=True):
-        orient, body_pose, transl = one
-        bones = bone_transforms(avatar.joints, avatar.parents, orient, body_pose)
-        if clothing is not None and springs is not None:
-            bones = clothing.hang(bones, clothing.swing(body_pose, springs.at(bones, transl, time)))
-        yield bones, one
+    return bones if clothing is None else clothing.hang(bones, clothing.swing(body_pose))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from stages import records
-from stages.avatar.drawing.avatar import Baked, load_avatar, pose_through
+from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import FrameMotion, Speeds
@@ -28,17 +28,8 @@ class Learned(NamedTuple):
     effects: FrameEffects
 
     def person(self, pose: Pose) -> Splats:
-        """The person's Gaussians in the world at one pose, their clothes at rest."""
-        return next(self.people([pose], np.zeros(1)))
-
-    def people(self, poses: Iterable[Pose], times: np.ndarray) -> Iterator[Splats]:
-        """The same going through `poses` at `times` [F] s, rising, with clothes that swing."""
-
-        def tensors(pose: Pose) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-            orient, body, transl = (torch.as_tensor(part).to(self.avatar.joints) for part in pose)
-            return orient, body, transl
-
-        return pose_through(self.avatar, map(tensors, poses), times.tolist())
+        """The person's Gaussians in the world at one pose."""
+        return pose_avatar(self.avatar, *(torch.as_tensor(part).to(self.avatar.joints) for part in pose))
 
     def shade(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
         """A scene, ours or another, with the shadow of the person at a pose, None for nobody."""
@@ -104,16 +95,11 @@ def perform(
     scene: Splats | None,
     poses: tuple[np.ndarray, np.ndarray, np.ndarray],
     cameras: Iterable[Camera],
-    fps: float,
 ) -> Iterator[np.ndarray]:
-    """Pictures of the person going through `poses`, `fps` a second; a camera each.
-
-    `poses`: global_orient [F,3], body_pose [F,69], transl [F,3].
-    """
-    each = list(zip(*poses, strict=True))
-    people = learned.people(each, np.arange(len(each)) / fps)
-    for there, human, camera in zip(each, people, cameras, strict=True):
-        yield to_uint8(draw(human, learned.shade(scene, there), camera, background=0.0 if scene else 1.0)[0])
+    """Pictures of the person in each of `poses`: global_orient [F,3], body_pose [F,69], transl [F,3]; a camera each."""
+    for there, camera in zip(zip(*poses, strict=True), cameras, strict=True):
+        human, ground = learned.person(there), learned.shade(scene, there)
+        yield to_uint8(draw(human, ground, camera, background=0.0 if scene else 1.0)[0])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from stages import records
 from stages.avatar.body.rotations import quat_from_matrix
-from stages.avatar.drawing.avatar import Baked, Pose, bones_through, pose_through
+from stages.avatar.drawing.avatar import Baked, Pose, bones_of, pose_avatar
 from stages.avatar.splats.factor import factored
 
 
 def posed(avatar: Baked, take: records.Take) -> Iterator[records.Scene]:
     """The Gaussians at each pose of the take, y up."""
-    for splats in pose_through(avatar, _poses(avatar, take), take.times.tolist()):
-        yield factored(splats)
+    for pose in _poses(avatar, take):
+        yield factored(pose_avatar(avatar, *pose))
 
 
 def hung(avatar: Baked, take: records.Take) -> records.Take:
@@ -30,7 +30,8 @@ def hung(avatar: Baked, take: records.Take) -> records.Take:
     if clothing is None:
         return take
     parents, places = clothing.carriers.argmax(1), []
-    for bones, _ in bones_through(avatar, _poses(avatar, take), take.times.tolist()):
+    for orient, pose, _ in _poses(avatar, take):
+        bones = bones_of(avatar, orient, pose)
         joint, own = bones[parents], bones[len(avatar.parents) :]
         turn = joint[:, :3, :3].mT @ own[:, :3, :3]
         left, _, right = torch.linalg.svd(turn)

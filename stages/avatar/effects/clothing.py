@@ -2,9 +2,8 @@
 
 Game characters have such bones for skirts and hair; ReLoo (https://arxiv.org/abs/2409.15269) learns them from video. A bone
 is carried by a blend of the skeleton's, so without a swing it moves like the skin around. Its swing, a turn and a shift
-in the rest pose, is linear in features of the pose, principal components of the training poses, and in the sway of a
-damped spring that hangs on it. Both are held within what training saw, so that nothing new makes clothes explode. Posing
-stays skinning.
+in the rest pose, is linear in features of the pose, principal components of the training poses, which are held within
+what training saw, so that nothing new makes clothes explode. Posing stays skinning.
 """
 
 from __future__ import annotations
@@ -38,9 +37,8 @@ class Hung(NamedTuple):
 class Clothing(nn.Module):
     """K bones at `centres` [K,3] m at rest, carried by `carriers` [K,24] of the skeleton's.
 
-    Their swing in UNITS is swings[K,6,1+Q] @ features + sways[K,6,3] @ sway. Features [1+Q] of a body pose are 1 and (pose -
-    mean[69]) @ axes[69,Q], within low and high[Q]; the sway [K,3] m is that of a spring[2], rad/s and share of critical damping,
-    within reach[K] m.
+    Their swing in UNITS is swings[K,6,1+Q] @ features. Features [1+Q] of a body pose are 1 and (pose - mean[69]) @
+    axes[69,Q], within low and high[Q].
     """
 
     centres: Tensor
@@ -49,9 +47,6 @@ class Clothing(nn.Module):
     axes: Tensor
     low: Tensor
     high: Tensor
-    sways: Tensor
-    spring: Tensor
-    reach: Tensor
     units: Tensor
 
     def __init__(self, swings: Tensor, **fixed: Tensor):
@@ -77,9 +72,6 @@ class Clothing(nn.Module):
             axes=axes,
             low=features.amin(0),
             high=features.amax(0),
-            sways=poses.new_zeros(count, 6, 3),
-            spring=poses.new_ones(2),
-            reach=poses.new_zeros(count),
         )
 
     @classmethod
@@ -96,14 +88,9 @@ class Clothing(nn.Module):
         principal = ((body_pose - self.mean) @ self.axes).clamp(self.low, self.high)
         return torch.cat([torch.ones_like(body_pose[..., :1]), principal], -1)
 
-    def swing(self, body_pose: Tensor, sway: Tensor | None = None) -> Tensor:
-        """The bones' swing [K,6] in UNITS in one pose [69] while their springs are off by `sway` [K,3] m, at rest if None."""
-        swing = self.swings @ self.features(body_pose)
-        if sway is None:
-            return swing
-        size = sway.norm(dim=1).clamp_min(1e-9)
-        held = sway * (self.reach / size).clamp(max=1)[:, None]
-        return swing + (self.sways @ held[..., None])[..., 0]
+    def swing(self, body_pose: Tensor) -> Tensor:
+        """The bones' swing [K,6] in UNITS in one pose [69]."""
+        return self.swings @ self.features(body_pose)
 
     def carried(self, bones: Tensor) -> Tensor:
         """Transforms [...,K,4,4] by which the skeleton's bones[...,24,4,4] carry those here."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,8 +40,7 @@ def detect(evidence: ClipEvidence) -> Finding:
     off = off_the_body(evidence) if np.nanmedian(outside) > OUTSIDE else 0.0
     doubt = evidence.fitted and off > OFF
     words = ("stands off the body", "cannot be told from errors of our body fit" if doubt else "stays with the body")
-    found = compare(off, UNIT, limit, words, strongest_frames(clip.names, outside))
-    return replace(found, start=(evidence.frame_seconds,)) if found.called_for else found
+    return compare(off, UNIT, limit, words, strongest_frames(clip.names, outside))
 
 
 def off_the_body(evidence: ClipEvidence) -> float:

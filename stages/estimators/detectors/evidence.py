@@ -25,13 +25,12 @@ FRAMES = 30  # enough for a median or a share; detectors that look at pictures t
 class ClipEvidence:
     """A clip before training, with the facts of sfm.json; what several detectors need is computed once.
 
-    `fitted`: the poses are our own fit to landmarks, not given. `frame_seconds`: the time from frame to frame.
+    `fitted`: the poses are our own fit to landmarks, not given.
     """
 
     clip: Clip
     facts: Sfm
     fitted: bool = False
-    frame_seconds: float = 1 / 30
 
     @property
     def moving(self) -> bool:

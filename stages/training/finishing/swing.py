@@ -1,8 +1,6 @@
-"""What clothes did in the frames becomes what they do: how their swing follows the pose and the sway of springs."""
+"""What clothes did in the frames becomes what they do: how their swing follows the pose."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import torch
 from scipy.optimize import nnls
@@ -10,53 +8,26 @@ from torch import Tensor
 
 from stages.avatar.body.rotations import rotvec_from_matrix
 from stages.avatar.effects.clothing import Clothing
-from stages.avatar.effects.spring import sways
 
 OFF = 0.15  # m around a bone's centre at which it is told what carries it
 STAY = 1e-3  # m^2 in each frame: pull of a bone's carriers to those that spread from the skin
 FULL = 10.0  # weight of the sum of a bone's carriers, which is one
 RIDGES = (1.0, 3.0, 10.0, 30.0, 100.0, 1e9)  # frames that say that nothing swings; with the last nothing does
-FREE, DAMPING = (4.0, 6.0, 9.0, 13.0), (0.15, 0.35, 0.7)  # rad/s, share of critical: springs that are tried
 PARTS = 4  # of the clip, each told from the others
-GAIN = 0.05  # share of the squared error that a spring must take away
-
-
-class Course(NamedTuple):
-    """How the skeleton goes through the F frames of a clip: bones[F,24,4,4], transl[F,3] m, body_pose[F,69], times[F] s."""
-
-    bones: Tensor
-    transl: Tensor
-    body_pose: Tensor
-    times: Tensor
 
 
 @torch.no_grad()
-def fit_swing(clothing: Clothing, table: Tensor, trained: Tensor, course: Course) -> float:
+def fit_swing(clothing: Clothing, table: Tensor, trained: Tensor, bones: Tensor, body_pose: Tensor) -> float:
     """Fit `clothing` in place to the swing table[F,K,6] that the frames trained[F] have on top of it.
 
-    Returns the share of the squared swing that it does not tell, each part of the clip told from the others.
+    In the F frames the skeleton has bones[F,24,4,4] in the poses body_pose[F,69]. Returns the share of the squared swing that
+    the pose does not tell, each part of the clip told from the others.
     """
-    features = clothing.features(course.body_pose)
+    features = clothing.features(body_pose)
     swing = ((clothing.swings @ features.T).permute(2, 0, 1) + table)[trained]
-    wanted = _carry_anew(clothing, course.bones[trained], swing)
-    alone = features[trained][:, None].expand(-1, len(clothing), -1)
-    best, (error, ridge) = None, _best_ridge(alone, wanted)
-    limit = (1 - GAIN) * error
-    for free in FREE:
-        for damping in DAMPING:
-            clothing.spring.copy_(torch.tensor([free, damping]))
-            sway = torch.stack(list(sways(clothing, course.bones, course.transl, course.times)))
-            found, pull = _best_ridge(torch.cat([alone, sway[trained]], 2), wanted)
-            if found < min(error, limit):
-                best, error, ridge = (free, damping, sway), found, pull
-    told = alone if best is None else torch.cat([alone, best[2][trained]], 2)
-    fitted = _ridge(told, wanted, ridge)
-    count = features.shape[1]
-    clothing.swings.copy_(fitted[..., :count])
-    if best is not None:
-        clothing.spring.copy_(torch.tensor(best[:2]))
-        clothing.sways.copy_(fitted[..., count:])
-        clothing.reach.copy_(best[2].norm(dim=2).amax(0))
+    wanted, told = _carry_anew(clothing, bones[trained], swing), features[trained]
+    error, ridge = min((_untold(told, wanted, ridge), ridge) for ridge in RIDGES)
+    clothing.swings.copy_(_ridge(told, wanted, ridge))
     return error / float(wanted.square().mean().clamp_min(1e-12))
 
 
@@ -89,20 +60,15 @@ def _carry_anew(clothing: Clothing, bones: Tensor, swing: Tensor) -> Tensor:
     return torch.cat([rotvec_from_matrix(turn), shift], -1) / clothing.units
 
 
-def _best_ridge(told: Tensor, wanted: Tensor) -> tuple[float, float]:
-    """The least error of `_untold`, and the pull of RIDGES that has it."""
-    return min((_untold(told, wanted, ridge), ridge) for ridge in RIDGES)
-
-
 def _ridge(told: Tensor, wanted: Tensor, ridge: float) -> Tensor:
-    """Factors [K,6,R] that take told[F,K,R] to wanted[F,K,6], pulled to 0; each of R by its own size."""
-    x, y = told.permute(1, 0, 2).double(), wanted.permute(1, 0, 2).double()
-    size = x.square().mean(1, keepdim=True).sqrt().clamp_min(1e-9)
+    """Factors [K,6,R] that take told[F,R] to wanted[F,K,6], pulled to 0; each of R by its own size."""
+    x, y = told.double(), wanted.flatten(1).double()
+    size = x.square().mean(0).sqrt().clamp_min(1e-9)
     x = x / size
-    eye = ridge * torch.eye(x.shape[2], dtype=x.dtype)
+    eye = ridge * torch.eye(x.shape[1], dtype=x.dtype)
     eye[0, 0] = 1e-6  # the first is 1: what clothes do on average is their shape
-    found = torch.linalg.solve(x.mT @ x + eye, x.mT @ y) / size.mT
-    return found.mT.to(told)
+    found = torch.linalg.solve(x.mT @ x + eye, x.mT @ y) / size[:, None]
+    return found.mT.unflatten(0, wanted.shape[1:]).to(told)
 
 
 def _untold(told: Tensor, wanted: Tensor, ridge: float) -> float:
@@ -111,5 +77,5 @@ def _untold(told: Tensor, wanted: Tensor, ridge: float) -> float:
     errors = []
     for i in range(PARTS):
         factors = _ridge(told[part != i], wanted[part != i], ridge)
-        errors.append((torch.einsum("kor,fkr->fko", factors, told[part == i]) - wanted[part == i]).square())
+        errors.append(((factors @ told[part == i].T).permute(2, 0, 1) - wanted[part == i]).square())
     return float(torch.cat(errors).mean())

@@ -20,7 +20,6 @@ from stages.filming.parts import Parts
 from stages.filming.setting import load_setting
 from stages.filming.shoot import Shoot
 from stages.filming.spec import Film, Person
-from stages.formats.splats import read_avatar, write_splats
 from tests.made import exhibits
 from tests.made.devtools import Page
 
@@ -30,9 +29,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def shoot(tmp_path_factory) -> Shoot:
     run = exhibits.make(tmp_path_factory.mktemp("page") / "run")["train"].parent
-    avatar = read_avatar(run / "train" / "avatar.npz")
-    stiff = replace(avatar.clothes, sways=0 * avatar.clothes.sways)  # a page that is paused knows of no pose before
-    write_splats(run / "train" / "avatar.npz", replace(avatar, clothes=stiff))
     people = [
         Person(avatar=run, motion="wave", at=(-0.4, 0)),
         Person(avatar=run, motion="squats", at=(0.5, 0.3), scale=0.7),

@@ -23,10 +23,10 @@ export class Person {
 
   get mesh() { return this.body.mesh; }
 
-  /** Take a pose, {quats [24], step [3]}, at a `time` of its motion in s, or null; returns where its bones are. */
-  take({ quats, step }, time = null) {
+  /** Take a pose, {quats [24], step [3]}; returns where its bones are. */
+  take({ quats, step }) {
     const bones = bonesOf(quats, this.joints, this.parents), { turns, shifts } = bones;
-    const hung = this.clothes?.hang(bones, quats.slice(1).flatMap(rotvecOfQuat), step, time);
+    const hung = this.clothes?.hang(bones, quats.slice(1).flatMap(rotvecOfQuat));
     this.skin.take(hung ? { turns: [...turns, ...hung.turns], shifts: [...shifts, ...hung.shifts] } : bones);
     this.mesh.position.fromArray(this.placed(step));
     this.mesh.scale.setScalar(this.stand.scale);

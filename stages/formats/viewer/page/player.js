@@ -58,8 +58,7 @@ export class Player {
     const wanted = JSON.stringify([this.motions.indexOf(this.motion), at, seen, this.show, this.shaded, [...this.bends]]);
     if (wanted === this.posed) return;
     this.posed = wanted;
-    const time = this.playing ? at / this.motion.fps : null;
-    const bones = people.map((person, who) => person.take(this.bent(this.motion.at(at, who)), time));
+    const bones = people.map((person, who) => person.take(this.bent(this.motion.at(at, who))));
     if (scene && this.shadow && this.show !== "person") this.shadow.cast(scene, this.shaded && seen ? people : [], bones);
   }
 

@@ -80,14 +80,11 @@ def test_a_swing_turns_about_the_centre_and_shifts_it(clothing):
     assert hung[0, 0, 0] == pytest.approx(np.cos(0.6)) and torch.equal(hung[2], torch.eye(4))
 
 
-def test_no_pose_and_no_spring_makes_clothes_explode(clothing):
+def test_no_pose_makes_clothes_explode(clothing):
     torch.nn.init.normal_(clothing.swings, std=0.3)
-    torch.nn.init.normal_(clothing.sways, std=3.0)
-    clothing.reach.fill_(0.1)
-    wild, far = torch.full((69,), 40.0), torch.full((len(clothing), 3), 1e6)
+    wild = torch.full((69,), 40.0)
     most = torch.cat([torch.ones(1), torch.maximum(clothing.low.abs(), clothing.high.abs())])
-    bound = (clothing.swings.detach().abs() @ most) + clothing.sways.norm(dim=2) * 0.1
-    assert (clothing.swing(wild, far).abs() <= bound + 1e-5).all()
+    assert (clothing.swing(wild).abs() <= clothing.swings.detach().abs() @ most + 1e-5).all()
     held = wild.clone().requires_grad_()
     clothing.features(held).sum().backward()
     assert (held.grad == 0).all(), "beyond what was seen a pose changes nothing more"

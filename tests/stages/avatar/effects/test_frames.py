@@ -190,7 +190,7 @@ def test_a_person_who_performs_takes_the_shadow_along(held):
     over, size = np.tile([np.pi, 0, 0], (2, 1)), (tiny.WIDTH, tiny.HEIGHT)
     moves = (over, poses.body_pose[:2], poses.transl[3] + np.stack([0 * to, to]))
     camera = Camera.of(views[3], pinhole(tiny.FOCAL, *size), *size)
-    shown = [perform(one, one.scene, moves, [camera] * 2, 30.0) for one in (plain, lit)]
+    shown = [perform(one, one.scene, moves, [camera] * 2) for one in (plain, lit)]
     lost = [a.astype(float) - b for a, b in zip(*shown)]
     middles = []
     for i, dark in enumerate(lost):
