@@ -264,7 +264,8 @@ class Effects:
     all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the
     share of its covariance that casts; `middles` [24,3] m and `covariances` [24,3,3] m^2 of the body's parts at rest. Of the
     time between two frames `shutter` is the share in which the shutter is
-    open, `readout` that in which the rows are read, negative from below.
+    open, `readout` that in which the rows are read, negative from below. `shading` [8,3]: the log of the light on the person,
+    a colour each, in spherical harmonics of degree 1 and 2 of the world's directions.
     """
 
     light: np.ndarray | None = None
@@ -276,6 +277,7 @@ class Effects:
     covariances: np.ndarray | None = None
     shutter: float | None = None
     readout: float | None = None
+    shading: np.ndarray | None = None
 
     def known(self) -> dict[str, np.ndarray]:
         """What is not None, by name."""

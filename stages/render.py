@@ -104,11 +104,12 @@ def _empty(clip: Clip, learned: Learned) -> Iterator[np.ndarray]:
 
 
 def _turntable(learned: Learned, count: int) -> Iterator[np.ndarray]:
-    """The person, standing relaxed, from all sides over white."""
+    """The person, standing relaxed, from all sides over white, in even light."""
     from stages.avatar.drawing.draw import draw, to_uint8
     from stages.avatar.drawing.turntable import around, standing
+    from stages.avatar.effects.frames import FrameEffects
 
-    human = learned.person(standing())
+    human = learned._replace(effects=FrameEffects()).person(standing())
     for camera in around(human.means.cpu().numpy(), count):
         yield to_uint8(draw(human, None, camera, 1.0)[0])
 

@@ -41,6 +41,8 @@ class Params(contract.Params):
     """Frames are blurred while the shutter is open. auto: when edges across the motion are wider."""
     shadow: Effect = "auto"
     """The person's shadow on the floor. auto: when the floor darkens where the body takes the light."""
+    shading: Effect = "auto"
+    """The clip's light on the person. auto: when places on the body brighten or darken as they turn."""
     clothing: Effect = "auto"
     """Clothes and hair with bones of their own. auto: when masks from all sides agree on something off the body."""
     pose_refinement: Effect = "auto"

@@ -14,7 +14,7 @@ from stages.records import Effects
 
 HINT = "train again: `hugs run VIDEO train --force`"
 SHADOW = ("light", "darkness", "softness", "density", "size", "middles", "covariances")
-_SHAPES = {"light": (3,), "middles": (24, 3), "covariances": (24, 3, 3)}
+_SHAPES = {"light": (3,), "middles": (24, 3), "covariances": (24, 3, 3), "shading": (8, 3)}
 _LIMITS = {
     "darkness": (0, 1),
     "softness": (0, 1e3),

@@ -23,6 +23,7 @@ OPTIONS = {
 }
 PARTS = {
     "shadow": "shadow",
+    "shading": "shading",
     "motion_blur": "shutter",
     "rolling_shutter": "readout",
     "clothing": "clothing",

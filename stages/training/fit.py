@@ -262,12 +262,12 @@ class Fit:
     # ---- what there is at a frame ----
 
     def posed(self, resting: Resting, *at: Tensor, frame: int | None = None) -> Splats:
-        """The person in the world `at` a pose as of `body`; clothes as they swing in a `frame`, or as they do in that pose."""
+        """The person in the world and its light `at` a pose as of `body`; clothes as they swing in a `frame`, or in that pose."""
         body, (orient, body_pose, transl) = self.person.body, at
         bones = bone_transforms(body.joints, body.parents, orient, body_pose)
         if body.clothing is not None:
             bones = body.clothing.hang(bones, self.frames.swing_of(frame, self.effects.swing(body_pose)))
-        return pose(resting, bones, transl)._replace(antialias=self.options.antialias)
+        return self.effects.lit(pose(resting, bones, transl)._replace(antialias=self.options.antialias))
 
     def stance(self, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Stance:
         """How the person's body stands, for the shadow."""

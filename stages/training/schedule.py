@@ -38,6 +38,7 @@ LR_EFFECTS = {
     "shutter": 1e-2,
     "readout": 1e-2,
     "swings": 5e-3,
+    "bands": 1e-2,
 }
 LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)

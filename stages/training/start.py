@@ -13,6 +13,7 @@ from torch import Tensor
 from stages.avatar.body.hull import CELL
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import DARKNESS, casters
 from stages.avatar.effects.sky import RADIUS, open_sky, shell
 from stages.avatar.measures.lpips import Lpips
@@ -239,4 +240,5 @@ class _Start:
         times = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
         effects = FrameEffects.starting(light, parts, shadow, **times)
         effects.clothing = person.clothing
+        effects.shading = Shading().to(light) if on.get("shading", False) else None
         return effects

@@ -28,8 +28,9 @@ class Learned(NamedTuple):
     effects: FrameEffects
 
     def person(self, pose: Pose) -> Splats:
-        """The person's Gaussians in the world at one pose."""
-        return pose_avatar(self.avatar, *(torch.as_tensor(part).to(self.avatar.joints) for part in pose))
+        """The person's Gaussians in the clip's world at one pose, in its light."""
+        posed = pose_avatar(self.avatar, *(torch.as_tensor(part).to(self.avatar.joints) for part in pose))
+        return self.effects.lit(posed)
 
     def shade(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
         """A scene, ours or another, with the shadow of the person at a pose, None for nobody."""

@@ -1,4 +1,4 @@
-"""Draws a frame of the clip with the clip's effects: shadow, motion blur, rolling shutter and clothes."""
+"""Draws a frame of the clip with the clip's effects: shadow, shading, motion blur, rolling shutter and clothes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from stages import records
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.motion_blur import START, BlurredRendering, expose
 from stages.avatar.effects.rolling_shutter import roll_shutter
+from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
 from stages.avatar.effects.speeds import FrameMotion, move
 from stages.avatar.rasterize import Camera, Layer, Rendering
@@ -24,7 +25,7 @@ class FrameEffects(nn.Module):
 
     `shutter` [1] is the share of a moment for which the shutter is open (motion blur), `readout` [1] the share in which
     the rows are read from top to bottom (rolling shutter). A moment is the time between two frames of the clip.
-    `clothing` are the bones of the person's clothes.
+    `clothing` are the bones of the person's clothes, `shading` the light on the person.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -33,6 +34,7 @@ class FrameEffects(nn.Module):
         self.shutter = None if shutter is None else nn.Parameter(torch.tensor([shutter]))
         self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
         self.clothing: Clothing | None = None
+        self.shading: Shading | None = None
 
     @classmethod
     def starting(
@@ -61,7 +63,11 @@ class FrameEffects(nn.Module):
 
     def prior(self) -> Tensor | float:
         """The regularizer of the effects, part of a step's loss."""
-        return 0.0 if self.clothing is None else self.clothing.prior()
+        return sum(part.prior() for part in (self.clothing, self.shading) if part is not None)
+
+    def lit(self, person: Splats) -> Splats:
+        """A person in the clip's world, in its light."""
+        return person if self.shading is None else self.shading(person)
 
     def shade(self, scene: Splats | None, stance: Stance | None) -> Splats | None:
         """The scene with the shadow of a person who stands as `stance` says, None for nobody."""
@@ -111,7 +117,9 @@ class FrameEffects(nn.Module):
     def known(self) -> dict[str, Any]:
         """The fields of `records.Effects` that are on."""
         times = {"shutter": self.shutter, "readout": self.readout}
-        found = {name: value.item() for name, value in times.items() if value is not None}
+        found: dict[str, Any] = {name: value.item() for name, value in times.items() if value is not None}
+        if self.shading is not None:
+            found["shading"] = self.shading.bands.detach().cpu().numpy()
         return found | ({} if self.shadow is None else self.shadow.known())
 
 
@@ -122,4 +130,7 @@ def load_effects(effects: records.Effects) -> FrameEffects:
         numbers = (float(known[name]) for name in ("darkness", "softness", "density", "size"))
         body = Casters(torch.as_tensor(known["middles"]), torch.as_tensor(known["covariances"]))
         shadow = Shadow(torch.as_tensor(known["light"]).float(), body, *numbers)
-    return FrameEffects(shadow, effects.shutter, effects.readout).requires_grad_(False)
+    loaded = FrameEffects(shadow, effects.shutter, effects.readout)
+    if effects.shading is not None:
+        loaded.shading = Shading(torch.as_tensor(effects.shading).float())
+    return loaded.requires_grad_(False)

@@ -81,9 +81,7 @@ def rotate_sh(higher: Tensor, rotations: Tensor) -> Tensor:
     degree = math.isqrt(higher.shape[1] + 1) - 1
     if degree == 0 or len(higher) == 0:
         return higher
-    i = torch.arange(4 * bases(degree), dtype=torch.float64, device=higher.device) + 0.5
-    z, around = 1 - 2 * i / len(i), i * (math.pi * (1 + math.sqrt(5)))  # a spiral: directions spread evenly
-    spread = torch.stack([around.cos() * (1 - z * z).sqrt(), around.sin() * (1 - z * z).sqrt(), z], 1)
+    spread = spread_directions(4 * bases(degree)).to(higher.device)
     solve = torch.linalg.pinv(sh_basis(spread, degree)[:, 1:])
     turned = torch.empty_like(higher)
     for rows in torch.arange(len(higher), device=higher.device).split(TURNED_AT_ONCE):
@@ -91,6 +89,13 @@ def rotate_sh(higher: Tensor, rotations: Tensor) -> Tensor:
         basis = sh_basis(before.flatten(0, -2), degree)[:, 1:].unflatten(0, before.shape[:-1])
         turned[rows] = (solve @ basis @ higher[rows].to(spread)).to(higher)
     return turned
+
+
+def spread_directions(count: int) -> Tensor:
+    """Unit directions [count,3], float64, spread evenly: a spiral from pole to pole."""
+    i = torch.arange(count, dtype=torch.float64) + 0.5
+    z, around = 1 - 2 * i / count, i * (math.pi * (1 + math.sqrt(5)))
+    return torch.stack([around.cos() * (1 - z * z).sqrt(), around.sin() * (1 - z * z).sqrt(), z], 1)
 
 
 def sh_from_rgb(rgb: Tensor) -> Tensor:

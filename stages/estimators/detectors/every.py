@@ -9,6 +9,7 @@ from stages.estimators.detectors import (
     motion_blur,
     pose_refinement,
     rolling_shutter,
+    shading,
     shadow,
     sky,
     transients,
@@ -27,5 +28,6 @@ DETECTORS = {
     "sky": sky.detect,
     "transients": transients.detect,
     "shadow": shadow.detect,
+    "shading": shading.detect,
     "antialias": antialias.detect,
 }
