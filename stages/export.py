@@ -38,6 +38,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
     from stages.formats.body_model import read_body_model
+    from stages.formats.effects import read_effects
     from stages.formats.ground import read_ground, write_ground
     from stages.formats.splats import read_avatar, read_scene
 
@@ -57,7 +58,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         _rigged(job, params, avatar, rig, model, takes, soles.floor)
     if formats & set(MOVING):
         _moving(job, params, avatar, takes, soles.floor)
-    _lacks(job, formats, avatar, rig, scene)
+    _lacks(job, formats, avatar, rig, scene, read_effects(train / "effects.npz").shading is not None)
     if "viewer" in formats:
         _viewer(job, frames, sfm, smpl, train, avatar, rig, scene, soles, ground)
 
@@ -181,8 +182,8 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     job.note(f"{name}: {len(take)} poses, clothes as they move")
 
 
-def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene | None) -> None:
-    """Say once what each format that was written does not hold, and which way up it stands."""
+def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene | None, lit: bool) -> None:
+    """Say once what each format that was written does not hold, and which way up it stands; `lit`: by a light of the clip."""
 
     def among(*names: str) -> str:
         return ", ".join(name for name in names if name in formats)
@@ -205,6 +206,10 @@ def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene |
             job.note(f"clothes have {len(avatar.clothes)} bones and stand still in {stiff}")
     if avatar.shN.shape[1] and "glb" in formats:
         job.note("avatar.glb: view-dependent colours turn with the person, not with each bone")
+    if lit and (even := among("ply", "spz", "glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion")):
+        job.note(
+            f"the person's colours in {even} are those in even light: the clip's, which stays when they turn, is not in them"
+        )
     antialias = avatar.antialias or (scene is not None and scene.antialias)
     silent = among("ply", "glb", "usd", "sog", "ply_motion", "usd_motion")
     if antialias and silent:

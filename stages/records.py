@@ -193,8 +193,8 @@ class Rig(Scene):
     A pose moves a Gaussian by the sum of weight x transform of its bones; at rest all transforms are the identity, and
     bone k turns about joints[k]. joints[24,3] m, named by JOINT_NAMES; parents[24] (root -1); bones[N,4] uint8,
     the heaviest first; weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four
-    have; bones8[N,8] and words8[N,8] uint16, rows adding up to 65535, for who skins with eight; betas[10]. From 24 on
-    bones are those of `clothes`, if any, as an Avatar's.
+    have; bones8[N,8] and words8[N,8] uint16, rows adding up to 65535, for who skins with eight; facing[N,3] unit, the
+    direction in which each is lit; betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's.
     """
 
     joints: np.ndarray
@@ -204,6 +204,7 @@ class Rig(Scene):
     kept: np.ndarray
     bones8: np.ndarray
     words8: np.ndarray
+    facing: np.ndarray
     betas: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
 

@@ -46,6 +46,7 @@ NEAR_WALL = 1.15
 FOCAL = 0.95
 """Focal length in image heights: a field of view of 56 degrees."""
 LIGHT = np.array([0.3, 0.9, 0.32]) / np.linalg.norm([0.3, 0.9, 0.32])
+SIDE_LIGHT = np.array([0.8, 0.6, 0.0])  # of the second lamp, see ClipEffects.shading
 UP = np.array([0.0, 1.0, 0.0])
 
 CameraPath = Literal["moving", "static", "rotating"]
@@ -273,6 +274,9 @@ class _Renderer:
             of = (face[seen] >= first) & (face[seen] < first + len(garment.faces))
             color[of] = garment.paint((garment.chart[face[seen][of] - first] * blend[of]).sum(1))
             first += len(garment.faces)
+        if self.effects.shading:
+            aside = normal @ SIDE_LIGHT / np.linalg.norm(normal, axis=1)
+            color *= np.exp(0.5 * self.effects.shading * aside)[:, None]
         room[seen] = color * (0.66 + 0.34 * (0.5 + 0.5 * facing))[:, None]
         return room.clip(0, 1), seen
 

@@ -47,6 +47,8 @@ class ClipEffects:
     """How long the shutter is open, as share of the frame interval."""
     shadow: float = 0.0
     """How much darker the floor is in the person's shadow, 0..1."""
+    shading: float = 0.0
+    """How much brighter the side of the person is that faces a second lamp, in log: half of it more, the other side half less."""
     clothing: float = 0.0
     """Width in m of a skirt and sleeves that swing with the pose."""
     sky: float = 0.0

@@ -54,6 +54,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "antialias": {"effects": ClipEffects(antialias=3)},
     "sky": {"effects": ClipEffects(sky=1)},
     "clothing": {"effects": ClipEffects(clothing=0.06)},
+    "shading": {"effects": ClipEffects(shading=1.2)},
 }
 """Effect -> what `tests.made.datasets.neuman` makes of it; the name is also the decision that turns its model on."""
 TRULY = ("motion_blur", "camera_refinement", "pose_refinement", "transients")

@@ -30,6 +30,7 @@ STRENGTHS = {
     "rolling_shutter": (0.3, 0.5, 0.8),
     "motion_blur": (0.4, 0.6, 0.9),
     "shadow": (0.3, 0.5, 0.7),
+    "shading": (0.8, 1.2, 1.6),
     "clothing": (0.05, 0.08, 0.12),
     "pose_refinement": (0.02, 0.04, 0.08),
     "camera_refinement": (0.003, 0.006, 0.01),

@@ -342,7 +342,8 @@ def write_gaussians(root: Path, scene: Scene, rng: np.random.Generator) -> None:
     bytes_, words = np.tile([255, 0, 0, 0], (n, 1)), np.tile([65535] + 7 * [0], (n, 1))
     weights = (four[:, :4], bytes_.astype(np.uint8), np.ones(n), four, words.astype(np.uint16))
     rig = Rig(**vars(scene), joints=rng.normal(size=(24, 3)).astype(f32), parents=np.arange(-1, 23).astype(np.int32),
-              **dict(zip(("bones", "weights", "kept", "bones8", "words8"), weights)), betas=np.zeros(10, f32))  # fmt: skip
+              **dict(zip(("bones", "weights", "kept", "bones8", "words8"), weights)),
+              facing=scene.means, betas=np.zeros(10, f32))  # fmt: skip
     up, three = np.tile(np.array([0, 1, 0], f32), (3, 1)), (four[:3, :4], bytes_[:3].astype(np.uint8))
     mesh = Mesh(rng.normal(size=(3, 3)).astype(f32), up, np.arange(3)[None].astype(np.int32), np.abs(up), *three)
     write_avatar_glb(root / "avatar.glb", rig, mesh, [])

@@ -1,10 +1,11 @@
-"""A page of the tiny clip, its person in clothes that swing and with a shadow on the wall."""
+"""A page of the tiny clip, its person in clothes that swing and in the clip's light, with a shadow on the wall."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,14 +42,15 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     if scene:
         body = Body(read_body_model())
         parts = casters(body.rest(torch.zeros(10))[0], body.lbs_weights)
-        light, shadow = np.array([0.3, -0.2, -0.93]), {"darkness": 0.6, "softness": 0.05, "density": 2.0, "size": 0.8}
+        light = np.array([0.3, -0.2, -0.93])
+        shadow: dict[str, Any] = {"darkness": 0.6, "softness": 0.05, "density": 2.0, "size": 0.8}
         light /= np.linalg.norm(light)
         wall = read_scene(train / "scene.npz")  # no two at one depth: which of them is in front is not defined
         rough = wall.means + np.random.default_rng(6).uniform(-0.1, 0.1, wall.means.shape) * [0, 0, 1]
         write_splats(train / "scene.npz", hazy(replace(wall, means=rough)))
-        write_effects(
-            train / "effects.npz", Effects(light, **shadow, middles=parts.middles, covariances=parts.covariances)
-        )
+        shadow |= {"middles": parts.middles, "covariances": parts.covariances}
+        shading = np.random.default_rng(7).normal(0, 0.4, (8, 3))
+        write_effects(train / "effects.npz", Effects(light, **shadow, shading=shading))
     folders["export"] = folder / "export"
     folders["export"].mkdir()
     run(folders)

@@ -13,7 +13,7 @@ from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.finding import compare, unmeasured
 
 EFFECTS = {"view_dependence", "exposure", "lens", "rolling_shutter", "motion_blur", "shadow", "clothing"}
-EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias"}
+EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias", "shading"}
 
 
 @pytest.mark.parametrize(

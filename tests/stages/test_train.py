@@ -359,7 +359,7 @@ def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
     assert not (job.out / "scene.npz").exists() and len(read_avatar(job.out / "avatar.npz")) > 0
 
 
-DRAWN = ("shadow", "motion_blur", "rolling_shutter", "camera_refinement")
+DRAWN = ("shadow", "shading", "motion_blur", "rolling_shutter", "camera_refinement")
 
 
 @pytest.mark.slow
@@ -371,7 +371,7 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     assert told.keys() >= {*DRAWN} and all(effect["psnr"] is not None for effect in told.values())
     effects = read_effects(job.out / "effects.npz")
     said = {name: np.asarray(value) for name, value in training.fit.effects.known().items()}
-    assert effects.known().keys() == said.keys() == {*SHADOW, "shutter", "readout"}
+    assert effects.known().keys() == said.keys() == {*SHADOW, "shading", "shutter", "readout"}
     held(max(np.abs(value - said[name]).max() for name, value in effects.known().items()), 1e-6)
     *lamp, darkness = STARTS["shadow"]
     assert said["light"] @ lamp > 0.97 and abs(said["darkness"] - darkness) < 0.1, "eight steps from what survey saw"

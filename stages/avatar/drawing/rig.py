@@ -8,7 +8,7 @@ from stages import records
 from stages.avatar.body.skinning import MOST, WORDS, heaviest
 from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.splats.factor import factored
-from stages.avatar.splats.gaussians import Splats
+from stages.avatar.splats.gaussians import Splats, facing
 
 
 def rig_of(avatar: records.Avatar) -> records.Rig:
@@ -32,6 +32,7 @@ def rig_of(avatar: records.Avatar) -> records.Rig:
         kept=kept,
         bones8=bones8,
         words8=words8,
+        facing=facing(at_rest.axes).cpu().numpy(),
         betas=np.asarray(avatar.betas, np.float32),
         clothes=avatar.clothes,
     )

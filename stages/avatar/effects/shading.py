@@ -6,9 +6,8 @@ import math
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import normalize
 
-from stages.avatar.splats.gaussians import Splats
+from stages.avatar.splats.gaussians import Splats, facing
 from stages.avatar.splats.sh import sh_basis, spread_directions, with_gain
 
 DEGREE = 2  # of the light's log: nine tenths of what a matt surface shows (Ramamoorthi and Hanrahan 2001)
@@ -27,15 +26,14 @@ class Shading(nn.Module):
         super().__init__()
         self.bands = nn.Parameter(torch.zeros(BANDS, 3) if bands is None else bands.clone())
 
-    def light(self, normals: Tensor) -> Tensor:
-        """Light [N,3] on surfaces that face unit `normals`[N,3], of mean 1 over all directions."""
+    def light(self, towards: Tensor) -> Tensor:
+        """Light [N,3] on what faces the unit directions `towards`[N,3], of mean 1 over all directions."""
         around = self._exponent(spread_directions(8 * BANDS).to(self.bands))
-        return (self._exponent(normals) - torch.logsumexp(around, 0) + math.log(len(around))).exp()
+        return (self._exponent(towards) - torch.logsumexp(around, 0) + math.log(len(around))).exp()
 
     def forward(self, person: Splats) -> Splats:
-        """The person in this light; a Gaussian faces along the last of its axes, and gets no gradient for that."""
-        normals = normalize(person.axes[:, :, 2].detach(), dim=1)
-        return person._replace(sh=with_gain(person.sh, self.light(normals)))
+        """The person in this light; where a Gaussian faces gets no gradient."""
+        return person._replace(sh=with_gain(person.sh, self.light(facing(person.axes.detach()))))
 
     def prior(self) -> Tensor:
         """HOLD x mean square of the bands."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from stages.avatar.splats.neighbours import nearest
 from stages.avatar.splats.sh import sh_colors
@@ -43,6 +44,11 @@ class Splats(NamedTuple):
             away = torch.einsum("nij,ni->nj", self.rotations, away)
         squared = away.square().sum(1, keepdim=True)
         return sh_colors(self.sh, away * squared.clamp_min(1e-12).rsqrt())
+
+
+def facing(axes: Tensor) -> Tensor:
+    """Unit directions [N,3] in which flat Gaussians of a surface face: the last of their axes[N,3,3], 0 without length."""
+    return normalize(axes[:, :, 2], dim=1)
 
 
 def finite_rows(parts: Iterable[Tensor]) -> Tensor:

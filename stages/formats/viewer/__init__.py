@@ -23,8 +23,8 @@ ROOM = Path(__file__).parent / "page"
 TEMPLATE, STYLE, BOOT, ICONS = "viewer.html", "viewer.css", "boot.js", "icons.json"
 MODULES = (
     "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "floor.js", "headset.js", "light.js", "main.js",
-    "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "shadow.js", "skeleton.js", "skin.js",
-    "splats.js", "stage.js", "turns.js",
+    "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "shading.js", "shadow.js", "skeleton.js",
+    "skin.js", "splats.js", "stage.js", "turns.js",
 )  # fmt: skip
 """They import each other as hugs/NAME."""
 POLICY = (
@@ -63,7 +63,7 @@ class Exhibit:
     y up and the floor at 0.
 
     `cameras` in metres, one a frame of the first motion, and of a clip its frames `images(i)` uint8 [H,W,3]; `absent` are
-    frames that show nobody. `effects` have the lamp. `facts` are names and values in words.
+    frames that show nobody. `effects` have the lamp and the light on people. `facts` are names and values in words.
     """
 
     title: str
@@ -105,6 +105,8 @@ def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
     packer = Packer()
     for number, figure in enumerate(shown.figures):
         _pack_figure(packer, figure, number)
+        if shown.effects.shading is not None:
+            packer.whole(f"person{number}/facing", np.rint(127.5 * (figure.rig.facing + 1)))
     if scene is not None:
         packer.gaussians("scene", scene, 24)
     Ks = shown.cameras.Ks
@@ -157,6 +159,7 @@ def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any
             for figure in shown.figures
         ],
         "shadow": shadow,
+        "shading": None if effects.shading is None else np.asarray(effects.shading).tolist(),
         "motions": [{"name": move.name, "fps": move.fps} for move in shown.figures[0].moves],
         "clip": {
             "names": cameras.names,

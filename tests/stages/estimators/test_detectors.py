@@ -6,10 +6,12 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
-from stages.estimators.detectors import clothing, exposure, light, motion_blur, pose_refinement, shadow, tracks
+from stages.avatar.splats.sh import sh_basis, spread_directions
+from stages.estimators.detectors import clothing, exposure, light, motion_blur, pose_refinement, shading, shadow, tracks
 from stages.estimators.detectors.bundle import adjust_bundle
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import ClipEvidence
@@ -206,6 +208,22 @@ def test_a_shadow_is_told_from_a_pattern_and_from_noise():
     assert abs(slope) < 0.05 and abs(likeness) < 0.1
 
 
+def test_light_is_told_from_a_pattern_and_patterns_that_shift_tell_no_light():
+    rng, turns = np.random.default_rng(0), Rotation.random(20, random_state=0).as_matrix()
+    faced = np.einsum("fij,pj->fpi", turns, spread_directions(300).numpy())
+    basis = sh_basis(torch.as_tensor(faced), 2)[..., 1:].numpy()
+    lamp, pattern = rng.normal(0, 0.3, 8), rng.normal(4, 1, 300)
+    hidden = rng.random((20, 300)) < 0.5
+    lit = np.where(hidden, np.nan, pattern + basis @ lamp + rng.normal(0, 0.1, (20, 300)))
+    assert np.abs(shading.light_of(lit, basis) - lamp).max() < 0.06  # measured: 0.012
+    assert shading._likeness(lit, basis @ lamp) > 0.8
+    shifted = np.where(hidden, np.nan, pattern + rng.normal(0, 0.3, (20, 300)))
+    assert np.abs(shading.light_of(shifted, basis)).max() < 0.15
+    first = np.arange(20) < 10
+    told = shading.light_of(shifted[first], basis[first])
+    assert abs(shading._likeness(shifted[~first], basis[~first] @ told)) < shading.LIKENESS / 2
+
+
 def test_sampling_counts_from_the_first_pixels_centre():
     ramp = np.add.outer(10 * np.arange(5.0), np.arange(6.0)).astype(np.float32)
     assert sample(ramp, np.array([[0.5, 0.5], [2.0, 3.5], [5.5, 4.5]])) == pytest.approx([0, 31.5, 45])
@@ -256,7 +274,7 @@ def test_a_clip_without_effects_calls_for_none(filmed, name):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "strength"),
-    [("shadow", 0.6), ("sky", 1.0), ("clothing", 0.1), ("view_dependence", 0.4), ("transients", 0)],
+    [("shadow", 0.6), ("shading", 1.6), ("sky", 1.0), ("clothing", 0.1), ("view_dependence", 0.4), ("transients", 0)],
 )
 def test_a_clip_with_the_effect_calls_for_it(filmed, name, strength):
     passers = make_passers(2, 14, np.random.default_rng(4)) if name == "transients" else ()

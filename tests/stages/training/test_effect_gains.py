@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from stages.avatar.effects.frames import FrameEffects
+from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import casters
 from stages.estimators.detectors.every import DETECTORS
 from stages.training.accuracy import heldout_accuracy
@@ -23,7 +24,7 @@ def changing(clip):
     bones, body = fit.person.canonical_bones[:24], fit.person.body
     body = casters(body.vertices, body.weights[:, :24]).posed(torch.linalg.inv(bones))
     effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)
-    effects.clothing = fit.effects.clothing
+    effects.clothing, effects.shading = fit.effects.clothing, Shading(torch.linspace(-0.5, 0.5, 24).view(8, 3))
     fit.effects, fit.speeds = effects, frame_speeds(fit.full, fit.person.body)
     fit.options = fit.options._replace(refine_camera=True)
     fit.adam = optimizers(fit.frames, fit.human, fit.scene, 1.0, effects)

@@ -18,7 +18,7 @@ export async function start(facts, buffer) {
   }
   let player = null;
   const stage = new Stage(document.getElementById("canvas"), facts, () => player.step());
-  const people = facts.people.map((own, i) => new Person(groups[`person${i}`], own, groups[`soles${i}`]));
+  const people = facts.people.map((own, i) => new Person(groups[`person${i}`], own, groups[`soles${i}`], facts.shading));
   const scene = groups.scene ? new Splats(groups.scene) : null;
   stage.world.add(...people.map(({ mesh }) => mesh));
   if (scene) stage.world.add(scene.mesh);

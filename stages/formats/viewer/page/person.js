@@ -6,15 +6,16 @@ import { Splats } from "hugs/splats";
 import { add, rotvecOfQuat, scale as mulScalar, sub } from "hugs/turns";
 
 export class Person {
-  /** `stand`: `turn` [9] and `spot` [3] m take a motion to the clip's world, where they are `scale` times as large. */
-  constructor(arrays, { parents, stand }, soles) {
+  /** `stand`: `turn` [9] and `spot` [3] m take a motion to the clip's world, where they are `scale` times as large, in the light
+   * of `bands` [8][3] or of itself. */
+  constructor(arrays, { parents, stand }, soles, bands) {
     Object.assign(this, { joints: arrays.joints, parents, stand, soles });
     const { middles, covariances } = arrays;
     this.parts = middles ? { middles, covariances } : null; // what casts their shadow
     this.body = new Splats(arrays);
     this.clothes = arrays.centres ? new Clothes(arrays) : null;
     const bones = parents.length + (this.clothes ? this.clothes.count : 0);
-    this.skin = new Skin(this.mesh, arrays.weights, bones, this.body.splats.textures[0].image);
+    this.skin = new Skin(this.mesh, arrays.weights, bones, this.body.splats.textures[0].image, arrays.facing, bands);
     this.mesh.skinning = this.skin;
     this.mesh.updateGenerator();
     const heights = arrays.means.filter((_, i) => i % 3 === 1).sort();

@@ -1,18 +1,21 @@
-// Skinning with all bones: Spark's own takes four, which a person's shoulders and hips are not done with.
-import { DataArrayTexture, DataTexture, FloatType, RGBAFormat, RGBAIntegerFormat, UnsignedIntType } from "three";
+// Skinning with all bones: Spark's own takes four, which a person's shoulders and hips are not done with. And their light.
+import { DataArrayTexture, DataTexture, FloatType, RGBAFormat, RGBAIntegerFormat, UnsignedByteType, UnsignedIntType } from "three";
 import { dyno } from "@sparkjsdev/spark";
+import { glslOf } from "hugs/shading";
 
 const PER_WORD = 3, PER_TEXEL = 12, BITS = 10; // the roots of weights in 10 bits each, three in each of a texel's four words
 const SKIN = { type: "HugsSkin" };
-const glsl = (bones, names) => `
+const LIT = "  color *= hugsLight(normalize(blend * (vec3(texelFetch(facing, at, 0).xyz) / 127.5 - 1.0)));";
+const glsl = (bones, names, bands) => `${bands ? glslOf(bands) : ""}
 struct HugsSkin {
   ${names.map((name) => `usampler2DArray ${name};`).join("\n  ")}
+  ${bands ? "usampler2DArray facing;" : ""}
   sampler2D bones;
 };
 
 void hugsSkin(
-  ${names.map((name) => `usampler2DArray ${name}`).join(", ")}, sampler2D bones,
-  int index, inout vec3 center, inout vec3 xxyyzz, inout vec3 xyxzyz
+  ${names.map((name) => `usampler2DArray ${name}`).join(", ")}, ${bands ? "usampler2DArray facing, " : ""}sampler2D bones,
+  int index, inout vec3 center, inout vec3 xxyyzz, inout vec3 xyxzyz, inout vec3 color
 ) {
   ivec3 at = splatTexCoord(index);
   uvec4 words[${names.length}];
@@ -33,32 +36,42 @@ void hugsSkin(
   vec4 from = vec4(center, 1.0);
   center = vec3(dot(x, from), dot(y, from), dot(z, from)) / total;
   mat3 blend = transpose(mat3(x.xyz, y.xyz, z.xyz)) / total;
+${bands ? LIT : ""}
   mat3 cov = mat3(xxyyzz.x, xyxzyz.x, xyxzyz.y, xyxzyz.x, xxyyzz.y, xyxzyz.z, xyxzyz.y, xyxzyz.z, xxyyzz.z);
   cov = blend * cov * transpose(blend);
   xxyyzz = vec3(cov[0][0], cov[1][1], cov[2][2]);
   xyxzyz = vec3(cov[0][1], cov[0][2], cov[1][2]);
 }`;
 
-/** What Spark asks of a mesh's skinning: `weights` [`bones` a Gaussian], their roots in 10 bits, in the order of the mesh's texture. */
+/** What Spark asks of a mesh's skinning: `weights` [`bones` a Gaussian], their roots in 10 bits, in the order of the mesh's texture.
+ *
+ * In a light of `bands` [8][3], if any: `facing` [3 a Gaussian] is where each faces at rest, 0 to 255. */
 export class Skin {
-  constructor(mesh, weights, bones, { width, height, depth }) {
+  constructor(mesh, weights, bones, { width, height, depth }, facing, bands) {
     this.mesh = mesh;
-    const parts = Array.from({ length: Math.ceil(bones / PER_TEXEL) }, () => new Uint32Array(4 * width * height * depth));
+    const size = 4 * width * height * depth;
+    const parts = Array.from({ length: Math.ceil(bones / PER_TEXEL) }, () => new Uint32Array(size));
     for (let i = 0; i < weights.length; i++) {
       const row = Math.floor(i / bones), k = i % bones, word = Math.floor((k % PER_TEXEL) / PER_WORD);
       parts[Math.floor(k / PER_TEXEL)][4 * row + word] |= weights[i] << (BITS * (k % PER_WORD));
     }
-    const textures = parts.map((part) => {
-      const texture = new DataArrayTexture(part, width, height, depth);
-      Object.assign(texture, { format: RGBAIntegerFormat, type: UnsignedIntType, internalFormat: "RGBA32UI", needsUpdate: true });
-      return texture;
-    });
+    const texture = (values, type, internalFormat) => Object.assign(
+      new DataArrayTexture(values, width, height, depth),
+      { format: RGBAIntegerFormat, type, internalFormat, needsUpdate: true },
+    );
+    const textures = parts.map((part) => texture(part, UnsignedIntType, "RGBA32UI"));
     this.rows = new Float32Array(12 * bones);
     this.bones = new DataTexture(this.rows, 3, bones, RGBAFormat, FloatType);
     this.bones.needsUpdate = true;
     this.names = textures.map((_, i) => `weights${i}`);
-    this.code = glsl(bones, this.names);
+    this.code = glsl(bones, this.names, bands);
     const value = { ...Object.fromEntries(textures.map((texture, i) => [this.names[i], texture])), bones: this.bones };
+    if (bands) {
+      const faced = new Uint8Array(size);
+      for (let i = 0; i < facing.length; i++) faced[4 * Math.floor(i / 3) + (i % 3)] = facing[i];
+      value.facing = texture(faced, UnsignedByteType, "RGBA8UI");
+      this.names = [...this.names, "facing"];
+    }
     this.uniform = new dyno.DynoUniform({ key: "skin", type: SKIN, globals: () => [this.code], value });
   }
 
@@ -81,7 +94,9 @@ export class Skin {
         const { skin } = inputs, out = outputs.covsplat;
         return dyno.unindentLines(`
           ${out} = ${inputs.covsplat};
-          hugsSkin(${this.names.map((name) => `${skin}.${name}`).join(", ")}, ${skin}.bones, ${out}.index, ${out}.center, ${out}.xxyyzz, ${out}.xyxzyz);
+          vec3 color = ${out}.rgba.rgb;
+          hugsSkin(${this.names.map((name) => `${skin}.${name}`).join(", ")}, ${skin}.bones, ${out}.index, ${out}.center, ${out}.xxyyzz, ${out}.xyxzyz, color);
+          ${out}.rgba.rgb = color;
         `);
       },
     });
