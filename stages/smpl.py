@@ -202,12 +202,18 @@ def select(names: Sequence[str], chosen: np.ndarray) -> list[str]:
 
 
 def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
-    """Warn where the size of the person against the scene is hardly known."""
+    """Warn where the size of the person against the scene is hardly known, or the scene's plane below the feet is not theirs."""
+    if "floor_refused" in scale:
+        plane = f"{scale['floor_refused']:.3g} m per SfM unit, differing by {100 * scale['floor_spread']:.0f} %"
+        job.warn(
+            f"the person does not stand on the plane below their feet in the picture: it would mean {plane}, and how the"
+            f" feet stand still {scale['initial']:.3g}; a table, a stage, stairs or a jump?"
+        )
     if scale["how"].startswith("not found"):
         job.warn(
             "the scale of the person against the scene is unknown: neither a floor below the feet nor a standing foot was found"
         )
-    elif scale.get("floor_spread", 0) > FLOOR_SPREAD:
+    elif "floor_refused" not in scale and scale.get("floor_spread", 0) > FLOOR_SPREAD:
         job.warn(f"the feet meet the floor at scales that differ by {100 * scale['floor_spread']:.0f} %")
 
 

@@ -41,7 +41,7 @@ def prepare(shot: Shot, folder: Path, clips: Path | None) -> None:
 
 def is_made(shot: Shot, folder: Path) -> bool:
     """Whether all of the clip is in the folder."""
-    return (folder / shot.name / "facts.json").exists()
+    return all((folder / shot.name / part).exists() for part in ("truth/world.npz", "facts.json"))
 
 
 def rate(shot: Shot, folder: Path) -> tuple[str, Row, np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +19,10 @@ from stages.records import BodyModel, Cameras
 
 WIDTH, HEIGHT, FOCAL = 480, 864, 760.0
 SFM_FROM_WORLD = 2.7  # SfM units per metre
+
+Act = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""global_orient [F,3], body_pose [F,69] and way [F,3] m at times [F] s. The lowest of the body stands on the floor there, and
+the way's y higher."""
 
 
 @dataclass
@@ -60,19 +65,39 @@ def motion(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return yaw, pose.reshape(len(times), 69)
 
 
+def stand(times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`motion` on the spot."""
+    yaw, pose = motion(times)
+    return np.stack([0 * yaw, yaw, 0 * yaw], -1), pose, np.zeros((len(times), 3))
+
+
+def level(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A floor at y = 0."""
+    return 0 * x
+
+
 def make(
-    model: BodyModel, frames: int = 40, moving: bool = True, noise_px: float = 3.0, betas=(0.6, -0.8), seed: int = 0
+    model: BodyModel,
+    frames: int = 40,
+    moving: bool = True,
+    noise_px: float = 3.0,
+    betas=(0.6, -0.8),
+    seed: int = 0,
+    act: Act = stand,
+    floor: Callable[[np.ndarray, np.ndarray], np.ndarray] = level,
 ) -> TrueClip:
-    """Landmarks with noise, 3 cm in depth, 3 swapped frames, a gap of 2 and 4 % outliers."""
+    """Landmarks with noise, 3 cm in depth, 3 swapped frames, a gap of 2 and 4 % outliers.
+
+    `act` is what the person does, and `floor` (x, z) the height of what they stand on.
+    """
     rng = np.random.default_rng(seed)
     times = np.sort(np.linspace(0, 6, frames) + rng.uniform(-0.02, 0.02, frames))
-    yaw, pose = motion(times)
+    orient, pose, way = act(times)
     shape = torch.zeros(10)
     shape[: len(betas)] = torch.tensor(betas)
-    orient = np.stack([0 * yaw, yaw, 0 * yaw], -1)
     f32 = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
-    vertices, joints = (x.numpy() for x in Body(model)(shape, f32(orient), f32(pose), torch.zeros(frames, 3)))
-    drop = vertices[..., 1].min(1)
+    vertices, joints = (x.numpy() for x in Body(model)(shape, f32(orient), f32(pose), f32(way * [1, 0, 1])))
+    drop = (vertices[..., 1] - floor(vertices[..., 0], vertices[..., 2])).min(1) - way[:, 1].astype(np.float32)
     vertices[..., 1] -= drop[:, None]
     joints[..., 1] -= drop[:, None]
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
@@ -95,9 +120,10 @@ def make(
     sfm[:, :3, 3] /= scale
     K = pinhole(FOCAL, WIDTH, HEIGHT)
     cameras = Cameras(tuple(f"{i:06d}" for i in range(frames)), sfm, np.tile(K, (frames, 1, 1)), WIDTH, HEIGHT)
-    floor = np.stack([rng.uniform(-2, 2, 400), rng.normal(-SOLE, 0.01, 400), rng.uniform(-2, 2, 400)], -1)
+    ground = np.stack([rng.uniform(-2, 2, 400), rng.normal(-SOLE, 0.01, 400), rng.uniform(-2, 2, 400)], -1)
+    ground[:, 1] += floor(ground[:, 0], ground[:, 2])
     wall = np.stack([rng.uniform(-3, 3, 600), rng.uniform(0, 2.5, 600), rng.normal(-2.2, 0.01, 600)], -1)
-    points = (np.concatenate([floor, wall]) - origin) @ turn.T / scale if moving else np.zeros((0, 3))
+    points = (np.concatenate([ground, wall]) - origin) @ turn.T / scale if moving else np.zeros((0, 3))
     tracks = _tracks(model, vertices, viewmats, K, noise_px, rng)
     return TrueClip(model, cameras, times, joints, vertices, tracks, points, scale)
 

@@ -210,3 +210,11 @@ def test_j05_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):
     with pytest.raises(StageError, match="0 of 16 frames") as error:
         run(tmp_path / "out", frames, sfm)
     assert "--smpl-fit" in error.value.hint
+
+
+def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
+    said = []
+    scale = {"initial": 0.5, "how": "standing feet", "floor_refused": 1.1, "floor_spread": 0.08}
+    smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
+    (text,) = (event["text"] for event in said)
+    assert "does not stand on the plane" in text and "1.1 m per SfM unit" in text and "0.5" in text

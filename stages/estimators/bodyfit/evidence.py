@@ -103,10 +103,12 @@ def _heights(xy: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray
 def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -> tuple[LandmarkEvidence, np.ndarray]:
     """Drop frames whose landmarks lie on somebody else: away from the neighbours, or off the person's mask.
 
-    Returns the evidence and which frames [F] were dropped.
+    Off it is where no shoulder or hip lies on it, or less than half as many landmarks as in the clip's middle frame: somebody
+    near by. Returns the evidence and which frames [F] were dropped.
     """
     middle = evidence.middle
     stranger = np.zeros(len(middle), bool)
+    on_mask = np.full(len(middle), np.nan)
     order = np.flatnonzero(evidence.seen)
     for rank, i in enumerate(order):
         near = np.r_[order[max(0, rank - WINDOW) : rank], order[rank + 1 : rank + 1 + WINDOW]]
@@ -115,10 +117,15 @@ def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -
             stranger[i] = away > STRANGER_JUMP * np.median(evidence.height[near])
         if masks is not None and (masks[i] > 127).any():
             rows, columns = masks[i].shape
-            at = np.floor(evidence.xy[i, evidence.torso]).astype(int)
+            at = np.floor(evidence.xy[i]).astype(int)
             inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows)
-            hits = masks[i][at[inside, 1], at[inside, 0]] > 127
-            stranger[i] |= bool(inside.sum() >= 3 and not hits.any())
+            hits = inside & (masks[i][at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)] > 127)
+            torso = np.isin(np.arange(len(at)), evidence.torso)
+            stranger[i] |= bool((inside & torso).sum() >= 3 and not hits[torso].any())
+            shown = inside & (evidence.weight[i] > 0.3)
+            on_mask[i] = hits[shown].mean() if shown.any() else np.nan
+    if np.isfinite(on_mask).any():
+        stranger |= on_mask < 0.5 * np.nanmedian(on_mask)
     weight = np.where(stranger[:, None], 0.0, evidence.weight)
     return replace(evidence, seen=evidence.seen & ~stranger, weight=weight), stranger
 

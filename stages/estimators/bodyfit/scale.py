@@ -23,6 +23,8 @@ LONG = 0.9  # of the length at which a body stands: lying, bent or crouching, it
 GUESS = 0.1  # of the scale, where feet are never in the picture
 LEAST_STANDING = 0.1  # of the frames
 STILL_ERROR = 0.15  # of the scale by feet that stand still, from which on it says nothing
+FIRM = 0.05  # and up to which it refuses a floor
+APART = 0.3  # of the scale, by which frames on a floor, or a floor and firm feet, may differ
 INLIER = 0.008  # distance from the plane over distance from the camera
 
 
@@ -90,13 +92,30 @@ def find_scale(
         long = length >= LONG * np.quantile(length, 0.9)
         for standing, guess in ((shown & long, 0.0), (shown, 0.0), (long, GUESS)):
             on_floor = floor_scale(floor, body[standing], path.centers[standing])
-            if on_floor is not None and standing.sum() >= LEAST_STANDING * len(body):
-                found |= {"initial": on_floor[0], "floor_spread": on_floor[1] + guess, "floor_points": floor.points}
-                guessed = "; no picture shows what touches it, legs are taken for straight" if guess else ""
-                return found | {"how": f"the body stands on the floor's SfM points{guessed}"}, floor
-    if still is not None and still[1] < STILL_ERROR:
-        return found | {"initial": still[0], "how": "standing feet do not slide while the camera moves"}, None
-    return found | {"initial": 1.0, "how": "not found: no floor and no standing foot"}, None
+            if on_floor is None or standing.sum() < LEAST_STANDING * len(body):
+                continue
+            found |= {"floor_spread": on_floor[1] + guess, "floor_points": floor.points}
+            if not is_stood_on(on_floor, still):
+                found["floor_refused"] = on_floor[0]
+                break
+            guessed = "; no picture shows what touches it, legs are taken for straight" if guess else ""
+            how = f"the body stands on the floor's SfM points{guessed}"
+            return found | {"initial": on_floor[0], "how": how}, floor
+    how = "standing feet do not slide while the camera moves"
+    if still is None or still[1] >= STILL_ERROR:
+        how = "not found: no floor and no standing foot"
+    return found | {"initial": still[0] if still is not None else 1.0, "how": how}, None
+
+
+def is_stood_on(on_floor: tuple[float, float], still: tuple[float, float] | None) -> bool:
+    """Whether a floor can be what the person stands on, that gives the scale and its spread `on_floor`.
+
+    Not if frames that should agree differ by more than APART, as of somebody in the air; nor if feet that stand `still`
+    firmly contradict it: the plane is a table before the legs, or the person stands on one.
+    """
+    if on_floor[1] > APART:
+        return False
+    return still is None or still[1] > FIRM or abs(np.log(on_floor[0] / still[0])) < APART
 
 
 def lengths_across(points: np.ndarray) -> np.ndarray:
@@ -178,16 +197,21 @@ def floor_scale(floor: Floor, soles: np.ndarray, centers: np.ndarray) -> tuple[f
 def still_scale(feet: np.ndarray, centers: np.ndarray, times: np.ndarray) -> tuple[float, float] | None:
     """Scale, and its relative standard error, at which the `feet` [F,2,3] m move least between frames.
 
-    For a clip without a floor. Each foot's steps between frames up to half a second apart, reweighted (L1) so that
-    steps that are really made do not count. None if the camera does not move.
+    Each foot's steps between frames up to half a second apart, reweighted (L1) so that steps that are really made do not
+    count; and only across the view, since depths are an order less sure. None if the camera does not move.
     """
-    moves, shifts = [], []
+    moves: list[np.ndarray] = []
+    shifts: list[np.ndarray] = []
     for gap in range(1, len(times)):
         pairs = np.flatnonzero(times[gap:] - times[:-gap] <= 0.5)
         if not len(pairs):
             break
-        moves.append((feet[pairs + gap] - feet[pairs]).reshape(-1, 3))
-        shifts.append(np.repeat(centers[pairs + gap] - centers[pairs], feet.shape[1], axis=0))
+        away = feet[pairs + gap] + feet[pairs]
+        away /= np.linalg.norm(away, axis=-1, keepdims=True)
+        move = feet[pairs + gap] - feet[pairs]
+        shift = np.broadcast_to((centers[pairs + gap] - centers[pairs])[:, None], move.shape)
+        for parts, part in ((moves, move), (shifts, shift)):
+            parts.append((part - (part * away).sum(-1, keepdims=True) * away).reshape(-1, 3))
     if not moves:
         return None
     move, shift = np.concatenate(moves), np.concatenate(shifts)

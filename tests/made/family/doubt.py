@@ -8,8 +8,8 @@ import numpy as np
 
 from stages.records import BodyModel, BodyPoses, Cameras
 from tests.made.family.evidence import Truth
-from tests.made.family.measures import still
-from tests.made.truth import align, joints_of, rows
+from tests.made.family.measures import between
+from tests.made.truth import joints_of, rows
 
 BINS = 10
 
@@ -18,7 +18,7 @@ def errors_of(poses: BodyPoses, model: BodyModel, cameras: Cameras, moving: bool
     """How far each joint is off [F,24,2] m, along the view and across it."""
     wanted = joints_of(truth.poses, truth.model)[rows(poses.names, truth.poses.names)]
     ours, views = joints_of(poses, model), truth.cameras.viewmats[rows(poses.names, truth.cameras.names)]
-    similarity = align(cameras, truth.cameras, poses.world_from_sfm) if moving else still(ours, wanted, views[0])
+    similarity = between(poses, cameras, moving, truth, ours, wanted)
     gap = similarity.to_truth(ours) - wanted
     away = wanted + (views[:, :3, :3].mT @ views[:, :3, 3:])[..., 0][:, None]
     away /= np.linalg.norm(away, axis=-1, keepdims=True)

@@ -5,7 +5,8 @@ A clip's folder:
   cameras.npz, points.ply           as the sfm stage has them
   tracks.npz                        BlazePose's landmarks of the masked person
   facts.json                        fps, moving, half
-  truth/                            cameras.npz, body.npz, body_model.npz (m, y up, floor at y = 0) and masks/
+  truth/                            cameras.npz, body.npz, body_model.npz (m, y up, floor at y = 0) and masks/;
+                                    world.npz, the similarity from the world of cameras.npz above
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from stages.formats.poses import read_poses, write_poses
 from stages.records import BodyModel, BodyPoses, Cameras
 from tests.made.family.film import film
 from tests.made.family.table import FPS, Shot
+from tests.made.truth import Similarity
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,16 @@ class Take:
 
 @dataclass(frozen=True)
 class Truth:
-    """The true person and cameras, m, y up, the floor at y = 0; `masks` F of uint8 [H,W], or none."""
+    """The true person and cameras, m, y up, the floor at y = 0; `masks` F of uint8 [H,W], or none.
+
+    `to_truth` leads from SfM's world and unit to the true ones; None where only the cameras can tell.
+    """
 
     model: BodyModel
     poses: BodyPoses
     cameras: Cameras
     masks: Sequence[np.ndarray] = ()
+    to_truth: Similarity | None = None
 
 
 def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
@@ -78,6 +84,7 @@ def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
     write_cameras(folder / "truth" / "cameras.npz", made.cameras)
     write_poses(folder / "truth" / "body.npz", made.poses)
     write_body_model(folder / "truth" / "body_model.npz", made.model)
+    np.savez(folder / "truth" / "world.npz", **vars(made.to_truth))
     write_cameras(folder / "cameras.npz", made.placed)
     write_points(folder / "points.ply", made.points, made.colors)
     find_person(folder, list(names))
@@ -133,7 +140,9 @@ def read_take(folder: Path) -> tuple[Take, Truth]:
     take = Take(cameras, times, images, masks, points, read_tracks(folder / "tracks.npz"), facts["moving"])
     truth = folder / "truth"
     poses, model = read_poses(truth / "body.npz"), read_body_model(truth / "body_model.npz")
-    return take, Truth(model, poses, read_cameras(truth / "cameras.npz"), true_masks)
+    world = read_npz(truth / "world.npz")
+    to_truth = Similarity(float(world["scale"]), world["R"], world["t"])
+    return take, Truth(model, poses, read_cameras(truth / "cameras.npz"), true_masks, to_truth)
 
 
 def fit_take(take: Take, model: BodyModel | None = None) -> tuple[BodyFit, LandmarkEvidence]:

@@ -22,6 +22,7 @@ from stages.synthetic.effects import ClipEffects
 from tests.made.family.legs import perform
 from tests.made.family.motions import MOTIONS
 from tests.made.family.table import FPS, FRAMES, LONG, SHORT, Box, Shot
+from tests.made.truth import Similarity
 
 PER_BETA = 0.1
 """m that the free body grows with its first shape."""
@@ -45,7 +46,7 @@ class Film:
     """Pictures [F,H,W,3] and true masks [F,H,W] uint8, the true person and cameras (m, y up, floor at y = 0).
 
     What SfM would find, in its own world and unit: `placed` cameras, `points` [P,3] with `colors` [P,3] uint8, and
-    whether the camera is `moving`.
+    whether the camera is `moving`. `to_truth` leads from that world to the true one.
     """
 
     images: np.ndarray
@@ -57,6 +58,7 @@ class Film:
     points: np.ndarray
     colors: np.ndarray
     moving: bool
+    to_truth: Similarity
 
 
 def film(shot: Shot, captures: Path | None) -> Film:
@@ -76,10 +78,9 @@ def film(shot: Shot, captures: Path | None) -> Film:
     cameras = Cameras(names, viewmats, views.Ks, width, height)
     poses = BodyPoses(names, betas, orient, pose, transl, np.ones(FRAMES))
     points, colors = cloud(renderer, views, rng)
-    placed, points = as_sfm_has_it(shot, cameras, points, rng)
-    return Film(
-        views.images, views.masks, model, poses, cameras, placed, points, colors[: len(points)], shot.path != "still"
-    )
+    placed, points, to_truth = as_sfm_has_it(shot, cameras, points, rng)
+    colors, moving = colors[: len(points)], shot.path != "still"
+    return Film(views.images, views.masks, model, poses, cameras, placed, points, colors, moving, to_truth)
 
 
 def person(shot: Shot, rng: np.random.Generator) -> tuple[BodyModel, np.ndarray]:
@@ -202,13 +203,15 @@ def cloud(
 
 def as_sfm_has_it(
     shot: Shot, cameras: Cameras, points: np.ndarray, rng: np.random.Generator
-) -> tuple[Cameras, np.ndarray]:
-    """Cameras and points in a world with other axes, origin and unit, the cameras a little wrong.
+) -> tuple[Cameras, np.ndarray, Similarity]:
+    """Cameras and points in a world with other axes, origin and unit, the cameras a little wrong; and the way back.
 
     A camera that stands still is at the origin, and there are no points.
     """
     if shot.path == "still":
-        return replace(cameras, viewmats=np.tile(np.eye(4), (len(cameras), 1, 1))), np.zeros((0, 3))
+        back = cameras.viewmats[0, :3, :3].T
+        placed = replace(cameras, viewmats=np.tile(np.eye(4), (len(cameras), 1, 1)))
+        return placed, np.zeros((0, 3)), Similarity(1.0, back, -back @ cameras.viewmats[0, :3, 3])
     turn, origin = Rotation.random(rng=rng).as_matrix(), rng.uniform(-2, 2, 3)
     unit = np.exp(rng.uniform(-1.2, 1.2))  # m
     noise = Rotation.from_rotvec(TURN_NOISE * rng.standard_normal((len(cameras), 3))).as_matrix()
@@ -216,4 +219,4 @@ def as_sfm_has_it(
     viewmats = np.tile(np.eye(4), (len(cameras), 1, 1))
     viewmats[:, :3, :3] = noise @ cameras.viewmats[:, :3, :3] @ turn.T
     viewmats[:, :3, 3] = -(viewmats[:, :3, :3] @ centers[..., None])[..., 0]
-    return replace(cameras, viewmats=viewmats), (points - origin) @ turn.T / unit
+    return replace(cameras, viewmats=viewmats), (points - origin) @ turn.T / unit, Similarity(unit, turn.T, origin)

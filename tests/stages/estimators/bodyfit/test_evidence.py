@@ -11,6 +11,7 @@ from stages.estimators.bodyfit.evidence import (
     CUT,
     LandmarkEvidence,
     drop_cut,
+    drop_strangers,
     gather,
     joint_trust,
     mirrored_columns,
@@ -20,6 +21,7 @@ from stages.estimators.bodyfit.evidence import (
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
 from tests.made import bodyfit_clips
+from tests.made.odd_clips import carried, make
 
 NAMES = ("left_shoulder", "right_shoulder", "left_hip", "right_hip", "left_ankle", "left_heel")
 
@@ -63,3 +65,20 @@ def test_sides_that_are_exchanged_are_set_right(run, share):
     voted, changed = vote_sides(exchanged)
     assert np.flatnonzero(changed).tolist() == [i for i in range(30)[run] if evidence.seen[i]]
     np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
+
+
+@pytest.mark.parametrize("mirrored", [False, True], ids=["somebody else", "a mirror"])
+def test_frames_that_show_somebody_else_or_a_mirror_image_are_left_out(mirrored):
+    clip, beside = make(), make(carried(lambda times: np.tile([1.1, 0, -0.4], (len(times), 1))))
+    names, _ = model_landmarks(read_body_model())
+    others = [9, 10, 11, 12, 15]
+    tracks = list(clip.tracks)
+    for i in others:
+        tracks[i] = (clip if mirrored else beside).tracks[i]
+        if mirrored and tracks[i] is not None:
+            tracks[i].xy[:, 0] = 2 * 0.7 * bodyfit_clips.WIDTH - tracks[i].xy[:, 0]
+    seen = [i for i in others if tracks[i] is not None]
+    found, strangers = drop_strangers(gather(tracks, names), clip.masks())
+    assert np.flatnonzero(strangers).tolist() == seen
+    kept, _ = vote_sides(drop_cut(found, (bodyfit_clips.WIDTH, bodyfit_clips.HEIGHT)))
+    assert not kept.seen[seen].any() and (kept.weight[seen] == 0).all()

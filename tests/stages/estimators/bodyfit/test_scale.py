@@ -10,6 +10,7 @@ import pytest
 from stages.avatar.cameras.pinhole import project
 from stages.estimators.bodyfit.scale import (
     LONG,
+    SOLE,
     Floor,
     TimedCameras,
     find_floor,
@@ -20,6 +21,20 @@ from stages.estimators.bodyfit.scale import (
 )
 from stages.formats.body_model import read_body_model
 from tests.made import bodyfit_clips
+from tests.made.odd_clips import (
+    carried,
+    climb,
+    lie,
+    make,
+    on_board,
+    on_trampoline,
+    sit,
+    slope,
+    stairs,
+    table,
+    told,
+    walls,
+)
 
 MODEL = read_body_model()
 
@@ -110,3 +125,74 @@ def test_j02_standing_feet_give_the_scale_without_a_floor():
 def test_height_of_a_floor_is_signed():
     floor = Floor(np.array([0, 1.0, 0]), -0.5, 30)
     np.testing.assert_allclose(floor.height(np.array([[0, 2.0, 0], [1, 0, 0]])), [1.5, -0.5])
+
+
+@pytest.mark.parametrize("act", [bodyfit_clips.stand, sit, lie], ids=["stand", "sit", "lie"])
+def test_who_sits_or_lies_all_the_time_is_on_the_floor_as_who_stands(act):
+    clip = make(act)
+    found, floor = told(clip, clip.points)
+    assert floor is not None and "floor_refused" not in found
+    assert found["initial"] == pytest.approx(1, abs=0.05)
+
+
+def test_without_a_floor_feet_tell_the_scale():
+    clip = make()
+    found, floor = told(clip, walls(clip))
+    assert floor is None and "standing feet" in found["how"]
+    assert found["initial"] == pytest.approx(1, abs=0.08)
+
+
+@pytest.mark.parametrize("height", [0.5, 0.8])
+def test_a_table_before_the_legs_is_not_what_they_stand_on(height):
+    clip = make()
+    found, floor = told(clip, np.concatenate([walls(clip), table(clip, height)]))
+    assert floor is None and found["floor_refused"] > 1.4
+    assert found["initial"] == pytest.approx(1, abs=0.08)
+
+
+def test_who_stands_on_a_table_does_not_stand_on_the_floor():
+    clip = make(carried(lambda times: np.tile([0, 0.75, 0], (len(times), 1))))
+    found, floor = told(clip, clip.points)
+    assert floor is None and found["floor_refused"] < 0.6
+    assert found["initial"] == pytest.approx(1, abs=0.08)
+
+
+def test_a_slope_is_a_floor():
+    clip = make(floor=slope)
+    found, plane = told(clip, clip.points)
+    assert plane is not None and found["initial"] == pytest.approx(1, abs=0.05)
+
+
+def test_stairs_have_one_scale_although_they_are_no_plane():
+    clip = make(climb, stairs)
+    assert told(clip, clip.points)[0]["initial"] == pytest.approx(1, abs=0.1)
+
+
+def test_the_floor_tells_the_scale_of_who_goes_by_on_a_skateboard():
+    """Feet on it go along with the camera, and say 0.4; the board's 10 cm count as legs."""
+    clip = make(carried(on_board))
+    found, floor = told(clip, clip.points)
+    assert abs(found["from_still_feet"] - 1) > 0.4
+    assert floor is not None and found["initial"] == pytest.approx(1, abs=0.1)
+
+
+def test_who_is_in_the_air_all_the_time_is_not_put_on_the_floor():
+    """The scale that most frames agree on was an eighth of the true one."""
+    clip = make(carried(on_trampoline))
+    found, floor = told(clip, clip.points)
+    assert floor is None and found["floor_spread"] > 0.3
+    assert 0.7 < found["initial"] < 1.4
+
+
+def test_feet_that_are_never_in_view_are_guessed_and_that_is_said():
+    clip = make()
+    found, floor = told(clip, clip.points, 450)
+    assert floor is not None and "taken for straight" in found["how"]
+    assert found["initial"] == pytest.approx(1, abs=0.05) and found["floor_spread"] >= 0.1
+
+
+def test_soles_are_a_shoe_above_the_floor():
+    clip = make()
+    floor = told(clip, clip.points)[1]
+    low = (clip.vertices.astype(np.float64) @ floor.normal).min(1) + floor.offset * clip.scale
+    assert np.median(low) == pytest.approx(SOLE, abs=0.01)
