@@ -9,7 +9,8 @@ that was learned of the room's own person. What no shadow loses is its squared e
 
 `colour` makes clips by cameras of known exposure and tint, and compares the person's pixels as the scene's camera shows them
 with those of their own clip, left as they are and matched. Rooms are those of the demo clip or, harder, painted and lit by
-chance, every second one outdoors. A camera multiplies displayed values or, as real ones, light.
+chance, every second one outdoors; or, where nothing tells a camera from paint, every second one all of one colour, as a lawn
+or a wall. A camera multiplies displayed values or, as real ones, light.
 """
 
 from __future__ import annotations
@@ -173,12 +174,22 @@ def painted(room: Room, seed: int) -> Room:
     return replace(room, tints=(room.tints * paint).clip(0, 1.1))
 
 
+def of_one_colour(room: Room, seed: int) -> Room:
+    """The room with all that is in it of one colour, lighter and darker as it was."""
+    rng = np.random.default_rng([seed, 6])
+    paint = rng.uniform(0.4, 1.0) * np.exp(rng.normal(0, 0.3, 3))
+    mips = tuple((mip.mean(-1, keepdims=True) * paint).clip(0, 1).astype(np.float32) for mip in room.mips)
+    return replace(room, mips=mips, tints=np.ones_like(room.tints))
+
+
 def filmed(seed: int, kind: str) -> Shown:
-    """A few pictures of a clip in a room of its `kind`: demo or painted."""
+    """A few pictures of a clip in a room of its `kind`: demo, painted, or every second one of one colour."""
     model, rng, effects = read_body_model(), np.random.default_rng(seed), ClipEffects()
     room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
     if kind == "painted":
         room, effects = painted(room, seed), ClipEffects(sky=seed % 2)
+    if kind == "plain":
+        room = of_one_colour(room, seed) if seed % 2 else painted(room, seed)
     renderer = synthetic._Renderer(model, room, betas, pinhole(synthetic.FOCAL * 128, 96, 128), effects)
     viewmats = synthetic.camera_path(PICTURES, 1.0, "moving", rng)
     views = renderer.views(viewmats, *person.make_motion(PICTURES, 1.0, rng), 96, 128, lambda n: None)
@@ -236,7 +247,7 @@ def main() -> None:
     else:
         found = {
             f"{kind} rooms, gain of {what}": told(colours(asked.seeds or list(range(30, 38)), kind, what == "light"))
-            for kind in ("demo", "painted")
+            for kind in ("demo", "painted", "plain")
             for what in ("values", "light")
         }
     tell(found, asked.json)
