@@ -64,7 +64,7 @@ def names_of(film: Film) -> list[str]:
         own = person.avatar.parent.name if person.avatar.is_dir() else person.avatar.stem
         plain = re.sub(r"\W", "_", own, flags=re.ASCII) or "person"
         plain = plain if plain[0].isalpha() else f"person_{plain}"
-        taken = sum(re.fullmatch(rf"{plain}(_\d+)?", name) is not None for name in names)
+        taken = sum(re.fullmatch(rf"{plain}(_\d+)?", name) is not None for name in ("scene", *names))
         names.append(plain if not taken else f"{plain}_{taken + 1}")
     return names
 
