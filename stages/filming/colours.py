@@ -20,16 +20,23 @@ FEW = 1000  # pixels from which a clip can be measured
 NEUTRAL = 0.2  # of a log ratio to green: standard deviation of what counts as neutral
 GREY = 0.1  # of all pixels: so many more are taken to be grey, as cameras balance white
 STEPS = 30
-DOUBT_EXPOSURE, DOUBT_TINT = 0.2, 0.12  # log: what the rooms themselves differ by
-MANY, COLOURFUL = 0.4, 0.15  # the share of neutral places and the spread of colours, log, from which a clip is sure
+WHITE = (
+    0.9  # of neutral places are darker than what tells the exposure: rooms differ less in their whites than on average
+)
+DOUBT_EXPOSURE, DOUBT_TINT = 0.12, 0.18  # log: what rooms of like paint differ by
+FEW_NEUTRAL, MANY_NEUTRAL = (
+    0.2,
+    0.4,
+)  # the share of neutral places up to which a clip knows nothing, and from which it is sure
+PLAIN, COLOURFUL = 0.08, 0.15  # likewise of the spread of its colours, log
 MOST_EXPOSURE, MOST_TINT = (0.6, 1.6), (0.82, 1.22)
 """Limits of what people's colours are multiplied by: of all light, and of red or blue beside green."""
-LEAST = 1e-3  # sureness: of less nothing is believed
+LEAST = 1e-3  # sureness: with less, nothing is believed
 EYE, AROUND = 1.5, 8  # m and views: how a scene without a clip is looked at
 
 
 class Look(NamedTuple):
-    """How a clip shows neutral places: log `exposure`, and log `tint` [2] of red and blue beside green.
+    """How a clip shows neutral places: log `exposure`, of the white ones, and log `tint` [2] of red and blue beside green.
 
     `sure`, 0 to 1, is how far they can be told from coloured ones: little where few are near neutral, as on a lawn, and where
     all is of one colour, as before a wall.
@@ -54,9 +61,12 @@ def look_of(pixels: np.ndarray) -> Look | None:
     for _ in range(STEPS):
         weight = np.exp(-0.5 * ((ratios - tint) ** 2).sum(1) / NEUTRAL**2)
         tint = weight @ ratios / (weight.sum() + GREY * len(ratios))
+    light = logs.mean(1)
+    order = light.argsort()
+    white = np.searchsorted(weight[order].cumsum(), WHITE * weight.sum())
     spread = np.sqrt(ratios.var(0).mean())
-    sure = min(1.0, weight.mean() / MANY) * min(1.0, spread / COLOURFUL)
-    return Look(float(weight @ logs.mean(1) / weight.sum()), tint, float(sure))
+    sure = np.interp(weight.mean(), [FEW_NEUTRAL, MANY_NEUTRAL], [0, 1]) * np.interp(spread, [PLAIN, COLOURFUL], [0, 1])
+    return Look(float(light[order[white]]), tint, float(sure))
 
 
 def look_of_clip(clip: Clip) -> Look | None:
