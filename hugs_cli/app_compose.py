@@ -95,7 +95,7 @@ people:
 {people}
 camera: {camera}              # clip, still, follow (of the scene's clip), orbit, before, or an .npz of cameras
 light: auto               # auto: as the scene's own light falls; above; off
-colour: off               # match people to the scene: off, auto (where clips differ clearly), always
+colour: off               # match people to the scene: off, auto (where clips differ clearly and tell their light), always
 fps: 30
 # seconds: 8              # as long as the longest motion, if not said
 # size: [640, 360]        # that of the scene's clip, if not said; of another shape, it shows a part of what the clip does

@@ -64,7 +64,7 @@ def names_of(film: Film) -> list[str]:
         own = person.avatar.parent.name if person.avatar.is_dir() else person.avatar.stem
         plain = re.sub(r"\W", "_", own, flags=re.ASCII) or "person"
         plain = plain if plain[0].isalpha() else f"person_{plain}"
-        taken = sum(re.fullmatch(rf"{plain}(_\d+)?", name) is not None for name in names)
+        taken = sum(re.fullmatch(rf"{plain}(_\d+)?", name) is not None for name in ("scene", *names))
         names.append(plain if not taken else f"{plain}_{taken + 1}")
     return names
 
@@ -94,7 +94,7 @@ def _check_endings(film: Film) -> None:
 def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
     """The people, in the colours of the scene; says what is to be said of them and of the scene."""
     from stages.filming.cast import cast, in_colour
-    from stages.filming.colours import gain_between
+    from stages.filming.colours import match
 
     said = dict.fromkeys(setting.facts)
     people, looks = [], _Looks(film, setting)
@@ -103,16 +103,9 @@ def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
         said |= dict.fromkeys(actor.facts)
         mode = person.colour or film.colour
         if mode != "off" and setting.scene is not None and person.avatar != film.scene:
-            own, there = looks.of(person.avatar), looks.of_scene()
-            if own is None or there is None:
-                said[
-                    f"{name}'s colours are left: {'their clip' if own is None else 'the scene'} cannot be measured"
-                ] = None
-            else:
-                gain = gain_between(own, there, mode == "always")
-                if abs(gain - 1).max() > 0.005:
-                    said[f"{name}'s red, green and blue times {', '.join(f'{part:.2f}' for part in gain)}"] = None
-                    actor = in_colour(actor, gain)
+            gain, done = match(looks.of(person.avatar), looks.of_scene(), mode == "always")
+            said[f"{name}'s {done}"] = None
+            actor = in_colour(actor, gain) if (gain != 1).any() else actor
         people.append(actor)
     flags = {actor.baked.antialias for actor in people} | ({setting.scene.antialias} if setting.scene else set())
     if len(flags) == 2:

@@ -1,4 +1,4 @@
-"""One picture of a film: people and scene as one set of Gaussians, each person's shadow on the scene."""
+"""One picture of a film: people and scene as one set of Gaussians, each person's shadow on the scene and on the others."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from stages.avatar.effects.shadow import Shadow
+from stages.avatar.effects.shadow import Casters, Shadow
 from stages.avatar.rasterize import Camera, Layer
 from stages.avatar.splats.compose import draw_together
 from stages.avatar.splats.gaussians import Splats
@@ -15,18 +15,25 @@ from stages.avatar.splats.sh import with_gain
 from stages.filming.cast import Actor
 
 
-def shaded(scene: Splats, shadow: Shadow | None, cast: Sequence[Actor], picture: int) -> Splats:
-    """The scene with the shadows that people cast in a picture."""
-    if shadow is None:
-        return scene
-    share = shadow.light_past(scene.means, [actor.casters(picture) for actor in cast])
-    return scene._replace(sh=with_gain(scene.sh, share[:, None]))
+def shaded(lit: Splats, shadow: Shadow | None, bodies: Sequence[Casters]) -> Splats:
+    """Scene or person with the shadows that `bodies` cast on them."""
+    if shadow is None or not bodies:
+        return lit
+    share = shadow.light_past(lit.means, bodies)
+    return lit._replace(sh=with_gain(lit.sh, share[:, None]))
 
 
 def everybody(scene: Splats | None, shadow: Shadow | None, cast: Sequence[Actor], picture: int) -> list[Splats]:
-    """The people of a picture, in their order, then the scene; all with the scene's antialiasing, or the first person's."""
-    sets = [actor.splats(picture) for actor in cast]
-    sets += [] if scene is None else [shaded(scene, shadow, cast, picture)]
+    """The people of a picture, in their order, then the scene; all with the scene's antialiasing, or the last person's.
+
+    Nobody's shadow falls on themselves: the clip that they were learned from has it already.
+    """
+    bodies = [] if shadow is None else [actor.casters(picture) for actor in cast]
+    sets = [
+        shaded(actor.splats(picture), shadow, bodies[:number] + bodies[number + 1 :])
+        for number, actor in enumerate(cast)
+    ]
+    sets += [] if scene is None else [shaded(scene, shadow, bodies)]
     return [one._replace(antialias=sets[-1].antialias) for one in sets]
 
 

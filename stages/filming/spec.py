@@ -86,7 +86,7 @@ class Film(contract.Params):
     light: Literal["auto", "above", "off"] = "auto"
     """Where shadows fall. auto: as learned of the scene, or as its survey saw it, else from above."""
     colour: Matching = "off"
-    """Match people to the scene's exposure and tint. auto: where the clips differ by more than rooms do."""
+    """Match people to the scene's exposure and tint. auto: where the clips differ by more than rooms do, and tell their light."""
     fps: float = Field(30.0, gt=0, le=240)
     """Pictures a second."""
     seconds: float | None = Field(None, gt=0)

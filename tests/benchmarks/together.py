@@ -1,15 +1,16 @@
 """Do people look as if they were there: their shadows, and their colours, in another clip's scene, against the truth.
 
     python -m tests.benchmarks.together shadow WORK [--seeds 7 8] [--steps 1000] [--json out.json]
-    python -m tests.benchmarks.together colour [--seeds 30 31 ... 37] [--json out.json]
+    python -m tests.benchmarks.together colour FOLDER [--half setting] [--json out.json]
 
 `shadow` trains tiny clips with true inputs, puts the person of each into the room of the next one, and compares with the room
 drawn with that person in it (stages.synthetic, as its clips are): pixels beside the person, with no shadow and with the one
 that was learned of the room's own person. What no shadow loses is its squared error less that of the trained room alone.
 
-`colour` makes clips by cameras of known exposure and tint, and compares the person's pixels as the scene's camera shows them
-with those of their own clip, left as they are and matched. Rooms are those of the demo clip or, harder, painted and lit by
-chance, every second one outdoors. A camera multiplies displayed values or, as real ones, light.
+`colour` takes the family of clips of tests.benchmarks.fit, from FOLDER, shows each as a camera of known exposure and tint does, and
+compares the person's pixels as the scene's camera shows them with those of their own clip, left as they are and matched. Rooms
+are as they were; or, where nothing tells a camera from paint, each thing in them painted by chance, or the person's or the
+scene's all of one colour. A camera multiplies displayed values or, as real ones, light.
 """
 
 from __future__ import annotations
@@ -29,30 +30,36 @@ from stages.avatar.cameras.pinhole import pinhole
 from stages.avatar.rasterize import Camera
 from stages.contract import Job
 from stages.filming.cast import Actor, cast
-from stages.filming.colours import gain_between, look_of_clip
+from stages.filming.colours import look_of_clip, match
 from stages.filming.picture import draw_picture
 from stages.filming.setting import Setting, load_setting
 from stages.filming.spec import Film, Person
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
-from stages.formats.images import read_image, read_mask
+from stages.formats.images import read_image, read_mask, shrink
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses, Cameras
 from stages.synthetic import clip as synthetic
 from stages.synthetic import person
 from stages.synthetic.effects import ClipEffects, to_linear, to_srgb
 from stages.synthetic.files import write_views
-from stages.synthetic.room import Room, make_room
+from stages.synthetic.room import make_room
 from tests.benchmarks.effect_models import PARAMS, SIZE, inputs
 from tests.benchmarks.host import tell
+from tests.made.family.table import shots
 from tests.made.truth import align, in_result_world, psnr
 
 DARKNESS = 0.5  # of the true shadows
+FIRST = {"setting": 30, "asked": 60}  # seed of the cameras
 RIM = 4  # px around the person that belong to nobody
 PLACES = ((0.0, 0.0), (-0.5, 0.3), (0.45, -0.4))  # m in the room: x, z
 EXPOSURE, TINT = 0.35, 0.12  # log: standard deviations of the cameras' gains, and of red and blue beside green
 ROUNDING = 0.25  # of 255: what pictures are rounded by
-PICTURES = 8  # of a clip whose colours are measured
+PICTURES, SIDE, THINGS = (
+    8,
+    128,
+    10,
+)  # of a clip whose colours are measured; their longer side in px; colours of its room
 
 
 def run_of(work: Path, seed: int, steps: int) -> Path:
@@ -155,34 +162,49 @@ class Shown:
         return self.masks[i]
 
     def person(self) -> np.ndarray:
-        """The person's pixels [N,3], 0..1."""
-        return self.pictures[self.masks > 250] / 255
+        """The person's pixels [N,3]."""
+        return self.pictures[self.masks > 250]
 
 
-def seen_by(clip: Shown, gain: np.ndarray, of_light: bool) -> Shown:
-    """A clip as a camera with this `gain` [3] shows it: of displayed values, or `of_light` before they are."""
-    values = clip.pictures / 255
+def shown(pixels: np.ndarray, gain: np.ndarray, of_light: bool) -> np.ndarray:
+    """Pixels uint8 as a camera with this `gain` [3] shows them: of displayed values, or `of_light` before they are."""
+    values = pixels / 255
     values = to_srgb(to_linear(values) * gain) if of_light else values * gain
-    return Shown(np.rint(values.clip(0, 1) * 255).astype(np.uint8), clip.masks)
+    return np.rint(values.clip(0, 1) * 255).astype(np.uint8)
 
 
-def painted(room: Room, seed: int) -> Room:
-    """The room with walls, floor and things lighter or darker, and in other colours."""
-    rng, count = np.random.default_rng([seed, 5]), len(room.tints)
-    paint = rng.uniform(0.55, 1.05, (count, 1)) * np.exp(rng.normal(0, 0.12, (count, 3)))
-    return replace(room, tints=(room.tints * paint).clip(0, 1.1))
+def filmed(folder: Path) -> Shown:
+    """A few pictures of a clip of the family, small."""
+    files = sorted((folder / "images").iterdir())
+    files = [files[i] for i in np.linspace(0, len(files) - 1, PICTURES).round().astype(int)]
+    masks = [np.repeat(read_mask(folder / "masks" / file.name)[..., None], 3, 2) for file in files]
+    small = [np.stack([shrink(one, SIDE) for one in every]) for every in ([read_image(file) for file in files], masks)]
+    return Shown(small[0], small[1][..., 0])
 
 
-def filmed(seed: int, kind: str) -> Shown:
-    """A few pictures of a clip in a room of its `kind`: demo or painted."""
-    model, rng, effects = read_body_model(), np.random.default_rng(seed), ClipEffects()
-    room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
-    if kind == "painted":
-        room, effects = painted(room, seed), ClipEffects(sky=seed % 2)
-    renderer = synthetic._Renderer(model, room, betas, pinhole(synthetic.FOCAL * 128, 96, 128), effects)
-    viewmats = synthetic.camera_path(PICTURES, 1.0, "moving", rng)
-    views = renderer.views(viewmats, *person.make_motion(PICTURES, 1.0, rng), 96, 128, lambda n: None)
-    return Shown(views.images, views.masks)
+def behind(clip: Shown, pictures: np.ndarray) -> Shown:
+    """The clip with other pictures beside the person."""
+    return Shown(
+        np.where(clip.masks[..., None] > 5, clip.pictures, np.rint(pictures.clip(0, 255))).astype(np.uint8), clip.masks
+    )
+
+
+def painted(clip: Shown, seed: int) -> Shown:
+    """The room with each of its colours (k-means) lighter or darker, and in another tint."""
+    rng, flat = np.random.default_rng([seed, 5]), clip.pictures.reshape(-1, 3).astype(np.float32)
+    logs = np.log(flat.clip(3) / 255)
+    found = np.c_[logs[:, [0]] - logs[:, [1]], logs[:, [2]] - logs[:, [1]], 0.5 * logs.mean(1)[:, None]]
+    cv2.setRNGSeed(seed)
+    rows = cv2.kmeans(found, THINGS, np.zeros(0), (3, 30, 1e-3), 2, cv2.KMEANS_PP_CENTERS)[1][:, 0]
+    paint = rng.uniform(0.55, 1.05, (THINGS, 1)) * np.exp(rng.normal(0, TINT, (THINGS, 3)))
+    return behind(clip, (flat * paint[rows]).reshape(clip.pictures.shape))
+
+
+def of_one_colour(clip: Shown, seed: int) -> Shown:
+    """The room all of one colour, lighter and darker as it was."""
+    rng = np.random.default_rng([seed, 6])
+    paint = rng.uniform(0.4, 1.0) * np.exp(rng.normal(0, 0.3, 3))
+    return behind(clip, clip.pictures.mean(-1, keepdims=True) * paint)
 
 
 def camera_of(seed: int) -> np.ndarray:
@@ -192,16 +214,35 @@ def camera_of(seed: int) -> np.ndarray:
     return gain / max(1.0, gain.max())
 
 
-def colours(seeds: list[int], kind: str, of_light: bool) -> list[dict[str, float]]:
-    """Errors of the person's colours, of 255, for each pair of clips, by how they are matched."""
-    rows, plain, gains = [], {seed: filmed(seed, kind) for seed in seeds}, {seed: camera_of(seed) for seed in seeds}
-    looks = {seed: look_of_clip(seen_by(plain[seed], gains[seed], of_light)) for seed in seeds}
-    for own, there in permutations(seeds, 2):
-        here, wanted = (seen_by(plain[own], gains[seed], of_light).person() for seed in (own, there))
-        arms = {"off": np.ones(3)}
-        arms |= {name: gain_between(looks[own], looks[there], name == "always") for name in ("auto", "always")}
+def colours(own: list[Shown], there: list[Shown], first: int, of_light: bool) -> list[dict[str, float]]:
+    """Errors of the person's colours, of 255, by how they are matched, for each pair of different clips; seeds from `first`."""
+    gains = [camera_of(first + i) for i in range(len(own))]
+    looks, lit = (
+        [
+            look_of_clip(Shown(shown(clip.pictures, gain, of_light), clip.masks))
+            for clip, gain in zip(clips, gains, strict=True)
+        ]
+        for clips in (own, there)
+    )
+    rows = []
+    for i, j in permutations(range(len(own)), 2):
+        here, wanted = (shown(own[i].person(), gains[k], of_light) / 255 for k in (i, j))
+        arms = {"off": np.ones(3)} | {way: match(looks[i], lit[j], way == "always")[0] for way in ("auto", "always")}
         rows.append({arm: 255 * rms((here * gain).clip(0, 1) - wanted) for arm, gain in arms.items()})
     return rows
+
+
+def all_colours(folder: Path, half: str) -> dict[str, Any]:
+    """What matching does in rooms that are alike, that are painted by chance, and of which one is of one colour."""
+    alike = [filmed(folder / shot.name) for shot in shots(half)]
+    paint, plain = ([change(clip, i) for i, clip in enumerate(alike)] for change in (painted, of_one_colour))
+    kinds = {"alike": (alike, alike), "painted": (paint, paint), "own of one colour": (plain, alike),
+             "scene of one colour": (alike, plain)}  # fmt: skip
+    return {
+        f"{kind}, gain of {what}": told(colours(own, there, FIRST[half], what == "light"))
+        for kind, (own, there) in kinds.items()
+        for what in ("values", "light")
+    }
 
 
 def rms(values: np.ndarray) -> float:
@@ -223,22 +264,17 @@ def told(rows: list[dict[str, float]]) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["shadow", "colour"])
-    parser.add_argument("work", type=Path, nargs="?")
-    parser.add_argument("--seeds", type=int, nargs="+")
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[7, 8])
+    parser.add_argument("--half", choices=FIRST, default="setting")
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     if asked.what == "shadow":
-        if asked.work is None:
-            parser.error("shadow needs a WORK folder")
-        rows = shadows(asked.work, asked.seeds or [7, 8], asked.steps)
+        rows = shadows(asked.work, asked.seeds, asked.steps)
         found: dict[str, Any] = {"rows": rows, "won back": float(np.mean([row["won back"] for row in rows]))}
     else:
-        found = {
-            f"{kind} rooms, gain of {what}": told(colours(asked.seeds or list(range(30, 38)), kind, what == "light"))
-            for kind in ("demo", "painted")
-            for what in ("values", "light")
-        }
+        found = all_colours(asked.work, asked.half)
     tell(found, asked.json)
 
 

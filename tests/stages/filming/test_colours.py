@@ -15,6 +15,7 @@ from stages.filming.colours import (
     look_of,
     look_of_clip,
     look_of_scene,
+    match,
 )
 from stages.formats.clip import load_clip
 from stages.records import Ground, Scene
@@ -35,7 +36,7 @@ def test_what_a_camera_multiplies_colours_by_is_measured(gain):
     assert np.exp(other.exposure - plain.exposure) == pytest.approx(np.prod(gain) ** (1 / 3), rel=0.03)
     ratios = np.array([gain[0], gain[2]]) / gain[1]
     np.testing.assert_allclose(np.exp(other.tint - plain.tint), ratios, rtol=0.03)
-    found = gain_between(look_of(room(2)), other, sure=True)
+    found = gain_between(look_of(room(2)), other, always=True)
     np.testing.assert_allclose(found, gain, rtol=0.05)
 
 
@@ -44,30 +45,57 @@ def test_dark_and_clipped_pixels_tell_nothing():
     assert look_of(room(0)[:900]) is None
 
 
+def test_a_lawn_or_a_wall_of_one_colour_tells_no_light_and_the_person_is_left_as_they_are():
+    rng = np.random.default_rng(0)
+    shades = rng.normal(1, 0.25, (9000, 1))
+    lawn = np.r_[np.array([0.25, 0.3, 0.1]) * shades, np.full((900, 1), 0.5) * rng.normal(1, 0.1, (900, 3))]
+    for colour in (lawn, np.array([0.7, 0.72, 0.7]) * shades, np.array([0.8, 0.5, 0.4]) * shades):
+        look = look_of(np.rint((colour * rng.normal(1, 0.02, colour.shape)).clip(0, 1) * 255).astype(np.uint8))
+        for there in (look_of(room(0)), look_of(room(1, 0.6)), look_of(room(1, np.array([1.0, 0.9, 0.75])))):
+            gain, done = match(look, there, always=False)
+            assert (
+                gain == 1
+            ).all() and done == "colours are left: their clip has too few neutral places to know its light"
+            assert match(there, look, always=False)[1].startswith("colours are left: the scene has too few")
+
+
+def test_what_was_done_is_said():
+    own, there = look_of(room(0)), look_of(room(1, 0.6))
+    assert own.sure == 1
+    gain, done = match(own, there, always=False)
+    assert (
+        gain == pytest.approx(0.6, rel=0.05)
+        and done == f"red, green and blue times {', '.join(f'{g:.2f}' for g in gain)}"
+    )
+    assert match(own, look_of(room(2)), False)[1] == "colours are left: the clips differ by no more than rooms do"
+    assert match(None, own, True)[1] == "colours are left: their clip cannot be measured"
+    assert match(own, None, True)[1] == "colours are left: the scene cannot be measured"
+
+
 def test_small_differences_may_be_the_rooms_and_large_ones_are_believed():
-    own = Look(-0.4, np.zeros(2))
+    own = Look(-0.4, np.zeros(2), 1.0)
     for exposure, tint in ((0.9, 0.9), (-0.9, -0.9), (0.5, 0.0)):
-        there = Look(-0.4 + exposure * DOUBT_EXPOSURE, np.array([tint, -tint]) * DOUBT_TINT)
-        np.testing.assert_allclose(gain_between(own, there, sure=False), 1)
-    there = Look(-0.4 - 2.1 * DOUBT_EXPOSURE, np.zeros(2))
-    np.testing.assert_allclose(gain_between(own, there, sure=False), gain_between(own, there, sure=True))
+        there = Look(-0.4 + exposure * DOUBT_EXPOSURE, np.array([tint, -tint]) * DOUBT_TINT, 1.0)
+        np.testing.assert_allclose(gain_between(own, there, always=False), 1)
+    there = Look(-0.4 - 2.1 * DOUBT_EXPOSURE, np.zeros(2), 1.0)
+    np.testing.assert_allclose(gain_between(own, there, always=False), gain_between(own, there, always=True))
 
 
 def test_unless_sure_no_gain_is_farther_off_than_none_as_long_as_rooms_differ_by_less_than_is_doubted():
-    rng, own = np.random.default_rng(0), Look(0.0, np.zeros(2))
+    rng, own = np.random.default_rng(0), Look(0.0, np.zeros(2), 1.0)
     for _ in range(300):
         true = np.r_[rng.uniform(-0.4, 0.4), rng.uniform(-0.18, 0.18, 2)]
         error = rng.uniform(-1, 1, 3) * [DOUBT_EXPOSURE, DOUBT_TINT, DOUBT_TINT]
         found = true + error
-        logs = np.log(gain_between(own, Look(found[0], found[1:]), sure=False))
+        logs = np.log(gain_between(own, Look(found[0], found[1:], 1.0), always=False))
         exposure, tint = logs.mean(), logs[[0, 2]] - logs[1]
         left = np.abs(true - np.r_[exposure, tint])
         assert (left <= np.abs(true) + 1e-9).all()
 
 
 def test_no_gain_leaves_the_limits():
-    far = Look(3.0, np.array([2.0, -2.0]))
-    logs = np.log(gain_between(Look(0.0, np.zeros(2)), far, sure=True))
+    far = Look(3.0, np.array([2.0, -2.0]), 1.0)
+    logs = np.log(gain_between(Look(0.0, np.zeros(2), 1.0), far, always=True))
     assert logs.mean() == pytest.approx(np.log(MOST_EXPOSURE[1]))
     np.testing.assert_allclose(logs[[0, 2]] - logs[1], np.log(MOST_TINT)[::-1])
 

@@ -31,6 +31,12 @@ def picture(setting, people, camera, shadow=None):
     return np.rint(image.clip(0, 1) * 255)
 
 
+def lamp(*way):
+    """A light from the direction `way` [3], of 0.6 of all."""
+    nobody = Casters(torch.zeros(24, 3), torch.zeros(24, 3, 3))
+    return Shadow(torch.tensor(way), nobody, 0.6, 0.05, 1.0, 1.0).requires_grad_(False)
+
+
 def test_who_is_nearer_is_before_the_other_in_whatever_order_they_are_named(stage):
     """The far one shows their back, blue; the near one their front, red, and is the larger."""
     setting, (far, near), camera = stage
@@ -52,12 +58,11 @@ def test_a_person_behind_the_wall_is_not_seen(tiny, stage):
 
 def test_each_casts_a_shadow_and_two_are_darker_than_one_but_never_darker_than_the_light_is_strong(stage):
     setting, (far, near), _ = stage
-    nobody = Casters(torch.zeros(24, 3), torch.zeros(24, 3, 3))
-    shadow = Shadow(torch.tensor([0.0, 0.0, -1.0]), nobody, 0.6, 0.05, 1.0, 1.0).requires_grad_(False)
+    shadow = lamp(0.0, 0.0, -1.0)
     plain = setting.splats.sh[:, 0] * 0.2820948 + 0.5
 
     def light(people):
-        lit = shaded(setting.splats, shadow, people, 0).sh[:, 0] * 0.2820948 + 0.5
+        lit = shaded(setting.splats, shadow, [one.casters(0) for one in people]).sh[:, 0] * 0.2820948 + 0.5
         return (lit / plain).mean(1)
 
     one, other, both = light([far]), light([near]), light([far, near])
@@ -66,7 +71,19 @@ def test_each_casts_a_shadow_and_two_are_darker_than_one_but_never_darker_than_t
     depth = [-torch.log(1 - (1 - share) / 0.6 + 1e-9) for share in (one, other, both)]
     thin = both > 0.45
     torch.testing.assert_close(depth[2][thin], (depth[0] + depth[1])[thin], atol=2e-3, rtol=1e-3)
-    assert shaded(setting.splats, None, [far, near], 0) is setting.splats
+    assert shaded(setting.splats, None, [far.casters(0), near.casters(0)]) is setting.splats
+
+
+def test_a_person_darkens_whoever_is_behind_them_and_not_themselves(stage):
+    """The lamp is ahead, where the near one stands; z of the world falls that way."""
+    setting, (far, near), _ = stage
+    plain = [one.sh for one in everybody(setting.splats, None, [far, near], 0)]
+    lit = [one.sh for one in everybody(setting.splats, lamp(0.0, 0.0, -1.0), [far, near], 0)]
+    falls = [((new - old) * 0.2820948)[:, 0].mean(1) for old, new in zip(plain, lit, strict=True)]
+    assert falls[0].min() < -0.2 and falls[0].max() < 1e-6, "behind"
+    assert falls[1].abs().max() < 0.02 and falls[2].min() < -0.2
+    (alone, _) = everybody(setting.splats, lamp(0.0, 0.0, -1.0), [far], 0)
+    assert alone.sh is far.baked.resting.sh, "off changes no bit"
 
 
 @pytest.mark.parametrize("flag", [True, False])

@@ -204,3 +204,22 @@ def test_the_right_hand_of_wave_hello_waves(clips, joints):
     world = bvh_made.world_of(found.rotations)
     left, right = ((world[:, elbow] @ (joints[wrist] - joints[elbow]))[:, 2] for elbow, wrist in ((18, 20), (19, 21)))
     assert right.max() > 0.12 and left.max() < 0.03  # z is up in this file
+
+
+@pytest.mark.parametrize("name", ["jesse_dance", "jumping_jacks", "wave_hello"])
+def test_a_foot_that_stands_in_the_file_stands_here(clips, joints, held, name):
+    """The ankle's speed over the floor, while the file's, of legs as long, moves by under 5 cm/s."""
+    path = clips / "motion" / f"{name}.bvh"
+    bvh, found = read_bvh(path), retargeted(path, joints)
+    skeleton = retarget.Skeleton(bvh.names, bvh.parents, bvh.places, bvh.rotations)
+    limbs, source = map_body(bvh, path).limbs, retarget._in_the_world(skeleton)[1][1:]
+    world, size = bvh_made.world_of(found.rotations), retarget.leg_of(joints) / found.leg
+    floor = [0, 1] if name == "wave_hello" else [0, 2]  # z is up in that file
+    for hip, knee, ankle in ((1, 4, 7), (2, 5, 8)):
+        bones = joints[hip] - joints[[1, 2]].mean(0), joints[knee] - joints[hip], joints[ankle] - joints[knee]
+        ours = found.hips * size + sum(world[:, j] @ bone for j, bone in zip((0, hip, knee), bones, strict=True))
+        own, speed = (
+            np.linalg.norm(np.diff(at[:, floor], axis=0), axis=1) * bvh.fps
+            for at in (source[:, limbs[ankle]] * size, ours)
+        )
+        held(np.quantile(speed[own < 0.05], 0.9), 0.1, f"m/s of {'left' if ankle == 7 else 'right'} ankles that stand")

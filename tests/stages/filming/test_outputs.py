@@ -1,0 +1,68 @@
+"""What a film is written as: progress that counts every picture once, and USD on its floor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stages.compose import names_of
+from stages.filming import outputs
+from stages.filming.cameras import cameras_of
+from stages.filming.cast import cast
+from stages.filming.parts import Parts
+from stages.filming.setting import load_setting
+from stages.filming.shoot import Shoot
+from stages.filming.spec import Film, Person
+
+FPS = 4.0
+
+
+@pytest.fixture(scope="module")
+def shoot(tiny) -> Shoot:
+    run = tiny["train"].parent
+    people = [
+        Person(avatar=run, motion="squats", at=(x, 0), speed=0.93) for x in (-0.4, 0.5)
+    ]  # else a piece is as the last
+    film = Film(scene=run, people=people, fps=FPS)
+    setting = load_setting(film, "cpu")
+    actors = [cast(person, f"p{i}", setting.ground, FPS, "cpu") for i, person in enumerate(film.people)]
+    return Shoot(setting, actors, cameras_of("still", 20, FPS, (48, 64), setting, actors), FPS)
+
+
+@pytest.mark.slow
+def test_a_long_film_says_how_far_it_is_and_begins_after_what_was_kept(shoot, tmp_path):
+    parts, heard = Parts(tmp_path / "kept", ""), []
+    assert outputs.film(shoot, tmp_path / "a.mp4", parts, False, heard.append)
+    assert sorted(set(heard)) == list(range(1, 21)) and heard == sorted(heard)
+    kept = sorted((tmp_path / "kept").glob("*.mp4"), key=lambda path: path.stat().st_mtime_ns)
+    kept[1].unlink()
+    (tmp_path / "a.mp4").unlink()
+    heard.clear()
+    assert outputs.film(shoot, tmp_path / "a.mp4", parts, False, heard.append)
+    assert heard == [8, *range(9, 17), 16, 20], "the first and the third piece of 2 s were there"
+
+
+@pytest.mark.slow
+def test_usd_has_a_sample_a_picture_y_up_with_the_floor_at_0(shoot, tmp_path):
+    Usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed (the extra `usd`)")
+    heard: list[int] = []
+    assert outputs.usd(shoot, tmp_path / "a.usdc", Parts(tmp_path / "kept", ""), heard.append)
+    assert heard[-1] == shoot.count and heard == sorted(heard)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    assert stage.GetTimeCodesPerSecond() == FPS and stage.GetEndTimeCode() == shoot.count - 1
+    for actor in shoot.cast:
+        places = stage.GetPrimAtPath(f"/World/{actor.name}").GetAttribute("positionsh")
+        assert places.GetTimeSamples() == list(range(shoot.count))
+        ground = shoot.setting.ground
+        for number in (0, 7):
+            expected = (actor.splats(number).means.numpy() - ground.point) @ ground.turn
+            found = np.array(places.Get(number)).astype(float)
+            np.testing.assert_allclose(found, expected, atol=2e-3)
+            assert abs(found[:, 1].min()) < 0.05, "soles at 0"
+    scene = stage.GetPrimAtPath("/World/scene").GetAttribute("positions").Get()
+    assert len(scene) == len(shoot.setting.scene)
+
+
+def test_nobody_is_named_as_the_scene_or_as_another():
+    people = [Person(avatar=f"{name}.npz", motion="wave") for name in ("ann", "ann", "scene", "7", "scene")]
+    assert names_of(Film(people=people)) == ["ann", "ann_2", "scene_2", "person_7", "scene_3"]
