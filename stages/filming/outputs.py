@@ -82,7 +82,7 @@ def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> bool:
 
     def make() -> None:
         with torch.no_grad():
-            sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, number)
+            sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, number, shoot.setting.shading)
         whole = joined([factored(one) for one in sets])
         down = whole if shoot.setting.ground.up[1] < 0 else turned(whole, OVER)
         SPLATS[out.suffix.lower()](out, down)

@@ -73,8 +73,10 @@ def figure(shoot: Shoot, actor: Actor) -> viewer.Figure:
 
 
 def lamp(shoot: Shoot) -> Effects:
-    """The film's lamp as the page takes it."""
-    shadow = shoot.setting.shadow
+    """The film's lamp, and its light on people, as the page takes them."""
+    shadow, shading = shoot.setting.shadow, shoot.setting.shading
+    bands = None if shading is None else shading.bands.detach().cpu().numpy()
     if shadow is None or shoot.setting.scene is None:
-        return Effects()
-    return Effects(**{name: value for name, value in shadow.known().items() if name not in ("middles", "covariances")})
+        return Effects(shading=bands)
+    known = {name: value for name, value in shadow.known().items() if name not in ("middles", "covariances")}
+    return Effects(**known, shading=bands)

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from stages.avatar.effects.frames import load_effects
+from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import DARKNESS, Casters, Shadow
 from stages.avatar.model.scene import load_scene
 from stages.avatar.splats.gaussians import Splats
@@ -29,7 +30,8 @@ DIM, SOFT = 0.3, 0.08  # the share of light that a shadow from above takes, and 
 class Setting:
     """`scene` as arrays, `splats` as tensors, None over white; the `ground` on which people stand, in its world.
 
-    `shadow` is the lamp's, None where none is cast. `clip` and the `times` [F] s of its frames, where the scene is a run's.
+    `shadow` is the lamp's, None where none is cast; `shading` the light on people, None: even light. `clip` and the `times`
+    [F] s of its frames, where the scene is a run's.
     `facts`: what should be said, in words.
     """
 
@@ -40,6 +42,7 @@ class Setting:
     clip: Clip | None
     times: np.ndarray
     facts: tuple[str, ...]
+    shading: Shading | None = None
 
 
 def load_setting(film: Film, device: str) -> Setting:
@@ -62,15 +65,17 @@ def load_setting(film: Film, device: str) -> Setting:
     train, sfm, smpl = (film.scene / stage for stage in ("train", "sfm", "smpl"))
     ground, clip = read_ground(smpl / "ground.json"), load_clip(sfm, smpl, train)
     times = np.array(read_facts(film.scene / "frames" / "frames.json", Listing).times(clip.names))
+    shading = load_effects(read_effects(train / "effects.npz")).to(device).shading if film.light == "auto" else None
     if film.only == "human":
-        return Setting(None, None, ground, None, clip, times, ())
+        return Setting(None, None, ground, None, clip, times, (), shading)
     if film.gaussians is None:
         check_scene(train)
     scene = read_any_scene(film.gaussians or train / "scene.npz")
     shadow, fact = lamp_of(film.scene, ground, film.light)
     if ground.points == 0:
         fact = (*fact, f"the floor of {film.scene} is {ground.how}")
-    return Setting(scene, load_scene(scene, device), ground, shadow, clip, times, (*lacks(None, film.gaussians), *fact))
+    facts = (*lacks(None, film.gaussians), *fact)
+    return Setting(scene, load_scene(scene, device), ground, shadow, clip, times, facts, shading)
 
 
 def _floor(floor: Floor) -> Ground:

@@ -32,12 +32,12 @@ class Shoot:
     def picture(self, number: int) -> np.ndarray:
         """A picture, uint8 [H,W,3]: in the scene, or over white."""
         white = 1.0 if self.setting.splats is None else 0.0
-        scene, shadow = self.setting.splats, self.setting.shadow
-        return to_uint8(draw_picture(scene, shadow, self.cast, number, self.cameras[number], white)[0])
+        scene, shadow, shading = self.setting.splats, self.setting.shadow, self.setting.shading
+        return to_uint8(draw_picture(scene, shadow, self.cast, number, self.cameras[number], white, shading)[0])
 
     def people(self, number: int) -> np.ndarray:
         """The people of a picture alone, uint8 [H,W,4], alpha not multiplied into colour."""
-        image, alpha = draw_picture(None, None, self.cast, number, self.cameras[number], 0.0)
+        image, alpha = draw_picture(None, None, self.cast, number, self.cameras[number], 0.0, self.setting.shading)
         color = image / np.maximum(alpha, 1 / 255)[..., None]
         return to_uint8(np.concatenate([color, alpha[..., None]], 2))
 
@@ -58,12 +58,13 @@ class Shoot:
     @cached_property
     def stuff(self) -> str:
         """A digest of what all pictures are made of: Gaussians, lamp, where people stand and how large they are."""
-        scene, shadow = self.setting.splats, self.setting.shadow
+        scene, shadow, shading = self.setting.splats, self.setting.shadow, self.setting.shading
         lamp = None if shadow is None else [shadow.light(), *shadow.parameters()]
+        light = None if shading is None else [*shading.parameters()]
         people = []
         for actor in self.cast:
             clothing = actor.baked.clothing
             cloth = None if clothing is None else [*clothing.buffers(), *clothing.parameters()]
             rest = list(actor.baked.resting), actor.baked.joints, actor.baked.parents, actor.baked.antialias
             people.append([*rest, cloth, list(actor.parts), actor.place, actor.turn, actor.scale])
-        return mark(None if scene is None else list(scene), lamp, people)
+        return mark(None if scene is None else list(scene), lamp, light, people)

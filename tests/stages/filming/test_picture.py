@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import Casters, Shadow
+from stages.avatar.splats.gaussians import facing
 from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast
 from stages.filming.picture import draw_picture, everybody, shaded
@@ -84,6 +86,17 @@ def test_a_person_darkens_whoever_is_behind_them_and_not_themselves(stage):
     assert falls[1].abs().max() < 0.02 and falls[2].min() < -0.2
     (alone, _) = everybody(setting.splats, lamp(0.0, 0.0, -1.0), [far], 0)
     assert alone.sh is far.baked.resting.sh, "off changes no bit"
+
+
+def test_people_stand_in_the_light_of_the_film_and_the_scene_keeps_its_own(stage):
+    setting, people, _ = stage
+    shading = Shading(torch.linspace(-0.6, 0.6, 24).view(8, 3)).requires_grad_(False)
+    plain, lit = (everybody(setting.splats, None, people, 0, light) for light in (None, shading))
+    for before, after in zip(plain[:-1], lit[:-1], strict=True):
+        wanted = shading.light(facing(before.axes)) * (0.5 + 0.2820948 * before.sh[:, 0])
+        torch.testing.assert_close(0.5 + 0.2820948 * after.sh[:, 0], wanted)
+        assert (wanted - 0.5 - 0.2820948 * before.sh[:, 0]).abs().max() > 0.05
+    assert lit[-1].sh is plain[-1].sh
 
 
 @pytest.mark.parametrize("flag", [True, False])

@@ -71,6 +71,16 @@ def test_where_it_could_not_see_or_above_is_asked_for_it_falls_from_above(run, l
     assert lamp_of(run, ground, "off") == (None, ())
 
 
+@pytest.mark.parametrize(("light", "lit"), [("auto", True), ("above", False), ("off", False)])
+def test_people_stand_in_the_light_that_the_scenes_clip_told(run, light, lit):
+    assert load_setting(film(run), "cpu").shading is None
+    bands = np.linspace(-0.4, 0.4, 24).reshape(8, 3)
+    write_effects(run / "train" / "effects.npz", Effects(shading=bands))
+    shading = load_setting(film(run, light=light), "cpu").shading
+    assert (shading is not None) is lit
+    assert not lit or np.abs(shading.bands.numpy() - bands).max() < 1e-6
+
+
 def test_a_guessed_floor_is_said(run):
     ground = read_ground(run / "smpl" / "ground.json")
     write_ground(run / "smpl" / "ground.json", replace(ground, points=0, how="guessed from the bodies"))
