@@ -100,7 +100,8 @@ def run(
     }
     own = read_facts(masks / "masks.json", MaskFacts).source == "blazepose"
     if params.outlines == "always" or (own and params.outlines == "auto"):
-        facts["outlines_moved"] = correct_outlines(job)
+        with parts.timed("outlines"):
+            facts["outlines_moved"] = correct_outlines(job)
     (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
     # Not in sfm.json: the same clip gives the same bytes, and the stages after it stay fresh.
     job.note(f"what took how long: {parts}")

@@ -7,7 +7,9 @@ background, where nothing agrees there is somebody.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -39,14 +41,13 @@ GUIDE_RADIUS, GUIDE_EPS = 2, 2e-4 * 255**2
 
 @dataclass(frozen=True)
 class Window:
-    """The part of a frame around its mask: rows and columns, the pixels in question, and for each pixel its ray [h,w,3] and
-    the scene's inverse depth [h,w] per SfM unit."""
+    """The part of a frame around its mask: rows and columns, the pixels in question, and for each pixel its ray and the
+    scene's inverse depth per SfM unit, [h,w,4] in one."""
 
     rows: slice
     columns: slice
     asked: np.ndarray
     rays: np.ndarray
-    depth: np.ndarray
 
 
 def corrected(
@@ -57,9 +58,13 @@ def corrected(
     `images` uint8 [H,W,3]; `points` [P,3] of the scene, SfM units; without any the camera may only turn.
     """
     hidden = [cv2.dilate(mask, disk(2)) for mask in masks]
-    for frame, mask in enumerate(masks):
-        window = _window(mask, frame, cameras, points)
-        yield mask if window is None else _compared(frame, mask, window, hidden, images, cameras)
+
+    def one(frame: int) -> np.ndarray:
+        window = _window(masks[frame], frame, cameras, points)
+        return masks[frame] if window is None else _compared(frame, masks[frame], window, hidden, images, cameras)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield from pool.map(one, range(len(masks)))
 
 
 def _window(mask: np.ndarray, frame: int, cameras: Cameras, points: np.ndarray) -> Window | None:
@@ -76,9 +81,9 @@ def _window(mask: np.ndarray, frame: int, cameras: Cameras, points: np.ndarray) 
     x = slice(max(columns.min() - ring, 0), min(columns.max() + ring, width))
     K = cameras.Ks[frame]
     v, u = np.mgrid[y, x].astype(np.float32)
-    rays = np.stack([(u + 0.5 - K[0, 2]) / K[0, 0], (v + 0.5 - K[1, 2]) / K[1, 1], np.ones_like(u)], -1)
     depth = inverse_depth(points, cameras.viewmats[frame], K, width, height)[y, x]
-    return Window(y, x, asked[y, x], rays.astype(np.float32), depth)
+    rays = np.dstack([(u + 0.5 - K[0, 2]) / K[0, 0], (v + 0.5 - K[1, 2]) / K[1, 1], np.ones_like(u), depth])
+    return Window(y, x, asked[y, x], rays.astype(np.float32))
 
 
 def disk(radius: float) -> np.ndarray:
@@ -134,7 +139,7 @@ def _lookup(window: Window, frame: int, other: int, cameras: Cameras) -> tuple[n
     here, there, K = cameras.viewmats[frame], cameras.viewmats[other], cameras.Ks[other]
     turn = there[:3, :3] @ here[:3, :3].T
     shift = there[:3, 3] - turn @ here[:3, 3]
-    rays = window.rays @ turn.T.astype(np.float32) + window.depth[..., None] * shift.astype(np.float32)
+    rays = cv2.transform(window.rays, np.column_stack([turn, shift]))
     ahead = rays[..., 2] > 0.01
     z = np.where(ahead, rays[..., 2], 1)
     u, v = (np.where(ahead, rays[..., i] / z * K[i, i] + K[i, 2] - 0.5, OUTSIDE) for i in (0, 1))
@@ -149,33 +154,36 @@ def _difference(image: np.ndarray, scene: np.ndarray, known: np.ndarray) -> np.n
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     here, there = (cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (image, scene))
     flow = search.calc(here, there, np.zeros((*here.shape, 2), np.float32))
-    known = known & (abs(flow).max(-1) < FLOW_MOST)
-    weight = known.astype(np.float32)
-    near, far = (_carried(flow, weight, sigma) for sigma in FLOW_BLUR)
-    share = (near[1] / 0.05).clip(0, 1)[..., None]
-    flow = np.where(known[..., None], flow, near[0] * share + far[0] * (1 - share)).astype(np.float32)
-    v, u = np.mgrid[: len(image), : image.shape[1]].astype(np.float32)
+    known = known & (np.maximum(abs(flow[..., 0]), abs(flow[..., 1])) < FLOW_MOST)
+    flow = np.where(known[..., None], flow, _behind(flow, known))
+    height, width = known.shape
+    v, u = np.mgrid[:height, :width].astype(np.float32)
+    moved = cv2.remap(scene, u + flow[..., 0], v + flow[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    detail = cv2.blur(_detail(moved), (5, 5))
+    mine, theirs = cv2.split(image), cv2.split(cv2.copyMakeBorder(moved, 1, 1, 1, 1, cv2.BORDER_REPLICATE))
     least = np.full(known.shape, np.inf, np.float32)
-    for right in (-1, 0, 1):
-        for down in (-1, 0, 1):
-            moved = cv2.remap(
-                scene, u + flow[..., 0] + right, v + flow[..., 1] + down, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
-            )
-            apart = cv2.transform(cv2.absdiff(moved, image).astype(np.float32), ADD)
+    for down in (0, 1, 2):
+        for right in (0, 1, 2):
+            at = np.s_[down : down + height, right : right + width]
+            red, green, blue = (cv2.absdiff(a, b[at]) for a, b in zip(mine, theirs, strict=True))
+            apart = cv2.add(cv2.add(red, green, dtype=cv2.CV_16U), blue, dtype=cv2.CV_32F)
             least = np.minimum(least, cv2.GaussianBlur(apart, (0, 0), BLUR))
-            if right == down == 0:
-                detail = cv2.blur(_detail(moved), (5, 5))
     usual = max(float(np.median(detail[known])), 1.0) if known.any() else 1.0
-    return least / np.maximum(detail / usual, 1) ** DETAIL
+    return least / cv2.pow(np.maximum(detail / usual, 1), DETAIL)
 
 
-def _carried(flow: np.ndarray, weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """The flow averaged where it is known, and how much is known around; computed at a quarter of the size."""
-    size = weight.shape[::-1]
-    weighted = np.dstack([flow * weight[..., None], weight])
-    small = cv2.resize(weighted, (max(size[0] // 4, 1), max(size[1] // 4, 1)), interpolation=cv2.INTER_AREA)
-    mean = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / 4), size, interpolation=cv2.INTER_LINEAR)
-    return mean[..., :2] / np.maximum(mean[..., 2:], 1e-4), mean[..., 2]
+def _behind(flow: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """The flow [h,w,2] where it is `known` [h,w], carried on: the nearest, where some is near. At a quarter of the size."""
+    height, width = known.shape
+    size = max(width // 4, 1), max(height // 4, 1)
+    there = known.astype(np.float32)
+    parts = (flow[..., 0] * there, flow[..., 1] * there, there)
+    small = np.dstack([cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in parts])
+    near, far = (cv2.GaussianBlur(small, (0, 0), sigma / 4) for sigma in FLOW_BLUR)
+    share = (near[..., 2:] / 0.05).clip(0, 1)
+    means = [mean[..., :2] / np.maximum(mean[..., 2:], 1e-4) for mean in (near, far)]
+    carried = means[0] * share + means[1] * (1 - share)
+    return cv2.resize(carried, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def _detail(image: np.ndarray) -> np.ndarray:
