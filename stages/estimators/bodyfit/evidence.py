@@ -148,13 +148,16 @@ def mirrored_columns(names: tuple[str, ...], parts: tuple[str, ...] | None = Non
 
 
 def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray]:
-    """Exchange left and right (of all, arms or legs) in the frames that contradict their neighbours.
+    """Exchange left and right (of all, arms or legs), or front and back, in the frames that contradict their neighbours.
 
-    A shortest path over the seen frames (Viterbi): a step costs how far the landmarks move, in picture and space; a run of
+    Somebody seen from behind who is taken for somebody seen from the front has both left and right exchanged and near and
+    far. A shortest path over the seen frames (Viterbi): a step costs how far the landmarks move, in picture and space; a run of
     exchanged frames costs SWAP_EDGE at either end and SWAP_COST for each frame, so the sides that BlazePose gives most often
     win. Returns which frames [F] were changed.
     """
-    orders = [mirrored_columns(evidence.names, parts) for parts in ((), None, ARMS, LEGS)]
+    orders = [mirrored_columns(evidence.names, parts) for parts in ((), None, ARMS, LEGS, None)]
+    near_far = np.ones((len(orders), 3))
+    near_far[-1, 2] = -1
     frames = np.flatnonzero(evidence.seen)
     if len(frames) < 2:
         return evidence, np.zeros(len(evidence.seen), bool)
@@ -162,6 +165,7 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
     middle = np.median(np.linalg.norm(evidence.world[frames], axis=-1).max(1))
     features = np.concatenate([evidence.xy / size, 0.5 * evidence.world / max(middle, 1e-6)], -1)
     views = np.stack([features[:, order] for order in orders])
+    views[..., 2:] *= near_far[:, None, None]
     weights = np.stack([evidence.weight[:, order] for order in orders])
     states = len(orders)
     cost = np.zeros(states)
@@ -181,7 +185,7 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
         state[step - 1] = back[step, state[step]]
     xy, world, weight = evidence.xy.copy(), evidence.world.copy(), evidence.weight.copy()
     for i, s in zip(frames, state, strict=True):
-        xy[i], world[i], weight[i] = xy[i, orders[s]], world[i, orders[s]], weight[i, orders[s]]
+        xy[i], world[i], weight[i] = xy[i, orders[s]], world[i, orders[s]] * near_far[s], weight[i, orders[s]]
     changed = np.zeros(len(evidence.seen), bool)
     changed[frames] = state > 0
     return replace(evidence, xy=xy, world=world, weight=weight), changed

@@ -82,3 +82,22 @@ def test_frames_that_show_somebody_else_or_a_mirror_image_are_left_out(mirrored)
     assert np.flatnonzero(strangers).tolist() == seen
     kept, _ = vote_sides(drop_cut(found, (bodyfit_clips.WIDTH, bodyfit_clips.HEIGHT)))
     assert not kept.seen[seen].any() and (kept.weight[seen] == 0).all()
+
+
+def test_somebody_who_walks_away_is_not_turned_front_to_back_in_the_last_frames(monkeypatch):
+    """From behind and far away a detector takes them for somebody who looks at the camera: sides and depth are exchanged."""
+    pose = bodyfit_clips.motion
+    monkeypatch.setattr(bodyfit_clips, "motion", lambda times: (np.full(len(times), np.pi), pose(times)[1]))
+    model = read_body_model()
+    names, _ = model_landmarks(model)
+    evidence, _ = vote_sides(gather(bodyfit_clips.make(model, frames=30).tracks, names))
+    faced = replace(evidence, xy=evidence.xy.copy(), world=evidence.world.copy(), weight=evidence.weight.copy())
+    last = slice(23, 30)
+    for values in (faced.xy, faced.world, faced.weight):
+        values[last] = values[last][:, mirrored_columns(names)]
+    faced.world[last, :, 2] *= -1
+    faced.weight[last] *= 0.6
+    voted, changed = vote_sides(faced)
+    assert np.flatnonzero(changed).tolist() == list(range(23, 30))
+    np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
+    np.testing.assert_array_equal(voted.world[evidence.seen], evidence.world[evidence.seen])
