@@ -112,7 +112,7 @@ out:
 """
 PERSON = """\
   - avatar: {avatar}
-    motion: {motion}          # a .bvh or .npz; clip: as in their own clip; wave, squats, jumping_jacks, walk_in_place
+{who}    motion: {motion}          # a .bvh or .npz; clip: as in their own clip; wave, squats, jumping_jacks, walk_in_place
     at: [{aside:.1f}, 0.0]        # m on the floor from where the scene's person stood: to their left, ahead of them
     turn: 0               # degrees to the left
     # start: 1.5          # second of the film at which the motion begins; less than 0: it is under way
@@ -120,7 +120,10 @@ PERSON = """\
     # loop: true          # begin again at the end
     # scale: 1.0          # times as large
 """
-APART = 1.0  # m between people
+WHO = """    who: {}                # which of the people of this run
+"""
+OTHERS = "train/people/*/avatar.npz"  # of a run: its further people
+APART = 1.0  # m between the people of two runs
 
 
 def begin(runs: list[Path], out: Path, force: bool) -> None:
@@ -131,14 +134,13 @@ def begin(runs: list[Path], out: Path, force: bool) -> None:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
     names = [os.path.relpath(run, out.parent) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
-    people = [
-        PERSON.format(
-            avatar=name,
-            motion="clip" if run.is_dir() else "wave",
-            aside=APART * (i - (len(runs) - 1) / 2),
-        )
-        for i, (name, run) in enumerate(zip(names, runs, strict=True))
-    ]
+    people = []
+    for i, (name, run) in enumerate(zip(names, runs, strict=True)):
+        further, motion = len(list(run.glob(OTHERS))), "clip" if run.is_dir() else "wave"
+        aside = APART * (i - (len(runs) - 1) / 2)
+        for number in range(1, 2 + further):
+            who = WHO.format(number) if further else ""
+            people.append(PERSON.format(avatar=name, who=who, motion=motion, aside=aside))
     camera = "clip" if scene else "before"
     parts = {"scene": scene or "null", "people": "".join(people), "camera": camera, "name": out.name, "stem": out.stem}
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -53,7 +53,9 @@ PipelinesFile = Annotated[Path, Option(help="Read pipelines from this file.", sh
 Settings = Annotated[list[str] | None, Option("--set", metavar="STAGE.PARAM=VALUE", help="Change one setting.")]
 Work = Annotated[Path, Option(help="Results folder, with a folder for each clip.")]
 Masks = Annotated[Path | None, Option(help="Person masks: a folder, a stack (.npy, .npz), COCO .json, a video.")]
-Person = Annotated[str | None, Option(help="Person to track if several are visible; the run lists the ids.")]
+Person = Annotated[
+    str | None, Option(help="Person to track if several are visible, an id that the run lists; all: each.")
+]
 Cameras = Annotated[Path | None, Option(help="Cameras to import: a COLMAP model's folder, or transforms.json.")]
 SmplFit = Annotated[Path | None, Option(help="Body poses to import: the file or folder of another tool.")]
 BodyModel = Annotated[Path | None, Option(help="SMPL model (.pkl, .npz) in place of the free body.")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from stages.avatar.drawing.draw import Learned, Pose
     from stages.avatar.measures.lpips import Lpips
     from stages.avatar.splats.gaussians import Splats
+    from stages.filming.company import Member
     from stages.formats.clip import Clip
 
 PROTOCOL = (
@@ -29,6 +30,10 @@ PROTOCOL = (
     "the picture cut out by its mask, in the same box. Means over frames; PSNR over all channels at once, SSIM 11x11 "
     "with sigma 1.5, LPIPS AlexNet v0.1 on [-1,1] (lpips_legacy: on [0,1], as HUGS's code feeds it); psnr_per_channel: "
     "the mean of each channel's own. Equal pictures count 100 dB. Where the mask is empty nobody is drawn."
+)
+PEOPLE = (
+    "Several people: full shows all of them; the other two regions are of one person each, under `people` of each but the first, "
+    "and what is another person's in person_white is not compared."
 )
 MASKED = "masked_full: picture and person alone, both times the mask, over black; masked_crop: the same in its box."
 NUMBERS = ("psnr", "psnr_per_channel", "ssim", "lpips", "lpips_legacy")
@@ -54,8 +59,9 @@ The kitchen clip, a short training, 2 cores, November 2026."""
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
     from stages.formats.clip import load_clip
+    from stages.formats.people import people_of
 
-    heldout = int(load_clip(folders["sfm"], folders["smpl"]).heldout.sum())
+    heldout = int(load_clip(folders["sfm"], folders["smpl"]).heldout.sum()) * len(people_of(folders["sfm"]))
     return heldout * (SCORE * (1 + bool(params.fit_steps)) + POSE_STEP * params.fit_steps)
 
 
@@ -70,29 +76,31 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     """Write metrics.json, and heldout/*.png: the clip, the result, the person alone."""
     import numpy as np
 
-    from stages.avatar.drawing.draw import load_learned, to_uint8
+    from stages.avatar.drawing.draw import to_uint8
     from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import path
-    from stages.formats.clip import load_clip
+    from stages.filming.company import load_company, present
     from stages.formats.facts import Trained, read_facts
     from stages.formats.images import write_image
-    from stages.formats.trained import read_trained
+    from stages.formats.people import folder_of
 
     began = time.perf_counter()
-    clip = load_clip(sfm, smpl, train)
-    avatar, scene, effects = read_trained(train)
-    learned = load_learned(avatar, scene, effects, job.device)
+    members = load_company(sfm, smpl, train, job.device)
+    clip, scene = members[0].clip, members[0].learned.scene
     facts = read_facts(train / "train.json", Trained)
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
-    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or clip.shows_person(int(i))]
+    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or present(members, int(i))]
     shown = set(held[:: max(1, len(held) // SHOWN)][:SHOWN])
     (job.out / "heldout").mkdir()
     protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
-    rows: dict[str, list[dict[str, Any]]] = {protocol: [] for protocol in protocols}
-    for done, i in enumerate(held):
-        job.progress(done, len(held))
-        shot = Shot(clip, learned, i, facts.exposure.get(clip.names[i]), job.device)
+    each: list[dict[str, list[dict[str, Any]]]] = [{protocol: [] for protocol in protocols} for _ in members]
+    for done, (member, i) in enumerate((member, i) for member in members for i in held):
+        job.progress(done, len(held) * len(members))
+        rows, strips = each[member.clip.person - 1], folder_of(job.out, member.clip.person) / "heldout"
+        strips.mkdir(parents=True, exist_ok=True)
+        others = [one for one in present(members, i) if one.clip.person != member.clip.person]
+        shot = Shot(*member, i, facts.exposure.get(clip.names[i]), job.device, others)
         for protocol in protocols:
             pose = shot.pose if protocol == "heldout" else fit_pose(shot, params.fit_steps)
             drawn = shot.draw(pose)
@@ -100,33 +108,45 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
             rows[protocol].append({"name": clip.names[i]} | found)
             if protocol == "heldout" and i in shown:
                 strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
-                write_image(job.out / "heldout" / f"{clip.names[i]}.png", strip)
+                write_image(strips / f"{clip.names[i]}.png", strip)
     seconds = {name: record.seconds for name, record in job.upstream.items()}
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
     regions = (*REGIONS, *(MASKED_REGIONS if params.masked else ()))
-    means = {protocol: _means(found, regions) for protocol, found in rows.items()}
+    means, *of_others = [{protocol: _means(found, regions) for protocol, found in rows.items()} for rows in each]
+    people = sum(len(member.learned.avatar.resting.means) for member in members)
     metrics = means | {
         "frames": len(held),
-        "gaussians": {"human": len(learned.avatar.resting.means), "scene": len(scene) if scene else 0},
+        "gaussians": {"human": people, "scene": len(scene.means) if scene else 0},
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
         "peak_memory_bytes": max(memory),
         "device": job.device,
         "seed": job.seed,
         "versions": _versions(),
-        "protocol": " ".join([clip.split.rule, PROTOCOL, MASKED * params.masked]).strip(),
-        "per_frame": rows,
+        "protocol": " ".join([clip.split.rule, PROTOCOL, *[PEOPLE] * bool(of_others), MASKED * params.masked]).strip(),
+        "per_frame": each[0],
     }
+    if of_others:
+        metrics["people"] = {str(k): theirs for k, theirs in enumerate(of_others, 2)}
     (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False))
-    job.note(_sentence(means["heldout"]))
+    for k, one in enumerate([means, *of_others], 1):
+        job.note(f"person {k}, " * bool(of_others) + _sentence(one["heldout"]))
     if not held:
         job.warn(f"nothing could be measured: no held-out frame to compare in {len(clip.names)} registered frames")
 
 
 class Shot:
-    """One held-out frame: its picture, its mask, its camera, and the person's pose before any fitting."""
+    """One held-out frame: its picture, its mask, its camera, the person's pose before any fitting, and `others` there."""
 
-    def __init__(self, clip: Clip, learned: Learned, i: int, gain: list[float] | None, device: str):
+    def __init__(
+        self,
+        clip: Clip,
+        learned: Learned,
+        i: int,
+        gain: list[float] | None,
+        device: str,
+        others: Sequence[Member] = (),
+    ):
         import numpy as np
         import torch
 
@@ -136,18 +156,30 @@ class Shot:
         like = learned.avatar.joints
         self.learned = learned
         self.image = torch.tensor(clip.images(i)).to(like) / 255
-        self.mask = torch.tensor(clip.mask(i)).to(like) / 255
+        self.mask = torch.tensor(clip.own_mask(i)).to(like) / 255
+        self.others, self.speeds = [one.splats(i) for one in others], [one.motion(i) for one in others]
+        theirs = [torch.tensor(one.clip.own_mask(i)).to(like) for one in others]
+        self.theirs = torch.stack([0 * self.mask, *theirs]).amax(0)[..., None] > 0
         self.viewmat, self.K = (torch.as_tensor(np.asarray(m)).to(like) for m in (clip.viewmats[i], clip.Ks[i]))
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
         self.box = person_crop(self.mask)
         self.pose: Pose = pose_of(clip.body, i)
-        self.scene = learned.shade(learned.scene, self.pose if self.box else None)  # its shadow is not fitted
+        own = [learned.stance(self.pose)] if self.box else []
+        shadows = [*own, *(one.stance(i) for one in others)]
+        self.scene = learned.effects.shade(learned.scene, *shadows)  # they are not fitted
         self.motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, self.box is not None)
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
-        """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black."""
+        """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black; others are in the scene."""
         from stages.avatar.rasterize import Camera, Layer
+        from stages.avatar.splats.gaussians import together
+        from stages.filming.company import moving
 
+        motion = self.motion
+        if scene is not None and self.others:
+            each = [(human, motion)] if human is not None else []
+            each += zip(self.others, self.speeds, strict=True)
+            human, motion = together([splats for splats, _ in each]), moving(motion, each)
         rows, columns = box
         K = self.K.clone()
         K[0, 2] -= columns.start
@@ -155,7 +187,7 @@ class Shot:
         size = columns.stop - columns.start, rows.stop - rows.start
         ground = self.gain.new_full((3,), float(white))
         (drawn,) = self.learned.effects.draw(
-            human, scene, self.motion, Camera(self.viewmat, K, *size), [Layer(background=ground)]
+            human, scene, motion, Camera(self.viewmat, K, *size), [Layer(background=ground)]
         )
         bare = (1 - drawn.alpha)[..., None] * ground
         return bare + self.gain * (drawn.image - bare)
@@ -173,6 +205,7 @@ class Shot:
             alone = (
                 self.render(human, None, everything, white=True).clamp(0, 1) if human else torch.ones_like(self.image)
             )
+            alone = torch.where(self.theirs, 1.0, alone)
             both = alone
             if self.learned.scene is not None:
                 both = self.render(human, self.scene, everything, white=False).clamp(0, 1)
@@ -224,6 +257,8 @@ def _finite(image: torch.Tensor, truth: torch.Tensor, lpips: Lpips | None) -> di
 def _scores(
     shot: Shot, drawn: tuple[torch.Tensor, torch.Tensor], lpips: Lpips | None
 ) -> Iterator[tuple[str, dict[str, float | None]]]:
+    import torch
+
     from stages.avatar.measures.metrics import over_white
 
     both, alone = drawn
@@ -232,7 +267,8 @@ def _scores(
         if shot.box is not None:
             yield "person_crop", _finite(both[shot.box], shot.image[shot.box], lpips)
     if shot.box is not None:
-        yield "person_white", _finite(alone[shot.box], over_white(shot.image, shot.mask)[shot.box], lpips)
+        white = torch.where(shot.theirs, 1.0, over_white(shot.image, shot.mask))
+        yield "person_white", _finite(alone[shot.box], white[shot.box], lpips)
 
 
 def _masked(shot: Shot, pose: Pose, lpips: Lpips | None) -> Iterator[tuple[str, dict[str, float | None]]]:

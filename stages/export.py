@@ -14,7 +14,10 @@ from stages import contract
 from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from stages.avatar.motion.placing import Soles
+    from stages.formats.clip import Clip
     from stages.records import Avatar, BodyModel, BodyPoses, Ground, Rig, Scene, Take
 
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
@@ -34,33 +37,45 @@ class Params(contract.Params):
 
 
 def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train: Path) -> None:
-    """Write avatar.npz (skeleton and weights), avatar and scene as .ply, .spz, .glb or other formats, and viewer.html."""
+    """Write avatar.npz (skeleton and weights), avatar and scene as .ply, .spz, .glb or other formats, and viewer.html.
+
+    Files of further people are in people/2 and so on; the page shows all.
+    """
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
     from stages.formats.body_model import read_body_model
     from stages.formats.effects import read_effects
     from stages.formats.ground import read_ground, write_ground
+    from stages.formats.people import folder_of, people_of
     from stages.formats.splats import read_avatar, read_scene
 
     formats: set[str] = set(params.formats)
     _check(formats)
-    avatar, model = read_avatar(train / "avatar.npz"), read_body_model(smpl / "body_model.npz")
+    model, people = read_body_model(smpl / "body_model.npz"), people_of(sfm)
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     ground = read_ground(smpl / "ground.json")
-    shutil.copyfile(train / "avatar.npz", job.out / "avatar.npz")
     write_ground(job.out / "ground.json", ground)
-    job.note(f"avatar {len(avatar)} Gaussians" + (f", scene {len(scene)}" if scene else ""))
-    rig = rig_of(avatar)
-    soles = Soles.of_rig(rig)
-    _still(job, formats, avatar, scene, soles, ground)
-    takes = _takes(frames, train, ground, soles) if formats & {"glb", *MOVING} else []
-    if "glb" in formats:
-        _rigged(job, params, avatar, rig, model, takes, soles.floor)
-    if formats & set(MOVING):
-        _moving(job, params, avatar, takes, soles.floor)
-    _lacks(job, formats, avatar, rig, scene, read_effects(train / "effects.npz").shading is not None)
+    shaded = read_effects(train / "effects.npz").shading is not None
+    cast: list[tuple[Avatar, Rig, Soles]] = []
+    for person in people:
+        there, own = folder_of(train, person), replace(job, out=folder_of(job.out, person))
+        own.out.mkdir(parents=True, exist_ok=True)
+        avatar = read_avatar(there / "avatar.npz")
+        shutil.copyfile(there / "avatar.npz", own.out / "avatar.npz")
+        around, who = scene if person == 1 else None, f"person {person}: " * (len(people) > 1)
+        job.note(f"{who}avatar {len(avatar)} Gaussians" + (f", scene {len(around)}" if around else ""))
+        rig = rig_of(avatar)
+        soles = Soles.of_rig(rig)
+        _still(own, formats, avatar, around, soles, ground)
+        takes = _takes(frames, there, ground, soles) if formats & {"glb", *MOVING} else []
+        if "glb" in formats:
+            _rigged(own, params, avatar, rig, model, takes, soles.floor)
+        if formats & set(MOVING):
+            _moving(own, params, avatar, takes, soles.floor)
+        _lacks(own, formats, avatar, rig, around, shaded)
+        cast.append((avatar, rig, soles))
     if "viewer" in formats:
-        _viewer(job, frames, sfm, smpl, train, avatar, rig, scene, soles, ground)
+        _viewer(job, frames, sfm, smpl, train, cast, scene, ground)
 
 
 def _check(formats: set[str]) -> None:
@@ -216,63 +231,76 @@ def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene |
         job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
 
 
+def _under(clip: Clip, rig: Rig, ground: Ground) -> Ground:
+    """The floor under where a further person stands in the middle of the clip."""
+    hips = clip.body.transl[len(clip.names) // 2] + rig.joints[0]
+    return replace(ground, point=hips - ((hips - ground.point) @ ground.up) * ground.up)
+
+
+def _casters(clip: Clip) -> tuple[np.ndarray, np.ndarray]:
+    """What of a further person casts a shadow, at rest."""
+    import torch
+
+    from stages.avatar.body.smpl import Body
+    from stages.avatar.effects.shadow import casters
+
+    body = Body(clip.body_model)
+    parts = casters(body.rest(torch.as_tensor(clip.body.betas).float())[0], body.lbs_weights)
+    return parts.middles.numpy(), parts.covariances.numpy()
+
+
 def _viewer(
     job: Job,
     frames: Path,
     sfm: Path,
     smpl: Path,
     train: Path,
-    avatar: Avatar,
-    rig: Rig,
+    cast: list[tuple[Avatar, Rig, Soles]],
     scene: Scene | None,
-    soles: Soles,
     ground: Ground,
 ) -> None:
-    """The page on which person and scene move: viewer.html."""
+    """The page on which people and scene move: viewer.html."""
     from importlib.metadata import version
 
     import numpy as np
 
     from stages.avatar.motion.moves import clip_move, made_moves
     from stages.formats import viewer
-    from stages.formats.clip import load_clip
+    from stages.formats.clip import load_people
     from stages.formats.effects import read_effects
     from stages.formats.facts import Listing, read_facts
 
-    clip, listing = load_clip(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
+    people, listing = load_people(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
+    clip, gaussians = people[0], sum(len(rig) for _, rig, _ in cast)
     title, made_by = Path(listing.video.path).name, f"hugs {version('hugs-avatar')}"
     path = job.out / "viewer.html"
     around = "none" if scene is None else f"{len(scene):,} Gaussians"
     facts = {
         "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
-        "Person": f"{len(rig):,} Gaussians",
+        ("Person" if len(cast) == 1 else f"{len(cast)} people"): f"{gaussians:,} Gaussians",
         "Scene": around,
         "Result": train.resolve().name,
         "Made by": made_by,
     }
     effects = read_effects(train / "effects.npz")
-    parts = None
-    if effects.middles is not None and effects.covariances is not None:
-        parts = effects.middles, effects.covariances
-    figure = viewer.Figure(
-        rig=rig,
-        weights=avatar.lbs_weights,
-        moves=[clip_move(clip.body, np.array(listing.times(clip.names))), *made_moves(ground, soles)],
-        turn=ground.turn,
-        spot=ground.point,
-        soles=soles.at_rest(),
-        parts=parts,
-    )
+    times, figures = np.array(listing.times(clip.names)), []
+    for one, (avatar, rig, soles) in zip(people, cast, strict=True):
+        parts, floor = None, ground if one is clip else _under(one, rig, ground)
+        if effects.middles is not None and effects.covariances is not None:
+            parts = (effects.middles, effects.covariances) if one is clip else _casters(one)
+        moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
+        figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts))
     shown = viewer.Exhibit(
         title=title,
-        subtitle=f"{len(rig):,} Gaussians in the person" + ("" if scene is None else f", {len(scene):,} in the scene"),
+        subtitle=f"{gaussians:,} Gaussians in the {'person' if len(cast) == 1 else 'people'}"
+        + ("" if scene is None else f", {len(scene):,} in the scene"),
         facts=list(facts.items()),
-        figures=[figure],
+        figures=figures,
         scene=scene,
         effects=effects,
         cameras=clip.world_cameras,
         images=clip.images,
-        absent=np.flatnonzero(clip.body.confidence <= 0).tolist(),
+        absent=np.flatnonzero(np.all([one.body.confidence <= 0 for one in people], 0)).tolist(),
         turn=ground.turn,
         spot=ground.point,
         made_by=made_by,

@@ -23,6 +23,8 @@ BORDER_SHARE = 0.01
 """Share of a picture's side that the person covers when it counts as cut off there."""
 PART = 0.2
 """Share of a mask's largest part from which a second one may be somebody else."""
+SHARED = 0.01
+"""Share of the people's pixels that two claim, from which on it is said."""
 MANY = 0.2
 """Share of frames from which a finding is a warning."""
 
@@ -40,18 +42,20 @@ class Params(contract.Params):
     invert: Literal["auto", "always", "never"] = "auto"
     """Swap person and background of given masks. auto: if they mark most of the picture and of its border."""
     person: Annotated[str, Field(coerce_numbers_to_str=True)] | None = None
-    """Person to follow if several are visible: an id that the stage lists when it runs. Default: the largest."""
+    """Person to follow if several are visible: an id that the stage lists when it runs; all: each of them. Default: the largest."""
 
 
 def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = None) -> None:
     """Write masks.json, and masks/%06d.png (0..255, 255 = person) for every frame.
 
-    Without `mask_files` the masks of the data set are used, and without those BlazePose segments the person.
+    Of several people these are everybody's, and people/1/masks, people/2/masks ... are each one's own, none of which share a
+    pixel. Without `mask_files` the masks of the data set are used, and without those BlazePose segments the person.
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
     from stages.estimators.person.given import import_masks
     from stages.formats.datasets.capture import given_by
     from stages.formats.images import write_mask
+    from stages.formats.people import PEOPLE
 
     listing = read_facts(frames / "frames.json", Listing)
     names = [frame.name for frame in listing.frames]
@@ -64,35 +68,58 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         job.note("outlines by BlazePose, a small network; `--masks DIR` takes better ones")
     (job.out / "masks").mkdir(exist_ok=True)
     found: dict[str, FrameMask] = {}
-    apart = []
-    for i, (name, mask) in enumerate(zip(names, masks, strict=True)):
+    parts, shared, seen = [], [], []
+    for i, (name, each) in enumerate(zip(names, masks, strict=True)):
+        mask, own = apart(each)
         write_mask(job.out / "masks" / f"{name}.png", mask)
         found[name] = {"coverage": round(float((mask > 127).mean()), 5), "touches_border": cut_sides(mask)}
-        apart += [name] if has_second_part(mask) else []
+        for k, one in enumerate(own if len(own) > 1 else [], 1):
+            folder = job.out / PEOPLE / str(k) / "masks"
+            folder.mkdir(parents=True, exist_ok=True)
+            write_mask(folder / f"{name}.png", one)
+        seen.append([bool((one > 127).mean() >= PERSON_SHARE) for one in own])
+        shared += [name] if sum(int((one > 127).sum()) for one in each) > (1 + SHARED) * (mask > 127).sum() else []
+        parts += [name] if len(own) == 1 and has_second_part(mask) else []
         job.progress(i + 1, len(names))
     nobody = [name for name, frame in found.items() if frame["coverage"] < PERSON_SHARE]
     report(job, found, nobody)
-    if len(apart) > MANY * len(names):
+    if len(seen[0]) > 1:
+        report_people(job, names, seen, shared)
+    if len(parts) > MANY * len(names):
         job.warn(
-            f"the masks have a second large part in {len(apart)} of {len(names)} frames, first {apart[0]}: is it "
+            f"the masks have a second large part in {len(parts)} of {len(names)} frames, first {parts[0]}: is it "
             "somebody else? Masks with an id for each person (SAM 2, COCO) let one be picked with --person"
         )
     summary = {"source": source, **details, "no_person": nobody, "frames": found}
+    if len(seen[0]) > 1:
+        counted = [sum(there) for there in zip(*seen, strict=True)]
+        summary["people"] = {str(k): {"frames": count} for k, count in enumerate(counted, 1)}
     (job.out / "masks.json").write_text(json.dumps(summary, indent=1) + "\n")
 
 
-def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterator[np.ndarray]:
-    """Follow one person through the frames by BlazePose; yields a mask uint8 [H,W] for each, empty where nobody is."""
+def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterator[list[np.ndarray]]:
+    """Follow one person, or all, through the frames by BlazePose; yields a mask uint8 [H,W] of each, empty where they are not."""
     import numpy as np
 
     from stages.estimators.person.blazepose import BlazePose
+    from stages.estimators.person.identities import everybody, follow_everybody
     from stages.estimators.person.outline import outline
     from stages.estimators.person.people import Company
     from stages.formats.images import read_image
+    from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
     pictures = Pictures(paths)
-    company = Company(job, names, network.sightings(pictures), params.person)
+    sightings = network.sightings(pictures)
+    if params.person == EVERYBODY and len(people := everybody(sightings)) > 1:
+        tracks = follow_everybody(job, network, pictures, names, people)
+        for path, there in zip(paths, zip(*tracks, strict=True), strict=True):
+            image = read_image(path)
+            blank = np.zeros(image.shape[:2], np.float32)
+            each = [blank if one is None else outline(network, image, one.next_roi) for one in there]
+            yield [np.rint(255 * one).astype(np.uint8) for one in each]
+        return
+    company = Company(job, names, sightings, None if params.person == EVERYBODY else params.person)
     poses = network.track(pictures, company.start)
     company.warn_of_jumps(poses)
     for i, (path, pose) in enumerate(zip(paths, poses, strict=True)):
@@ -101,7 +128,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
         if pose is not None:
             mask = np.rint(outline(network, image, pose.next_roi) * 255).astype(np.uint8)
             company.look(i, pose, mask)
-        yield mask
+        yield [mask]
     company.close()
 
 
@@ -118,6 +145,30 @@ class Pictures:
         from stages.formats.images import read_image
 
         return read_image(self.paths[i])
+
+
+def report_people(job: Job, names: list[str], seen: list[list[bool]], shared: list[str]) -> None:
+    """Note in how many frames each of several people is seen; warn where their masks claim the same pixels."""
+    counts = [sum(there) for there in zip(*seen, strict=True)]
+    said = ", ".join(f"{k} in {count}" for k, count in enumerate(counts, 1))
+    job.note(f"{len(counts)} people, each with masks of their own: person {said} of {len(names)} frames")
+    if shared:
+        say = job.warn if len(shared) > MANY * len(names) else job.note
+        say(
+            f"two people claim the same pixels in {len(shared)} of {len(names)} frames, first {shared[0]}: these teach nobody; "
+            "masks with an id for each person (SAM 2) tell whose they are"
+        )
+
+
+def apart(masks: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Everybody's mask uint8 [H,W], and each one's own: a pixel that two claim is nobody's."""
+    import numpy as np
+
+    if len(masks) == 1:
+        return masks[0], list(masks)
+    each = np.stack(masks)
+    twice = (each > 127).sum(0) > 1
+    return each.max(0), list(np.where(twice, 0, each).astype(np.uint8))
 
 
 def has_second_part(mask: np.ndarray) -> bool:

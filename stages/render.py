@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from stages.avatar.drawing.draw import Learned
     from stages.avatar.motion.placing import Soles
+    from stages.filming.company import Member
     from stages.formats.clip import Clip
     from stages.records import Ground
 
@@ -40,33 +41,46 @@ The kitchen clip, a short training, 2 cores, November 2026."""
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
     from stages.formats.clip import load_clip
+    from stages.formats.people import people_of
 
     clip = load_clip(folders["sfm"], folders["smpl"])
     heldout, frames = int(clip.heldout.sum()), len(clip.names)
-    return PICTURE * (params.turntable_frames + params.motion_seconds * params.fps + heldout + frames)
+    of_each = len(people_of(folders["sfm"])) * (params.turntable_frames + params.motion_seconds * params.fps)
+    return PICTURE * (of_each + heldout + frames)
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None:
-    """Render turntable.mp4, motion.mp4, heldout.mp4 if a frame is held out, and scene.mp4 if there is a scene."""
+    """Render turntable.mp4, motion.mp4, heldout.mp4 if a frame is held out, and scene.mp4 if there is a scene.
+
+    The first two of each further person are in people/2 and so on.
+    """
     import numpy as np
 
-    from stages.avatar.drawing.draw import load_learned
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
-    from stages.formats.clip import load_clip
+    from stages.filming.company import load_company, present
     from stages.formats.ground import read_ground
-    from stages.formats.trained import read_trained
+    from stages.formats.people import folder_of
+    from stages.formats.splats import read_avatar
     from stages.formats.video import write_video
 
-    clip, ground, trained = load_clip(sfm, smpl, train), read_ground(smpl / "ground.json"), read_trained(train)
-    learned, fps = load_learned(*trained, job.device), float(params.fps)
-    shots: dict[str, tuple[Iterator[np.ndarray], float]] = {
-        "turntable": (_turntable(learned, params.turntable_frames), fps),
-        "motion": (_motion(clip, learned, ground, Soles.of_rig(rig_of(trained[0])), params), fps),
-    }
-    held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or clip.shows_person(int(i))]
+    ground, members, fps = (
+        read_ground(smpl / "ground.json"),
+        load_company(sfm, smpl, train, job.device),
+        float(params.fps),
+    )
+    shots: dict[str, tuple[Iterator[np.ndarray], float]] = {}
+    for clip, learned in reversed(members):
+        place = folder_of(Path(), clip.person)
+        (job.out / place).mkdir(parents=True, exist_ok=True)
+        soles = Soles.of_rig(rig_of(read_avatar(folder_of(train, clip.person) / "avatar.npz")))
+        shots = {
+            str(place / "turntable"): (_turntable(learned, params.turntable_frames), fps),
+            str(place / "motion"): (_motion(clip, learned, ground, soles, params), fps),
+        } | shots
+    held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or present(members, int(i))]
     if held:
-        shots["heldout"] = (_beside_truth(clip, learned, held), 4.0)
+        shots["heldout"] = (_beside_truth(members, held), 4.0)
     if learned.scene is not None:
         shots["scene"] = (_empty(clip, learned), fps / 2)
     for done, (name, (pictures, rate)) in enumerate(shots.items()):
@@ -75,21 +89,24 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     job.note(", ".join(f"{name}.mp4" for name in shots))
 
 
-def _beside_truth(clip: Clip, learned: Learned, order: list[int]) -> Iterator[np.ndarray]:
+def _beside_truth(members: list[Member], order: list[int]) -> Iterator[np.ndarray]:
     """The clip on the left; on the right ours, as the same camera and its shutter take it.
 
     Without a scene it is over white. Frames that show nobody are drawn without the person.
     """
     import numpy as np
 
-    from stages.avatar.drawing.draw import draw, motion_at, pose_of, to_uint8
+    from stages.avatar.drawing.draw import draw, to_uint8
     from stages.avatar.rasterize import Camera
+    from stages.avatar.splats.gaussians import together
+    from stages.filming.company import moving, present
 
+    clip, learned = members[0]
     for i in order:
-        pose = pose_of(clip.body, i) if clip.shows_person(i) else None
-        human = None if pose is None else learned.person(pose)
-        scene = learned.shade(learned.scene, pose)
-        motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, human is not None)
+        there = present(members, i)
+        people = [member.splats(i) for member in there]
+        human, scene = together(people), learned.effects.shade(learned.scene, *(member.stance(i) for member in there))
+        motion = moving(members[0].motion(i), [(s, m.motion(i)) for s, m in zip(people, there, strict=True)])
         camera = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
         drawn, _ = draw(human, scene, camera, 0.0 if learned.scene else 1.0, learned.effects, motion)
         yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)

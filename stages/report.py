@@ -57,11 +57,13 @@ def run(
 ) -> None:
     """Write report.html, one self-contained page. Of `export` it shows the cost, and points at its page."""
     from stages.formats import page
-    from stages.formats.clip import load_clip
+    from stages.formats.clip import load_clip, load_people
     from stages.formats.datasets.published import COMPARED
     from stages.formats.facts import Listing, Metrics, Sfm, Smpl, Survey, Trained, read_facts
     from stages.formats.ground import read_ground
+    from stages.formats.people import folder_of, people_of
 
+    ground = read_ground(smpl / "ground.json")
     listing = read_facts(frames / "frames.json", Listing)
     metrics, found = read_facts(evaluate / "metrics.json", Metrics), read_facts(survey / "survey.json", Survey)
     trained, cameras = read_facts(train / "train.json", Trained), read_facts(sfm / "sfm.json", Sfm)
@@ -74,9 +76,9 @@ def run(
         size=(len(clip.names), clip.width, clip.height, metrics.gaussians.human, metrics.gaussians.scene),
         headline=_headline(metrics),
         warnings=[(stage, text) for stage, record in job.upstream.items() for text in record.warnings],
-        films=_films(render),
+        films=_films(render, people_of(sfm)),
         viewer=VIEWER if (export / "viewer.html").is_file() else None,
-        comparisons=_comparisons(evaluate),
+        comparisons=_comparisons(evaluate, people_of(sfm)),
         accuracy=_accuracy(metrics),
         protocol=metrics.protocol,
         beside_paper=_beside_paper(dataset, metrics),
@@ -85,7 +87,11 @@ def run(
         costs=COSTS,
         times=_stage_times(job.upstream),
         parts=_training_times(trained.seconds_by_part),
-        overlays=_overlays(clip, read_ground(smpl / "ground.json"), read_facts(smpl / "smpl.json", Smpl)),
+        overlays=[
+            figure
+            for one in load_people(sfm, smpl)
+            for figure in _overlays(one, ground, read_facts(folder_of(smpl, one.person) / "smpl.json", Smpl))
+        ],
         effects=_effects(found, trained.effects),
         measures=_measures(found),
         scene=found.decisions.get("scene", True),
@@ -109,30 +115,43 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds // 60)} min {int(seconds % 60)} s"
 
 
-def _films(render: Path) -> list[Figure]:
+def _films(render: Path, people: range) -> list[Figure]:
     from stages.formats import page
+    from stages.formats.people import folder_of
 
-    known = [(render / f"{name}.mp4", caption) for name, caption in FILMS.items()]
+    places = {_who(person, people): folder_of(render, person) for person in people}
+    known = [(place / f"{name}.mp4", who + said) for name, said in FILMS.items() for who, place in places.items()]
     return [page.film(path, caption) for path, caption in known if path.exists()]
 
 
-def _comparisons(evaluate: Path) -> list[Figure]:
+def _who(person: int, people: range) -> str:
+    """How a caption begins where there are several people."""
+    return f"person {person}: " if len(people) > 1 else ""
+
+
+def _comparisons(evaluate: Path, people: range) -> list[Figure]:
     from stages.formats import page
     from stages.formats.images import read_image
+    from stages.formats.people import folder_of
 
-    paths = sorted((evaluate / "heldout").glob("*.png"))
-    return [page.picture(read_image(path), f"frame {path.stem}") for path in paths]
+    places = {_who(person, people): folder_of(evaluate, person) / "heldout" for person in people}
+    paths = [(who, path) for who, place in places.items() for path in sorted(place.glob("*.png"))]
+    return [page.picture(read_image(path), f"{who}frame {path.stem}") for who, path in paths]
 
 
 def _accuracy(metrics: Metrics) -> list[list[str]]:
     """Poses, region, PSNR, SSIM, LPIPS."""
     rows = []
-    for protocol, title in PROTOCOLS.items():
-        for region, where in (REGIONS | MASKED_REGIONS).items():
-            values = getattr(metrics, protocol).get(region, {})
-            if values.get("psnr") is not None:
-                numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
-                rows.append([title, where, *("too small" if n is None else f"{n:.{d}f}" for n, d in numbers)])
+    first = {protocol: getattr(metrics, protocol) for protocol in PROTOCOLS}
+    for person, scores in {"1": first, **metrics.people}.items():
+        who = f", person {person}" if metrics.people else ""
+        for protocol, title in PROTOCOLS.items():
+            for region, where in (REGIONS | MASKED_REGIONS).items():
+                values = scores.get(protocol, {}).get(region, {})
+                if values.get("psnr") is not None and (region != "full" or person == "1"):
+                    numbers = ((values[name], digits) for name, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)))
+                    row = ["too small" if n is None else f"{n:.{d}f}" for n, d in numbers]
+                    rows.append([title, where + who * (region != "full"), *row])
     return rows
 
 
@@ -205,7 +224,7 @@ def _overlays(clip: Clip, ground: Ground, fit: Smpl) -> list[Figure]:
         image, size = clip.images(i).copy(), (clip.height, clip.width)
         inside = silhouette(vertices, model.faces, clip.viewmats[i], clip.Ks[i], size, size)
         image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
-        edges, _ = cv2.findContours((clip.mask(i) > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        edges, _ = cv2.findContours((clip.own_mask(i) > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, edges, -1, (255, 140, 0), max(1, clip.height // 400))
         expected = fit.expected_error_mm.get(clip.names[i])
         off = None if expected is None else np.array(expected.along) / 1000

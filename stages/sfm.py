@@ -14,6 +14,8 @@ from stages.contract import Job, StageError
 from stages.formats.facts import Listing, MaskFacts, read_facts
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from stages.estimators.cameras.intrinsics import Prior
     from stages.estimators.cameras.parts import Parts
     from stages.estimators.cameras.sparse_model import Pinholes
@@ -112,20 +114,38 @@ def correct_outlines(job: Job) -> float:
     from stages.estimators.person.static_scene import corrected
     from stages.formats.cameras import read_cameras
     from stages.formats.images import read_image, read_mask, write_mask
+    from stages.formats.people import masks_of, people_of
     from stages.formats.points import read_points
 
     cameras, points = read_cameras(job.out / "cameras.npz"), read_points(job.out / "points.ply")[0]
     files = {kind: [job.out / kind / f"{name}.png" for name in cameras.names] for kind in ("images", "masks")}
     masks, images = [read_mask(path) for path in files["masks"]], [read_image(path) for path in files["images"]]
-    changed, person = 0, 0
+    changed, person, people = 0, 0, people_of(job.out)
     for path, before, after in zip(files["masks"], masks, corrected(masks, images, cameras, points), strict=True):
-        path.unlink()  # it may be a link to the mask of the masks stage
-        write_mask(path, after)
+        owners = [masks_of(job.out, k) / path.name for k in people] if len(people) > 1 else []
+        own = with_outline([read_mask(one) for one in owners], before, after)
+        for file, mask in zip([path, *owners], [after, *own], strict=True):
+            file.unlink()  # it may be a link to the mask of the masks stage
+            write_mask(file, mask)
         changed += int(((before > 127) != (after > 127)).sum())
         person += int((before > 127).sum())
     share = round(changed / max(person, 1), 4)
     job.note(f"outlines corrected by what the scene shows behind them: {share:.1%} of the person's pixels")
     return share
+
+
+def with_outline(own: list[np.ndarray], before: np.ndarray, after: np.ndarray) -> list[np.ndarray]:
+    """Each person's own mask uint8 [H,W] once everybody's has changed from `before` to `after`: what is new is the nearest's."""
+    import cv2
+    import numpy as np
+
+    if not own:
+        return []
+    kept = [np.minimum(one, after) for one in own]
+    new = (after > 127) & (before < 128)
+    away = [cv2.distanceTransform((one < 128).astype(np.uint8), cv2.DIST_L2, 5) for one in own]
+    nearest = np.argmin(away, 0)
+    return [np.where(new & (nearest == k), after, one) for k, one in enumerate(kept)]
 
 
 def what_is_told(job: Job, listing: Listing, smpl_fit: Path | None) -> Prior | None:

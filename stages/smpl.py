@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +14,17 @@ from pydantic import Field
 from stages import contract
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
-from stages.formats.facts import Listing, Sfm, read_facts
+from stages.formats.facts import Listing, read_facts
 
 if TYPE_CHECKING:
     import numpy as np
 
     from stages.estimators.bodyfit.evidence import LandmarkEvidence
     from stages.estimators.bodyfit.fit import BodyFit
+    from stages.estimators.bodyfit.inputs import Inputs
     from stages.estimators.bodyfit.quality import FitQuality
     from stages.estimators.person.blazepose import Pose
-    from stages.records import BodyModel, BodyPoses, Cameras, Ground
+    from stages.records import BodyModel, BodyPoses, Ground
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
@@ -37,91 +38,91 @@ class Params(contract.Params):
     """Confidence below which a frame's pose is listed as doubtful."""
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """The clip as both ways to a body fit need it: `times` [F] s, `masks` F of uint8 [H,W], `points` [P,3] in SfM units.
-
-    `moving` says whether SfM found a camera that moves.
-    """
-
-    model: BodyModel
-    cameras: Cameras
-    times: np.ndarray
-    masks: list[np.ndarray]
-    points: np.ndarray
-    moving: bool
-
-
 def run(
     job: Job, params: Params, *, frames: Path, sfm: Path, smpl_fit: Path | None = None, body_model: Path | None = None
 ) -> None:
     """Write body.npz, body_model.npz, ground.json, smpl.json, and landmarks.npz if the poses were estimated here.
 
     Poses come from `smpl_fit`, from the fit that a data set brought along, or from BlazePose landmarks and the masks.
-    Frames without a person are filled in between their neighbours with confidence 0. Raises StageError if nearly no
-    frame shows a person.
+    Frames without a person are filled in between their neighbours with confidence 0. Of further people body.npz, smpl.json and
+    landmarks.npz are in people/2 and so on, in the world of the first. Raises StageError if nearly no frame shows a person.
     """
-    from stages.estimators.bodyfit.quality import measure_quality
+    from stages.estimators.bodyfit.inputs import of_person, read_inputs
     from stages.formats.body_model import write_body_model
     from stages.formats.datasets.capture import given_by
     from stages.formats.ground import write_ground
-    from stages.formats.poses import write_poses
+    from stages.formats.people import folder_of, people_of
 
     listing = read_facts(frames / "frames.json", Listing)
     clip = read_inputs(listing, sfm, body_model)
     smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
-    if smpl_fit is not None:
-        pictures = {frame.name: frame.source for frame in listing.frames if frame.source}
-        sources = tuple(pictures[name] for name in clip.cameras.names if name in pictures)
-        poses, facts = import_poses(job, smpl_fit, clip, sources)
-        quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.masks)
-    else:
-        fit, evidence, facts = estimate_poses(job, sfm, clip)
-        poses = fit.poses
-        quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.masks, evidence, fit.pixels)
-    poses = replace(poses, confidence=quality.confidence)
-    write_poses(job.out / "body.npz", poses)
+    pictures = {frame.name: frame.source for frame in listing.frames if frame.source}
+    sources = tuple(pictures[name] for name in clip.cameras.names if name in pictures)
     write_body_model(job.out / "body_model.npz", clip.model)
-    warn_of_scale(job, facts["scale"])
-    report(job, params, poses, clip.model, quality)
-    ground = floor_of(clip, poses)
+    people = people_of(sfm)
+    found: list[BodyPoses] = []
+    for person in people:
+        folder = folder_of(job.out, person)
+        folder.mkdir(parents=True, exist_ok=True)
+        one = clip if len(people) == 1 else of_person(clip, sfm, person)
+        if len(people) > 1:
+            job.note(f"person {person}:")
+        found.append(fit_person(job, params, folder, sfm, one, smpl_fit, sources, found[0] if found else None))
+    ground = floor_of(clip, *found)
     write_ground(job.out / "ground.json", ground)
     report_ground(job, ground)
+
+
+def fit_person(
+    job: Job,
+    params: Params,
+    folder: Path,
+    sfm: Path,
+    clip: Inputs,
+    smpl_fit: Path | None,
+    sources: tuple[str, ...],
+    first: BodyPoses | None,
+) -> BodyPoses:
+    """The poses of one person, in the world of the `first` if there are several; writes and reports them."""
+    from stages.estimators.bodyfit.quality import measure_quality
+    from stages.formats.poses import write_poses
+
+    metres = None if first is None else first.world_from_sfm
+    if smpl_fit is not None:
+        poses, facts = import_poses(job, smpl_fit, clip, sources, metres)
+        quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear)
+    else:
+        fit, evidence, facts = estimate_poses(job, folder, sfm, clip, metres)
+        poses = fit.poses
+        quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear, evidence, fit.pixels)
+    poses = replace(poses, confidence=quality.confidence)
+    if metres is not None:  # it was held, but for rounding
+        poses = replace(poses, world_from_sfm=metres)
+    write_poses(folder / "body.npz", poses)
+    warn_of_scale(job, facts["scale"])
+    report(job, params, poses, clip.model, quality)
     facts = {**facts, **summary(params, poses, clip.model, quality)}
-    (job.out / "smpl.json").write_text(json.dumps(facts, indent=1) + "\n")
+    (folder / "smpl.json").write_text(json.dumps(facts, indent=1) + "\n")
+    return poses
 
 
-def read_inputs(listing: Listing, sfm: Path, body_model: Path | None) -> Inputs:
-    """The cameras, masks and points in the folder of sfm, with the times that frames.json lists."""
-    import numpy as np
-
-    from stages.formats.body_model import read_body_model
-    from stages.formats.cameras import read_cameras
-    from stages.formats.images import read_mask
-    from stages.formats.points import read_points
-
-    cameras = read_cameras(sfm / "cameras.npz")
-    return Inputs(
-        model=read_body_model(body_model),
-        cameras=cameras,
-        times=np.array(listing.times(cameras.names)),
-        masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
-        points=read_points(sfm / "points.ply")[0].astype(np.float64),
-        moving=read_facts(sfm / "sfm.json", Sfm).verdict == "moving",
-    )
-
-
-def import_poses(job: Job, smpl_fit: Path, clip: Inputs, sources: tuple[str, ...]) -> tuple[BodyPoses, dict[str, Any]]:
+def import_poses(
+    job: Job, smpl_fit: Path, clip: Inputs, sources: tuple[str, ...], metres: float | None
+) -> tuple[BodyPoses, dict[str, Any]]:
     """Poses read from another program's file, and facts for smpl.json; says which of its people was taken."""
     from stages.estimators.bodyfit.given import import_fit
     from stages.formats.given_fits.recognize import read_smpl_fit
 
     cameras = clip.cameras
     fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
-    poses, facts = import_fit(fit, clip.model, cameras, clip.times, clip.masks, clip.points, clip.moving, sources)
+    known = (fit, clip.model, cameras, clip.times, clip.masks, clip.points, clip.moving, sources, metres)
+    poses, facts = import_fit(*known)
     for note in facts.pop("notes"):
         job.warn(note)
     overlap, people = facts["overlap"], facts["people"]
+    if clip.others and len(people) < 2:
+        hint = "give a fit that holds all of them, leave out --smpl-fit, or choose one with `--person ID`"
+        raise StageError(f"{smpl_fit.name} is a fit of one person, and the masks show several", hint)
     if len(people) > 1:
         others = [f"{who or 'unnamed'} {100 * share:.0f} %" for who, share in people.items() if share is not None]
         job.note(
@@ -135,18 +136,27 @@ def import_poses(job: Job, smpl_fit: Path, clip: Inputs, sources: tuple[str, ...
     return poses, {"source": smpl_fit.name, **facts}
 
 
-def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, LandmarkEvidence, dict[str, Any]]:
-    """Fit poses to BlazePose landmarks and the masks; writes landmarks.npz. Also gives the evidence, facts for smpl.json."""
+def estimate_poses(
+    job: Job, folder: Path, sfm: Path, clip: Inputs, metres: float | None
+) -> tuple[BodyFit, LandmarkEvidence, dict[str, Any]]:
+    """Fit poses to BlazePose landmarks and the masks; writes landmarks.npz into `folder`.
+
+    Also gives the evidence, facts for smpl.json.
+    """
     from stages.estimators.bodyfit.evidence import drop_cut, drop_strangers, gather, model_landmarks, vote_sides
     from stages.estimators.bodyfit.fit import fit_body
     from stages.estimators.person.blazepose import BlazePose, pick_masked
+    from stages.estimators.person.identities import track_masked
     from stages.formats.images import read_image
 
     frames = clip.cameras.names
     names, regressor = model_landmarks(clip.model)
     job.progress(0, 100)
     network, images = BlazePose(), [read_image(sfm / "images" / f"{name}.png") for name in frames]
-    tracks = network.track(images, pick_masked(network.sightings(images), clip.masks))
+    if clip.others:
+        tracks = track_masked(network, images, clip.masks, clip.others)
+    else:
+        tracks = network.track(images, pick_masked(network.sightings(images), clip.masks))
     job.progress(40, 100)
     evidence, strangers = drop_strangers(gather(tracks, names), clip.masks)
     evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
@@ -157,7 +167,7 @@ def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, Landmark
             "use a clip that shows one whole person, or give a fit of your own with --smpl-fit FIT.npz",
             [f"{int(strangers.sum())} more frames showed somebody else than the masked person"],
         )
-    write_landmarks(job.out / "landmarks.npz", frames, tracks)
+    write_landmarks(folder / "landmarks.npz", frames, tracks)
     others, exchanged = select(frames, strangers), select(frames, swapped)
     if others:
         job.warn(f"left out {count_names(others)}: the landmarks are somebody else's, not the masked person's")
@@ -167,8 +177,9 @@ def estimate_poses(job: Job, sfm: Path, clip: Inputs) -> tuple[BodyFit, Landmark
     def show(done: int, total: int, cost: float) -> None:
         job.progress(40 + 55 * done // total, 100, cost=round(cost, 2))
 
+    clear, moving = clip.clear, clip.moving
     fit = fit_body(
-        clip.model, regressor, evidence, clip.cameras, clip.times, clip.masks, clip.points, clip.moving, images, show
+        clip.model, regressor, evidence, clip.cameras, clip.times, clear, clip.points, moving, images, show, metres
     )
     facts = {
         "source": "blazepose",
@@ -236,23 +247,28 @@ def report(job: Job, params: Params, poses: BodyPoses, model: BodyModel, quality
         job.warn(f"an unusual shape: {stature:.2f} m tall, betas up to {np.abs(poses.betas).max():.1f}")
 
 
-def floor_of(clip: Inputs, poses: BodyPoses) -> Ground:
-    """The floor under the placed body, from SfM's points and the soles of the frames that show somebody."""
+def floor_of(clip: Inputs, *people: BodyPoses) -> Ground:
+    """The floor under the placed bodies, from SfM's points and the soles of the frames that show somebody."""
+    import numpy as np
     from scipy.spatial.transform import Rotation
 
     from stages.avatar.cameras.pinhole import rescale_viewmats
     from stages.avatar.motion.placing import Soles
     from stages.estimators.ground import find_ground
 
-    seen = poses.confidence > 0
-    if not seen.any():
-        seen = ~seen
-    turns = Rotation.from_rotvec(poses.global_orient[seen]).as_matrix()
-    soles = Soles.of_model(clip.model, poses.betas)
-    points, joints = soles.at(poses.global_orient[seen], poses.body_pose[seen], poses.transl[seen])
-    metres = poses.world_from_sfm
-    viewmats = rescale_viewmats(clip.cameras.viewmats, metres)
-    return find_ground(clip.points * metres, points, turns, joints[len(joints) // 2, 0], viewmats, metres)
+    turns, points, places = [], [], []
+    for poses in people:
+        seen = poses.confidence > 0
+        if not seen.any():
+            seen = ~seen
+        turns.append(Rotation.from_rotvec(poses.global_orient[seen]).as_matrix())
+        soles = Soles.of_model(clip.model, poses.betas)
+        feet, joints = soles.at(poses.global_orient[seen], poses.body_pose[seen], poses.transl[seen])
+        points.append(feet)
+        places.append(joints[len(joints) // 2, 0])
+    metres = people[0].world_from_sfm
+    viewmats, all_feet = rescale_viewmats(clip.cameras.viewmats, metres), np.concatenate(points)
+    return find_ground(clip.points * metres, all_feet, np.concatenate(turns), places[0], viewmats, metres)
 
 
 def report_ground(job: Job, ground: Ground) -> None:

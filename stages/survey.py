@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from stages.formats.facts import Sfm
 
 Effect = Literal["auto", "always", "never"]
+OF_PERSON = ("pose_refinement", "clothing", "shading")
+"""Effects that are looked for in each of several people alone."""
 
 # Limits at which a measure changes a decision or causes a warning.
 MIN_PARALLAX_DEG = 1.0  # below this SfM depth is mostly noise
@@ -61,16 +64,19 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     """Measure the clip and decide, with reasons, what training models."""
     from stages.estimators.detectors.every import DETECTORS
     from stages.estimators.detectors.evidence import ClipEvidence
-    from stages.formats.clip import load_clip
+    from stages.formats.clip import load_people
     from stages.formats.facts import Sfm, read_facts
 
     facts = read_facts(sfm / "sfm.json", Sfm)
-    clip = load_clip(sfm, smpl)
-    evidence = ClipEvidence(clip, facts, fitted=(smpl / "landmarks.npz").exists())
+    people, fitted = load_people(sfm, smpl), (smpl / "landmarks.npz").exists()
+    clip = people[0]
+    evidence = ClipEvidence(clip, facts, fitted=fitted)
+    each = [ClipEvidence(replace(one, alone=True), facts, fitted=fitted) for one in people]
+    each = [evidence] if len(people) == 1 else each
     measures, findings = camera_measures(facts, clip) | person_measures(clip), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
         job.progress(done, len(DETECTORS))
-        findings[name] = detect(evidence)
+        findings[name] = strongest([detect(one) for one in each]) if name in OF_PERSON else detect(evidence)
     job.progress(len(DETECTORS), len(DETECTORS))
     effects = {name: decide(getattr(params, name, "auto"), finding) for name, finding in findings.items()}
     scene, why = decide_scene(params.scene, facts.verdict, len(clip.points))
@@ -83,6 +89,11 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     starts = {name: list(finding.start) for name, finding in findings.items() if finding.start}
     found = {"measures": measures, "effects": effects, "decisions": decisions, "starts": starts}
     (job.out / "survey.json").write_text(json.dumps(found, indent=1) + "\n")
+
+
+def strongest(findings: list[Finding]) -> Finding:
+    """The finding of the largest value among those of several people; one that calls for a model goes first."""
+    return max(findings, key=lambda found: (found.called_for, -1.0 if found.value is None else found.value))
 
 
 def decide(setting: Effect, finding: Finding) -> dict:

@@ -30,11 +30,13 @@ The kitchen clip, a short training, 2 cores, November 2026."""
 
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
-    return FINISH
+    from stages.formats.people import people_of
+
+    return FINISH * len(people_of(folders["sfm"]))
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:
-    """Fit person and scene Gaussians to the frames, jointly."""
+    """Fit the Gaussians of person, or people, and scene to the frames, jointly."""
     began = time.perf_counter()
     from stages.avatar.kernels.cache import compiled
     from stages.avatar.rasterize.rendering import T_STOP
@@ -61,13 +63,13 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
 
 def _task(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> Task:
-    from stages.formats.clip import load_clip
+    from stages.formats.clip import load_people
     from stages.formats.facts import Survey, read_facts
     from stages.training.start import Task
 
     facts = read_facts(survey / "survey.json", Survey)
-    clip, perceptual = load_clip(sfm, smpl), _perceptual(params, job.device)
-    return Task(clip, params, facts.decisions, facts.starts, job.seed, job.device, perceptual)
+    (clip, *others), perceptual = load_people(sfm, smpl), _perceptual(params, job.device)
+    return Task(clip, params, facts.decisions, facts.starts, job.seed, job.device, perceptual, others)
 
 
 def _perceptual(params: Params, device: str) -> Lpips | None:
@@ -83,17 +85,24 @@ def _perceptual(params: Params, device: str) -> Lpips | None:
 
 
 def write(out: Path, result: Result) -> None:
-    """Write avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz and cameras.npz where learned."""
+    """Write avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz and cameras.npz where learned.
+
+    Those of further people are in people/2 and so on.
+    """
     from stages.formats.cameras import write_cameras
     from stages.formats.effects import write_effects
+    from stages.formats.people import folder_of
     from stages.formats.poses import write_poses
     from stages.formats.splats import write_splats
     from stages.training.run import COLUMNS
 
-    write_splats(out / "avatar.npz", result.avatar)
+    for person, (avatar, body) in enumerate([(result.avatar, result.body), *result.others], 1):
+        folder = folder_of(out, person)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_splats(folder / "avatar.npz", avatar)
+        write_poses(folder / "body.npz", body)
     if result.scene is not None:
         write_splats(out / "scene.npz", result.scene)
-    write_poses(out / "body.npz", result.body)
     if result.effects is not None:
         write_effects(out / "effects.npz", result.effects)
     if result.cameras is not None:

@@ -30,6 +30,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.exchange.read import lacks, read_any_avatar
 from stages.formats.facts import Listing, read_facts
 from stages.formats.ground import read_ground
+from stages.formats.people import PEOPLE, folder_of
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar
 
@@ -114,7 +115,7 @@ class Actor:
 def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:
     """Read a person and let them perform on the `ground` of the film; StageError for what cannot be read or performed."""
     run = person.avatar if person.avatar.is_dir() else None
-    record = read_avatar(run / "train" / "avatar.npz") if run else read_any_avatar(person.avatar)
+    record = read_avatar(_trained(run, person.who) / "avatar.npz") if run else read_any_avatar(person.avatar)
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
@@ -167,12 +168,22 @@ def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Plac
     if run is None:
         hint = "give them a motion: `motion: moves.bvh`"
         raise StageError(f"{person.avatar} has no clip to move as in", hint, ["an exported avatar holds no motion"])
-    body = read_poses(run / "train" / "body.npz")
+    body = read_poses(_trained(run, person.who) / "body.npz")
     times = np.array(read_facts(run / "frames" / "frames.json", Listing).times(body.names))
     placed = from_clip(body, times, read_ground(run / "smpl" / "ground.json"), manner, soles)
     if placed is None:
         raise StageError(f"nobody is seen in the clip of {run}", "give them a motion: `motion: moves.bvh`")
     return placed
+
+
+def _trained(run: Path, who: int) -> Path:
+    """The folder of one of the people whom a run trained; StageError where it has not as many."""
+    folder = folder_of(run / "train", who)
+    if not folder.is_dir():
+        people = 1 + len(list((run / "train" / PEOPLE).glob("*/avatar.npz")))
+        facts = [f"it has {people} {'person' if people == 1 else 'people'}"]
+        raise StageError(f"there is no person {who} in {run}", "choose another with `who:`", facts)
+    return folder
 
 
 def _model(run: Path | None, record: records.Avatar) -> records.BodyModel | None:

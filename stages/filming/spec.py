@@ -17,6 +17,8 @@ Moment = Annotated[float, Field(ge=0)]
 class Person(contract.Params):
     avatar: Path
     """The folder of a run, such as work/dance/default, or an exported avatar.npz or .glb."""
+    who: int = Field(1, ge=1)
+    """Which of them, where the run has several people."""
     motion: str = "clip"
     """A .bvh or .npz file; clip: as they moved in their own clip; or made by formula: wave, squats, jumping_jacks,
     walk_in_place."""

@@ -12,6 +12,7 @@ from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask
+from stages.formats.people import folder_of, masks_of, people_of
 from stages.formats.points import read_points
 from stages.formats.poses import read_poses
 from stages.formats.splits import read_split
@@ -25,7 +26,7 @@ class Clip:
     """C frames with their cameras and bodies, joined by name.
 
     `names` [C]; `viewmats` [C,4,4] float64 camera_from_world in metres, `Ks` [C,3,3] px, one `width` and `height`;
-    `split` says what is trained on and what is held out;
+    `split` says what is trained on and what is held out; of several people `person` is the one that `body` is of;
     `points` [P,3] metres and `colors` [P,3] uint8 from SfM (P may be 0); `body` in the order of `names`.
     """
 
@@ -36,6 +37,9 @@ class Clip:
     colors: np.ndarray
     body: BodyPoses
     body_model: BodyModel
+    person: int = 1
+    alone: bool = False
+    """Masks are of `person`, and not of everybody."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -78,12 +82,19 @@ class Clip:
         return self._sized(read_image(self.folder / "images" / f"{self.names[i]}.png"), "images", i)
 
     def mask(self, i: int) -> np.ndarray:
-        """Its person mask, uint8 [H,W], 255 = person."""
+        """Its person mask, uint8 [H,W], 255 = person; of everybody where several are modelled and none is `alone`."""
+        if self.alone:
+            return self.own_mask(i)
         return self._sized(read_mask(self.folder / "masks" / f"{self.names[i]}.png"), "masks", i)
 
+    def own_mask(self, i: int) -> np.ndarray:
+        """The mask of `person` alone, uint8 [H,W]."""
+        masks = masks_of(self.folder, self.person)
+        return self._sized(read_mask(masks / f"{self.names[i]}.png"), str(masks.relative_to(self.folder)), i)
+
     def shows_person(self, i: int) -> bool:
-        """Whether the mask of frame `i` has any person in it."""
-        return bool((self.mask(i) > 127).any())
+        """Whether the mask of frame `i` has `person` in it."""
+        return bool((self.own_mask(i) > 127).any())
 
     def _sized(self, pixels: np.ndarray, kind: str, i: int) -> np.ndarray:
         if pixels.shape[:2] != (self.height, self.width):
@@ -95,14 +106,20 @@ class Clip:
         return pixels
 
 
-def load_clip(sfm: Path, smpl: Path, train: Path | None = None) -> Clip:
+def load_people(sfm: Path, smpl: Path, train: Path | None = None) -> list[Clip]:
+    """As `load_clip` for each person of a clip."""
+    return [load_clip(sfm, smpl, train, person) for person in people_of(sfm)]
+
+
+def load_clip(sfm: Path, smpl: Path, train: Path | None = None, person: int = 1) -> Clip:
     """Join the folders of the `sfm` and `smpl` stages, with the refined poses, and cameras if any, of a `train` folder.
 
-    Raises StageError when a frame with a camera has no body, or the world's origin is too far for float32.
+    Of several people `person` is the one whose body it has. Raises StageError when a frame with a camera has no body, or the
+    world's origin is too far for float32.
     """
     refined = train is not None and (train / "cameras.npz").exists()
     cameras = read_cameras((train if train and refined else sfm) / "cameras.npz")
-    poses = read_poses((train or smpl) / "body.npz")
+    poses = read_poses(folder_of(train or smpl, person) / "body.npz")
     row = {name: i for i, name in enumerate(poses.names)}
     missing = [name for name in cameras.names if name not in row]
     if missing:
@@ -139,4 +156,5 @@ def load_clip(sfm: Path, smpl: Path, train: Path | None = None) -> Clip:
         colors=rgb,
         body=ordered,
         body_model=read_body_model(smpl / "body_model.npz"),
+        person=person,
     )

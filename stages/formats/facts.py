@@ -238,6 +238,8 @@ class Metrics(Facts):
 
     heldout: Scores
     heldout_fitted: Scores = {}
+    people: dict[str, dict[str, Scores]] = {}
+    """Of each further person, by number: protocol -> scores."""
     gaussians: Sizes
     protocol: str
     seconds: Seconds

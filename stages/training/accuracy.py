@@ -9,6 +9,7 @@ import torch
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import person_crop, scores
 from stages.avatar.rasterize import Camera, Layer
+from stages.avatar.splats.gaussians import together
 from stages.training.fit import Fit
 
 
@@ -18,17 +19,18 @@ def heldout_accuracy(fit: Fit, frames: list[int], lpips: Lpips | None = None) ->
 
     The person is as training has it, before `bake` finishes it. None where there is no frame, or no `lpips`.
     """
-    rows, views, gains = [], fit.full, fit.gains()
-    (orient, body_pose, transl), (_, resting), viewmats = fit.bodies(), fit.person.baked(), fit.cameras()
+    rows, views, gains, viewmats = [], fit.full, fit.gains(), fit.cameras()
+    people = [(who, fit.bodies(who), who.baked()[1]) for who in fit.people]
     scene = fit.scene.splats() if fit.scene else None
     for i in frames:
         image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
-        body = orient[i], body_pose[i], transl[i]
-        human, lit, motion = (
-            fit.posed(resting, *body),
-            fit.effects.shade(scene, fit.stance(*body)),
-            fit.motion(i, resting),
-        )
+        there = people[:1] + [one for one in people[1:] if one[0].shown(i)]
+        poses = [
+            (who, (orient[i], body_pose[i], transl[i]), resting) for who, (orient, body_pose, transl), resting in there
+        ]
+        human = together([fit.posed(resting, *body, of=who) for who, body, resting in poses])
+        lit = fit.effects.shade(scene, *(fit.stance(*body, of=who) for who, body, _ in poses))
+        motion = fit.motion(i, [who for who, *_ in there], [resting for *_, resting in there])
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
         drawn = fit.effects.draw(human, lit, motion, camera, [Layer()])[0].image
         drawn, crop = (drawn * gains[i]).clamp(0, 1), person_crop(mask)

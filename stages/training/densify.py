@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -207,24 +207,24 @@ def displacement(axes: Tensor, rows: Plan, generator: torch.Generator) -> Tensor
 class Densifier:
     """Adds and removes Gaussians on schedule, up to their caps, and settles the scene's last colours.
 
-    `statistics` are by set, "human" and "scene". `settled` [N], or None until then, are the Gaussians of the scene with
-    their last colours.
+    `statistics` are by set, "scene" and the name of each person. `settled` [N], or None until then, are the Gaussians of the
+    scene with their last colours.
     """
 
     def __init__(
         self,
-        person: PersonLearner | None,
+        people: Sequence[PersonLearner],
         scene: SceneModel | None,
         params: Params,
         options: Options,
         generator: torch.Generator,
     ):
-        self.person, self.scene, self.params, self.options = person, scene, params, options
+        self.people, self.scene, self.params, self.options = people, scene, params, options
         self.generator = generator
         self.settled: Tensor | None = None
         self.statistics: dict[str, Growth] = {}
-        if person is not None:
-            self.statistics["human"] = Growth(len(person.human), person.human.xyz.device)
+        for person in people:
+            self.statistics[person.name] = Growth(len(person.human), person.human.xyz.device)
         if scene is not None:
             self.statistics["scene"] = Growth(len(scene), scene.means.device)
 
@@ -236,9 +236,8 @@ class Densifier:
         if scene_grows and SCENE_GROWTH[0] <= done <= SCENE_GROWTH[1] and step % every == 0:
             self.grow_scene(adam, GROWN, progress.rounds_left(every))
         every = 3 * every // group * group or group
-        person_grows = self.person is not None and phase.human and self.params.human_densify
-        if person_grows and HUMAN_GROWTH[0] <= done <= HUMAN_GROWTH[1] and step % every == 0:
-            self.grow_person(adam, GROWN, progress.rounds_left(every))
+        if phase.human and HUMAN_GROWTH[0] <= done <= HUMAN_GROWTH[1] and step % every == 0:
+            self.grow_people(adam, GROWN, progress.rounds_left(every))
 
     def grow_scene(self, adam: dict[str, Optimizer], grad: float, rounds_left: int) -> None:
         """Densify the scene where the screen gradient is at least `grad`."""
@@ -248,22 +247,20 @@ class Densifier:
         grow_scene(self.scene, adam["scene"], self.statistics["scene"], rules, rounds_left, self.generator)
         self.settled = None
 
-    def grow_person(self, adam: dict[str, Optimizer], grad: float, rounds_left: int) -> None:
-        """Densify the person where the screen gradient is at least `grad`."""
-        if self.person is None:
-            return
-        rules, surface = Rules(grad, 0.01, 0.1, 0.3, 0.005, self.params.human_cap), self.person.surface
-        state = adam["human"], self.statistics["human"]
-        rows = grow_human(self.person.human, *state, rules, rounds_left, surface, self.generator)
-        self.person.follow(rows.source)
+    def grow_people(self, adam: dict[str, Optimizer], grad: float, rounds_left: int) -> None:
+        """Densify each person, if they may grow, where the screen gradient is at least `grad`."""
+        rules = Rules(grad, 0.01, 0.1, 0.3, 0.005, self.params.human_cap)
+        for person in self.people if self.params.human_densify else ():
+            state = adam[person.name], self.statistics[person.name]
+            rows = grow_human(person.human, *state, rules, rounds_left, person.surface, self.generator)
+            person.follow(rows.source)
 
     def fill_up(self, adam: dict[str, Optimizer]) -> None:
         """Bring every set that may grow to its cap at once, as it would be after densification."""
         for _ in range(FILLS):
             before = self._sizes()
             self.grow_scene(adam, 0.0, 1)
-            if self.params.human_densify:
-                self.grow_person(adam, 0.0, 1)
+            self.grow_people(adam, 0.0, 1)
             if self._sizes() == before:
                 return
 

@@ -1,43 +1,44 @@
-"""One joint optimisation of person and scene: what happens in a step, and all that a checkpoint must hold."""
+"""One joint optimisation of people and scene: what happens in a step, and all that a checkpoint must hold."""
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.effects.shadow import Stance
-from stages.avatar.effects.speeds import FrameMotion
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import Resting, bone_transforms, pose
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.gaussians import Splats
+from stages.avatar.splats.gaussians import together
 from stages.training import losses
 from stages.training.clock import Clock
+from stages.training.company import Company
 from stages.training.densify import Densifier
 from stages.training.finishing.behind import inpaint_occluded
 from stages.training.guard import Guard
-from stages.training.layers import DrawnFrame, layers_of
-from stages.training.optimizers import optimizers
+from stages.training.layers import DrawnFrame, Figure, layers_of, numbered
+from stages.training.optimizers import FRAMES, optimizers
+from stages.training.outlines import Outline
 from stages.training.patches import PatchLoss
-from stages.training.person import PersonLearner
-from stages.training.refine import FrameCorrections
+from stages.training.person import Another, PersonLearner
+from stages.training.refine import BodyCorrections, FrameCorrections
 from stages.training.schedule import Options, Progress, rate
 from stages.training.settings import Params
 from stages.training.transients import Transients
 from stages.training.views import Person, Views, frame_speeds
 
 
-class Fit:
+class Fit(Company):
     """State of one training run. `train` lists the frames that may be learned from; no other is looked at.
 
-    Without a body and a model of the person, or without a scene, the other learns alone.
+    Without a body and a model of the person, or without a scene, the other learns alone. Where `others` learn, too, the masks
+    of `views` are of everybody, and `outline` tells of the first.
     """
 
     def __init__(
@@ -53,6 +54,8 @@ class Fit:
         perceptual: Lpips | None = None,
         effects: FrameEffects | None = None,
         transients: Transients | None = None,
+        outline: Outline | None = None,
+        others: Sequence[Another] = (),
     ):
         self.full, self.small = views, views.half()
         self.train, self.scene, self.params, self.options = train, scene, params, options
@@ -60,41 +63,40 @@ class Fit:
         self.half_until = params.half_until  # `rehearse` lowers it
         self.progress = Progress(params.steps, params.joint)
         self.guard, self.clock = Guard(), Clock()
-        self.learner = None if body is None or human is None else PersonLearner(body, human, self.guard)
+        self.people: list[PersonLearner] = []
+        if body is not None and human is not None:
+            self.people.append(PersonLearner(body, human, self.guard, outline))
+        for k, (theirs, model, seen) in enumerate(others, 1):
+            self.people.append(PersonLearner(theirs, model, self.guard, seen, numbered("human", k)))
         self.frames = FrameCorrections(len(views.images), 0 if body is None else body.own_bones).to(views.viewmats)
         self.trained = torch.zeros(len(views.images), dtype=torch.bool)
         self.trained[train] = True
         self.effects = (effects or FrameEffects()).to(views.viewmats)
+        for other in self.people[1:]:
+            other.corrections = BodyCorrections(len(views.images), other.body.own_bones).to(views.viewmats)
+            self.effects.more_clothes += [other.body.clothing] if other.body.clothing is not None else []
         self.speeds = frame_speeds(views, body) if self.effects.takes_time else None
         self.frame, self.undrawn = train[0], 0
         self.order = torch.empty(0, dtype=torch.long)
         self.before: dict[str, Any] | None = None
         self.adam = self._optimizers()
-        self.densifier = Densifier(self.learner, scene, params, options, generator)
-
-    @property
-    def human(self) -> HumanModel | None:
-        """The model of the person."""
-        return None if self.learner is None else self.learner.human
-
-    @property
-    def person(self) -> PersonLearner:
-        """The person who learns; ValueError where there is none."""
-        if self.learner is None:
-            raise ValueError("this training has no person")
-        return self.learner
+        self.densifier = Densifier(self.people, scene, params, options, generator)
 
     def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return optimizers(self.frames, self.human, self.scene, self.options.extent, self.effects)
+        more = {p.name: (p.corrections, p.human) for p in self.people if p.corrections is not None}
+        return optimizers(self.frames, self.human, self.scene, self.options.extent, self.effects, more)
 
     def sizes(self) -> dict[str, int]:
-        """How many Gaussians there are now, of each set."""
-        return {"human": len(self.human) if self.human else 0, "scene": len(self.scene) if self.scene else 0}
+        """How many Gaussians there are now, of all people and of the scene."""
+        return {"human": sum(len(p.human) for p in self.people), "scene": len(self.scene) if self.scene else 0}
 
     def modules(self) -> dict[str, nn.Module]:
         """All that has parameters or other tensors to keep, by name."""
         parts = {"human": self.human, "scene": self.scene, "frames": self.frames, "effects": self.effects}
-        return {n: m for n, m in (parts | {"transients": self.transients}).items() if m is not None}
+        more = {p.name: p.human for p in self.people[1:]} | {
+            f"frames of {p.name}": p.corrections for p in self.people[1:]
+        }
+        return {n: m for n, m in (parts | {"transients": self.transients} | more).items() if m is not None}
 
     # ---- one step ----
 
@@ -116,8 +118,9 @@ class Fit:
         numbers = self._learn(self.frame, views)
         self.progress.step += 1
         step, group = self.progress.step, self.params.views_per_decode
-        if self.learner is not None and (step % group == 0 or step == self.progress.total):
-            self.learner.learn(self.adam["human"], step % group or group)
+        if self.people and (step % group == 0 or step == self.progress.total):
+            for learner in self.people:
+                learner.learn(self.adam[learner.name], step % group or group)
             self.clock.lap("person's networks")
         return numbers
 
@@ -147,38 +150,35 @@ class Fit:
             self.clock.lap("optimiser")
         return numbers
 
-    def _drawn_person(self, frame: int, mask: Tensor) -> PersonLearner | None:
-        """The person where they are drawn at a frame: mask[H,W] in 0..1 shows them, and their pose there is trusted."""
-        learner = self.learner
-        if learner is None or not self.progress.phase.human or not learner.body.confidence[frame] > 0:
-            return None
-        return learner if (mask > 0.5).any() else None
-
     def _draw(self, frame: int, views: Views) -> DrawnFrame | None:
         """Draw the layers that the losses of a frame need; None where it has nothing to teach."""
         image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
         viewmat, K = self._camera(frame), views.Ks[frame]
         height, width = mask.shape
         gains = self.frames.gains(frame) if self.options.exposure else None
-        person, stance, resting, scene = None, None, None, None
-        if learner := self._drawn_person(frame, mask):
+        there, scene = self.drawn_people(frame, views), None
+        resting, figures, stances = [], [], []
+        for learner in there:
             self.clock.start()
-            resting = learner.resting()
+            resting.append(learner.resting())
             self.clock.lap("person's networks")
-            body = self.body(frame)
-            person, stance = self.posed(resting, *body, frame=frame), self.stance(*body)
-        if self.scene is not None and (self.progress.phase.scene or person is not None):
+            body = self.body(frame, learner)
+            person = self.posed(resting[-1], *body, frame=frame, of=learner)
+            figures.append(Figure(person, *learner.seen(views, frame)))
+            stances.append(self.stance(*body, of=learner))
+        if self.scene is not None and (self.progress.phase.scene or figures):
             scene = self.scene.splats()
             if not self.progress.phase.scene:
                 scene = scene.detach()
-        layers = layers_of(person, scene, mask, viewmat, K, self.params, self.generator)
+        layers = layers_of(figures, scene, viewmat, K, self.params, self.generator)
         if not layers:
             return None
-        motion, lit = self.motion(frame, resting), self.effects.shade(scene, stance)
-        pictures = self.effects.draw(person, lit, motion, Camera(viewmat, K, width, height), list(layers.values()))
+        motion, lit = self.motion(frame, there, resting), self.effects.shade(scene, *stances)
+        people, camera = together([figure.splats for figure in figures]), Camera(viewmat, K, width, height)
+        pictures = self.effects.draw(people, lit, motion, camera, list(layers.values()))
         self.clock.lap("drawing")
         self.undrawn += pictures[0].dropped
-        return DrawnFrame(frame, image, mask, gains, person, scene, layers, dict(zip(layers, pictures)))
+        return DrawnFrame(frame, image, mask, gains, there, figures, scene, layers, dict(zip(layers, pictures)))
 
     def _compare(self, shot: DrawnFrame) -> tuple[Tensor, dict[str, float]]:
         """The loss of a frame, and its parts that are worth seeing."""
@@ -187,7 +187,7 @@ class Fit:
         numbers: dict[str, float] = {}
         if shot.scene is not None:
             rendered = drawn["all"].image if gains is None else drawn["all"].image * gains
-            if self.params.human_loss or shot.person is None:
+            if self.params.human_loss or not shot.figures:
                 rendered = losses.outside_person(rendered, image, mask)
             if self.transients is not None:
                 rendered = self.transients.replace(rendered, drawn["all"], image, shot.frame, self.progress.done)
@@ -196,27 +196,32 @@ class Fit:
             whole = losses.photometric(rendered, image)
             terms.append(whole)
             numbers["image"] = whole.item()
-        if "person" in drawn:
-            trust = self.person.body.confidence[shot.frame]  # a doubtful pose teaches little
-            only, target = drawn["person"], shot.person_target()
-            bare = (1 - only.alpha)[..., None] * target[2]
-            rendered = only.image if gains is None else bare + gains * (only.image - bare)
-            if self.effects.blurs:
-                rendered = losses.unmixed(rendered, *target)
-            apart = losses.person_only(rendered, only.alpha, *target)
-            terms.append(trust * apart)
-            terms.append(trust * self.patches(self.progress.step, rendered, *target))
-            numbers["person"] = apart.item()
-        if "occluders" in drawn:
-            there = mask[shot.window("occluders")]
-            terms.append(losses.OCCLUDERS * (drawn["occluders"].alpha * there).mean())
+        for k, figure in enumerate(shot.figures):
+            alone, occluders = numbered("person", k), numbered("occluders", k)
+            if alone in drawn:
+                trust = shot.people[k].body.confidence[shot.frame]  # a doubtful pose teaches little
+                only, target, alpha = drawn[alone], shot.person_target(k), drawn[alone].alpha
+                bare = (1 - only.alpha)[..., None] * target[2]
+                rendered = only.image if gains is None else bare + gains * (only.image - bare)
+                if self.effects.blurs:
+                    rendered = losses.unmixed(rendered, *target)
+                if figure.known is not None:
+                    rendered, alpha = losses.where_known(rendered, alpha, figure.known[shot.window(alone)], target)
+                apart = losses.person_only(rendered, alpha, *target)
+                terms.append(trust * apart)
+                terms.append(trust * self.patches(self.progress.step, rendered, *target))
+                numbers[alone] = apart.item()
+            if occluders in drawn:
+                there = figure.mask[shot.window(occluders)]
+                terms.append(losses.OCCLUDERS * (drawn[occluders].alpha * there).mean())
         self.clock.lap("losses")
-        terms += [self.effects.prior(), self.frames.swing_prior(shot.frame, self.train)]
+        swings = [self.corrections(p).swing_prior(shot.frame, self.train) for p in self.people]
+        terms += [self.effects.prior(), *swings]
         return torch.as_tensor(sum(terms)), numbers
 
     def _teach(self, shot: DrawnFrame) -> None:
         """Take a step with the gradients of a frame; the person's wait for those of other frames."""
-        statistics, rows = self.densifier.statistics, 0 if shot.person is None else len(shot.person.means)
+        statistics, rows = self.densifier.statistics, sum(len(figure.splats.means) for figure in shot.figures)
         height, width = shot.mask.shape
         if self.scene is not None and shot.scene is not None and self.progress.phase.scene:
             whole = shot.drawn["all"]
@@ -225,11 +230,15 @@ class Fit:
             self.scene.add_sparsity_gradient(losses.FRUGAL)
             self._apply("scene")
             self.scene.clamp_opacities()
-        if shot.person is not None:
-            layer = "person" if "person" in shot.drawn else "all"
+        first = 0
+        for k, (learner, figure) in enumerate(zip(shot.people, shot.figures, strict=True)):
+            own = slice(first, first := first + len(figure.splats.means))
+            layer = numbered("person", k) if numbered("person", k) in shot.drawn else "all"
             drawn, (height, width) = shot.drawn[layer], shot.mask[shot.window(layer)].shape
-            statistics["human"].add(drawn.screen_grad_abs[:rows], drawn.radii[:rows], width, height)
-        self._apply("frames")
+            statistics[learner.name].add(drawn.screen_grad_abs[own], drawn.radii[own], width, height)
+        for name in self.adam:
+            if name.startswith(FRAMES):
+                self._apply(name)
         self._learn_effects()
 
     def _apply(self, name: str) -> None:
@@ -256,59 +265,8 @@ class Fit:
         return inpaint_occluded(scene, views, self.train, lambda frame: self._shadow_depth(frame, points))
 
     def _shadow_depth(self, frame: int, points: Tensor) -> Tensor:
-        there = self._drawn_person(frame, self.full.masks[frame] / 255)
-        return self.effects.shadow_depth(points, self.stance(*self.body(frame)) if there else None)
-
-    # ---- what there is at a frame ----
-
-    def posed(self, resting: Resting, *at: Tensor, frame: int | None = None) -> Splats:
-        """The person in the world and its light `at` a pose as of `body`; clothes as they swing in a `frame`, or in that pose."""
-        body, (orient, body_pose, transl) = self.person.body, at
-        bones = bone_transforms(body.joints, body.parents, orient, body_pose)
-        if body.clothing is not None:
-            bones = body.clothing.hang(bones, self.frames.swing_of(frame, self.effects.swing(body_pose)))
-        return self.effects.lit(pose(resting, bones, transl)._replace(antialias=self.options.antialias))
-
-    def stance(self, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Stance:
-        """How the person's body stands, for the shadow."""
-        return Stance(self.person.body.joints, self.person.body.parents, global_orient, body_pose, transl)
-
-    def motion(self, frame: int, resting: Resting | None) -> FrameMotion | None:
-        """How everything moves at a frame, where an effect needs to know it; None for `resting`: nobody is drawn."""
-        if self.speeds is None:
-            return None
-        return self.speeds.at(frame, resting and (lambda i: self.posed(resting, *self.body(i)).means))
-
-    def body(self, frame: int) -> tuple[Tensor, Tensor, Tensor]:
-        """global_orient[3], body_pose[69] and transl[3] of a frame, corrected where poses are refined."""
-        p = self.person.body
-        body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
-        return self.frames.body(frame, *body) if self.options.refine_pose else body
-
-    def _camera(self, frame: int) -> Tensor:
-        viewmat = self.full.viewmats[frame]
-        return self.frames.camera(frame, viewmat, self.trained) if self.options.refine_camera else viewmat
-
-    # ---- of all frames ----
-
-    def bodies(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; untrained frames take their neighbours' correction."""
-        body = self.person.body
-        if not self.options.refine_pose:
-            return body.global_orient, body.body_pose, body.transl
-        return self.frames.bodies(body, self.trained, self.full.moments)
-
-    def gains(self) -> Tensor:
-        """Exposure factors [F,3], of geometric mean 1 over the training frames."""
-        if not self.options.exposure:
-            return torch.ones_like(self.frames.gain.weight)
-        return self.frames.all_gains(self.trained, self.full.moments)
-
-    def cameras(self) -> Tensor:
-        """Corrected viewmats [F,4,4], of mean correction 0 over the training frames."""
-        if not self.options.refine_camera:
-            return self.full.viewmats
-        return self.frames.cameras(self.full.viewmats, self.trained, self.full.moments)
+        there = self.drawn_people(frame, self.full)
+        return self.effects.shadow_depth(points, *(self.stance(*self.body(frame, p), of=p) for p in there))
 
     # ---- checkpoints ----
 
@@ -323,7 +281,7 @@ class Fit:
             "order": self.order.clone(),
             "progress": self.progress.state(),
             "undrawn": self.undrawn,
-            "person": None if self.learner is None else self.learner.state(),
+            "people": [learner.state() for learner in self.people],
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -346,5 +304,5 @@ class Fit:
         self.order = state["order"].cpu().clone()
         self.progress.load(state["progress"])
         self.undrawn = state["undrawn"]
-        if self.learner is not None:
-            self.learner.load(state["person"])
+        for learner, saved in zip(self.people, state["people"], strict=True):
+            learner.load(saved)

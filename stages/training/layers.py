@@ -1,8 +1,9 @@
-"""What one training step draws: everything, the person alone, and the scene in front of the person."""
+"""What one training step draws: everything, each person alone, and the scene in front of each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -11,20 +12,36 @@ from torch import Tensor
 from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.rasterize import Layer, Rendering
 from stages.avatar.splats.gaussians import Splats
+from stages.training.person import PersonLearner
 from stages.training.settings import Params
 from stages.training.views import NEAR, person_box
 
 CELLS = 64  # along the longer side of a picture, in which the person's nearest depth is looked up
 
 
+class Figure(NamedTuple):
+    """A person in a training frame: their `splats`, their mask[H,W] in 0..1, and known[H,W], 1 where the frame tells of them.
+
+    `known` None: everywhere.
+    """
+
+    splats: Splats
+    mask: Tensor
+    known: Tensor | None = None
+
+
 class DrawnFrame(NamedTuple):
-    """A training frame, its exposure and what was drawn of it, by layer; None for a person or a scene that was not."""
+    """A training frame, its exposure and what was drawn of it, by layer; the mask is that of all people.
+
+    No `figures` where nobody was drawn, no `scene` where it was not.
+    """
 
     frame: int
     image: Tensor
     mask: Tensor
     gains: Tensor | None
-    person: Splats | None
+    people: Sequence[PersonLearner]
+    figures: Sequence[Figure]
     scene: Splats | None
     layers: dict[str, Layer]
     drawn: dict[str, Rendering | BlurredRendering]
@@ -35,10 +52,17 @@ class DrawnFrame(NamedTuple):
         left, top, right, bottom = window or (0, 0, self.mask.shape[1], self.mask.shape[0])
         return slice(top, bottom), slice(left, right)
 
-    def person_target(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Image, mask and background[3] of the layer of the person alone."""
-        crop, background = self.window("person"), self.layers["person"].background
-        return self.image[crop], self.mask[crop], self.mask.new_zeros(3) if background is None else background
+    def person_target(self, k: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+        """Image, mask and background[3] of the layer of one person alone."""
+        name = numbered("person", k)
+        crop, background = self.window(name), self.layers[name].background
+        mask = self.figures[k].mask[crop]
+        return self.image[crop], mask, self.mask.new_zeros(3) if background is None else background
+
+
+def numbered(name: str, k: int) -> str:
+    """A name for each of several people, from 0 on: human, human 2, human 3."""
+    return name if k == 0 else f"{name} {k + 1}"
 
 
 @torch.no_grad()
@@ -68,29 +92,31 @@ def foreground_occluders(scene: Splats, person: Tensor, viewmat: Tensor, K: Tens
 
 
 def layers_of(
-    human: Splats | None,
+    figures: Sequence[Figure],
     scene: Splats | None,
-    mask: Tensor,
     viewmat: Tensor,
     K: Tensor,
     params: Params,
     generator: torch.Generator,
 ) -> dict[str, Layer]:
-    """The pictures that a step's losses need, by name: `all`, `person`, and `occluders` where the scene learns.
+    """The pictures that a step's losses need, by name: `all`, a `person` each, and `occluders` where the scene learns.
 
-    mask[H,W] 0..1 and K[3,3] px of the frame; the random backgrounds come from `generator`.
+    Those of further people are `numbered`. K[3,3] px of the frame; the random backgrounds come from `generator`.
     """
     layers: dict[str, Layer] = {}
     if scene is not None:
         layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K), stop=params.early_stop)
-    if human is not None:
-        n, total = len(human.means), len(human.means) + (0 if scene is None else len(scene.means))
-        rows = torch.arange(total, device=K.device) < n
-        height, width = mask.shape
-        box = person_box(mask, human.means.detach(), viewmat, K)
+    counts = [len(figure.splats.means) for figure in figures]
+    people, first = sum(counts), 0
+    row = torch.arange(people + (0 if scene is None else len(scene.means)), device=K.device)
+    for k, (figure, n) in enumerate(zip(figures, counts, strict=True)):
+        means, (height, width) = figure.splats.means, figure.mask.shape
+        box = person_box(figure.mask, means.detach(), viewmat, K)
         if params.human_loss:
-            layers["person"] = Layer(rows, box, torch.rand(3, generator=generator).to(K), params.early_stop)
+            own = (first <= row) & (row < first + n)
+            layers[numbered("person", k)] = Layer(own, box, torch.rand(3, generator=generator).to(K), params.early_stop)
         if scene is not None and scene.means.requires_grad:
-            before = torch.cat([~rows[:n], foreground_occluders(scene, human.means, viewmat, K, width, height)])
-            layers["occluders"] = Layer(before, box, stop=params.early_stop)
+            before = torch.cat([row[:people] < 0, foreground_occluders(scene, means, viewmat, K, width, height)])
+            layers[numbered("occluders", k)] = Layer(before, box, stop=params.early_stop)
+        first += n
     return layers

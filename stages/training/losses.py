@@ -70,6 +70,17 @@ def person_only(rendered: Tensor, alpha: Tensor, image: Tensor, mask: Tensor, ba
     return photometric(rendered, target) + ALPHA * (alpha - mask).abs().mean()
 
 
+def where_known(
+    rendered: Tensor, alpha: Tensor, known: Tensor, target: tuple[Tensor, Tensor, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """A person-only render [H,W,3] and its alpha[H,W], replaced by the target where known[H,W] is 0; `target` as `person_only`.
+
+    Somebody nearer hides the person there, and the picture does not tell of them.
+    """
+    there = known > 0.5
+    return torch.where(there[..., None], rendered, over_background(*target)), torch.where(there, alpha, target[1])
+
+
 def skinning(weights: Tensor, reference: Tensor) -> Tensor:
     """LBS x mean squared difference of skinning weights [N,J] from those of the nearest body vertices, a constant."""
     return LBS * (weights - reference.detach()).square().mean()

@@ -3,40 +3,81 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.optim import Optimizer
 
 from stages.avatar.body.skinning import knn_weights
+from stages.avatar.effects.shadow import Casters
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Canonical, Resting, rest
 from stages.avatar.splats.neighbours import nearest
 from stages.training import losses
 from stages.training.finishing.bake import as_body_where_unseen
 from stages.training.guard import Guard
-from stages.training.views import Person
+from stages.training.outlines import Outline
+from stages.training.refine import BodyCorrections
+from stages.training.views import Person, Views
 
 NEIGHBOURS = 8  # a surface Gaussian is held at their mean height
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
+class Another(NamedTuple):
+    """A further person of a clip, before training: their fitted body, model and outline."""
+
+    body: Person
+    human: HumanModel
+    outline: Outline
+
+
 class PersonLearner:
     """The model `human` of the person whose fitted `body` is known.
+
+    `outline` tells of them among several people, None: they are alone. `name` is theirs among the sets of Gaussians, and
+    `corrections` are those of a further person's poses; the first person's are among those of the frames.
 
     `leaves` is the decoded person as tensors that collect gradients, None until it is decoded again. `color_grad_sum` [N]
     sums the gradients of each Gaussian's colour: what stays at 0 no frame has shown.
     """
 
-    def __init__(self, body: Person, human: HumanModel, guard: Guard):
-        self.body, self.human, self.guard = body, human, guard
+    def __init__(
+        self, body: Person, human: HumanModel, guard: Guard, outline: Outline | None = None, name: str = "human"
+    ):
+        self.body, self.human, self.guard, self.name = body, human, guard, name
+        self.outline, self.small = outline, outline and outline.half()
+        self.number = name.removeprefix("human")
+        self.corrections: BodyCorrections | None = None
         self.canonical_bones = body.canonical_bones()
         self.surface, _, self.surface_weights = body.surface()
         self.leaves: Resting | None = None
         self.near: Tensor | None = None
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self.color_grad_sum = torch.zeros(len(human)).to(body.vertices)
+
+    @cached_property
+    def casters(self) -> Casters:
+        """What of them casts a shadow, at rest."""
+        return self.body.casters()
+
+    def seen(self, views: Views, frame: int) -> tuple[Tensor, Tensor | None]:
+        """Their mask [H,W] in 0..1 in a frame of `views`, whole or half, and 1 where the frame tells of them; None: all."""
+        if self.outline is None or self.small is None:
+            return views.masks[frame].float() / 255, None
+        outline = self.outline if views.masks.shape == self.outline.masks.shape else self.small
+        return outline.masks[frame].float() / 255, (outline.hidden[frame] == 0).float()
+
+    def shown(self, frame: int) -> bool:
+        """Whether a frame shows this one of several people, and a fit tells how they stand there."""
+        there = self.outline is None or bool((self.outline.masks[frame] > 127).any())
+        return there and bool(self.body.confidence[frame] > 0)
+
+    def masked(self, views: Views) -> Views:
+        """The `views` of whole size with the masks of this person alone."""
+        return views if self.outline is None else views._replace(masks=self.outline.masks)
 
     def _decode(self) -> tuple[Canonical, Resting, Tensor]:
         canonical, outside_box, regularizer = self.human()
@@ -57,7 +98,7 @@ class PersonLearner:
         if leaves is None or leaves.means.grad is None:
             return
         collected = {n: leaf.grad for n, leaf in leaves._asdict().items() if leaf.grad is not None}
-        self.guard.contain("person", collected)
+        self.guard.contain(f"person{self.number}", collected)
         self.color_grad_sum += collected["sh"].abs().sum((1, 2))
         prior = self.prior
         if self.canonical.weights.requires_grad:
@@ -66,10 +107,12 @@ class PersonLearner:
         slopes = [grad / frames for grad in collected.values()]
         torch.autograd.backward([*decoded, prior], [*slopes, torch.ones_like(prior)])
         rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
-        self.guard.contain("corrections", {name: p.grad for name, p in rows.items() if p.grad is not None})
+        self.guard.contain(
+            f"corrections{self.number}", {name: p.grad for name, p in rows.items() if p.grad is not None}
+        )
         by_row = {id(p) for p in rows.values()}
         shared = [p.grad for p in self.human.parameters() if id(p) not in by_row and p.grad is not None]
-        if self.guard.clip("networks", shared):
+        if self.guard.clip(f"networks{self.number}", shared):
             optimizer.step()
         optimizer.zero_grad(set_to_none=True)
 

@@ -13,20 +13,17 @@ from stages.training.views import Person
 SWING, JERK = 0.01, 0.03  # weights of the priors on the swing of clothes
 
 
-class FrameCorrections(nn.Module):
-    """Corrections of F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m, log gain [F,3].
+class BodyCorrections(nn.Module):
+    """Corrections of a body in F frames, 0 at first: pose [F,72] rad (added to the axis-angles), place [F,3] m.
 
-    And of cameras: turn [F,3] rad and shift [F,3] m, see `effects.camera_refinement`. With `bones` of clothes, also of
-    their swing [F,6 bones]. Rows have sparse gradients, so that a frame moves only when it is seen.
+    With `bones` of clothes, also of their swing [F,6 bones]. Rows have sparse gradients, so that a frame moves only when it
+    is seen.
     """
 
     def __init__(self, frames: int, bones: int = 0):
         super().__init__()
         self.pose = nn.Embedding(frames, 72, sparse=True)
         self.place = nn.Embedding(frames, 3, sparse=True)
-        self.gain = nn.Embedding(frames, 3, sparse=True)
-        self.turn = nn.Embedding(frames, 3, sparse=True)
-        self.shift = nn.Embedding(frames, 3, sparse=True)
         self.swing = nn.Embedding(frames, 6 * bones, sparse=True) if bones else None
         for weight in self.parameters():
             nn.init.zeros_(weight)
@@ -38,10 +35,6 @@ class FrameCorrections(nn.Module):
         row = torch.tensor(frame, device=transl.device)
         pose = torch.cat([global_orient, body_pose]) + self.pose(row)
         return pose[:3], pose[3:], transl + self.place(row)
-
-    def gains(self, frame: int) -> Tensor:
-        """Factors [3] on the drawn colours of one frame."""
-        return self.gain(torch.tensor(frame, device=self.gain.weight.device)).exp()
 
     def swing_of(self, frame: int | None, told: Tensor | None) -> Tensor | None:
         """The swing [K,6] of clothes in a frame, of which the pose has `told` so much; without a frame that, None of none."""
@@ -62,17 +55,36 @@ class FrameCorrections(nn.Module):
         gap = rows - self.swing.weight.detach()[beside].mean(0) if beside else rows
         return SWING * rows.square().mean() + JERK * gap.square().mean()
 
-    def camera(self, frame: int, viewmat: Tensor, trained: Tensor) -> Tensor:
-        """The corrected camera [4,4] of a frame; the mean correction of the frames trained[F] is taken off."""
-        row = torch.tensor(frame, device=viewmat.device)
-        tables = self.turn, self.shift
-        return correct_cameras(viewmat, *(table(row) - table.weight.detach()[trained].mean(0) for table in tables))
-
     @torch.no_grad()
     def bodies(self, person: Person, trained: Tensor, moments: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
         """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; frames not trained[F] take their neighbours'."""
         turn, place = (spread(table.weight, trained, moments) for table in (self.pose, self.place))
         return person.global_orient + turn[:, :3], person.body_pose + turn[:, 3:], person.transl + place
+
+
+class FrameCorrections(BodyCorrections):
+    """Those of the first person, and corrections of each frame: log gain [F,3], turn [F,3] rad and shift [F,3] m of cameras.
+
+    For cameras see `effects.camera_refinement`.
+    """
+
+    def __init__(self, frames: int, bones: int = 0):
+        super().__init__(frames, bones)
+        self.gain = nn.Embedding(frames, 3, sparse=True)
+        self.turn = nn.Embedding(frames, 3, sparse=True)
+        self.shift = nn.Embedding(frames, 3, sparse=True)
+        for weight in self.parameters():
+            nn.init.zeros_(weight)
+
+    def gains(self, frame: int) -> Tensor:
+        """Factors [3] on the drawn colours of one frame."""
+        return self.gain(torch.tensor(frame, device=self.gain.weight.device)).exp()
+
+    def camera(self, frame: int, viewmat: Tensor, trained: Tensor) -> Tensor:
+        """The corrected camera [4,4] of a frame; the mean correction of the frames trained[F] is taken off."""
+        row = torch.tensor(frame, device=viewmat.device)
+        tables = self.turn, self.shift
+        return correct_cameras(viewmat, *(table(row) - table.weight.detach()[trained].mean(0) for table in tables))
 
     @torch.no_grad()
     def all_gains(self, trained: Tensor, moments: Tensor | None) -> Tensor:

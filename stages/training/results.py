@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
@@ -19,6 +20,7 @@ from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import Finished, finish, unseen
 from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
+from stages.training.person import PersonLearner
 from stages.training.views import Person
 
 
@@ -34,8 +36,8 @@ class Listener(Protocol):
 class Result:
     """A trained clip.
 
-    `scene` is None where there is none; `effects` and `cameras` (SfM units) are None where none were learned. `curve` has
-    a row for each measurement of accuracy, `facts` are those of train.json.
+    `others` has avatar and poses of each further person. `scene` is None where there is none; `effects` and `cameras` (SfM
+    units) are None where none were learned. `curve` has a row for each measurement of accuracy, `facts` are those of train.json.
     """
 
     avatar: Avatar
@@ -45,23 +47,26 @@ class Result:
     cameras: Cameras | None
     curve: list[dict[str, Any]]
     facts: dict[str, Any]
+    others: Sequence[tuple[Avatar, BodyPoses]] = ()
 
 
 def result_of(
-    fit: Fit, clip: Clip, curve: list[dict[str, Any]], effects: dict[str, dict[str, Any]], say: Listener
+    fit: Fit,
+    clip: Clip,
+    curve: list[dict[str, Any]],
+    effects: dict[str, dict[str, Any]],
+    say: Listener,
+    others: Sequence[Clip] = (),
 ) -> Result:
-    """Finish what was trained on a clip; `effects` is what train.json says of their gains, `say` hears about the rest."""
-    orient, body_pose, transl = fit.bodies()
-    body = fit.person.body._replace(global_orient=orient, body_pose=body_pose, transl=transl)
-    if body.clothing is not None and fit.frames.swing is not None:
-        _settle_swing(fit, body, body.clothing, fit.frames.swing.weight, say)
-    kept = _finished(fit, body, say)
+    """Finish what was trained on a clip; `effects` is what train.json says of their gains, `say` hears about the rest.
+
+    `others` is the same clip with the bodies of further people.
+    """
+    (avatar, poses, kept, never), *rest = [_person(fit, who, one, say) for who, one in zip(fit.people, (clip, *others))]
     scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
-    broken = kept.broken + invalid
+    broken = invalid + kept.broken + sum(one[2].broken for one in rest)
     settled = fit.densifier.settled
-    never, behind = int(unseen(fit.person.color_grad_sum).sum()), 0 if settled is None else int(settled.sum())
-    if never:
-        say.note(f"{never:,} Gaussians of the person that no frame shows have the place and shape of the body")
+    behind = 0 if settled is None else int(settled.sum())
     if behind:
         say.note(f"{behind:,} Gaussians of the scene that the person hides or shades took the colours seen around them")
     if broken:
@@ -91,7 +96,7 @@ def result_of(
         "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
         "effects": effects,
         "extent_m": fit.options.extent,
-        "gaussians": fit.sizes() | {"human": len(kept.person.means)},
+        "gaussians": fit.sizes() | {"human": len(avatar) + sum(len(one[0]) for one in rest)},
         "broken": broken,
         "strays": kept.strays,
         "evened": kept.snapped,
@@ -115,9 +120,29 @@ def result_of(
         )
     if fit.undrawn:
         say.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
+    if rest:
+        facts["people"] = [len(avatar), *(len(one[0]) for one in rest)]
+    more = [(one[0], one[1]) for one in rest]
+    return Result(avatar, scene, poses, Effects(**known) if known else None, cameras, curve, facts, more)
+
+
+def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Finished, int]:
+    """The avatar of a person and their poses, how they were finished, and how many Gaussians no frame has shown."""
+    orient, body_pose, transl = fit.bodies(who)
+    body, corrections = (
+        who.body._replace(global_orient=orient, body_pose=body_pose, transl=transl),
+        fit.corrections(who),
+    )
+    if len(fit.people) > 1:
+        say.note(f"person {fit.people.index(who) + 1}:")
+    if body.clothing is not None and corrections.swing is not None:
+        _settle_swing(fit, body, body.clothing, corrections.swing.weight, say)
+    kept = _finished(fit, who, body, say)
+    never = int(unseen(who.color_grad_sum).sum())
+    if never:
+        say.note(f"{never:,} Gaussians of the person that no frame shows have the place and shape of the body")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
-    avatar = _avatar(kept, body, clip.body.betas, body.clothing, fit.options.antialias)
-    return Result(avatar, scene, poses, Effects(**known) if known else None, cameras, curve, facts)
+    return _avatar(kept, body, clip.body.betas, body.clothing, fit.options.antialias), poses, kept, never
 
 
 def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener) -> dict[str, dict[str, Any]]:
@@ -140,11 +165,12 @@ def _settle_swing(fit: Fit, body: Person, clothing: Clothing, table: Tensor, say
     say.note(f"{len(clothing)} bones of clothes; {told}")
 
 
-def _finished(fit: Fit, body: Person, say: Listener) -> Finished:
-    baked, _ = fit.person.baked()
-    seen = fit.full._replace(viewmats=fit.cameras())
+def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Finished:
+    baked, _ = who.baked()
+    seen = who.masked(fit.full)._replace(viewmats=fit.cameras())
     dressed = body._replace(antialias=fit.options.antialias)
-    kept = finish(baked, fit.person.human.skinning_outliers(baked.weights), dressed, seen, fit.train)
+    frames = fit.train if who.outline is None else who.outline.clear(fit.train)
+    kept = finish(baked, who.human.skinning_outliers(baked.weights), dressed, seen, frames)
     if kept.strays:
         say.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
     if kept.recolored:

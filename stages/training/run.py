@@ -183,7 +183,7 @@ def finish(training: Training, hooks: Hooks) -> Result:
             effects = effect_facts(effect_gains(fit, training.heldout), curve[-1]["seconds"], hooks)
         except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
             hooks.warn(f"what effects are worth could not be measured: {error}")
-    result = result_of(fit, training.task.clip, curve, effects, hooks)
+    result = result_of(fit, training.task.clip, curve, effects, hooks, training.task.others)
     result.facts["effects_left_out"] = list(training.choice.left_out)
     if deadline:
         result.facts["last_step_seconds"] = round(deadline.pace.last, 4)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from stages.avatar.body.hull import CELL
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shading import Shading
-from stages.avatar.effects.shadow import DARKNESS, casters
+from stages.avatar.effects.shadow import DARKNESS
 from stages.avatar.effects.sky import RADIUS, open_sky, shell
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
@@ -24,10 +24,12 @@ from stages.avatar.splats.neighbours import spread_evenly
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.contract import StageError
 from stages.formats.clip import Clip
-from stages.records import JOINTS
+from stages.records import BodyPoses
 from stages.training.cloth import clothed
 from stages.training.fit import Fit
 from stages.training.init_colors import seen_colors
+from stages.training.outlines import Outline, outlines
+from stages.training.person import Another
 from stages.training.schedule import Options
 from stages.training.settings import Params
 from stages.training.transients import Transients
@@ -43,7 +45,7 @@ class Task:
     """What a training is to learn, and how.
 
     `decisions` and first values (`starts`) are those of survey.json, by effect; `perceptual` is the network of the
-    perceptual loss, where the settings ask for it.
+    perceptual loss, where the settings ask for it. `others` is the same clip with the body and the masks of each further person.
     """
 
     clip: Clip
@@ -53,6 +55,7 @@ class Task:
     seed: int = 0
     device: str = "cpu"
     perceptual: Lpips | None = None
+    others: Sequence[Clip] = ()
 
     def chosen(self, settings: dict[str, int], left_out: Iterable[str]) -> Task:
         """The same with other settings, and without some effects."""
@@ -107,17 +110,21 @@ class _Start:
     def __init__(self, task: Task, note: Callable[[str], None]):
         self.train, self.note = task.frames(), note
         self.clip, self.params, self.decisions, self.starts = task.clip, task.params, task.decisions, task.starts
-        self.seed, self.device, self.perceptual = task.seed, task.device, task.perceptual
+        self.seed, self.device, self.perceptual, self.others = task.seed, task.device, task.perceptual, task.others
         self.generator = torch.Generator().manual_seed(task.seed)
 
     def fit(self) -> Fit:
         clip, on = self.clip, self.decisions
         views = self._views()
-        person = self._clothed(self._person(), views)
-        human = self._human(person, views)
+        person, *others = [self._person(one.body) for one in (clip, *self.others)]
+        seen = self._outlines(views, [person, *others])
+        person = self._clothed(person, views, seen[0])
+        human = self._human(person, views, seen[0])
+        more = [self._another(*one) for one in zip(others, [views] * len(others), seen[1:])]
         extent = scene_extent(self._tensor(clip.viewmats).cpu(), self._tensor(clip.points).cpu())
-        scene = self._scene(person, extent) if on.get("scene", True) and len(clip.points) else None
-        caps = {"human_cap": self._cap("human", human), "scene_cap": self._cap("scene", scene)}
+        scene = self._scene([person, *others], extent) if on.get("scene", True) and len(clip.points) else None
+        most = max((human, *(one.human for one in more)), key=len)
+        caps = {"human_cap": self._cap("human", most), "scene_cap": self._cap("scene", scene)}
         options = Options(
             extent=extent,
             refine_pose=on.get("pose_refinement", True),
@@ -128,7 +135,7 @@ class _Start:
         effects = self._effects(person)
         transients = Transients(views, self.train) if on.get("transients", False) and scene is not None else None
         models = views, self.train, person, human, scene, self.params.model_copy(update=caps), options
-        return Fit(*models, self.generator, self.perceptual, effects, transients)
+        return Fit(*models, self.generator, self.perceptual, effects, transients, seen[0], more)
 
     def _cap(self, name: str, begun: HumanModel | SceneModel | None) -> int:
         """Most Gaussians of the person or the scene: what is set, or what it begins with."""
@@ -152,8 +159,21 @@ class _Start:
             torch.as_tensor(clip.split.moments, device=self.device),
         )
 
-    def _person(self) -> Person:
-        fitted, model = self.clip.body, self.clip.body_model
+    def _outlines(self, views: Views, people: list[Person]) -> list[Outline | None]:
+        """What the frames tell of each of several people; None for one who is alone."""
+        if len(people) == 1:
+            return [None]
+        frames = range(len(self.clip.names))
+        masks = [np.stack([one.own_mask(i) for i in frames]) for one in (self.clip, *self.others)]
+        return [*outlines(views, [torch.as_tensor(one, device=self.device) for one in masks], people)]
+
+    def _another(self, person: Person, views: Views, seen: Outline | None) -> Another:
+        assert seen is not None, "there are several people"
+        body = self._clothed(person, views, seen)
+        return Another(body, self._human(body, views, seen), seen)
+
+    def _person(self, fitted: BodyPoses) -> Person:
+        model = self.clip.body_model
         body, betas = Body(model), torch.as_tensor(fitted.betas, dtype=torch.float32)
         # clothes hang at rest: legs apart would pull a skirt apart
         pose = torch.zeros_like(DA_POSE) if self.decisions.get("clothing", False) else DA_POSE
@@ -171,11 +191,13 @@ class _Start:
             faces=torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device),
         )
 
-    def _clothed(self, person: Person, views: Views) -> Person:
+    def _clothed(self, person: Person, views: Views, seen: Outline | None) -> Person:
         """The person with what stands off their body, where the clip calls for it."""
         if not self.decisions.get("clothing", False):
             return person
-        found = clothed(person, views, self.train, CELL / 2**self.params.rounds)
+        alone = views if seen is None else views._replace(masks=seen.masks)
+        clear = self.train if seen is None else seen.clear(self.train)
+        found = clothed(person, alone, clear, CELL / 2**self.params.rounds)
         if found.cloth is None or found.clothing is None:
             self.note("no cloth or hair is seen off the body")
         else:
@@ -183,7 +205,7 @@ class _Start:
             self.note(f"{count:,} Gaussians of cloth or hair begin off the body, with {bones} bones of their own")
         return found
 
-    def _human(self, person: Person, views: Views) -> HumanModel:
+    def _human(self, person: Person, views: Views, outline: Outline | None) -> HumanModel:
         params = self.params
         human = HumanModel(
             person.vertices,
@@ -199,20 +221,24 @@ class _Start:
             cloth=person.cloth,
         )
         seen = [i for i in self.train if person.confidence[i] > 0]
-        colors, known = seen_colors(human, person, views, spread_evenly(seen, PAINTED))
+        alone = views if outline is None else views._replace(masks=outline.masks)
+        colors, known = seen_colors(human, person, alone, spread_evenly(seen, PAINTED))
         human.sh_starts.copy_(sh_from_rgb(colors))
         share = (known == 1).float().mean().item()
         self.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
         return human
 
-    def _scene(self, person: Person, extent: float) -> SceneModel | None:
+    def _scene(self, people: list[Person], extent: float) -> SceneModel | None:
         """None where all points lie on a camera."""
         clip, on, chosen = self.clip, self.decisions, spread_evenly(self.train, FILLED)
         images, masks = [clip.images(i) for i in chosen], [clip.mask(i) for i in chosen]
         cameras, skies = (clip.viewmats[chosen], clip.Ks[chosen]), None
         if on.get("sky", False):
             skies = [open_sky(clip.points, mask, *camera) for mask, *camera in zip(masks, *cameras, strict=True)]
-        rng, places = np.random.default_rng(self.seed), clip.body.transl[chosen] + person.joints[0].cpu().numpy()
+        rng, bodies = np.random.default_rng(self.seed), (clip.body, *(other.body for other in self.others))
+        hips = [body.transl[chosen] + who.joints[0].cpu().numpy() for body, who in zip(bodies, people, strict=True)]
+        depths = [(clip.viewmats[chosen, 2, :3] * at).sum(1) for at in hips]
+        places = np.take_along_axis(np.stack(hips), np.argmax(depths, 0)[None, :, None], 0)[0]  # beyond all of them
         xyz, rgb = fill_points(clip.points, images, masks, *cameras, places, self.params.scene_fill, rng, skies)
         points = self._tensor(np.concatenate([clip.points, xyz]))
         colors = self._tensor(np.concatenate([clip.colors, rgb])) / 255
@@ -235,10 +261,8 @@ class _Start:
         *lamp, darkness = self.starts.get("shadow", [*mean_up(orient), DARKNESS])
         light = torch.as_tensor(lamp).to(person.joints)
         shadow = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
-        bones = person.canonical_bones()[:JOINTS]
-        parts = casters(person.vertices, person.weights[:, :JOINTS]).posed(torch.linalg.inv(bones))
         times = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
-        effects = FrameEffects.starting(light, parts, shadow, **times)
+        effects = FrameEffects.starting(light, person.casters(), shadow, **times)
         effects.clothing = person.clothing
         effects.shading = Shading().to(light) if on.get("shading", False) else None
         return effects

@@ -11,10 +11,12 @@ from torch import Tensor
 
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.effects.clothing import Clothing
+from stages.avatar.effects.shadow import Casters, casters
 from stages.avatar.effects.speeds import Speeds
 from stages.avatar.model.person import Resting, Surfels, bone_transforms, pose
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
+from stages.records import JOINTS
 
 CROP = 12  # pixels left around the person in the person-only render
 LOOKS = 32  # training frames, at most, that finishing looks at
@@ -37,16 +39,16 @@ class Views(NamedTuple):
         """The same at half the resolution, by area."""
         height, width = (max(1, n // 2) for n in self.masks.shape[1:])
         images = torch.stack(
-            [_shrunk(image.permute(2, 0, 1), (height, width)).permute(1, 2, 0) for image in self.images]
+            [shrunk(image.permute(2, 0, 1), (height, width)).permute(1, 2, 0) for image in self.images]
         )
-        masks = torch.stack([_shrunk(mask[None], (height, width))[0] for mask in self.masks])
+        masks = torch.stack([shrunk(mask[None], (height, width))[0] for mask in self.masks])
         Ks = self.Ks.clone()
         Ks[:, 0] *= width / self.masks.shape[2]
         Ks[:, 1] *= height / self.masks.shape[1]
         return Views(images, masks, self.viewmats, Ks, self.moments)
 
 
-def _shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
+def shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
     """A picture uint8 [C,H,W] at another size, by area: in floats one at a time, whatever the clip's length."""
     return F.adaptive_avg_pool2d(picture.float(), size).round().to(torch.uint8)
 
@@ -92,6 +94,11 @@ class Person(NamedTuple):
         """Transforms [J,4,4] of all bones from rest to the canonical pose, in which clothes follow the skeleton."""
         bones = bone_transforms(self.joints, self.parents, torch.zeros_like(self.joints[0]), self.canonical_pose)
         return bones if self.clothing is None else self.clothing.hang(bones)
+
+    def casters(self) -> Casters:
+        """What of them casts a shadow, at rest."""
+        bones = self.canonical_bones()[:JOINTS]
+        return casters(self.vertices, self.weights[:, :JOINTS]).posed(torch.linalg.inv(bones))
 
     def bones(self, frame: int) -> Tensor:
         """Transforms [J,4,4] of all bones from rest to the pose of a frame; `transl` is not in them."""

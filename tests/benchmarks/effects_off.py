@@ -39,10 +39,10 @@ class Nothing(torch.nn.Module):
     def draw(self, human: Any, scene: Any, motion: None, *view: Any) -> list:
         return compose(human, scene, *view)
 
-    def shade(self, scene: Any, stance: Any) -> Any:
+    def shade(self, scene: Any, *stances: Any) -> Any:
         return scene
 
-    def shadow_depth(self, points: Tensor, stance: Any) -> Tensor:
+    def shadow_depth(self, points: Tensor, *stances: Any) -> Tensor:
         return torch.zeros_like(points[:, 0])
 
     def prior(self) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -78,6 +79,13 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
     out, err = hugs("new/first.yaml")
     assert out == "new/first.mp4\n" and "3 frames, 0.8 s at 4 fps" in err
     assert len(list(decode(made / "new/first.mp4"))) == 3
+    others = made / "work/bob/default/train/people/2"
+    others.mkdir(parents=True)
+    (others / "avatar.npz").touch()
+    hugs("--init", "work/ann/default", "work/bob/default", "--out", "new/both.yaml")
+    text = (made / "new/both.yaml").read_text()
+    assert [line.split()[1] for line in text.splitlines() if line.startswith("    who:")] == ["1", "2"]
+    shutil.rmtree(others.parent)
     assert "first.yaml is already there" in hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1]
     assert "nobody to make a film of" in hugs("--init", code=2)[1]
 

@@ -156,3 +156,43 @@ def test_pictures_and_masks_numbered_from_one_belong_together_by_name(tmp_path):
              for i in range(3)}  # fmt: skip
     _, made, _ = run(tmp_path, frames, given(tmp_path, named))
     assert [int(np.flatnonzero(mask.any(1))[0]) for mask in made.values()] == [0, 1, 2]
+
+
+def two(i):
+    """Labels 1 and 2 of two people who do not touch, the second smaller."""
+    labels = np.zeros(SIZE, np.uint8)
+    labels[20:80, 10 + i : 40 + i], labels[30:70, 80:100] = 1, 2
+    return labels
+
+
+def test_all_people_of_given_masks_get_masks_of_their_own(tmp_path, frames):
+    folder = given(tmp_path, {f"{i:06d}.png": two(i) for i in range(12)})
+    facts, made, said = run(tmp_path, frames, folder, person="all")
+    own = {
+        k: {p.stem: read_mask(p) for p in (tmp_path / "out" / "people" / str(k) / "masks").iterdir()} for k in (1, 2)
+    }
+    for i in (0, 3, 9, 10):
+        name = f"{i:06d}"
+        assert np.array_equal(own[1][name] > 127, two(i) == 1) and np.array_equal(own[2][name] > 127, two(i) == 2)
+        assert np.array_equal(made[name], np.maximum(own[1][name], own[2][name]))
+    assert facts["person"] == ["1", "2"] and facts["people"] == {"1": {"frames": 4}, "2": {"frames": 4}}
+    assert any("2 people, each with masks of their own: person 1 in 4, 2 in 4 of 4 frames" in line for line in said)
+    assert not any("following" in line or "second large part" in line for line in said)
+
+
+def test_all_of_one_person_is_that_person(tmp_path, frames):
+    folder = given(tmp_path, {f"{i}.png": body(i) for i in range(12)})
+    usual = run(tmp_path, frames, folder)
+    facts, made, said = run(tmp_path, frames, folder, person="all")
+    assert facts == usual[0] and said == usual[2] and all(np.array_equal(made[n], usual[1][n]) for n in made)
+    assert not (tmp_path / "out" / "people").exists()
+
+
+def test_a_pixel_that_two_claim_is_nobodys_but_no_scene():
+    one, other = body(0), body(6)
+    everybody, own = masks.apart([one, other])
+    both = (one > 127) & (other > 127)
+    assert both.any() and not own[0][both].any() and not own[1][both].any() and (everybody[both] == 255).all()
+    assert np.array_equal(own[0][~both], one[~both]) and np.array_equal(everybody, np.maximum(one, other))
+    alone, same = masks.apart([one])
+    assert alone is one and same[0] is one

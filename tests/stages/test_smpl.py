@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from stages.avatar.body.rotations import rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.avatar.body.smpl_rest import smpl_rest
 from stages.contract import Job, StageError
+from stages.estimators.bodyfit.inputs import touch
 from stages.estimators.bodyfit.resting import carry_over
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
@@ -25,6 +28,7 @@ from stages.formats.poses import read_poses
 from tests.made import bodyfit_clips
 
 MODEL = read_body_model()
+ASIDE = 1.3
 
 
 @pytest.fixture(scope="module")
@@ -144,23 +148,28 @@ def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp
     assert facts["mean_iou"] > 0.97
 
 
-@pytest.mark.slow
-def test_of_two_people_in_a_folder_of_easymocap_the_masked_one_is_taken(folders, tmp_path):
-    clip, frames, sfm = folders
+def two_in_easymocap(clip, folder):
+    """Write a fit of two who do the same, the second where the clip's person is, the first ASIDE m to the right of the camera."""
     fit = camera_fit(clip)
     rest = (MODEL.J_regressor @ MODEL.v_template).astype(float)
     orient, pose, way = carry_over(
         fit["global_orient"], fit["body_pose"], rest, smpl_rest()
     )  # as SMPL's body would do it
-    (tmp_path / "fit").mkdir()
+    folder.mkdir()
     for i, name in enumerate(clip.cameras.names):
         turned = Rotation.from_rotvec(orient[i]).apply(smpl_rest()[0])
         people = []
-        for who, aside in ((0, 1.3), (1, 0.0)):
+        for who, aside in ((0, ASIDE), (1, 0.0)):
             place = fit["transl"][i] + rest[0] + way[i] - turned + [aside, 0, 0]
             row = {"Rh": orient[i], "Th": place, "poses": np.append([0, 0, 0], pose[i])}
             people.append({"id": who, "shapes": [[0.0] * 10], **{key: [value.tolist()] for key, value in row.items()}})
-        (tmp_path / "fit" / f"{name}.json").write_text(json.dumps(people))
+        (folder / f"{name}.json").write_text(json.dumps(people))
+
+
+@pytest.mark.slow
+def test_of_two_people_in_a_folder_of_easymocap_the_masked_one_is_taken(folders, tmp_path):
+    clip, frames, sfm = folders
+    two_in_easymocap(clip, tmp_path / "fit")
     poses, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "fit")
     error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)
     assert error.mean() < 0.04 and facts["mean_iou"] > 0.85
@@ -218,3 +227,35 @@ def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
     smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
     (text,) = (event["text"] for event in said)
     assert "does not stand on the plane" in text and "1.1 m per SfM unit" in text and "0.5" in text
+
+
+@pytest.mark.slow
+def test_of_two_masked_people_each_gets_their_own_of_a_fit_in_one_world(folders, tmp_path):
+    clip, frames, sfm = folders
+    two_in_easymocap(clip, tmp_path / "fit")
+    shutil.copytree(sfm, tmp_path / "sfm")
+    beside = replace(clip, vertices=clip.vertices + ASIDE * clip.cameras.viewmats[:, None, 0, :3])
+    for k, person in ((1, clip), (2, beside)):
+        (tmp_path / "sfm" / "people" / str(k) / "masks").mkdir(parents=True)
+        for name, mask in zip(clip.cameras.names, person.masks(), strict=True):
+            write_mask(tmp_path / "sfm" / "people" / str(k) / "masks" / f"{name}.png", mask)
+    first, facts, said = run(tmp_path / "out", frames, tmp_path / "sfm", smpl_fit=tmp_path / "fit")
+    second = read_poses(tmp_path / "out" / "people" / "2" / "body.npz")
+    theirs = json.loads((tmp_path / "out" / "people" / "2" / "smpl.json").read_text())
+    assert facts["person"] == "1" and theirs["person"] == "0" and theirs["mean_iou"] > 0.5
+    assert second.world_from_sfm == first.world_from_sfm and theirs["scale"]["how"].startswith("that of the first")
+    apart = world_joints(second)[:, 0] - world_joints(first)[:, 0]
+    np.testing.assert_allclose(apart, ASIDE * clip.cameras.viewmats[:, 0, :3], atol=0.05)
+    assert (
+        read_ground(tmp_path / "out" / "ground.json").points
+        and not (tmp_path / "out" / "people" / "2" / "ground.json").exists()
+    )
+    assert [event["text"] for event in said if event.get("text", "").startswith("person 2:")]
+
+
+def test_people_touch_where_their_masks_nearly_meet():
+    mask, other = np.zeros((2, 40, 200), np.uint8)
+    mask[10:30, 20:60], other[10:30, 64:90] = 255, 255
+    assert not touch(mask, other)
+    other[10:30, 60:64] = 255
+    assert touch(mask, other) and touch(other, mask)

@@ -11,7 +11,7 @@ import torch
 from stages import records
 from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
 from stages.avatar.effects.frames import FrameEffects, load_effects
-from stages.avatar.effects.shadow import Stance
+from stages.avatar.effects.shadow import Casters, Stance
 from stages.avatar.effects.speeds import FrameMotion, Speeds
 from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize import Camera, Layer
@@ -21,11 +21,15 @@ Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose
 
 
 class Learned(NamedTuple):
-    """A trained avatar, its scene (None where only the person was trained) and the effects of their clip."""
+    """A trained avatar, its scene (None where only the person was trained) and the effects of their clip.
+
+    `parts` cast the avatar's shadow, where they are not the clip's first person.
+    """
 
     avatar: Baked
     scene: Splats | None
     effects: FrameEffects
+    parts: Casters | None = None
 
     def person(self, pose: Pose) -> Splats:
         """The person's Gaussians in the clip's world at one pose, in its light."""
@@ -36,8 +40,13 @@ class Learned(NamedTuple):
         """A scene, ours or another, with the shadow of the person at a pose, None for nobody."""
         if pose is None:
             return scene
-        joints, parents = self.avatar.joints, self.avatar.parents
-        return self.effects.shade(scene, Stance(joints, parents, *(torch.as_tensor(part).to(joints) for part in pose)))
+        return self.effects.shade(scene, self.stance(pose))
+
+    def stance(self, pose: Pose) -> Stance:
+        """How the person stands at a pose, for the shadow."""
+        joints = self.avatar.joints
+        orient, body_pose, transl = (torch.as_tensor(part).to(joints) for part in pose)
+        return Stance(joints, self.avatar.parents, orient, body_pose, transl, self.parts)
 
 
 def load_learned(

@@ -25,7 +25,7 @@ class FrameEffects(nn.Module):
 
     `shutter` [1] is the share of a moment for which the shutter is open (motion blur), `readout` [1] the share in which
     the rows are read from top to bottom (rolling shutter). A moment is the time between two frames of the clip.
-    `clothing` are the bones of the person's clothes, `shading` the light on the person.
+    `clothing` are the bones of the person's clothes, `more_clothes` those of further people, `shading` the light on people.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -35,6 +35,7 @@ class FrameEffects(nn.Module):
         self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
         self.clothing: Clothing | None = None
         self.shading: Shading | None = None
+        self.more_clothes = nn.ModuleList()
 
     @classmethod
     def starting(
@@ -63,24 +64,27 @@ class FrameEffects(nn.Module):
 
     def prior(self) -> Tensor | float:
         """The regularizer of the effects, part of a step's loss."""
-        return sum(part.prior() for part in (self.clothing, self.shading) if part is not None)
+        parts = (self.clothing, *self.more_clothes, self.shading)
+        return sum(part.prior() for part in parts if isinstance(part, Clothing | Shading))
 
     def lit(self, person: Splats) -> Splats:
         """A person in the clip's world, in its light."""
         return person if self.shading is None else self.shading(person)
 
-    def shade(self, scene: Splats | None, stance: Stance | None) -> Splats | None:
-        """The scene with the shadow of a person who stands as `stance` says, None for nobody."""
-        if self.shadow is None or scene is None or stance is None:
+    def shade(self, scene: Splats | None, *stances: Stance | None) -> Splats | None:
+        """The scene with the shadows of people who stand as `stances` say, None for nobody."""
+        there = [stance for stance in stances if stance is not None]
+        if self.shadow is None or scene is None or not there:
             return scene
-        return self.shadow(scene, stance)
+        return self.shadow(scene, *there)
 
     @torch.no_grad()
-    def shadow_depth(self, points: Tensor, stance: Stance | None) -> Tensor:
-        """Depth [N] of points[N,3] in the person's shadow: 0 in full light, 1 in full shadow."""
-        if self.shadow is None or stance is None:
+    def shadow_depth(self, points: Tensor, *stances: Stance | None) -> Tensor:
+        """Depth [N] of points[N,3] in the people's shadows: 0 in full light, 1 in full shadow."""
+        there = [stance for stance in stances if stance is not None]
+        if self.shadow is None or not there:
             return torch.zeros_like(points[:, 0])
-        return (1 - self.shadow.light_left(points, stance)) / self.shadow.darkness.sigmoid()
+        return (1 - self.shadow.light_left(points, *there)) / self.shadow.darkness.sigmoid()
 
     def draw(
         self,

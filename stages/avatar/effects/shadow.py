@@ -33,13 +33,17 @@ class Casters(NamedTuple):
 
 
 class Stance(NamedTuple):
-    """Where a body is: joints[24,3] at rest, parents, and its pose: global_orient[3], body_pose[69], transl[3] m."""
+    """Where a body is: joints[24,3] at rest, parents, and its pose: global_orient[3], body_pose[69], transl[3] m.
+
+    `parts` at rest cast its shadow; None: those that the `Shadow` holds, of the clip's first person.
+    """
 
     joints: Tensor
     parents: list[int]
     global_orient: Tensor
     body_pose: Tensor
     transl: Tensor
+    parts: Casters | None = None
 
 
 def casters(vertices: Tensor, weights: Tensor) -> Casters:
@@ -129,23 +133,28 @@ class Shadow(nn.Module):
             near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)
             return (near & (at[:, 2] < middles[:, 2].amax() + REACH * ABOVE)).nonzero()[:, 0]
 
-    def light_left(self, points: Tensor, stance: Stance) -> Tensor:
-        """As `light_shares` of points[N,3] m, for the body as it stands."""
-        with torch.no_grad():
-            body = Casters(self.middles, self.covariances).posed(bone_transforms(*stance[:4]), stance.transl)
-        rows = self.rows_in_reach(points, body)
-        return torch.ones_like(points[:, 0]).index_put((rows,), self.light_shares(points[rows], body))
+    def light_left(self, points: Tensor, *stances: Stance) -> Tensor:
+        """As `light_shares` of points[N,3] m, for one body or more as they stand."""
+        bodies = [self._body(stance) for stance in stances]
+        if len(bodies) > 1:
+            return self.light_past(points, bodies)
+        rows = self.rows_in_reach(points, bodies[0])
+        return torch.ones_like(points[:, 0]).index_put((rows,), self.light_shares(points[rows], bodies[0]))
 
     @torch.no_grad()
+    def _body(self, stance: Stance) -> Casters:
+        parts = stance.parts or Casters(self.middles, self.covariances)
+        return parts.posed(bone_transforms(*stance[:4]), stance.transl)
+
     def light_past(self, points: Tensor, bodies: Iterable[Casters]) -> Tensor:
         """Share [N] of the light that reaches points[N,3] past several posed bodies: what lies behind two is behind more."""
         thick = torch.zeros_like(points[:, 0])
         for body in bodies:
             rows = self.rows_in_reach(points, body)
-            thick[rows] += self.thickness(points[rows], body)
+            thick = thick.index_add(0, rows, self.thickness(points[rows], body))
         return 1 - self.darkness.sigmoid() * (1 - (-thick).exp())
 
-    def forward(self, scene: Splats, stance: Stance) -> Splats:
+    def forward(self, scene: Splats, *stances: Stance) -> Splats:
         """The scene with its colours multiplied by their share of light."""
-        share = self.light_left(scene.means.detach(), stance)
+        share = self.light_left(scene.means.detach(), *stances)
         return scene._replace(sh=with_gain(scene.sh, share[:, None]))

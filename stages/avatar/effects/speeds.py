@@ -68,10 +68,14 @@ class Speeds:
     def __init__(self, viewmats: np.ndarray, Ks: Tensor, height: int, moments: np.ndarray, known: np.ndarray):
         self.viewmats, self.Ks, self.height, self.moments, self.known = viewmats, Ks, height, moments, known
 
-    def at(self, i: int, means: Callable[[int], Tensor] | None) -> FrameMotion:
-        """The motion at frame `i`; `means(j)` [N,3] are those of the person's Gaussians in frame `j`, None for nobody."""
+    def at(self, i: int, means: Callable[[int], Tensor] | None, known: np.ndarray | None = None) -> FrameMotion:
+        """The motion at frame `i`; `means(j)` [N,3] are those of a person's Gaussians in frame `j`, None for nobody.
+
+        `known` [F] marks the frames with a body fit of another person.
+        """
         near, own = around(self.moments, i), None
-        if means is not None and near.gap and self.known[[near.before, near.after]].all():
+        known = self.known if known is None else known
+        if means is not None and near.gap and known[[near.before, near.after]].all():
             with torch.no_grad():
                 own = (means(near.after) - means(near.before)) / near.gap
         field = torch.as_tensor(drift(self.viewmats, near, i)).to(self.Ks)

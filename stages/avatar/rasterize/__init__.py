@@ -27,7 +27,7 @@ def rasterize(
 ) -> list[Rendering]:
     """Draw N Gaussians, nearest first, once for each layer (3DGS, Kerbl et al. 2023; thresholds of gsplat 1.5).
 
-    Gaussians nearer than `near` m are not drawn. There are at most LAYERS layers: they share projection and depth order,
+    Gaussians nearer than `near` m are not drawn. Layers share projection and depth order, on a CPU LAYERS of them at a time,
     and their gradients add up. Differentiable in means, axes, opacities, colors, viewmat and backgrounds. A row that is
     not finite is left out and counted; ValueError for a camera that is not. Float32 goes to the fast kernel of its device
     (Numba on a CPU, gsplat on a GPU), float64 to the reference.

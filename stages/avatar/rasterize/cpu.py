@@ -112,10 +112,12 @@ def rasterize(
 ) -> list[Rendering]:
     """As `stages.avatar.rasterize.rasterize`; float32 tensors on the CPU.
 
-    Pictures are the same to the bit for any number of threads, gradients for a fixed number.
+    Pictures are the same to the bit for any number of threads, gradients for a fixed number. More than LAYERS are drawn one
+    after the other, since a row of gradients has no room for more.
     """
     if len(layers) > LAYERS:
-        raise ValueError(f"{len(layers)} layers, a row of gradients has room for {LAYERS}")
+        parts_of = (layers[i : i + LAYERS] for i in range(0, len(layers), LAYERS))
+        return [drawn for some in parts_of for drawn in rasterize(gaussians, camera, some, near)]
     extras: dict[str, Any] = {}
     grounds = [layer.background for layer in layers]
     *parts, antialias = gaussians

@@ -28,7 +28,7 @@ FRUSTUM_MARGIN = 0.15
 
 
 LAYERS = 3
-"""Pictures that one call can draw."""
+"""Pictures that the CPU draws in one pass; more take more passes."""
 
 
 class Gaussians(NamedTuple):
@@ -84,7 +84,7 @@ class Rendering:
     image [H,W,3]; alpha [H,W] coverage; depth [H,W] = sum of weight x z (m), all of the layer's window; means2d [N,2] px
     and radii [N] px in the camera's whole picture, radii 0 for Gaussians outside of it or not in the layer. The backward
     pass fills `screen_grad_abs` [N,2], the sum over the layer's pixels of |dL/d means2d|, and `screen_grad` [N,2],
-    dL/d means2d of all layers together. `dropped` counts Gaussians left out because a number was not finite.
+    dL/d means2d of all layers of a pass together. `dropped` counts Gaussians left out because a number was not finite.
     """
 
     image: Tensor

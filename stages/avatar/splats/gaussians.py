@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -49,6 +49,15 @@ class Splats(NamedTuple):
 def facing(axes: Tensor) -> Tensor:
     """Unit directions [N,3] in which flat Gaussians of a surface face: the last of their axes[N,3,3], 0 without length."""
     return normalize(axes[:, :, 2], dim=1)
+
+
+def together(sets: Sequence[Splats]) -> Splats | None:
+    """Several sets of one degree of colour as one, their rows in this order; None for none."""
+    if len(sets) < 2:
+        return sets[0] if sets else None
+    means, axes, opacities, sh = (torch.cat(parts) for parts in list(zip(*sets, strict=True))[:4])
+    turns = [one.rotations for one in sets if one.rotations is not None]
+    return Splats(means, axes, opacities, sh, torch.cat(turns) if turns else None, any(one.antialias for one in sets))
 
 
 def finite_rows(parts: Iterable[Tensor]) -> Tensor:

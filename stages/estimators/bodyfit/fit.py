@@ -25,6 +25,7 @@ from stages.records import BodyModel, BodyPoses, Cameras
 SOLE_SPREAD = 0.015  # m, that a sole may be thicker or thinner; the lower the camera, the more it leaves the scale open
 SCALE_SHARE = 0.5  # of how far frames on the floor differ in their scale
 FLOOR_TILT = 0.02  # rad, that a floor may lie off level
+KNOWN, KNOWN_SPREAD = "that of the first person of the clip", 1e-4
 FIRST, OUTLINED, LAST = 120, 100, 300  # steps on landmarks, then outlines too, then feet and scale as well
 
 
@@ -84,12 +85,14 @@ def fit_body(
     moving: bool = True,
     images: Sequence[np.ndarray] | None = None,
     progress: Callable[[int, int, float], None] = lambda done, total, cost: None,
+    metres: float | None = None,
 ) -> BodyFit:
     """Fit `model` to `evidence` (whose landmarks are `regressor` [K,V] @ vertices) seen by `cameras` (SfM units).
 
     `times` [F] s; `masks` F of uint8 [H,W]; `points` [P,3] SfM units for the floor; `moving` False: one fixed camera,
     whose metric frame is the world; `images` F of uint8 [H,W,3] beside masks: cloth that moves and comes again ties the
-    poses together. Frames not seen are filled in between and get confidence 0. Needs one seen frame.
+    poses together. `metres` per SfM unit are kept where they are known: by somebody else in the clip. Frames not seen are filled
+    in between and get confidence 0. Needs one seen frame.
     """
     seen = np.flatnonzero(evidence.seen)
     body = Body(model)
@@ -114,9 +117,11 @@ def fit_body(
     state = solver.minimise(state, OUTLINED, near, False, lambda i, cost: progress(FIRST + i, total, cost))
 
     found, floor = _find_scale(solver, state, inputs, points, seen)
+    if metres is not None:
+        found = {"how": KNOWN, "initial": metres}
     state.scale = found["initial"]
-    spread = 1.0
-    if floor is not None:
+    spread = 1.0 if metres is None else KNOWN_SPREAD
+    if floor is not None and metres is None:
         above = found["initial"] * np.median(floor.height(cameras.centers))
         spread = max(SOLE_SPREAD / above, SCALE_SHARE * found["floor_spread"])
     whole = _make_solver(inputs, np.arange(len(times)), floor, spread)

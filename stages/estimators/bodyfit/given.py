@@ -12,6 +12,7 @@ from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.contact import sole_vertices
+from stages.estimators.bodyfit.fit import KNOWN
 from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.person import choose_person
@@ -36,12 +37,13 @@ def import_fit(
     points: np.ndarray | None,
     moving: bool,
     sources: tuple[str, ...] = (),
+    metres: float | None = None,
 ) -> tuple[BodyPoses, dict[str, Any]]:
     """The fit as poses of all `cameras` (SfM units), and facts for smpl.json: person, scale, notes.
 
     `masks` [H,W] of each camera choose among several people; `sources` are the names of the pictures, if the clip came
-    as pictures. A fit in SfM units brings its scale; for one in camera frames it is found from floor and feet. Frames
-    without a row are filled in between with confidence 0.
+    as pictures; `metres` per SfM unit are kept where somebody else in the clip tells them. A fit in SfM units brings its scale;
+    for one in camera frames it is found from floor and feet. Frames without a row are filled in between with confidence 0.
     """
     fit, frames = join_frames(fit, cameras.names, times, sources)
     if model.name == FREE and fit.body == SMPL:
@@ -59,7 +61,9 @@ def import_fit(
             times[rows],
             (cameras.width, cameras.height),
         )
-        found = _find_scale(poses, model, path, points, moving)
+        found = {"how": KNOWN, "initial": metres}
+        if metres is None:
+            found = _find_scale(poses, model, path, points, moving)
         scale = found["initial"]
         transl = poses.transl + (scale - 1) * cameras.centers[rows]
         poses = replace(poses, transl=transl, world_from_sfm=scale)

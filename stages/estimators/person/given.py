@@ -20,6 +20,7 @@ from stages.formats.given_masks.objects import Object, labeled_objects, pick, ra
 from stages.formats.given_masks.recognize import read_mask_files
 from stages.formats.given_masks.values import ForeignMasks
 from stages.formats.images import same_shape
+from stages.formats.people import EVERYBODY
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,11 @@ class MaskedPerson:
 
 def import_masks(
     job: Job, path: Path, listing: Listing, invert: Literal["auto", "always", "never"], person: int | str | None
-) -> tuple[dict[str, Any], Iterator[np.ndarray]]:
-    """Facts for masks.json, and a mask uint8 [H,W], 255 = person, for each frame in `listing` (frames.json).
+) -> tuple[dict[str, Any], Iterator[list[np.ndarray]]]:
+    """Facts for masks.json, and for each frame in `listing` (frames.json) the mask uint8 [H,W], 255 = person.
 
-    Raises StageError if frames have no mask, if masks have the shape of other pictures, or if `person` is unknown.
+    Where `person` is EVERYBODY it is a mask for each object, the largest and most frequent first. Raises StageError if frames
+    have no mask, if masks have the shape of other pictures, or if `person` is unknown.
     """
     total, names = listing.video.frames, [frame.name for frame in listing.frames]
     given = read_mask_files(path, total)
@@ -50,14 +52,24 @@ def import_masks(
             [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
         )
     rows = [joined[name] for name in names]
-    chosen = pick_masks(job, given, rows, person)
-    inverted = polarity(job, chosen, invert)
-    encodings = chosen.masks.encodings()
+    people = masked_people(given, rows, person)
+    if person == EVERYBODY:
+        chosen = [one for _, one in people]
+        if len(people) > 1:
+            said = "; ".join(f"person {k} is {found or 'object'}" for k, (found, _) in enumerate(people, 1))
+            job.note(f"{len(people)} objects in the given masks: {said}")
+    else:
+        chosen = [pick_masks(job, people, person)]
+    inverted = polarity(job, chosen[0], invert)
+    encodings = chosen[0].masks.encodings()
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
     unused = (total if given.names is None else len(given.names)) - len(set(rows))
     details = {"folder": path.name, "kind": given.kind, "inverted": inverted, "encodings": encodings, "unused": unused}
     size = (listing.width, listing.height)
-    return details | {"person": chosen.id}, resize_masks(chosen, list(zip(names, rows, strict=True)), size, inverted)
+    details |= {"person": chosen[0].id if len(chosen) == 1 else [one.id for one in chosen]}
+    frames = list(zip(names, rows, strict=True))
+    each = (resize_masks(one, frames, size, inverted) for one in chosen)
+    return details, (list(masks) for masks in zip(*each, strict=True))
 
 
 def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dict[str, int]:
@@ -73,17 +85,19 @@ def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dic
     return join(listing, names, first, "masks")
 
 
-def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | None) -> MaskedPerson:
-    """The masks of the person; several objects are listed with numbers, and a warning names the one that is followed."""
+def masked_people(
+    given: MaskSet, rows: list[int], person: int | str | None
+) -> list[tuple[Object | None, MaskedPerson]]:
+    """All objects and their masks, the largest and most frequent first; None for the only one, which has no name."""
     if given.objects == ("",):
         masks = ForeignMasks(rows, partial(given.read, ""))
         objects = labeled_objects(masks)
-        if not objects and person is not None:
+        if not objects and person not in (None, EVERYBODY):
             facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
             raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
-        chosen = pick(objects, person) if objects else Object("", 0, 0.0)
-        report_objects(job, objects, chosen)
-        return MaskedPerson(chosen.id, masks, frozenset(rows), chosen.labels or None)
+        if not objects:
+            return [(None, MaskedPerson("", masks, frozenset(rows)))]
+        return [(one, MaskedPerson(one.id, masks, frozenset(rows), one.labels or None)) for one in objects]
     people = {one: ForeignMasks(rows, partial(given.read, one)) for one in given.objects}
     objects = []
     for one, masks in people.items():
@@ -92,9 +106,17 @@ def pick_masks(job: Job, given: MaskSet, rows: list[int], person: int | str | No
     objects = ranked(objects)
     if not objects:
         raise StageError("no object in the given masks is in any frame", "check the masks", [f"{len(people)} objects"])
+    return [(one, MaskedPerson(one.id, people[one.id], frozenset(people[one.id].keys))) for one in objects]
+
+
+def pick_masks(job: Job, people: list[tuple[Object | None, MaskedPerson]], person: int | str | None) -> MaskedPerson:
+    """The masks of the person; several objects are listed with numbers, and a warning names the one that is followed."""
+    objects = [found for found, _ in people if found is not None]
+    if not objects:
+        return people[0][1]
     chosen = pick(objects, person)
     report_objects(job, objects, chosen)
-    return MaskedPerson(chosen.id, people[chosen.id], frozenset(people[chosen.id].keys))
+    return next(one for found, one in people if found is chosen)
 
 
 def report_objects(job: Job, objects: list[Object], chosen: Object) -> None:

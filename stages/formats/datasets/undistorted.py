@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from stages.formats.images import read_image, read_mask, write_image, write_mask
+from stages.formats.people import PEOPLE
 
 Grid = tuple[np.ndarray, np.ndarray]
 
@@ -30,22 +31,27 @@ def write_undistorted(
 ) -> Iterator[int]:
     """Write `names` from frames/images and masks/masks to `out`, sampled at `grid`, yielding how many are done.
 
-    `grid_of` gives a frame's (x, y) [H,W] float32 as cv2.remap wants it: centre of the first pixel at (0, 0). None links
-    the files unchanged. Colours are sampled bicubically, masks bilinearly; a sample outside the image takes its nearest pixel.
+    The masks of each of several people go along. `grid_of` gives a frame's (x, y) [H,W] float32 as cv2.remap wants it:
+    centre of the first pixel at (0, 0). None links the files unchanged. Colours are sampled bicubically, masks bilinearly; a
+    sample outside the image takes its nearest pixel.
     """
-    for kind in ("images", "masks"):
-        (out / kind).mkdir()
+    people = [folder.relative_to(masks) for folder in sorted((masks / PEOPLE).glob("*/masks"))]
+    for kind in (Path("images"), Path("masks"), *people):
+        (out / kind).mkdir(parents=True)
 
     def write(name: str) -> None:
-        grid, image, mask = grid_of(name), Path("images", f"{name}.png"), Path("masks", f"{name}.png")
+        grid, image = grid_of(name), Path("images", f"{name}.png")
+        each = [folder / image.name for folder in (Path("masks"), *people)]
         if grid is None:
             link(frames / image, out / image)
-            link(masks / mask, out / mask)
+            for mask in each:
+                link(masks / mask, out / mask)
         else:
             sampled = cv2.remap(read_image(frames / image), *grid, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            person = cv2.remap(read_mask(masks / mask), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             write_image(out / image, sampled)
-            write_mask(out / mask, person)
+            for mask in each:
+                person = cv2.remap(read_mask(masks / mask), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+                write_mask(out / mask, person)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for done, _ in enumerate(pool.map(write, names), 1):

@@ -86,7 +86,7 @@ def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
 def test_a_person_who_grows_stays_as_opaque(clip):
     fit = fit_of(clip, 80)
     before = fit.human()[0].opacities
-    fit.densifier.grow_person(fit.adam, 0.0, 1)
+    fit.densifier.grow_people(fit.adam, 0.0, 1)
     after = fit.human()[0].opacities
     assert len(after) > len(before)
     light = [(1 - opacities).log().sum().item() for opacities in (before, after)]

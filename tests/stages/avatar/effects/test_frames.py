@@ -42,7 +42,7 @@ def test_off_is_bit_identical_and_draws_through_nothing(clip, monkeypatch):
     off = fit_with(clip, FrameEffects.starting(UP, BODY, shadow=None, motion_blur=False, rolling_shutter=False))
     run(plain, 6), run(off, 6)
     assert same(plain, off) and not off.effects.known() and "effects" not in off.adam
-    assert off.cameras() is off.full.viewmats and off.motion(1, None) is None
+    assert off.cameras() is off.full.viewmats and off.motion(1, [], []) is None
     on = fit_with(clip, everything(), refine_camera=True)
     run(on, 6)
     assert not torch.equal(on.scene.sh0, off.scene.sh0)
@@ -85,7 +85,9 @@ def test_what_is_known_is_drawn_the_same_when_it_is_read(clip):
         for effects in (fit.effects, read, FrameEffects()):
             lit = effects.shade(scene, stance)
             camera = Camera(fit.full.viewmats[1], fit.full.Ks[1], WIDTH, HEIGHT)
-            pictures.append(effects.draw(human, lit, fit.motion(1, resting), camera, [Layer()])[0].image)
+            pictures.append(
+                effects.draw(human, lit, fit.motion(1, [fit.person], [resting]), camera, [Layer()])[0].image
+            )
     torch.testing.assert_close(pictures[0], pictures[1], atol=1e-5, rtol=0)
     assert (pictures[0] - pictures[2]).abs().max() > 0.01
     assert load_effects(Effects()).known() == {}

@@ -96,6 +96,30 @@ def test_what_is_left_is_how_colours_fade_and_how_deep_the_shadow_is():
     assert not effects.shadow_depth(points, None).any(), "nobody is there"
 
 
+def test_behind_two_it_is_darker_than_behind_one_and_each_casts_its_own_parts():
+    shadow, points = leaning([0.2, 0.1]), floor()
+    zero = torch.zeros(3).double()
+    one = Stance(torch.zeros(24, 3).double(), [-1] + [0] * 23, zero, torch.zeros(69).double(), zero)
+    thin = Casters(shadow.middles, 0.3 * shadow.covariances)
+    other = one._replace(transl=torch.tensor([0.15, 0.0, 0.1]).double(), parts=thin)
+    far = other._replace(transl=torch.tensor([50.0, 0.0, 0.0]).double())
+    parts = Casters(shadow.middles, shadow.covariances)
+    deep = shadow.thickness(points, parts) + shadow.thickness(
+        points, thin._replace(middles=thin.middles + other.transl)
+    )
+    both = shadow.light_left(points, one, other)
+    expected = 1 - shadow.darkness.sigmoid() * (1 - (-deep).exp())
+    torch.testing.assert_close(both, expected, atol=0.02, rtol=0)  # beyond REACH a part casts nothing
+    assert (both <= shadow.light_left(points, one) + 1e-9).all() and both.min() < expected.max() - 0.3
+    torch.testing.assert_close(shadow.light_left(points, one, far), shadow.light_left(points, one))
+    both.sum().backward()
+    assert shadow.slope.grad.abs().max() > 0
+    effects = FrameEffects()
+    effects.shadow = shadow
+    assert torch.equal(effects.shadow_depth(points, one, None), effects.shadow_depth(points, one))
+    assert (effects.shadow_depth(points, one, other) >= effects.shadow_depth(points, one) - 1e-9).all()
+
+
 @pytest.mark.parametrize("width", [0.08, 0.0])
 def test_light_straight_down_and_bodies_without_width_have_finite_slopes(width):
     shadow, points = leaning([0.0, 0.0]), torch.cat([floor(), body().middles])

@@ -1,0 +1,203 @@
+"""Everybody in a clip at once: who is who from frame to frame, also where people cross, and whose a pixel is.
+
+A person is known by where they were going and by the colours they wear. Following each alone does not do: the crop of one
+who is hidden slips onto who hides them, and stays there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from stages.contract import Job
+from stages.estimators.person.blazepose import SURE, TORSO, BlazePose, Images, Pose, Sighting, torso_share
+from stages.estimators.person.crops import Roi
+from stages.estimators.person.people import ENOUGH, describe_place
+
+STEP = 0.6  # of the crop's side: nobody moves farther from where they were going between two frames
+STEP_MORE = 0.1  # by which that grows with each frame in which they were not seen
+COLOUR = 0.02  # of the crop's side that a difference of one unit of colour (Lab) counts as
+LEARN = 0.1  # share that a frame adds to what is known of somebody's colours
+DOUBT = 0.15  # by so much less, at least, must the choice that was made cost than the exchange of the two
+PAINT = 128  # grey of those who are painted over
+LOST = 5  # frames after which somebody who is not seen is looked for where they were last, not where they were going
+
+
+@dataclass
+class Identity:
+    """What is known of a person while they are followed: where they are, where they go, and their colours."""
+
+    roi: Roi
+    colours: np.ndarray
+    speed: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    unseen: int = 0
+
+    @property
+    def expected(self) -> Roi:
+        """Where they should be in the next frame."""
+        x, y = np.array([self.roi.x, self.roi.y]) + self.speed * (min(self.unseen, LOST) + 1)
+        return Roi(float(x), float(y), self.roi.side, self.roi.angle)
+
+    def cost(self, pose: Pose, colours: np.ndarray) -> float:
+        """How unlike them a pose is, in sides of their crop; infinite where they cannot be."""
+        at, there = self.expected, pose.next_roi
+        away = float(np.hypot(at.x - there.x, at.y - there.y)) / at.side
+        if away > STEP + STEP_MORE * self.unseen:
+            return np.inf
+        return away + COLOUR * float(np.linalg.norm(self.colours - colours))
+
+    def meet(self, pose: Pose, colours: np.ndarray, alone: bool) -> None:
+        """They are seen there; who is not `alone` shows colours that may be another's."""
+        moved = np.array([pose.next_roi.x - self.roi.x, pose.next_roi.y - self.roi.y]) / (self.unseen + 1)
+        self.speed, self.roi, self.unseen = 0.5 * (self.speed + moved), pose.next_roi, 0
+        if alone:
+            self.colours = (1 - LEARN) * self.colours + LEARN * colours
+
+    def miss(self) -> None:
+        """They are not seen."""
+        self.unseen += 1
+        if self.unseen > LOST:
+            self.speed = np.zeros(2)
+
+
+def everybody(sightings: list[Sighting]) -> list[Sighting]:
+    """Those of the frame that shows the most people, from large to small; one frame of many that shows more is no proof."""
+    counts: dict[int, int] = {}
+    for one in sightings:
+        counts[one.frame] = counts.get(one.frame, 0) + 1
+    ranked = sorted(counts.values(), reverse=True)
+    if not ranked:
+        return []
+    most = ranked[1] if len(ranked) >= ENOUGH else ranked[0]
+    fullest = next(frame for frame, count in counts.items() if count == most)
+    return [one for one in sightings if one.frame == fullest]
+
+
+def follow_everybody(
+    job: Job, network: BlazePose, images: Images, names: Sequence[str], people: list[Sighting]
+) -> list[list[Pose | None]]:
+    """The poses of each of `people`, who are in one frame, in all frames; None where they are not seen.
+
+    A warning names frames after which two may have been exchanged.
+    """
+    fullest = people[0].frame
+    said = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1))
+    job.note(f"{len(people)} people in frame {names[fullest]}: {said}")
+    poses: list[list[Pose | None]] = [[None] * len(names) for _ in people]
+    doubts: set[int] = set()
+    for order in (range(fullest, len(names)), range(fullest - 1, -1, -1)):
+        known = [Identity(one.pose.next_roi, colours_of(images[fullest], one.pose)) for one in people]
+        for i in order:
+            found, doubtful = _meet(network, images[i], known)
+            doubts |= {i} if doubtful else set()
+            for k, pose in enumerate(found):
+                poses[k][i] = pose
+    if doubts:
+        first = names[min(doubts)]
+        job.warn(
+            f"who is who is not sure in {len(doubts)} of {len(names)} frames, first {first}: look whether two people were "
+            "exchanged there; masks with an id for each person (SAM 2) keep them apart"
+        )
+    return poses
+
+
+def track_masked(
+    network: BlazePose, images: Images, masks: Sequence[np.ndarray], others: Sequence[np.ndarray]
+) -> list[Pose | None]:
+    """The poses of the person whom the `masks` uint8 [H,W] of all frames show, with the `others` painted over.
+
+    None where the mask is empty or does not hold the trunk that was found.
+    """
+    poses: list[Pose | None] = []
+    for i, (mask, other) in enumerate(zip(masks, others, strict=True)):
+        last, found = (poses[-1] if poses else None), None
+        image = np.where((other > 127)[..., None], np.uint8(PAINT), images[i])
+        for roi in ([last.next_roi] if last else []) + ([around_mask(mask)] if (mask > 127).any() else []):
+            first, _ = network.look(image, roi)
+            pose = network.average_looks(image, first.next_roi) if first.presence >= SURE else None
+            if found is None and pose is not None and torso_share(pose, mask) > 0.5:
+                found = pose
+        poses.append(found)
+    return poses
+
+
+def around_mask(mask: np.ndarray) -> Roi:
+    """The crop of the person whom a mask uint8 [H,W] shows."""
+    rows, columns = np.nonzero(mask > 127)
+    middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
+    reach = max(np.ptp(rows), np.ptp(columns)) / 2
+    return Roi.around(middle, middle - [0, reach])
+
+
+def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple[list[Pose | None], bool]:
+    """The pose of each identity in the next frame, and whether two of them might as well be exchanged."""
+    candidates: list[Pose] = []
+    rois = [one.expected for one in known]
+    if (len(known) > 1 and any(_near(a, b) for i, a in enumerate(rois) for b in rois[:i])) or any(
+        o.unseen for o in known
+    ):
+        rois += [roi for _, roi in network.detect(image)]
+    for roi in rois:
+        first, _ = network.look(image, roi)
+        pose = network.average_looks(image, first.next_roi) if first.presence >= SURE else None
+        if pose is not None and not any(other.next_roi.covers(pose.next_roi) for other in candidates):
+            candidates.append(pose)
+    colours = [colours_of(image, pose) for pose in candidates]
+    costs = np.array([[one.cost(*seen) for seen in zip(candidates, colours, strict=True)] for one in known])
+    costs = costs.reshape(len(known), len(candidates))
+    found: list[Pose | None] = [None] * len(known)
+    finite = np.where(np.isfinite(costs), costs, 1e6)
+    rows, columns = linear_sum_assignment(finite)
+    taken = {int(row): int(column) for row, column in zip(rows, columns) if np.isfinite(costs[row, column])}
+    doubtful = _doubtful(finite, taken)
+    for k, one in enumerate(known):
+        if k not in taken:
+            one.miss()
+            continue
+        pose = found[k] = candidates[taken[k]]
+        alone = not any(_near(pose.next_roi, other.expected) for i, other in enumerate(known) if i != k)
+        one.meet(pose, colours[taken[k]], alone)
+    return found, doubtful
+
+
+def _near(a: Roi, b: Roi) -> bool:
+    """Whether two people's crops are so near that one may be taken for the other."""
+    return bool(np.hypot(a.x - b.x, a.y - b.y) < 0.5 * max(a.side, b.side))
+
+
+def _doubtful(costs: np.ndarray, taken: dict[int, int]) -> bool:
+    """Whether exchanging two identities, or giving one's place to another who got none, costs hardly more."""
+    for k, column in taken.items():
+        for other in range(len(costs)):
+            if other == k or costs[other, column] >= 1e6:
+                continue
+            theirs = taken.get(other)
+            if theirs is None:
+                more = costs[other, column] - costs[k, column]
+            elif costs[k, theirs] < 1e6:
+                more = costs[k, theirs] + costs[other, column] - costs[k, column] - costs[other, theirs]
+            else:
+                continue
+            if more < DOUBT:
+                return True
+    return False
+
+
+def colours_of(image: np.ndarray, pose: Pose) -> np.ndarray:
+    """Mean colours (Lab) [6] of the trunk and of the thighs of somebody in a picture uint8 [H,W,3]."""
+    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB).astype(np.float32)
+    left_shoulder, left_hip, right_shoulder, right_hip = (pose.xy[i] for i in TORSO)
+    knees = pose.xy[[25, 26]]
+    trunk = np.array([left_shoulder, right_shoulder, right_hip, left_hip])
+    thighs = np.array([left_hip, right_hip, knees[1], knees[0]])
+    found = []
+    for corners in (trunk, thighs):
+        inside = np.zeros(image.shape[:2], np.uint8)
+        cv2.fillConvexPoly(inside, cv2.convexHull(corners.round().astype(np.int32)), 1)
+        pixels = lab[inside > 0]
+        found.append(pixels.mean(0) if len(pixels) else np.zeros(3, np.float32))
+    return np.concatenate(found)

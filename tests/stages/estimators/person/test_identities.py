@@ -1,0 +1,129 @@
+"""Everybody at once: two who cross keep who they are by their colours, one who leaves is gone, and a doubt is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.contract import Job
+from stages.estimators.person.blazepose import NAMES, TORSO, Pose, Sighting
+from stages.estimators.person.crops import Roi
+from stages.estimators.person.identities import PAINT, around_mask, everybody, follow_everybody, track_masked
+
+HEIGHT, WIDTH, FRAMES, SIDE = 60, 200, 21, 40
+RED, BLUE = (200, 40, 40), (40, 40, 200)
+NAMED = [f"{i:06d}" for i in range(FRAMES)]
+
+
+def pose_at(x: float) -> Pose:
+    """Somebody whose crop is SIDE wide, with a trunk and thighs around x."""
+    xy = np.full((len(NAMES), 2), [x, 30.0])
+    xy[TORSO] = [[x - 5, 20], [x - 5, 30], [x + 5, 20], [x + 5, 30]]
+    xy[[25, 26]] = [[x - 5, 42], [x + 5, 42]]
+    roi = Roi(x, 30.0, SIDE, 0.0)
+    return Pose(xy, xy[:, 0], np.ones(33), np.zeros((33, 3)), 1.0, roi, roi)
+
+
+class Eyes:
+    """In place of the network: people are patches of one colour, and in a crop it sees the one nearest to its middle."""
+
+    def places(self, image: np.ndarray) -> list[float]:
+        found = []
+        for ink in {tuple(one) for one in image[30].tolist()} - {(0, 0, 0), (PAINT, PAINT, PAINT)}:
+            columns = np.flatnonzero((image == ink).all(2).any(0))
+            parts = np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1)
+            found += [float(part.mean()) for part in parts if len(part) > 6]
+        return found
+
+    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, None]:
+        near = min(self.places(image), key=lambda x: abs(x - roi.x), default=np.inf)
+        there = abs(near - roi.x) < SIDE / 2
+        return (pose_at(near) if there else replace(pose_at(roi.x), presence=0.0)), None
+
+    def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
+        pose, _ = self.look(image, roi)
+        return pose if pose.presence else None
+
+    def detect(self, image: np.ndarray) -> list[tuple[float, Roi]]:
+        return [(0.9, pose_at(x).next_roi) for x in self.places(image)]
+
+
+def filmed(inks: tuple, ways: tuple[np.ndarray, np.ndarray]) -> list[np.ndarray]:
+    """Frames of two people 16 px wide, the first before the second; NaN: not in the picture."""
+    images = []
+    for there in zip(*ways, strict=True):
+        image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        for ink, x in list(zip(inks, there, strict=True))[::-1]:
+            if np.isfinite(x):
+                image[10:50, round(x) - 8 : round(x) + 8] = ink
+        images.append(image)
+    return images
+
+
+def followed(images: list[np.ndarray], starts: tuple[float, float]) -> tuple[list[list[float]], list[str]]:
+    """Where each identity is seen, NaN where not, and what was said."""
+    said: list[str] = []
+    people = [Sighting(0, 0.9, pose_at(x).roi, pose_at(x)) for x in starts]
+    tracks = follow_everybody(Job(Path(), emit=lambda event: said.append(event["text"])), Eyes(), images, NAMED, people)
+    return [[np.nan if one is None else one.next_roi.x for one in track] for track in tracks], said
+
+
+CROSSING = np.linspace(40, 160, FRAMES), np.linspace(160, 40, FRAMES)
+
+
+def test_two_who_cross_stay_who_they_are():
+    (first, second), said = followed(filmed((RED, BLUE), CROSSING), (40, 160))
+    np.testing.assert_allclose(first, CROSSING[0], atol=1)
+    hidden = np.isnan(second)
+    assert 1 <= hidden.sum() <= 6 and hidden[FRAMES // 2], "the second is behind the first there"
+    np.testing.assert_allclose(np.array(second)[~hidden], CROSSING[1][~hidden], atol=5)
+    assert said[0].startswith("2 people in frame 000000: 1 at x 40") and len(said) == 1
+
+
+def test_where_they_turn_back_behind_each_other_colours_tell_them_apart():
+    back = 100 - np.abs(np.linspace(-60, 60, FRAMES)), 100 + np.abs(np.linspace(-60, 60, FRAMES))
+    (first, second), _ = followed(filmed((RED, BLUE), back), (40, 160))
+    assert first[-1] < 60 and second[-1] > 140, "they met and went back: going on would have exchanged them"
+
+
+def test_of_two_in_the_same_clothes_the_doubt_is_said():
+    back = 100 - np.abs(np.linspace(-60, 60, FRAMES)), 100 + np.abs(np.linspace(-60, 60, FRAMES))
+    _, said = followed(filmed((RED, (201, 40, 40)), back), (40, 160))
+    assert any("who is who is not sure in" in text and "exchanged" in text for text in said)
+
+
+def test_one_who_leaves_is_gone_and_the_other_is_not_taken_for_them():
+    leaving = np.where(np.arange(FRAMES) < 8, 160 + 3.0 * np.arange(FRAMES), np.nan)
+    (first, second), _ = followed(filmed((RED, BLUE), (np.full(FRAMES, 60.0), leaving)), (60, 160))
+    assert np.isfinite(first).all() and np.isfinite(second[:8]).all() and np.isnan(second[8:]).all()
+
+
+def test_of_a_few_frames_those_with_the_most_people_count_and_one_of_many_is_no_proof():
+    def seen(frame: int, x: float) -> Sighting:
+        return Sighting(frame, 0.9, pose_at(x).roi, pose_at(x))
+
+    assert everybody([]) == []
+    two = [seen(0, 40), seen(3, 40), seen(3, 160)]
+    assert everybody(two) == two[1:], "of two frames that were looked at"
+    alone = [seen(i, 40) for i in range(5)]
+    assert everybody([*alone, seen(3, 160)]) == [alone[0]]
+    assert len(everybody([*alone, seen(3, 160), seen(4, 160)])) == 2
+
+
+def test_a_masked_person_is_followed_through_another_who_stands_before_them():
+    images = filmed((RED, BLUE), CROSSING)
+    own = [255 * (image == BLUE).all(2).astype(np.uint8) for image in images]
+    others = [255 * (image == RED).all(2).astype(np.uint8) for image in images]
+    found = [np.nan if one is None else one.next_roi.x for one in track_masked(Eyes(), images, own, others)]
+    seen = np.isfinite(found)
+    assert seen.sum() >= FRAMES - 6 and not seen[FRAMES // 2]
+    np.testing.assert_allclose(np.array(found)[seen], CROSSING[1][seen], atol=5)
+
+
+def test_the_crop_around_a_mask_holds_it():
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[10:50, 90:110] = 255
+    roi = around_mask(mask)
+    assert (roi.x, roi.y) == (100, 30) and 40 < roi.side < 60 and roi.angle == 0

@@ -1,0 +1,94 @@
+"""A clip of two people after training: every later stage shows, measures and writes both."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages import evaluate, export, render, report
+from stages.contract import Job, StageError
+from stages.filming.cast import cast
+from stages.filming.company import load_company, present
+from stages.filming.spec import Person
+from stages.formats.ground import read_ground
+from stages.formats.images import read_image
+from stages.formats.poses import read_poses
+from stages.formats.video import probe
+from tests.made import company, tiny
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    return company.make(tmp_path_factory.mktemp("company"))
+
+
+def needs(clip, *names):
+    return {name: clip[name] for name in names}
+
+
+def test_each_frame_has_those_whom_it_shows(clip):
+    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    assert [one.clip.person for one in members] == [1, 2]
+    assert [len(present(members, i)) for i in (0, tiny.EMPTY)] == [2, 1]
+    assert members[0].learned.scene is members[1].learned.scene, "one scene, once in memory"
+    both = members[0].clip.mask(0) > 127
+    assert (both == ((members[0].clip.own_mask(0) > 127) | (members[1].clip.own_mask(0) > 127))).mean() > 0.99
+
+
+@pytest.mark.slow
+def test_both_are_measured_drawn_together(clip, tmp_path):
+    job = Job(tmp_path, upstream=tiny.UPSTREAM)
+    evaluate.run(job, evaluate.Params(fit_steps=0), **needs(clip, "sfm", "smpl", "train"))
+    found = json.loads((tmp_path / "metrics.json").read_bytes())
+    second = found["people"]["2"]["heldout"]
+    assert found["heldout"]["full"]["psnr"] > 45 and found["heldout"]["person_crop"]["psnr"] > 45
+    assert second["person_crop"]["psnr"] > 45 and second["person_white"]["psnr"] > 25
+    assert list((tmp_path / "people" / "2" / "heldout").glob("*.png"))
+
+
+@pytest.mark.slow
+def test_films_files_and_the_report_show_both(clip, tmp_path):
+    folders = clip | {name: tmp_path / name for name in ("export", "render", "evaluate", "report")}
+    for name in ("export", "render", "evaluate", "report"):
+        folders[name].mkdir()
+    short = render.Params(turntable_frames=2, motion_seconds=0.1)
+    render.run(Job(folders["render"]), short, **needs(clip, "sfm", "smpl", "train"))
+    for name in ("turntable.mp4", "motion.mp4", "heldout.mp4", "people/2/turntable.mp4", "people/2/motion.mp4"):
+        assert probe(folders["render"] / name).frames >= 1
+    export.run(Job(folders["export"]), export.Params(), **needs(clip, "frames", "sfm", "smpl", "train"))
+    for name in (
+        "avatar.npz",
+        "avatar.glb",
+        "scene.ply",
+        "people/2/avatar.npz",
+        "people/2/avatar.glb",
+        "people/2/avatar.ply",
+    ):
+        assert (folders["export"] / name).is_file()
+    assert not (folders["export"] / "people" / "2" / "scene.ply").exists()
+    assert "person1/joints" in (folders["export"] / "viewer.html").read_text()
+    job = Job(folders["evaluate"], upstream=tiny.UPSTREAM)
+    evaluate.run(job, evaluate.Params(fit_steps=0), **needs(clip, "sfm", "smpl", "train"))
+    before = ("frames", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
+    report.run(Job(folders["report"], upstream=tiny.UPSTREAM), report.Params(), **needs(folders, *before))
+    text = (folders["report"] / "report.html").read_text()
+    assert "person 2: the person from all sides" in text and "person 2: frame" in text and ", person 2<" in text
+
+
+def test_in_a_film_of_their_own_scene_each_is_where_they_were(clip):
+    run, ground = clip["train"].parent, read_ground(clip["smpl"] / "ground.json")
+    first, second = (cast(Person(avatar=run, who=who), "a", ground, 10.0, "cpu") for who in (1, 2))
+    apart = second.joints([0])[0, 0] - first.joints([0])[0, 0]
+    bodies = [read_poses(clip["train"] / place / "body.npz") for place in (".", "people/2")]
+    away = bodies[1].transl[0] - bodies[0].transl[0]
+    np.testing.assert_allclose(apart[[0, 2]], away[[0, 2]], atol=0.02)
+    with pytest.raises(StageError, match="there is no person 3"):
+        cast(Person(avatar=run, who=3), "a", replace(ground), 10.0, "cpu")
+
+
+def test_the_picture_of_both_is_the_frame(clip):
+    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    strip = next(render._beside_truth(members, [tiny.EMPTY]))
+    assert np.abs(strip[:, : tiny.WIDTH].astype(int) - strip[:, tiny.WIDTH :]).mean() < 1.5
+    assert (strip[:, : tiny.WIDTH] == read_image(clip["sfm"] / "images" / f"{tiny.NAMES[tiny.EMPTY]}.png")).all()
