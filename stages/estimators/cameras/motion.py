@@ -18,7 +18,8 @@ MIN_MATCHES = 30  # fewer verified matches say too little about a pair
 MAX_PAIRS = 80  # the farthest pairs only: there translation shows best
 STATIC_PX = 0.0015  # of the longer side: 1.4 px at 960; compression noise is 0.3 px, the slowest hand 5 px
 ROTATION_PX = 0.0015  # of the longer side: what a pure rotation may leave unexplained (0.2-0.5 px is usual)
-MIN_FOCAL, MAX_FOCAL = 0.4, 2.2  # of the longer side: 100 to 26 degrees, every phone lens but the long tele
+MIN_FOCAL, MAX_FOCAL = 0.4, 3.0  # of the longer side: 100 to 19 degrees; zooms reach 85 mm, 2.4 of it
+STRAIGHT = 1.0  # share of what is left over that a k of 1 must win: lenses win 30 % and more, little depth 1 to 4 %
 ROTATION_SHARE = 0.03  # and of the displacement: a hand that moves leaves 0.1 and more
 NEARLY = 3  # times that: the limit for a rotation that stands in where mapping fails
 
@@ -84,7 +85,7 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
 def fit_rotation_camera(
     pairs: list[Pair], width: int, height: int, focal: float | None = None
 ) -> tuple[float, float, np.ndarray]:
-    """The focal length (px) and radial k with which pure rotations explain `pairs` best.
+    """The focal length (px) and radial k with which pure rotations explain `pairs` best, a straight lens before a bent one.
 
     Also returns what they leave of each pair: the median distance in px of a turned match from its partner [P].
     """
@@ -101,7 +102,7 @@ def fit_rotation_camera(
         return np.median(np.linalg.norm(turned - rays_b, axis=-1), axis=1) * f
 
     def cost(log_focal: float, k: float) -> float:
-        return float(leftover(np.exp(log_focal) * side, k).mean())
+        return float(leftover(np.exp(log_focal) * side, k).mean()) * (1 + STRAIGHT * abs(k))
 
     log_limits = (np.log(focal / side),) * 2 if focal else (np.log(MIN_FOCAL), np.log(MAX_FOCAL))
     tries = []

@@ -19,7 +19,15 @@ K = cameras.pinhole(FOCAL, WIDTH, HEIGHT)
 FRAMES = 24
 
 
-def clip(turn: float, travel: float, flat: bool = False, k: float = 0.0, noise: float = 0.2, outliers: float = 0.0):
+def clip(
+    turn: float,
+    travel: float,
+    flat: bool = False,
+    k: float = 0.0,
+    noise: float = 0.2,
+    outliers: float = 0.0,
+    focal: float = FOCAL,
+):
     """Pairs and views of a synthetic clip: `turn` degrees and `travel` metres to each side, points 3 to 8 m away."""
     rng = np.random.default_rng(5)
     points = rng.uniform([-6, -4, 3], [6, 4, 8], (1500, 3))
@@ -33,8 +41,8 @@ def clip(turn: float, travel: float, flat: bool = False, k: float = 0.0, noise: 
     views[:, :3, 3] = -(views[:, :3, :3] @ at[..., None])[..., 0]
     seen = []
     for view in views:
-        pixels, z = cameras.project(points, view, K)
-        pixels = lens.distort((pixels - K[:2, 2]) / FOCAL, k) * FOCAL + K[:2, 2] + rng.normal(0, noise, pixels.shape)
+        pixels, z = cameras.project(points, view, cameras.pinhole(focal, WIDTH, HEIGHT))
+        pixels = lens.distort((pixels - K[:2, 2]) / focal, k) * focal + K[:2, 2] + rng.normal(0, noise, pixels.shape)
         seen.append((pixels, (z > 0.1) & (pixels > 0).all(1) & (pixels < [WIDTH, HEIGHT]).all(1)))
     pairs = []
     for gap in (1, 2, 4, 8, 16):
@@ -60,6 +68,18 @@ def test_i01_a_turning_camera_is_named_and_calibrated(turn, k, held):
     held(motion.rotation_residual_px / motion.rotation_limit_px, 0.6)
     if turn > 10:
         assert motion.focal_px == pytest.approx(FOCAL, rel=0.03) and motion.k == pytest.approx(k, abs=0.03)
+
+
+@pytest.mark.parametrize("travel", [0.05, 0.1])
+def test_a_camera_that_travels_little_is_no_lens(travel):
+    """What little depth shows is not explained by a lens that bends the picture."""
+    focal, k, _ = fit_rotation_camera(clip(1.5, travel)[0], WIDTH, HEIGHT)
+    assert lens.max_shift(focal, k, WIDTH, HEIGHT) < 0.5
+
+
+def test_a_long_lens_that_turns_is_named():
+    motion = judge_motion(clip(9, 0, focal=85 / 36 * WIDTH)[0], WIDTH, HEIGHT)
+    assert motion.verdict == "rotation only" and motion.focal_px == pytest.approx(85 / 36 * WIDTH, rel=0.05)
 
 
 @pytest.mark.parametrize(
