@@ -15,7 +15,6 @@ FREE = 1e-3  # information per m^2 and rad^2 that place and turn have without an
 # courtyard. Frames help each other, which makes it less; some is common to all frames; and no limb goes farther than its length.
 ALONG, ACROSS = 0.6, 0.7
 COMMON, LIMB = 0.035, 0.3  # m, along the view; and of a joint that nothing holds
-PIXELS = 0.03  # of the scene's points that err together
 
 
 def expected_errors(solver: Solver, state: State) -> np.ndarray:
@@ -35,25 +34,7 @@ def expected_errors(solver: Solver, state: State) -> np.ndarray:
         across = (spread.diagonal(dim1=-2, dim2=-1).sum(-1) - along).clamp(min=0)
         squared = torch.stack([ALONG**2 * along + COMMON**2, ACROSS**2 * across], -1)
         squared = squared * LIMB**2 / (squared + LIMB**2)
-        squared[..., 0] += depth_error(solver, state, joints) ** 2
         return squared.sqrt().numpy()
-
-
-def depth_error(solver: Solver, state: State, joints: Tensor) -> float:
-    """How far in m the person and the scene may stand apart along the view, where the camera hardly travels.
-
-    A scene's depth z is known to z^2 / (f b) px of its points, b being how far the camera goes across the view. `joints`
-    [F,24,3] m in camera axes. 0 for a camera that stands: there is no scene.
-    """
-    world = solver.world
-    if not world.moving:
-        return 0.0
-    places = state.scale * (world.center - world.center.mean(0))
-    view = torch.nn.functional.normalize(joints[:, 0], dim=-1)[:, None] @ world.turn
-    view = torch.nn.functional.normalize(view[:, 0].mean(0), dim=0)
-    across = (places - (places @ view)[:, None] * view).square().sum(1).mean().sqrt()
-    z = float(joints[:, 0].norm(dim=-1).mean())
-    return PIXELS * z**2 / (float(solver.K[:, 0, 0].mean()) * max(float(across), 1e-9))
 
 
 def _slopes(solver: Solver, state: State, parameter: int) -> tuple[Tensor, Tensor]:
