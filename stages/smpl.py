@@ -181,6 +181,8 @@ def estimate_poses(
     fit = fit_body(
         clip.model, regressor, evidence, clip.cameras, clip.times, clear, clip.points, moving, images, show, metres
     )
+    if fit.hidden:
+        job.note(f"doubtful: wide clothes hide {listed(fit.hidden)}, where outlines say nothing of the body")
     facts = {
         "source": "blazepose",
         "scale": fit.scale,
@@ -191,6 +193,7 @@ def estimate_poses(
                 frames, (1000 * fit.expected_error).round().astype(int).transpose(0, 2, 1).tolist()
             )
         },
+        "hidden_by_clothes": fit.hidden,
         "not_seen": select(frames, ~evidence.seen),
         "strangers": others,
         "sides_exchanged": exchanged,

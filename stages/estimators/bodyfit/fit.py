@@ -17,6 +17,7 @@ from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.estimators.bodyfit.expected_error import expected_errors
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
+from stages.estimators.bodyfit.snug import hidden_joints
 from stages.estimators.bodyfit.solve import Solver, State, World
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, solve_places, start_pose, unwrap_rotations
 from stages.estimators.bodyfit.surface_motion import SurfaceMotion
@@ -34,7 +35,8 @@ class BodyFit:
     """The fitted poses, the 2D landmarks [F,K,2] px they project to, and how the scale was found.
 
     `cloth_off`: how far cloth was off that frames far apart show, before it tied the poses and again later, as a share of the
-    person's size in the picture; NaN where no cloth came again. `expected_error` [F,24,2] m: of `expected_errors`.
+    person's size in the picture; NaN where no cloth came again. `expected_error` [F,24,2] m: of `expected_errors`. `hidden`:
+    joints inside wide clothes, of which outlines say nothing.
     """
 
     poses: BodyPoses
@@ -42,6 +44,7 @@ class BodyFit:
     scale: dict[str, Any] = field(default_factory=dict)
     cloth_off: list[float] = field(default_factory=list)
     expected_error: np.ndarray = field(default_factory=lambda: np.zeros((0, 24, 2)))
+    hidden: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,8 @@ def fit_body(
     if masks is not None:
         borders, near = terms.outlines(masks), terms.outlines([masks[i] for i in seen])
     state = solver.minimise(state, FIRST, None, False, lambda i, cost: progress(i, total, cost))
+    if near is not None:
+        solver.look_for_wide_clothes(state, near)
     state = solver.minimise(state, OUTLINED, near, False, lambda i, cost: progress(FIRST + i, total, cost))
 
     found, floor = _find_scale(solver, state, inputs, points, seen)
@@ -125,13 +130,15 @@ def fit_body(
         above = found["initial"] * np.median(floor.height(cameras.centers))
         spread = max(SOLE_SPREAD / above, SCALE_SHARE * found["floor_spread"])
     whole = _make_solver(inputs, np.arange(len(times)), floor, spread)
+    whole.snug = solver.snug
     solver, state = whole, _extend_to_all_frames(solver, whole, state, times, seen)
     state = solver.minimise(state, LAST, borders, True, lambda i, cost: progress(total - LAST + i, total, cost))
     with torch.no_grad():
         pixels = solver.pixels(solver.pose(state)[0]).numpy()
     found["world_from_sfm"] = state.scale
     poses = _body_poses(solver, state, cameras, evidence.seen.astype(np.float64))
-    return BodyFit(poses, pixels, found, motion.cloth_off if motion else [], expected_errors(solver, state))
+    hidden = hidden_joints(body, body.v_template[solver.dense], solver.snug)
+    return BodyFit(poses, pixels, found, motion.cloth_off if motion else [], expected_errors(solver, state), hidden)
 
 
 def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, scale_spread: float = 1.0) -> Solver:

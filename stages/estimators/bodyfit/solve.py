@@ -17,6 +17,7 @@ from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.balance import balance_cost
 from stages.estimators.bodyfit.contact import floor_cost, loosen, slide_cost, sole_vertices, stance
 from stages.estimators.bodyfit.evidence import LandmarkEvidence, joint_trust
+from stages.estimators.bodyfit.snug import snugness
 from stages.estimators.bodyfit.surface_motion import SurfaceMotion
 from stages.records import JOINT_NAMES
 
@@ -125,6 +126,7 @@ class Solver:
         self.marks = torch.cat([self.soles.flatten(), self.dense[:MARKS]])
         self.normals = vertex_normals(body.v_template, faces)
         self.rim = torch.zeros(len(evidence.seen), 0, dtype=torch.long)  # until `match_outlines`
+        self.snug = torch.ones(len(self.dense))  # until `look_for_wide_clothes`
         self.mark_trust = torch.tensor(joint_trust(evidence), dtype=f32) @ body.lbs_weights[self.marks].T
 
     def pose(self, state: State) -> tuple[Tensor, Tensor]:
@@ -172,7 +174,16 @@ class Solver:
                 away = torch.cdist(outlines.points[i], pixels[i]) / (0.03 * self.height[i])
                 facing = outlines.normals[i] @ normals[i, :, :2].T
                 rim[i] = (away.square() + 2 * (1 - facing)).argmin(1)
-            self.rim = self.dense[rim]
+            self.rim, self.rim_snug = self.dense[rim], self.snug[rim]
+
+    @torch.no_grad()
+    def look_for_wide_clothes(self, state: State, outlines: terms.Outlines) -> None:
+        """See from a `state` that no outline has pulled where clothes stand wide of the body; outlines tell less there."""
+        self.match_outlines(state, outlines)
+        off = outlines.points - self.pixels(self.surface(state, self.rim)[0])
+        gaps, rest = (off * outlines.normals).sum(-1) / self.height[:, None], self.body.v_template
+        used = (outlines.weight > 0) & outlines.known[:, None]
+        self.snug = snugness(rest[self.dense], rest[self.rim[used]], gaps[used])
 
     def bodies(self, state: State) -> np.ndarray:
         """All vertices [F,V,3] m float64 in camera axes."""
@@ -206,7 +217,8 @@ class Solver:
         gap = (pixels[:, :count] - outlines.points) / unit[..., None]
         across = (gap * outlines.normals).sum(-1).square()
         off = terms.geman_mcclure(across + 0.1 * gap.square().sum(-1), 4.0)
-        cost = OUTLINE_SHARE * (outlines.weight * off).sum(1) / outlines.weight.sum(1).clamp(min=1)
+        weight = outlines.weight * self.rim_snug
+        cost = OUTLINE_SHARE * (weight * off).sum(1) / weight.sum(1).clamp(min=1)
         outside = terms.geman_mcclure((outlines.outside(pixels[:, count:]) / unit).square(), 4.0)
         return (cost + OUTSIDE_SHARE * outside.mean(1)) * outlines.known
 

@@ -10,13 +10,16 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import Body
-from stages.estimators.bodyfit import solve
+from stages.avatar.cameras.pinhole import project
+from stages.estimators.bodyfit import fit, snug, solve
 from stages.estimators.bodyfit.evidence import drop_strangers, gather, model_landmarks, vote_sides
 from stages.estimators.bodyfit.fit import fit_body
 from stages.estimators.bodyfit.solve import sight_turns
+from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
 from tests.made import bodyfit_clips
+from tests.made.truth import joints_of
 
 MODEL = read_body_model()
 PELVIS, NECK = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("neck")
@@ -70,3 +73,42 @@ def test_landmarks_that_all_lean_are_set_upright_by_balance():
     ]
     _, lean = fit_error(clip, leaning, clip.masks())
     assert abs(lean) < 0.5 * np.degrees(np.arctan(0.2)), "of 11 degrees"
+
+
+@pytest.mark.slow
+def test_the_hem_of_a_skirt_does_not_pull_the_knees_in_it(monkeypatch):
+    for name, steps in (("FIRST", 80), ("OUTLINED", 80), ("LAST", 40)):
+        monkeypatch.setattr(fit, name, steps)
+    clip, found = bodyfit_clips.make(MODEL, frames=12), []
+    masks = [skirted(clip, i, mask) for i, mask in enumerate(clip.masks())]
+    for track in filter(None, clip.tracks):
+        track.visibility[[NAMES.index("left_knee"), NAMES.index("right_knee")]] = 0.1
+    names, regressor = model_landmarks(MODEL)
+    for wide in (snug.WIDE, (9.0, 10.0)):
+        monkeypatch.setattr(snug, "WIDE", wide)
+        found.append(
+            fit_body(MODEL, regressor, gather(clip.tracks, names), clip.cameras, clip.times, masks, clip.points)
+        )
+    assert found[0].hidden == ["left_knee", "right_knee"] and found[1].hidden == []
+    with_it, without = (knees_off(clip, one.poses) for one in found)
+    assert with_it < 0.9 * without
+
+
+def knees_off(clip, poses) -> float:
+    """Mean error of the knees about the pelvis, m."""
+    found, knees = joints_of(poses, MODEL) * clip.scale / poses.world_from_sfm, [4, 5]
+    error = (found - found[:, :1]) - (clip.joints - clip.joints[:, :1])
+    return float(np.linalg.norm(error[:, knees], axis=-1).mean())
+
+
+def skirted(clip, i: int, mask: np.ndarray) -> np.ndarray:
+    """A mask with a skirt from the hips to 12 cm below the knees, which is 0.9 m wide there."""
+    view = clip.cameras.viewmats[i].copy()
+    view[:3, 3] *= clip.scale
+    parts = [JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee") for side in ("left", "right")]
+    pixels, z = project(clip.joints[i, parts].astype(np.float64), view, clip.cameras.Ks[i])
+    metre, middle = clip.cameras.Ks[i][0, 0] / z.mean(), pixels[:2].mean(0)
+    waist, hem = 0.18 * metre, 0.45 * metre
+    low = pixels[2:, 1].max() + 0.12 * metre
+    corners = [[middle[0] + x, y] for x, y in ((-waist, middle[1]), (waist, middle[1]), (hem, low), (-hem, low))]
+    return cv2.fillPoly(mask.copy(), [np.rint(corners).astype(np.int32)], 255)
