@@ -102,7 +102,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     import numpy as np
 
     from stages.estimators.person.blazepose import BlazePose
-    from stages.estimators.person.identities import everybody, follow_everybody
+    from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
     from stages.estimators.person.outline import outline
     from stages.estimators.person.people import Company
     from stages.formats.images import read_image
@@ -110,8 +110,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
     pictures = Pictures(paths)
-    sightings = network.sightings(pictures)
-    if params.person == EVERYBODY and len(people := everybody(sightings)) > 1:
+    if params.person == EVERYBODY and len(people := everybody(sight_everybody(network, pictures))) > 1:
         tracks = follow_everybody(job, network, pictures, names, people)
         for path, there in zip(paths, zip(*tracks, strict=True), strict=True):
             image = read_image(path)
@@ -119,7 +118,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
             each = [blank if one is None else outline(network, image, one.next_roi) for one in there]
             yield [np.rint(255 * one).astype(np.uint8) for one in each]
         return
-    company = Company(job, names, sightings, None if params.person == EVERYBODY else params.person)
+    company = Company(job, names, network.sightings(pictures), None if params.person == EVERYBODY else params.person)
     poses = network.track(pictures, company.start)
     company.warn_of_jumps(poses)
     for i, (path, pose) in enumerate(zip(paths, poses, strict=True)):

@@ -111,8 +111,11 @@ class BlazePose:
             network.allocate_tensors()
         self.anchors = anchors()
 
-    def detect(self, image: np.ndarray, window: Roi | None = None) -> list[tuple[float, Roi]]:
-        """People in a window of the picture (default all of it): (probability, crop), best first, one per person."""
+    def detect(self, image: np.ndarray, window: Roi | None = None, sure: float = SURE) -> list[tuple[float, Roi]]:
+        """People in a window of the picture (default all of it): (probability, crop), best first, one per person.
+
+        `sure` is the least probability.
+        """
         height, width = image.shape[:2]
         window = window or Roi(width / 2, height / 2, float(max(width, height)), 0.0)
         pixels = crop(image, window, DETECTOR_SIDE, cv2.BORDER_CONSTANT).astype(np.float32)
@@ -120,7 +123,7 @@ class BlazePose:
         scores = sigmoid(logits.reshape(-1))
         found: list[tuple[float, Roi]] = []
         for i in np.argsort(-scores):
-            if scores[i] < SURE:
+            if scores[i] < sure:
                 break
             points = boxes.reshape(-1, 12)[i, 4:8].reshape(2, 2) / DETECTOR_SIDE + self.anchors[i]
             roi = Roi.around(*to_picture(points, window))

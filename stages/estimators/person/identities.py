@@ -14,8 +14,19 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from stages.contract import Job
-from stages.estimators.person.blazepose import SURE, TORSO, BlazePose, Images, Pose, Sighting, torso_share
+from stages.estimators.person.blazepose import (
+    SEEDS,
+    SURE,
+    TORSO,
+    BlazePose,
+    Images,
+    Pose,
+    Sighting,
+    sigmoid,
+    torso_share,
+)
 from stages.estimators.person.crops import Roi
+from stages.estimators.person.outline import paste
 from stages.estimators.person.people import ENOUGH, describe_place
 
 STEP = 0.6  # of the crop's side: nobody moves farther from where they were going between two frames
@@ -24,6 +35,10 @@ COLOUR = 0.02  # of the crop's side that a difference of one unit of colour (Lab
 LEARN = 0.1  # share that a frame adds to what is known of somebody's colours
 DOUBT = 0.15  # by so much less, at least, must the choice that was made cost than the exchange of the two
 PAINT = 128  # grey of those who are painted over
+FAINT, RIM = 0.2, 0.03  # probability, and share of the crop's side around it, from which a pixel is painted over
+MOST = 6  # people that are looked for
+HARDLY = 0.25  # probability of a detection that is looked at; many small people have no more
+PARTS = (1.0, 0.7)  # of the shorter side: the windows in which people are looked for
 LOST = 5  # frames after which somebody who is not seen is looked for where they were last, not where they were going
 
 
@@ -64,17 +79,60 @@ class Identity:
             self.speed = np.zeros(2)
 
 
+def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
+    """As `BlazePose.sightings`, looking harder for further people: in parts of the picture, at what is hardly a detection.
+
+    Who was found is painted over by their outline: a box around one who raises an arm would hide who stands beside. Who
+    stands where an outline of their own holds their trunk is somebody.
+    """
+    found: list[Sighting] = []
+    for i in np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)):
+        image, here = images[i].copy(), list[Sighting]()
+        while len(here) < MOST:
+            known = len(here)
+            hits = [hit for window in _windows(*image.shape[:2]) for hit in network.detect(image, window, HARDLY)]
+            for score, roi in sorted(hits, key=lambda hit: -hit[0]):
+                first, _ = network.look(image, roi)
+                pose, logits = network.look(image, first.next_roi)
+                theirs = (paste(sigmoid(logits), first.next_roi, image.shape) > FAINT).astype(np.uint8)
+                there = min(first.presence, pose.presence) >= SURE and torso_share(pose, 255 * theirs) > 0.7
+                if there and not any(one.pose.next_roi.covers(pose.next_roi) for one in here):
+                    here.append(Sighting(int(i), score, roi, pose))
+                    rim = max(3, round(RIM * pose.next_roi.side)) | 1
+                    image[cv2.dilate(theirs, np.ones((rim, rim), np.uint8)) > 0] = PAINT
+            if len(here) == known:
+                break
+        found += sorted(here, key=lambda one: -one.pose.next_roi.side)
+    return found
+
+
+def _windows(height: int, width: int) -> list[Roi | None]:
+    """The whole picture, and squares that lap over each other."""
+    found: list[Roi | None] = [None]
+    for part in PARTS:
+        side = part * min(height, width)
+        across, down = (1 + int(np.ceil(1.5 * (length / side - 1))) for length in (width, height))
+        middles = [
+            np.linspace(side / 2, length - side / 2, count) for length, count in ((width, across), (height, down))
+        ]
+        found += [Roi(float(x), float(y), side, 0.0) for x in middles[0] for y in middles[1]]
+    return found
+
+
 def everybody(sightings: list[Sighting]) -> list[Sighting]:
-    """Those of the frame that shows the most people, from large to small; one frame of many that shows more is no proof."""
-    counts: dict[int, int] = {}
+    """Those of the frame that shows the most people, from large to small; one frame of many that shows more is no proof.
+
+    Of several such frames it is the one whose least sure person is the surest.
+    """
+    frames: dict[int, list[Sighting]] = {}
     for one in sightings:
-        counts[one.frame] = counts.get(one.frame, 0) + 1
-    ranked = sorted(counts.values(), reverse=True)
+        frames.setdefault(one.frame, []).append(one)
+    ranked = sorted(map(len, frames.values()), reverse=True)
     if not ranked:
         return []
     most = ranked[1] if len(ranked) >= ENOUGH else ranked[0]
-    fullest = next(frame for frame, count in counts.items() if count == most)
-    return [one for one in sightings if one.frame == fullest]
+    fullest = [people for people in frames.values() if len(people) == most]
+    return max(fullest, key=lambda people: min(one.score * one.pose.presence for one in people))
 
 
 def follow_everybody(
