@@ -114,10 +114,10 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
     regions = (*REGIONS, *(MASKED_REGIONS if params.masked else ()))
     means, *of_others = [{protocol: _means(found, regions) for protocol, found in rows.items()} for rows in each]
-    people = sum(len(member.learned.avatar.resting.means) for member in members)
+    gaussians = sum(len(member.learned.avatar.resting.means) for member in members)
     metrics = means | {
         "frames": len(held),
-        "gaussians": {"human": people, "scene": len(scene.means) if scene else 0},
+        "gaussians": {"human": gaussians, "scene": len(scene.means) if scene else 0},
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
         "peak_memory_bytes": max(memory),
         "device": job.device,
@@ -236,7 +236,7 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     best, least = shot.pose, float("inf")
     for _ in range(steps):
         optimiser.zero_grad()
-        human = pose_avatar(shot.learned.avatar, orient, body, transl)
+        human = shot.learned.effects.lit(pose_avatar(shot.learned.avatar, orient, body, transl))
         loss = (shot.render(human, shot.scene, box, white=alone) - truth).abs().mean()
         if loss.item() < least:
             now = [p.detach().cpu().numpy().copy() for p in (orient, body, transl)]

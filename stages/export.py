@@ -14,10 +14,7 @@ from stages import contract
 from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from stages.avatar.motion.placing import Soles
-    from stages.formats.clip import Clip
     from stages.records import Avatar, BodyModel, BodyPoses, Ground, Rig, Scene, Take
 
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
@@ -231,24 +228,6 @@ def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene |
         job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
 
 
-def _under(clip: Clip, rig: Rig, ground: Ground) -> Ground:
-    """The floor under where a further person stands in the middle of the clip."""
-    hips = clip.body.transl[len(clip.names) // 2] + rig.joints[0]
-    return replace(ground, point=hips - ((hips - ground.point) @ ground.up) * ground.up)
-
-
-def _casters(clip: Clip) -> tuple[np.ndarray, np.ndarray]:
-    """What of a further person casts a shadow, at rest."""
-    import torch
-
-    from stages.avatar.body.smpl import Body
-    from stages.avatar.effects.shadow import casters
-
-    body = Body(clip.body_model)
-    parts = casters(body.rest(torch.as_tensor(clip.body.betas).float())[0], body.lbs_weights)
-    return parts.middles.numpy(), parts.covariances.numpy()
-
-
 def _viewer(
     job: Job,
     frames: Path,
@@ -265,6 +244,7 @@ def _viewer(
     import numpy as np
 
     from stages.avatar.motion.moves import clip_move, made_moves
+    from stages.filming.company import casters_of, floor_under
     from stages.formats import viewer
     from stages.formats.clip import load_people
     from stages.formats.effects import read_effects
@@ -285,9 +265,12 @@ def _viewer(
     effects = read_effects(train / "effects.npz")
     times, figures = np.array(listing.times(clip.names)), []
     for one, (avatar, rig, soles) in zip(people, cast, strict=True):
-        parts, floor = None, ground if one is clip else _under(one, rig, ground)
+        parts, floor = None, floor_under(one, rig, ground)
         if effects.middles is not None and effects.covariances is not None:
-            parts = (effects.middles, effects.covariances) if one is clip else _casters(one)
+            parts = effects.middles, effects.covariances
+            if one is not clip:
+                theirs = casters_of(one)
+                parts = theirs.middles.numpy(), theirs.covariances.numpy()
         moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
         figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts))
     shown = viewer.Exhibit(

@@ -55,7 +55,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     from stages.estimators.person.given import import_masks
     from stages.formats.datasets.capture import given_by
     from stages.formats.images import write_mask
-    from stages.formats.people import PEOPLE
+    from stages.formats.people import EVERYBODY, PEOPLE
 
     listing = read_facts(frames / "frames.json", Listing)
     names = [frame.name for frame in listing.frames]
@@ -73,17 +73,21 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         mask, own = apart(each)
         write_mask(job.out / "masks" / f"{name}.png", mask)
         found[name] = {"coverage": round(float((mask > 127).mean()), 5), "touches_border": cut_sides(mask)}
-        for k, one in enumerate(own if len(own) > 1 else [], 1):
-            folder = job.out / PEOPLE / str(k) / "masks"
-            folder.mkdir(parents=True, exist_ok=True)
-            write_mask(folder / f"{name}.png", one)
-        seen.append([bool((one > 127).mean() >= PERSON_SHARE) for one in own])
-        shared += [name] if sum(int((one > 127).sum()) for one in each) > (1 + SHARED) * (mask > 127).sum() else []
-        parts += [name] if len(own) == 1 and has_second_part(mask) else []
+        if len(own) == 1:
+            parts += [name] if has_second_part(mask) else []
+        else:
+            for k, one in enumerate(own, 1):
+                folder = job.out / PEOPLE / str(k) / "masks"
+                folder.mkdir(parents=True, exist_ok=True)
+                write_mask(folder / f"{name}.png", one)
+            seen.append([bool((one > 127).mean() >= PERSON_SHARE) for one in own])
+            shared += [name] if sum(int((one > 127).sum()) for one in each) > (1 + SHARED) * (mask > 127).sum() else []
         job.progress(i + 1, len(names))
     nobody = [name for name, frame in found.items() if frame["coverage"] < PERSON_SHARE]
     report(job, found, nobody)
-    if len(seen[0]) > 1:
+    if params.person == EVERYBODY and not seen:
+        job.note("--person all: one person is found, and followed as without it")
+    if seen:
         report_people(job, names, seen, shared)
     if len(parts) > MANY * len(names):
         job.warn(
@@ -91,7 +95,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
             "somebody else? Masks with an id for each person (SAM 2, COCO) let one be picked with --person"
         )
     summary = {"source": source, **details, "no_person": nobody, "frames": found}
-    if len(seen[0]) > 1:
+    if seen:
         counted = [sum(there) for there in zip(*seen, strict=True)]
         summary["people"] = {str(k): {"frames": count} for k, count in enumerate(counted, 1)}
     (job.out / "masks.json").write_text(json.dumps(summary, indent=1) + "\n")

@@ -58,26 +58,24 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
 
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
-    from stages.filming.company import load_company, present
+    from stages.filming.company import floor_under, load_company, present
     from stages.formats.ground import read_ground
     from stages.formats.people import folder_of
     from stages.formats.splats import read_avatar
     from stages.formats.video import write_video
 
-    ground, members, fps = (
-        read_ground(smpl / "ground.json"),
-        load_company(sfm, smpl, train, job.device),
-        float(params.fps),
-    )
+    ground, members = read_ground(smpl / "ground.json"), load_company(sfm, smpl, train, job.device)
+    (clip, learned), fps = members[0], float(params.fps)
     shots: dict[str, tuple[Iterator[np.ndarray], float]] = {}
-    for clip, learned in reversed(members):
-        place = folder_of(Path(), clip.person)
+    for member in members:
+        number = member.clip.person
+        place = folder_of(Path(), number)
         (job.out / place).mkdir(parents=True, exist_ok=True)
-        soles = Soles.of_rig(rig_of(read_avatar(folder_of(train, clip.person) / "avatar.npz")))
-        shots = {
-            str(place / "turntable"): (_turntable(learned, params.turntable_frames), fps),
-            str(place / "motion"): (_motion(clip, learned, ground, soles, params), fps),
-        } | shots
+        rig = rig_of(read_avatar(folder_of(train, number) / "avatar.npz"))
+        floor = floor_under(member.clip, rig, ground)
+        motion = _motion(member.clip, member.learned, floor, Soles.of_rig(rig), params)
+        shots[str(place / "turntable")] = (_turntable(member.learned, params.turntable_frames), fps)
+        shots[str(place / "motion")] = (motion, fps)
     held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or present(members, int(i))]
     if held:
         shots["heldout"] = (_beside_truth(members, held), 4.0)

@@ -57,17 +57,18 @@ def run(
 ) -> None:
     """Write report.html, one self-contained page. Of `export` it shows the cost, and points at its page."""
     from stages.formats import page
-    from stages.formats.clip import load_clip, load_people
+    from stages.formats.clip import load_people
     from stages.formats.datasets.published import COMPARED
     from stages.formats.facts import Listing, Metrics, Sfm, Smpl, Survey, Trained, read_facts
     from stages.formats.ground import read_ground
-    from stages.formats.people import folder_of, people_of
+    from stages.formats.people import folder_of
 
     ground = read_ground(smpl / "ground.json")
     listing = read_facts(frames / "frames.json", Listing)
     metrics, found = read_facts(evaluate / "metrics.json", Metrics), read_facts(survey / "survey.json", Survey)
     trained, cameras = read_facts(train / "train.json", Trained), read_facts(sfm / "sfm.json", Sfm)
-    clip, dataset = load_clip(sfm, smpl), listing.dataset
+    people, dataset = load_people(sfm, smpl), listing.dataset
+    clip, numbers = people[0], range(1, 1 + len(people))
     video = Path(listing.video.path).name
     text = page.fill(
         "report.html",
@@ -76,9 +77,9 @@ def run(
         size=(len(clip.names), clip.width, clip.height, metrics.gaussians.human, metrics.gaussians.scene),
         headline=_headline(metrics),
         warnings=[(stage, text) for stage, record in job.upstream.items() for text in record.warnings],
-        films=_films(render, people_of(sfm)),
+        films=_films(render, numbers),
         viewer=VIEWER if (export / "viewer.html").is_file() else None,
-        comparisons=_comparisons(evaluate, people_of(sfm)),
+        comparisons=_comparisons(evaluate, numbers),
         accuracy=_accuracy(metrics),
         protocol=metrics.protocol,
         beside_paper=_beside_paper(dataset, metrics),
@@ -89,7 +90,7 @@ def run(
         parts=_training_times(trained.seconds_by_part),
         overlays=[
             figure
-            for one in load_people(sfm, smpl)
+            for one in people
             for figure in _overlays(one, ground, read_facts(folder_of(smpl, one.person) / "smpl.json", Smpl))
         ],
         effects=_effects(found, trained.effects),

@@ -162,9 +162,12 @@ def estimate_poses(
     evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
     count = int(evidence.seen.sum())
     if count < max(2, SEEN_LEAST * len(tracks)):
+        hint = "use a clip that shows one whole person, or give a fit of your own with --smpl-fit FIT.npz"
+        if clip.others:
+            hint = "leave them out: follow one with `--person ID`, or give masks of the others alone with --masks"
         raise StageError(
             f"a person was found in only {count} of {len(tracks)} frames",
-            "use a clip that shows one whole person, or give a fit of your own with --smpl-fit FIT.npz",
+            hint,
             [f"{int(strangers.sum())} more frames showed somebody else than the masked person"],
         )
     write_landmarks(folder / "landmarks.npz", frames, tracks)
@@ -259,7 +262,7 @@ def floor_of(clip: Inputs, *people: BodyPoses) -> Ground:
     from stages.avatar.motion.placing import Soles
     from stages.estimators.ground import find_ground
 
-    turns, points, places = [], [], []
+    turns, points, hips = [], [], []
     for poses in people:
         seen = poses.confidence > 0
         if not seen.any():
@@ -268,10 +271,10 @@ def floor_of(clip: Inputs, *people: BodyPoses) -> Ground:
         soles = Soles.of_model(clip.model, poses.betas)
         feet, joints = soles.at(poses.global_orient[seen], poses.body_pose[seen], poses.transl[seen])
         points.append(feet)
-        places.append(joints[len(joints) // 2, 0])
+        hips.append(joints[len(joints) // 2, 0])
     metres = people[0].world_from_sfm
     viewmats, all_feet = rescale_viewmats(clip.cameras.viewmats, metres), np.concatenate(points)
-    return find_ground(clip.points * metres, all_feet, np.concatenate(turns), places[0], viewmats, metres)
+    return find_ground(clip.points * metres, all_feet, np.concatenate(turns), hips[0], viewmats, metres)
 
 
 def report_ground(job: Job, ground: Ground) -> None:

@@ -71,8 +71,9 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     people, fitted = load_people(sfm, smpl), (smpl / "landmarks.npz").exists()
     clip = people[0]
     evidence = ClipEvidence(clip, facts, fitted=fitted)
-    each = [ClipEvidence(replace(one, alone=True), facts, fitted=fitted) for one in people]
-    each = [evidence] if len(people) == 1 else each
+    each = [evidence]
+    if len(people) > 1:
+        each = [ClipEvidence(replace(one, alone=True), facts, fitted=fitted) for one in people]
     measures, findings = camera_measures(facts, clip) | person_measures(clip), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
         job.progress(done, len(DETECTORS))

@@ -115,6 +115,8 @@ class Actor:
 def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:
     """Read a person and let them perform on the `ground` of the film; StageError for what cannot be read or performed."""
     run = person.avatar if person.avatar.is_dir() else None
+    if run is None and person.who > 1:
+        raise StageError(f"{person.avatar} holds one person, and not {person.who}", "leave out `who:`")
     record = read_avatar(_trained(run, person.who) / "avatar.npz") if run else read_any_avatar(person.avatar)
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,13 +12,14 @@ import torch
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import load_avatar
 from stages.avatar.drawing.draw import Learned, load_learned, motion_at, pose_of
-from stages.avatar.effects.shadow import Stance, casters
+from stages.avatar.effects.shadow import Casters, Stance, casters
 from stages.avatar.effects.speeds import FrameMotion
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.clip import Clip, load_people
 from stages.formats.people import folder_of
 from stages.formats.splats import read_avatar
 from stages.formats.trained import read_trained
+from stages.records import Ground, Rig
 
 
 class Member(NamedTuple):
@@ -47,11 +49,24 @@ def load_company(sfm: Path, smpl: Path, train: Path, device: str) -> list[Member
     members = [Member(first, load_learned(*read_trained(train), device))]
     for clip in others:
         avatar = load_avatar(read_avatar(folder_of(train, clip.person) / "avatar.npz"), device)
-        body = Body(clip.body_model)
-        vertices, _ = body.rest(torch.as_tensor(clip.body.betas).float())
-        parts = casters(vertices.to(avatar.joints), body.lbs_weights.to(avatar.joints))
+        parts = Casters(*(part.to(avatar.joints) for part in casters_of(clip)))
         members.append(Member(clip, members[0].learned._replace(avatar=avatar, parts=parts)))
     return members
+
+
+def casters_of(clip: Clip) -> Casters:
+    """What of the clip's `person` casts a shadow, at rest."""
+    body = Body(clip.body_model)
+    vertices, _ = body.rest(torch.as_tensor(clip.body.betas).float())
+    return casters(vertices, body.lbs_weights)
+
+
+def floor_under(clip: Clip, rig: Rig, ground: Ground) -> Ground:
+    """The floor, its point under where the clip's `person` stands in the middle of the clip; the first's is that of `ground`."""
+    if clip.person == 1:
+        return ground
+    hips = clip.body.transl[len(clip.names) // 2] + rig.joints[0]
+    return replace(ground, point=hips - ((hips - ground.point) @ ground.up) * ground.up)
 
 
 def present(members: Sequence[Member], i: int) -> list[Member]:

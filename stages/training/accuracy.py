@@ -24,7 +24,7 @@ def heldout_accuracy(fit: Fit, frames: list[int], lpips: Lpips | None = None) ->
     scene = fit.scene.splats() if fit.scene else None
     for i in frames:
         image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
-        there = people[:1] + [one for one in people[1:] if one[0].shown(i)]
+        there = [one for one in people if one[0].shown(i)]
         poses = [
             (who, (orient[i], body_pose[i], transl[i]), resting) for who, (orient, body_pose, transl), resting in there
         ]

@@ -48,7 +48,7 @@ class Company:
         if not self.progress.phase.human:
             return []
         there = [p for p in self.people if p.body.confidence[frame] > 0]
-        return [p for p in there if (p.seen(views, frame)[0] > 0.5).any()]
+        return [p for p in there if (p.mask(views, frame) > 127).any()]
 
     # ---- what there is at a frame; `of` whom: the first person where nobody is named ----
 

@@ -63,17 +63,26 @@ class PersonLearner:
         """What of them casts a shadow, at rest."""
         return self.body.casters()
 
+    def mask(self, views: Views, frame: int) -> Tensor:
+        """Their mask uint8 [H,W] in a frame of `views`, whole or half."""
+        outline = self._outline(views)
+        return (views if outline is None else outline).masks[frame]
+
     def seen(self, views: Views, frame: int) -> tuple[Tensor, Tensor | None]:
         """Their mask [H,W] in 0..1 in a frame of `views`, whole or half, and 1 where the frame tells of them; None: all."""
-        if self.outline is None or self.small is None:
-            return views.masks[frame].float() / 255, None
-        outline = self.outline if views.masks.shape == self.outline.masks.shape else self.small
-        return outline.masks[frame].float() / 255, (outline.hidden[frame] == 0).float()
+        outline = self._outline(views)
+        known = None if outline is None else (outline.hidden[frame] == 0).float()
+        return self.mask(views, frame).float() / 255, known
+
+    def _outline(self, views: Views) -> Outline | None:
+        whole = self.outline is None or views.masks.shape == self.outline.masks.shape
+        return self.outline if whole else self.small
 
     def shown(self, frame: int) -> bool:
-        """Whether a frame shows this one of several people, and a fit tells how they stand there."""
-        there = self.outline is None or bool((self.outline.masks[frame] > 127).any())
-        return there and bool(self.body.confidence[frame] > 0)
+        """Whether a frame shows this one of several people, and a fit tells how they stand there; one who is alone always."""
+        if self.outline is None:
+            return True
+        return bool(self.body.confidence[frame] > 0 and (self.outline.masks[frame] > 127).any())
 
     def masked(self, views: Views) -> Views:
         """The `views` of whole size with the masks of this person alone."""

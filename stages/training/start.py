@@ -120,7 +120,7 @@ class _Start:
         seen = self._outlines(views, [person, *others])
         person = self._clothed(person, views, seen[0])
         human = self._human(person, views, seen[0])
-        more = [self._another(*one) for one in zip(others, [views] * len(others), seen[1:])]
+        more = [self._another(other, views, outline) for other, outline in zip(others, seen[1:], strict=True)]
         extent = scene_extent(self._tensor(clip.viewmats).cpu(), self._tensor(clip.points).cpu())
         scene = self._scene([person, *others], extent) if on.get("scene", True) and len(clip.points) else None
         most = max((human, *(one.human for one in more)), key=len)

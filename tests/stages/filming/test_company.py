@@ -1,19 +1,21 @@
 """A clip of two people after training: every later stage shows, measures and writes both."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from stages import evaluate, export, render, report
+from stages.avatar.drawing.rig import rig_of
 from stages.contract import Job, StageError
 from stages.filming.cast import cast
-from stages.filming.company import load_company, present
+from stages.filming.company import floor_under, load_company, present
 from stages.filming.spec import Person
 from stages.formats.ground import read_ground
 from stages.formats.images import read_image
+from stages.formats.people import folder_of
 from stages.formats.poses import read_poses
+from stages.formats.splats import read_avatar
 from stages.formats.video import probe
 from tests.made import company, tiny
 
@@ -84,7 +86,21 @@ def test_in_a_film_of_their_own_scene_each_is_where_they_were(clip):
     away = bodies[1].transl[0] - bodies[0].transl[0]
     np.testing.assert_allclose(apart[[0, 2]], away[[0, 2]], atol=0.02)
     with pytest.raises(StageError, match="there is no person 3"):
-        cast(Person(avatar=run, who=3), "a", replace(ground), 10.0, "cpu")
+        cast(Person(avatar=run, who=3), "a", ground, 10.0, "cpu")
+    alone = clip["train"] / "avatar.npz"
+    with pytest.raises(StageError, match="holds one person, and not 2"):
+        cast(Person(avatar=alone, who=2, motion="wave"), "a", ground, 10.0, "cpu")
+
+
+def test_in_a_made_motion_each_stands_where_they_were(clip):
+    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    rigs = [rig_of(read_avatar(folder_of(clip["train"], one.clip.person) / "avatar.npz")) for one in members]
+    ground = read_ground(clip["smpl"] / "ground.json")
+    first, second = (floor_under(one.clip, rig, ground) for one, rig in zip(members, rigs, strict=True))
+    assert first is ground
+    hips = members[1].clip.body.transl[len(tiny.NAMES) // 2] + rigs[1].joints[0]
+    np.testing.assert_allclose(np.cross(hips - second.point, ground.up), 0, atol=1e-6)
+    assert abs((second.point - ground.point) @ ground.up) < 1e-6
 
 
 def test_the_picture_of_both_is_the_frame(clip):
