@@ -7,8 +7,10 @@ system's and the next PNG write aborts the process.
 from __future__ import annotations
 
 import math
+import os
 import zlib  # noqa: F401  before pycolmap, see above
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,11 +109,14 @@ def extract(
     mode = pycolmap.CameraMode.SINGLE if shared else pycolmap.CameraMode.PER_IMAGE
     pycolmap.Database.open(database).close()
     pycolmap.import_images(database, images, camera_mode=mode, image_names=files, options=reader)
-    with pycolmap.Database.open(database) as store:
+
+    def found(file: str) -> tuple[str, np.ndarray, np.ndarray]:
+        grey = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY)
+        return file, *sift(grey, read_mask(masks / file), features)
+
+    with pycolmap.Database.open(database) as store, ThreadPoolExecutor(os.cpu_count()) as pool:
         stored = {image.name: image.image_id for image in store.read_all_images()}
-        for done, file in enumerate(files, 1):
-            grey = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY)
-            spots, descriptors = sift(grey, read_mask(masks / file), features)
+        for done, (file, spots, descriptors) in enumerate(pool.map(found, files), 1):
             store.write_keypoints(stored[file], spots)
             kind = pycolmap.FeatureExtractorType.SIFT
             store.write_descriptors(stored[file], pycolmap.FeatureDescriptors(kind, descriptors))

@@ -2,8 +2,11 @@
 
 import cv2
 import numpy as np
+import pytest
 
+from stages.estimators.cameras import colmap
 from stages.estimators.cameras.features import sift
+from stages.formats.images import write_image, write_mask
 from tests.made.rooms import texture
 
 GREY = cv2.cvtColor(texture(3)[:200, :300], cv2.COLOR_RGB2GRAY)
@@ -41,3 +44,27 @@ def test_descriptors_are_roots_of_shares_of_length_512_and_match_in_a_moved_pict
 def test_a_blank_picture_has_none():
     spots, descriptors = sift(np.full((40, 50), 7, np.uint8), np.full((40, 50), 255, np.uint8), 10)
     assert spots.shape == (0, 4) and descriptors.shape == (0, 128) and descriptors.dtype == np.uint8
+
+
+@pytest.mark.slow
+def test_features_are_the_same_for_any_number_of_processors(tmp_path, monkeypatch):
+    files = [f"{i}.png" for i in range(6)]
+    for kind in ("images", "masks"):
+        (tmp_path / kind).mkdir()
+    for i, file in enumerate(files):
+        write_image(tmp_path / "images" / file, texture(i)[:120, :160])
+        write_mask(tmp_path / "masks" / file, np.full((120, 160), 255, np.uint8))
+    found = []
+    for count in (1, 4):
+        monkeypatch.setattr(colmap.os, "cpu_count", lambda count=count: count)
+        done: list[int] = []
+        database = tmp_path / f"{count}.db"
+        colmap.extract(database, tmp_path / "images", tmp_path / "masks", files, 100, [], extracted=done.append)
+        assert done == [1, 2, 3, 4, 5, 6]
+        with colmap.pycolmap.Database.open(database) as store:
+            ids = {image.name: image.image_id for image in store.read_all_images()}
+            found.append([(store.read_keypoints(ids[f]), store.read_descriptors(ids[f]).data) for f in files])
+    assert all(len(spots) > 20 for spots, _ in found[0])
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
