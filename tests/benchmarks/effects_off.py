@@ -36,6 +36,9 @@ class Nothing(torch.nn.Module):
     def swing(self, body_pose: Tensor) -> None:
         return None
 
+    def lit(self, person: Any) -> Any:
+        return person
+
     def draw(self, human: Any, scene: Any, motion: None, *view: Any) -> list:
         return compose(human, scene, *view)
 

@@ -59,7 +59,7 @@ def test_without_effects_the_bytes_are_those_of_before_there_were_any():
 def test_what_belongs_to_a_recording_is_left_out_of_novel_views():
     every = ClipEffects(*[0.1 * (i + 1) for i in range(len(fields(ClipEffects)))])
     kept = {field.name for field in fields(ClipEffects) if getattr(every.scene_only(), field.name)}
-    assert kept == {"view_dependence", "shadow", "clothing", "sky", "antialias"}
+    assert kept == {"view_dependence", "shadow", "shading", "clothing", "sky", "antialias"}
 
 
 def test_gains_have_the_spread_that_was_asked_for():
