@@ -21,6 +21,7 @@ from stages.estimators.bodyfit.resting import carry_over
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
+from stages.formats.given_fits.record import SMPLX_PELVIS
 from stages.formats.ground import read_ground
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
@@ -28,6 +29,7 @@ from stages.formats.poses import read_poses
 from tests.made import bodyfit_clips
 
 MODEL = read_body_model()
+LIMBS = [4, 5, 7, 8, 16, 17, 18, 19, 20, 21]
 ASIDE = 1.3
 
 
@@ -148,22 +150,38 @@ def test_i05_j02_a_fit_in_sfm_units_keeps_its_pictures_at_one_scale(folders, tmp
     assert facts["mean_iou"] > 0.97
 
 
+def as_smpl(fit):
+    """global_orient, body_pose and pelvis in each camera with which SMPL's body stands where the free body stands."""
+    rest = (MODEL.J_regressor @ MODEL.v_template).astype(float)
+    orient, pose, way = carry_over(fit["global_orient"], fit["body_pose"], rest, smpl_rest())
+    return orient, pose, fit["transl"] + rest[0] + way
+
+
 def two_in_easymocap(clip, folder):
     """Write a fit of two who do the same, the second where the clip's person is, the first ASIDE m to the right of the camera."""
-    fit = camera_fit(clip)
-    rest = (MODEL.J_regressor @ MODEL.v_template).astype(float)
-    orient, pose, way = carry_over(
-        fit["global_orient"], fit["body_pose"], rest, smpl_rest()
-    )  # as SMPL's body would do it
+    orient, pose, pelvis = as_smpl(camera_fit(clip))
     folder.mkdir()
     for i, name in enumerate(clip.cameras.names):
         turned = Rotation.from_rotvec(orient[i]).apply(smpl_rest()[0])
         people = []
         for who, aside in ((0, ASIDE), (1, 0.0)):
-            place = fit["transl"][i] + rest[0] + way[i] - turned + [aside, 0, 0]
+            place = pelvis[i] - turned + [aside, 0, 0]
             row = {"Rh": orient[i], "Th": place, "poses": np.append([0, 0, 0], pose[i])}
             people.append({"id": who, "shapes": [[0.0] * 10], **{key: [value.tolist()] for key, value in row.items()}})
         (folder / f"{name}.json").write_text(json.dumps(people))
+
+
+@pytest.mark.slow
+def test_the_body_of_a_gvhmr_file_fills_the_outlines(folders, tmp_path):
+    clip, frames, sfm = folders
+    orient, pose, pelvis = as_smpl(camera_fit(clip))
+    person = {"global_orient": orient, "body_pose": pose[:, :63], "transl": pelvis - SMPLX_PELVIS}
+    person |= {"betas": np.zeros((len(orient), 10))}
+    content = {"smpl_params_incam": {key: torch.tensor(value).float() for key, value in person.items()}}
+    torch.save(content | {"K_fullimg": torch.tensor(clip.cameras.Ks).float()}, tmp_path / "hmr4d_results.pt")
+    poses, facts, _ = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "hmr4d_results.pt")
+    error = np.linalg.norm(world_joints(poses) * clip.scale / poses.world_from_sfm - clip.joints, axis=-1)[:, LIMBS]
+    assert facts["mean_iou"] > 0.85 and facts["doubtful"] == [] and error.mean() < 0.04
 
 
 @pytest.mark.slow
