@@ -73,7 +73,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     evidence = ClipEvidence(clip, facts, fitted=fitted)
     each = [evidence]
     if len(people) > 1:
-        each = [ClipEvidence(replace(one, alone=True), facts, fitted=fitted) for one in people]
+        each = [ClipEvidence(apart(one, people), facts, fitted=fitted) for one in people]
     measures, findings = camera_measures(facts, clip) | person_measures(clip), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
         job.progress(done, len(DETECTORS))
@@ -90,6 +90,18 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     starts = {name: list(finding.start) for name, finding in findings.items() if finding.start}
     found = {"measures": measures, "effects": effects, "decisions": decisions, "starts": starts}
     (job.out / "survey.json").write_text(json.dumps(found, indent=1) + "\n")
+
+
+def apart(clip: Clip, people: list[Clip]) -> Clip:
+    """The clip of one of several people, with their own masks, and without their body where another touches or hides them."""
+    from stages.estimators.bodyfit.inputs import touch
+
+    others = [one for one in people if one.person != clip.person]
+    confidence = clip.body.confidence.copy()
+    for i in range(len(clip.names)):
+        if any(touch(clip.own_mask(i), other.own_mask(i)) for other in others):
+            confidence[i] = 0
+    return replace(clip, alone=True, body=replace(clip.body, confidence=confidence))
 
 
 def strongest(findings: list[Finding]) -> Finding:

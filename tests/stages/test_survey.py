@@ -1,6 +1,7 @@
 """Stage survey decides on scene and effects by what it measures."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,12 @@ import pytest
 from stages import survey
 from stages.avatar.kernels.mesh import covered
 from stages.contract import Job
+from stages.estimators.bodyfit.inputs import touch
 from stages.estimators.bodyfit.silhouette import posed_bodies
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.finding import compare, unmeasured
+from stages.formats.clip import load_people
+from tests.made import company, tiny
 
 EFFECTS = {"view_dependence", "exposure", "lens", "rolling_shutter", "motion_blur", "shadow", "clothing"}
 EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias", "shading"}
@@ -128,3 +132,16 @@ def test_the_stage_on_a_static_clip(body_clip, tmp_path):
     assert all(again[part] == found[part] for part in ("decisions", "starts")), (
         "all that training reads: quiet is never"
     )
+
+
+@pytest.mark.slow
+def test_of_several_people_each_is_looked_at_alone_where_nobody_touches_them(tmp_path):
+    made = company.make(tmp_path / "clip")
+    people = load_people(made["sfm"], made["smpl"])
+    one = survey.apart(people[1], people)
+    beside = [touch(people[0].own_mask(i), people[1].own_mask(i)) for i in range(tiny.FRAMES)]
+    assert any(beside) and not all(beside), "they hide each other in some frames"
+    assert (one.body.confidence == np.where(beside, 0, people[1].body.confidence)).all()
+    assert np.array_equal(one.mask(0), people[1].own_mask(0)) and not np.array_equal(one.mask(0), people[1].mask(0))
+    low, high, none = (replace(unmeasured("", 1.0, ""), value=v, called_for=bool(v)) for v in (0.1, 0.4, None))
+    assert survey.strongest([low, high]) is high and survey.strongest([none, low]) is low
