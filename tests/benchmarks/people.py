@@ -39,7 +39,9 @@ from tests.made.pair import Pair, make_pair, write_stages
 from tests.made.truth import psnr
 
 PARAMS = {"rounds": 0, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
-BAR = 1.0  # dB
+SIZE = {"width": 320, "height": 180, "frames": 30}
+SMALL = {"width": 192, "height": 108, "frames": 15}
+SMALL_PARAMS = {"human_cap": 8_000, "scene_cap": 8_000, "scene_fill": 4_000}
 
 
 def trainings(folders: dict[str, Path], steps: int, seed: int, decisions: dict[str, bool]) -> Iterator[tuple[str, Fit]]:
@@ -94,7 +96,7 @@ def bytes_of(image: torch.Tensor) -> np.ndarray:
 def cross(work: Path, seeds: list[int], steps: int, shadow: float) -> list[dict[str, Any]]:
     rows = []
     for seed in seeds:
-        pair, place = make_pair(seed=seed, shadow=shadow), work / f"seed{seed}_{shadow:g}"
+        pair, place = make_pair(seed=seed, shadow=shadow, **SIZE), work / f"seed{seed}_{shadow:g}"
         folders = write_stages(pair, place)
         decisions = {"pose_refinement": False, "shadow": shadow > 0}
         heldout = [i for i in range(len(pair.views[0])) if load_people(folders["sfm"], folders["smpl"])[0].heldout[i]]
@@ -205,11 +207,15 @@ def main() -> None:
     parser.add_argument("--people", type=int, nargs="+", default=[1, 2, 3, 4])
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--shadow", type=float, default=0.0)
+    parser.add_argument("--small", action="store_true", help="192x108, 15 frames")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     if given.what == "steps":
         print(json.dumps(steps_of(given.people[0])))
         return
+    if given.small:
+        SIZE.update(SMALL)
+        PARAMS.update(SMALL_PARAMS)
     if given.what == "cross" and given.work is None:
         parser.error("cross needs a WORK folder")
     rows = {
