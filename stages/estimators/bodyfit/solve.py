@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stages.avatar.body.joints import HIPS
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, vertex_normals
 from stages.avatar.splats.neighbours import farthest_points
@@ -178,12 +179,17 @@ class Solver:
 
     @torch.no_grad()
     def look_for_wide_clothes(self, state: State, outlines: terms.Outlines) -> None:
-        """See from a `state` that no outline has pulled where clothes stand wide of the body; outlines tell less there."""
+        """See from a `state` that no outline has pulled where clothes stand wide of the legs; outlines tell less there.
+
+        Of the trunk they tell on: of somebody who bends, landmarks alone place it as far inside the outline as a coat would.
+        """
         self.match_outlines(state, outlines)
         off = outlines.points - self.pixels(self.surface(state, self.rim)[0])
         gaps, rest = (off * outlines.normals).sum(-1) / self.height[:, None], self.body.v_template
         used = (outlines.weight > 0) & outlines.known[:, None]
-        self.snug = snugness(rest[self.dense], rest[self.rim[used]], gaps[used])
+        places, hips = rest[self.dense], self.body.joint_template[list(HIPS), 1].min()
+        snug = snugness(places, rest[self.rim[used]], gaps[used])
+        self.snug = torch.where(places[:, 1] < hips, snug, 1.0)
 
     def bodies(self, state: State) -> np.ndarray:
         """All vertices [F,V,3] m float64 in camera axes."""
