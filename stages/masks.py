@@ -114,8 +114,9 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
     pictures = Pictures(paths)
-    if params.person == EVERYBODY and len(people := everybody(sight_everybody(network, pictures))) > 1:
-        tracks = follow_everybody(job, network, pictures, names, people)
+    people = everybody(sight_everybody(network, pictures)) if params.person == EVERYBODY else []
+    tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
+    if len(tracks) > 1:
         for path, there in zip(paths, zip(*tracks, strict=True), strict=True):
             image = read_image(path)
             blank = np.zeros(image.shape[:2], np.float32)

@@ -39,6 +39,7 @@ FAINT, RIM = 0.2, 0.03  # probability, and share of the crop's side around it, f
 MOST = 6  # people that are looked for
 HARDLY = 0.25  # probability of a detection that is looked at; many small people have no more
 PARTS = (1.0, 0.7)  # of the shorter side: the windows in which people are looked for
+LASTING = 0.1  # share of the frames in which somebody is seen who gets an avatar
 LOST = 5  # frames after which somebody who is not seen is looked for where they were last, not where they were going
 
 
@@ -140,7 +141,7 @@ def follow_everybody(
 ) -> list[list[Pose | None]]:
     """The poses of each of `people`, who are in one frame, in all frames; None where they are not seen.
 
-    A warning names frames after which two may have been exchanged.
+    A warning names frames after which two may have been exchanged, and who is left out: those hardly seen have no poses to fit.
     """
     fullest = people[0].frame
     said = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1))
@@ -160,7 +161,20 @@ def follow_everybody(
             f"who is who is not sure in {len(doubts)} of {len(names)} frames, first {first}: look whether two people were "
             "exchanged there; masks with an id for each person (SAM 2) keep them apart"
         )
-    return poses
+    return lasting(job, poses)
+
+
+def lasting(job: Job, poses: list[list[Pose | None]]) -> list[list[Pose | None]]:
+    """The poses [P][F] of those who are seen in LASTING of the frames; a warning names the others."""
+    seen = [sum(pose is not None for pose in theirs) for theirs in poses]
+    kept = [theirs for theirs, count in zip(poses, seen, strict=True) if count >= max(2, LASTING * len(theirs))]
+    if len(kept) < len(poses):
+        few = [f"{k} in {n}" for k, n in enumerate(seen, 1) if n < max(2, LASTING * len(poses[0]))]
+        job.warn(
+            f"found again in too few of {len(poses[0])} frames and left out: person {', '.join(few)}; masks with an id for each "
+            "person (SAM 2) keep them"
+        )
+    return kept
 
 
 def track_masked(

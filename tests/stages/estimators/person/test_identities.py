@@ -10,7 +10,7 @@ import numpy as np
 from stages.contract import Job
 from stages.estimators.person.blazepose import NAMES, TORSO, Pose, Sighting
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.identities import PAINT, around_mask, everybody, follow_everybody, track_masked
+from stages.estimators.person.identities import PAINT, around_mask, everybody, follow_everybody, lasting, track_masked
 
 HEIGHT, WIDTH, FRAMES, SIDE = 60, 200, 21, 40
 RED, BLUE = (200, 40, 40), (40, 40, 200)
@@ -127,3 +127,11 @@ def test_the_crop_around_a_mask_holds_it():
     mask[10:50, 90:110] = 255
     roi = around_mask(mask)
     assert (roi.x, roi.y) == (100, 30) and 40 < roi.side < 60 and roi.angle == 0
+
+
+def test_who_is_hardly_seen_is_left_out_and_it_is_said(tmp_path, monkeypatch):
+    often, seldom, said = [pose_at(50.0)] * FRAMES, [pose_at(90.0)] + [None] * (FRAMES - 1), []
+    monkeypatch.setattr(Job, "warn", lambda job, text: said.append(text))
+    assert lasting(Job(tmp_path), [often, often]) == [often, often] and said == []
+    assert lasting(Job(tmp_path), [often, seldom]) == [often]
+    assert "person 2 in 1;" in said[0] and f"of {FRAMES} frames" in said[0]
