@@ -68,9 +68,23 @@ def run(
         if len(people) > 1:
             job.note(f"person {person}:")
         found.append(fit_person(job, params, folder, sfm, one, smpl_fit, sources, found[0] if found else None))
+    check_apart(found, smpl_fit)
     ground = floor_of(clip, *found)
     write_ground(job.out / "ground.json", ground)
     report_ground(job, ground)
+
+
+def check_apart(found: list[BodyPoses], smpl_fit: Path | None) -> None:
+    """StageError if two people got the same poses of a file."""
+    import numpy as np
+
+    for b, two in enumerate(found):
+        for a, one in enumerate(found[:b]):
+            if smpl_fit is not None and np.array_equal(one.transl, two.transl):
+                hint = "give a fit of each of them, or leave it out"
+                raise StageError(
+                    f"{smpl_fit.name} has one person for both person {a + 1} and person {b + 1} of the masks", hint
+                )
 
 
 def fit_person(

@@ -26,6 +26,7 @@ from stages.formats.ground import read_ground
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import write_points
 from stages.formats.poses import read_poses
+from stages.records import BodyPoses
 from tests.made import bodyfit_clips
 
 MODEL = read_body_model()
@@ -269,6 +270,14 @@ def test_of_two_masked_people_each_gets_their_own_of_a_fit_in_one_world(folders,
         and not (tmp_path / "out" / "people" / "2" / "ground.json").exists()
     )
     assert [event["text"] for event in said if event.get("text", "").startswith("person 2:")]
+
+
+def test_a_fit_that_has_one_person_for_two_of_the_masks_is_refused(tmp_path):
+    poses = BodyPoses(("0",), np.zeros(10), np.zeros((1, 3)), np.zeros((1, 69)), np.zeros((1, 3)), np.ones(1))
+    smpl.check_apart([poses, replace(poses, transl=poses.transl + 1)], tmp_path / "fit.npz")
+    smpl.check_apart([poses, poses], None)
+    with pytest.raises(StageError, match="fit.npz has one person for both person 1 and person 2"):
+        smpl.check_apart([poses, poses], tmp_path / "fit.npz")
 
 
 def test_people_touch_where_their_masks_nearly_meet():
