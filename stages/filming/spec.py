@@ -86,7 +86,8 @@ class Film(contract.Params):
     """clip: the path of the scene's clip, to and fro. still: the camera of its middle frame. orbit: around the people.
     follow: still, but turning after them. before: one that sees all that they do. Or an .npz of cameras, one or one a picture."""
     light: Literal["auto", "above", "off"] = "auto"
-    """Where shadows fall. auto: as learned of the scene, or as its survey saw it, else from above."""
+    """Shadows and the light on people. auto: as the scene's run has learned or seen them, else shadows from above in even light;
+    above: that; off: no shadows, even light."""
     colour: Matching = "off"
     """Match people to the scene's exposure and tint. auto: where the clips differ by more than rooms do, and tell their light."""
     fps: float = Field(30.0, gt=0, le=240)

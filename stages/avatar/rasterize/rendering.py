@@ -84,7 +84,8 @@ class Rendering:
     image [H,W,3]; alpha [H,W] coverage; depth [H,W] = sum of weight x z (m), all of the layer's window; means2d [N,2] px
     and radii [N] px in the camera's whole picture, radii 0 for Gaussians outside of it or not in the layer. The backward
     pass fills `screen_grad_abs` [N,2], the sum over the layer's pixels of |dL/d means2d|, and `screen_grad` [N,2],
-    dL/d means2d of all layers of a pass together. `dropped` counts Gaussians left out because a number was not finite.
+    dL/d means2d of all layers of a pass (LAYERS at most) together. `dropped` counts Gaussians left out because a number
+    was not finite.
     """
 
     image: Tensor

@@ -35,6 +35,7 @@ def test_two_resumed_are_as_two_that_were_not_stopped(clip):
     assert same(straight, second) and {"human 2", "frames of human 2"} <= set(second.modules())
 
 
+@pytest.mark.slow
 def test_one_who_is_not_there_is_not_drawn(clip):
     views, people, masks = clip
     gone = [masks[0], masks[1].clone()]
