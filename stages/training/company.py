@@ -14,7 +14,7 @@ from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Resting, bone_transforms, pose
 from stages.avatar.splats.gaussians import Splats
 from stages.training.person import PersonLearner
-from stages.training.refine import BodyCorrections, FrameCorrections
+from stages.training.refine import FrameCorrections
 from stages.training.schedule import Options, Progress
 from stages.training.views import Views
 
@@ -58,8 +58,8 @@ class Company:
         body, clothing = who.body, who.body.clothing
         bones = bone_transforms(body.joints, body.parents, orient, body_pose)
         if clothing is not None:
-            told = self.effects.swing(body_pose) if who is self.person else clothing.swing(body_pose)
-            bones = clothing.hang(bones, self.corrections(who).swing_of(frame, told))
+            told = self.effects.swing(clothing, body_pose)
+            bones = clothing.hang(bones, who.corrections.swing_of(frame, told))
         return self.effects.lit(pose(resting, bones, transl)._replace(antialias=self.options.antialias))
 
     def stance(
@@ -92,11 +92,7 @@ class Company:
         who = of or self.person
         p = who.body
         body = (p.global_orient[frame], p.body_pose[frame], p.transl[frame])
-        return self.corrections(who).body(frame, *body) if self.options.refine_pose else body
-
-    def corrections(self, who: PersonLearner) -> BodyCorrections:
-        """The corrections of a person's poses."""
-        return self.frames if who.corrections is None else who.corrections
+        return who.corrections.body(frame, *body) if self.options.refine_pose else body
 
     def _camera(self, frame: int) -> Tensor:
         viewmat = self.full.viewmats[frame]
@@ -109,7 +105,7 @@ class Company:
         who = of or self.person
         if not self.options.refine_pose:
             return who.body.global_orient, who.body.body_pose, who.body.transl
-        return self.corrections(who).bodies(who.body, self.trained, self.full.moments)
+        return who.corrections.bodies(who.body, self.trained, self.full.moments)
 
     def gains(self) -> Tensor:
         """Exposure factors [F,3], of geometric mean 1 over the training frames."""

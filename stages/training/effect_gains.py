@@ -26,7 +26,7 @@ PARTS = {
     "shading": "shading",
     "motion_blur": "shutter",
     "rolling_shutter": "readout",
-    "clothing": "clothing",
+    "clothing": "clothes",
     "transients": "transients",
 }
 """Effect -> where a training has it: the option, or the part of its `FrameEffects`; `transients` are its own."""

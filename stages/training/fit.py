@@ -27,7 +27,7 @@ from stages.training.optimizers import FRAMES, optimizers
 from stages.training.outlines import Outline
 from stages.training.patches import PatchLoss
 from stages.training.person import Another, PersonLearner
-from stages.training.refine import BodyCorrections, FrameCorrections
+from stages.training.refine import FrameCorrections
 from stages.training.schedule import Options, Progress, rate
 from stages.training.settings import Params
 from stages.training.transients import Transients
@@ -68,13 +68,12 @@ class Fit(Company):
             self.people.append(PersonLearner(body, human, self.guard, outline))
         for k, (theirs, model, seen) in enumerate(others, 1):
             self.people.append(PersonLearner(theirs, model, self.guard, seen, numbered("human", k)))
-        self.frames = FrameCorrections(len(views.images), 0 if body is None else body.own_bones).to(views.viewmats)
+        self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
         self.trained = torch.zeros(len(views.images), dtype=torch.bool)
         self.trained[train] = True
         self.effects = (effects or FrameEffects()).to(views.viewmats)
-        for other in self.people[1:]:
-            other.corrections = BodyCorrections(len(views.images), other.body.own_bones).to(views.viewmats)
-            self.effects.more_clothes += [other.body.clothing] if other.body.clothing is not None else []
+        clothes = [p.body.clothing for p in self.people if p.body.clothing is not None]
+        self.effects.clothes = nn.ModuleList(clothes).to(views.viewmats) if clothes else None
         self.speeds = frame_speeds(views, body) if self.effects.takes_time else None
         self.frame, self.undrawn = train[0], 0
         self.order = torch.empty(0, dtype=torch.long)
@@ -83,8 +82,8 @@ class Fit(Company):
         self.densifier = Densifier(self.people, scene, params, options, generator)
 
     def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        more = {p.name: (p.corrections, p.human) for p in self.people if p.corrections is not None}
-        return optimizers(self.frames, self.human, self.scene, self.options.extent, self.effects, more)
+        people = {p.name: (p.human, p.corrections) for p in self.people}
+        return optimizers(self.frames, people, self.scene, self.options.extent, self.effects)
 
     def sizes(self) -> dict[str, int]:
         """How many Gaussians there are now, of all people and of the scene."""
@@ -92,11 +91,9 @@ class Fit(Company):
 
     def modules(self) -> dict[str, nn.Module]:
         """All that has parameters or other tensors to keep, by name."""
-        parts = {"human": self.human, "scene": self.scene, "frames": self.frames, "effects": self.effects}
-        more = {p.name: p.human for p in self.people[1:]} | {
-            f"frames of {p.name}": p.corrections for p in self.people[1:]
-        }
-        return {n: m for n, m in (parts | {"transients": self.transients} | more).items() if m is not None}
+        people = {p.name: p.human for p in self.people} | {f"frames of {p.name}": p.corrections for p in self.people}
+        parts = {"scene": self.scene, "frames": self.frames, "effects": self.effects, "transients": self.transients}
+        return {name: part for name, part in (people | parts).items() if part is not None}
 
     # ---- one step ----
 
@@ -215,7 +212,7 @@ class Fit(Company):
                 there = figure.mask[shot.window(occluders)]
                 terms.append(losses.OCCLUDERS * (drawn[occluders].alpha * there).mean())
         self.clock.lap("losses")
-        swings = [self.corrections(p).swing_prior(shot.frame, self.train) for p in self.people]
+        swings = [p.corrections.swing_prior(shot.frame, self.train) for p in self.people]
         terms += [self.effects.prior(), *swings]
         return torch.as_tensor(sum(terms)), numbers
 

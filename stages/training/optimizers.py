@@ -18,21 +18,18 @@ FRAMES = "frames"
 
 def optimizers(
     frames: FrameCorrections,
-    human: HumanModel | None,
+    people: Mapping[str, tuple[HumanModel, BodyCorrections]],
     scene: SceneModel | None,
     extent: float,
     effects: nn.Module | None = None,
-    more: Mapping[str, tuple[BodyCorrections, HumanModel]] | None = None,
 ) -> dict[str, Optimizer]:
-    """The optimisers of `frames`, `human`, `scene`, of the `effects` that have anything to learn, and of `more` people by name.
+    """The optimisers of `frames`, of `people` by name, of the `scene`, and of the `effects` that have anything to learn.
 
     Each group has its `name` and `base` rate, lengths by `extent` m.
     """
     groups = {"frames": _tables(frames)}
-    if human is not None:
-        groups["human"] = _parts(human)
-    for name, (corrections, model) in (more or {}).items():
-        groups |= {name: _parts(model), f"{FRAMES} of {name}": _tables(corrections)}
+    for name, (human, corrections) in people.items():
+        groups |= {name: _parts(human), f"{FRAMES} of {name}": _tables(corrections)}
     if scene is not None:
         rates = LR_SCENE | {"means": LR_SCENE["means"] * extent}
         groups["scene"] = [([getattr(scene, name)], name, rate) for name, rate in rates.items()]
@@ -50,7 +47,7 @@ def optimizers(
 Groups = list[tuple[list[nn.Parameter], str, float]]
 
 
-def _tables(corrections: BodyCorrections) -> Groups:
+def _tables(corrections: nn.Module) -> Groups:
     tables = dict(corrections.named_parameters())
     return [([tables[f"{n}.weight"]], n, rate) for n, rate in LR_FRAMES.items() if f"{n}.weight" in tables]
 

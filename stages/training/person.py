@@ -37,8 +37,8 @@ class Another(NamedTuple):
 class PersonLearner:
     """The model `human` of the person whose fitted `body` is known.
 
-    `outline` tells of them among several people, None: they are alone. `name` is theirs among the sets of Gaussians, and
-    `corrections` are those of a further person's poses; the first person's are among those of the frames.
+    `outline` tells of them among several people, None: they are alone. `name` is theirs among the sets of Gaussians.
+    `corrections` are those of their poses.
 
     `leaves` is the decoded person as tensors that collect gradients, None until it is decoded again. `color_grad_sum` [N]
     sums the gradients of each Gaussian's colour: what stays at 0 no frame has shown.
@@ -50,7 +50,7 @@ class PersonLearner:
         self.body, self.human, self.guard, self.name = body, human, guard, name
         self.outline, self.small = outline, outline and outline.half()
         self.number = name.removeprefix("human")
-        self.corrections: BodyCorrections | None = None
+        self.corrections = BodyCorrections(len(body.transl), body.own_bones).to(body.vertices)
         self.canonical_bones = body.canonical_bones()
         self.surface, _, self.surface_weights = body.surface()
         self.leaves: Resting | None = None

@@ -62,14 +62,14 @@ class BodyCorrections(nn.Module):
         return person.global_orient + turn[:, :3], person.body_pose + turn[:, 3:], person.transl + place
 
 
-class FrameCorrections(BodyCorrections):
-    """Those of the first person, and corrections of each frame: log gain [F,3], turn [F,3] rad and shift [F,3] m of cameras.
+class FrameCorrections(nn.Module):
+    """Corrections of F frames, 0 at first: log gain [F,3] of the exposure, turn [F,3] rad and shift [F,3] m of the camera.
 
     For cameras see `effects.camera_refinement`.
     """
 
-    def __init__(self, frames: int, bones: int = 0):
-        super().__init__(frames, bones)
+    def __init__(self, frames: int):
+        super().__init__()
         self.gain = nn.Embedding(frames, 3, sparse=True)
         self.turn = nn.Embedding(frames, 3, sparse=True)
         self.shift = nn.Embedding(frames, 3, sparse=True)

@@ -129,14 +129,11 @@ def result_of(
 def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Finished, int]:
     """The avatar of a person and their poses, how they were finished, and how many Gaussians no frame has shown."""
     orient, body_pose, transl = fit.bodies(who)
-    body, corrections = (
-        who.body._replace(global_orient=orient, body_pose=body_pose, transl=transl),
-        fit.corrections(who),
-    )
+    body = who.body._replace(global_orient=orient, body_pose=body_pose, transl=transl)
     if len(fit.people) > 1:
         say.note(f"person {fit.people.index(who) + 1}:")
-    if body.clothing is not None and corrections.swing is not None:
-        _settle_swing(fit, body, body.clothing, corrections.swing.weight, say)
+    if body.clothing is not None and who.corrections.swing is not None:
+        _settle_swing(fit, body, body.clothing, who.corrections.swing.weight, say)
     kept = _finished(fit, who, body, say)
     never = int(unseen(who.color_grad_sum).sum())
     if never:

@@ -263,6 +263,5 @@ class _Start:
         shadow = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
         times = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
         effects = FrameEffects.starting(light, person.casters(), shadow, **times)
-        effects.clothing = person.clothing
         effects.shading = Shading().to(light) if on.get("shading", False) else None
         return effects

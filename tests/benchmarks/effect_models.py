@@ -34,7 +34,7 @@ from stages.formats.facts import Sfm, read_facts
 from stages.synthetic.effects import ClipEffects
 from stages.training.accuracy import heldout_accuracy
 from stages.training.fit import Fit
-from stages.training.refine import FrameCorrections
+from stages.training.refine import BodyCorrections, FrameCorrections
 from stages.training.start import Task, build
 from stages.training.views import Views
 from tests.made import datasets
@@ -123,6 +123,7 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
         masks = torch.as_tensor(np.stack([still.mask(i) for i in range(len(still.names))]))
         viewmats = torch.as_tensor(still.viewmats).float()
         fit.full, fit.frames = Views(images, masks, viewmats, *fit.full[3:]), FrameCorrections(len(images))
+        fit.person.corrections = BodyCorrections(len(images), fit.person.body.own_bones)
         poses = {name: torch.as_tensor(getattr(still.body, name)).float() for name in POSE}
         fit.person.body, fit.effects, fit.speeds = fit.person.body._replace(**poses), FrameEffects(), None
     return heldout_accuracy(fit, others(folders)) | {"cpu_seconds": seconds, "found": found}

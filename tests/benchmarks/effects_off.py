@@ -79,7 +79,7 @@ def measure(off: Fit, without: Fit, steps: int) -> np.ndarray:
 
 def alike(one: Fit, other: Fit) -> bool:
     """Whether all that was learned is the same to the last bit."""
-    pairs = zip(*([fit.human.state_dict(), fit.scene.state_dict(), fit.frames.state_dict()] for fit in (one, other)))
+    pairs = zip(*([part.state_dict() for part in fit.modules().values()] for fit in (one, other)))
     return all(a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a) for a, b in pairs)
 
 

@@ -82,9 +82,9 @@ def by_area_of_the_person() -> list:
     return put(losses, outside_person=remember, photometric=larger)
 
 
-def of_one_metre(frames, human, scene, extent, *others):
+def of_one_metre(frames, people, scene, extent, *others):
     """The optimisers with rates of the scene's places that do not know its size."""
-    return optimizers.optimizers(frames, human, scene, 1.0, *others)
+    return optimizers.optimizers(frames, people, scene, 1.0, *others)
 
 
 UNSETTLED = put(schedule, SETTLE=0.9999, LAST_OTHERS=1.0) + put(

@@ -9,7 +9,6 @@ import torch
 import trimesh
 from torch.nn.functional import avg_pool2d
 
-from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
@@ -134,9 +133,5 @@ def everything(clip, steps: int = 24) -> Fit:
         torch.zeros(3),
         300.0,
     )
-    effects = FrameEffects()
-    effects.clothing = person.clothing
     how = settings(steps, exposure=True, antialias=True)
-    return Fit(
-        views, TRAIN, person, human, scene, *how, generator, effects=effects, transients=Transients(views, TRAIN)
-    )
+    return Fit(views, TRAIN, person, human, scene, *how, generator, transients=Transients(views, TRAIN))

@@ -25,7 +25,7 @@ class FrameEffects(nn.Module):
 
     `shutter` [1] is the share of a moment for which the shutter is open (motion blur), `readout` [1] the share in which
     the rows are read from top to bottom (rolling shutter). A moment is the time between two frames of the clip.
-    `clothing` are the bones of the person's clothes, `more_clothes` those of further people, `shading` the light on people.
+    `clothes` are the bones of clothes of those who wear such, `shading` is the light on people.
     """
 
     def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
@@ -33,9 +33,8 @@ class FrameEffects(nn.Module):
         self.shadow = shadow
         self.shutter = None if shutter is None else nn.Parameter(torch.tensor([shutter]))
         self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
-        self.clothing: Clothing | None = None
+        self.clothes: nn.ModuleList | None = None
         self.shading: Shading | None = None
-        self.more_clothes = nn.ModuleList()
 
     @classmethod
     def starting(
@@ -58,13 +57,13 @@ class FrameEffects(nn.Module):
         """Whether frames have motion blur."""
         return self.shutter is not None
 
-    def swing(self, body_pose: Tensor) -> Tensor | None:
-        """How far the bones of clothes turn and shift [K,6] in the pose [69]; None: they follow the skeleton."""
-        return None if self.clothing is None else self.clothing.swing(body_pose)
+    def swing(self, clothing: Clothing, body_pose: Tensor) -> Tensor | None:
+        """How far the bones of somebody's clothes turn and shift [K,6] in the pose [69]; None: they follow the skeleton."""
+        return None if self.clothes is None else clothing.swing(body_pose)
 
     def prior(self) -> Tensor | float:
         """The regularizer of the effects, part of a step's loss."""
-        parts = (self.clothing, *self.more_clothes, self.shading)
+        parts = (*(self.clothes or ()), self.shading)
         return sum(part.prior() for part in parts if isinstance(part, Clothing | Shading))
 
     def lit(self, person: Splats) -> Splats:

@@ -63,8 +63,10 @@ def test_defect_4_a_checkpoint_holds_every_state_that_training_has(clip):
     fit = fit_of(clip)
     run(fit, 20)
     state = fit.state()
-    assert set(state["adam"]) == {"human", "scene", "frames"} == set(state["models"]) - {"effects"}
-    assert {"pose.weight", "place.weight", "gain.weight"} <= set(state["models"]["frames"])
+    kept = {"human", "frames of human", "scene", "frames"}
+    assert set(state["adam"]) == kept == set(state["models"]) - {"effects"}
+    assert {"pose.weight", "place.weight"} <= set(state["models"]["frames of human"])
+    assert {"gain.weight", "turn.weight", "shift.weight"} <= set(state["models"]["frames"])
     for name, optimizer in state["adam"].items():
         assert all({"step", "exp_avg", "exp_avg_sq"} <= set(moments) for moments in optimizer["state"].values()), name
     assert state["progress"]["step"] == 20 and {"generator", "order", "densifier"} <= set(state)

@@ -24,14 +24,14 @@ def changing(clip):
     bones, body = fit.person.canonical_bones[:24], fit.person.body
     body = casters(body.vertices, body.weights[:, :24]).posed(torch.linalg.inv(bones))
     effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)
-    effects.clothing, effects.shading = fit.effects.clothing, Shading(torch.linspace(-0.5, 0.5, 24).view(8, 3))
+    effects.clothes, effects.shading = fit.effects.clothes, Shading(torch.linspace(-0.5, 0.5, 24).view(8, 3))
     fit.effects, fit.speeds = effects, frame_speeds(fit.full, fit.person.body)
     fit.options = fit.options._replace(refine_camera=True)
-    fit.adam = optimizers(fit.frames, fit.human, fit.scene, 1.0, effects)
+    fit.adam = optimizers(fit.frames, {"human": (fit.human, fit.person.corrections)}, fit.scene, 1.0, effects)
     fit.densifier.settled = torch.zeros(len(fit.scene.means), dtype=torch.bool)
     with torch.no_grad():
-        fit.effects.readout.fill_(0.8), fit.effects.clothing.swings.fill_(0.2)
-        fit.scene.shN.fill_(0.05), fit.frames.gain.weight[1].fill_(0.3), fit.frames.place.weight.fill_(0.02)
+        fit.effects.readout.fill_(0.8), fit.person.body.clothing.swings.fill_(0.2)
+        fit.scene.shN.fill_(0.05), fit.frames.gain.weight[1].fill_(0.3), fit.person.corrections.place.weight.fill_(0.02)
         fit.frames.shift.weight[:3] = 0.02
     return fit
 

@@ -15,9 +15,9 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
     straight, first, second = (everything(clip) for _ in range(3))
     run(straight, 24)
     run(first, 11)
-    assert first.effects.clothing.swings.abs().max() > 0 and first.frames.swing.weight.abs().max() > 0, (
-        "clothes are learned"
-    )
+    assert (
+        first.person.body.clothing.swings.abs().max() > 0 and first.person.corrections.swing.weight.abs().max() > 0
+    ), "clothes are learned"
     second.load(stored(first))
     run(second, 24)
     assert same(straight, second) and straight.guard.left_out == 0
@@ -39,7 +39,7 @@ def test_what_is_off_changes_no_bit(clip):
 def test_clothes_move_the_person_that_is_drawn_and_judged(clip):
     fit = everything(clip)
     body = [part[1] for part in clip[1][:3]]
-    resting, clothing = fit.person.resting(), fit.effects.clothing
+    resting, clothing = fit.person.resting(), fit.person.body.clothing
     before = fit.posed(resting, *body).means
     with torch.no_grad():
         clothing.swings[:, 3:, 1] = 0.4
@@ -50,7 +50,7 @@ def test_clothes_move_the_person_that_is_drawn_and_judged(clip):
     assert own.max() > 0.9 and moved.antialias and fit.scene.splats().antialias
     torch.testing.assert_close(fit.person.body.posed(resting, 1).means, moved.means, rtol=0, atol=1e-6)
     with torch.no_grad():
-        fit.frames.swing.weight[1] = 0.3
+        fit.person.corrections.swing.weight[1] = 0.3
     assert torch.equal(fit.posed(resting, *body).means, moved.means)
     gone = (fit.posed(resting, *body, frame=1).means - moved.means).norm(dim=1)
     assert gone[own > 0.9].min() > 0.01 and gone[own < 0.01].max() < 1e-3, (

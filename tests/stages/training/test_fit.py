@@ -156,12 +156,12 @@ def test_c09_h01_h02_a_bad_row_of_the_person_never_reaches_the_networks(clip, by
 def test_h01_h02_a_bad_gradient_of_a_frame_does_not_stay_with_it(clip, by, begun):
     fit = fit_of(clip, steps=400)
     run(fit, begun)
-    hook = fit.frames.pose.weight.register_hook(lambda g: g * by)
+    hook = fit.person.corrections.pose.weight.register_hook(lambda g: g * by)
     fit.advance()
     hook.remove()
     assert fit.guard.left_out == 1
-    moments = fit.adam["frames"].state[fit.frames.pose.weight]
-    assert fit.frames.pose.weight.isfinite().all() and moments["exp_avg_sq"].isfinite().all()
+    moments = fit.adam["frames of human"].state[fit.person.corrections.pose.weight]
+    assert fit.person.corrections.pose.weight.isfinite().all() and moments["exp_avg_sq"].isfinite().all()
     assert moments["exp_avg_sq"].max() < 1
 
 
@@ -292,7 +292,7 @@ def test_a_clip_of_1300_frames_is_halved_frame_by_frame_and_trains(clip, held):
 def test_only_seen_frames_move_and_others_take_their_neighbours(clip):
     fit = fit_of(clip)
     run(fit, 12)
-    assert (fit.frames.pose.weight[2] == 0).all() and fit.frames.pose.weight[1].abs().sum() > 0
+    assert (fit.person.corrections.pose.weight[2] == 0).all() and fit.person.corrections.pose.weight[1].abs().sum() > 0
     orient = fit.bodies()[0]
     assert torch.allclose(orient[2], (orient[1] + orient[3]) / 2, atol=1e-6)
     assert torch.allclose(fit.gains()[fit.train].log().mean(0), torch.zeros(3), atol=1e-6)
@@ -369,11 +369,15 @@ def test_what_is_learned_of_poses_is_written_with_its_sign(clip):
     fit, body = fit_of(clip, refine_pose=True), clip[1]
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
-        for table in (fit.frames.pose, fit.frames.place):
+        for table in (fit.person.corrections.pose, fit.person.corrections.place):
             table.weight.copy_(torch.randn(table.weight.shape, generator=generator))
         written = fit.bodies()
         for frame in TRAIN:
             for part, drawn in zip(written, fit.body(frame), strict=True):
                 torch.testing.assert_close(part[frame], drawn)
-            torch.testing.assert_close(written[2][frame], body.transl[frame] + fit.frames.place.weight[frame])
-            torch.testing.assert_close(written[0][frame], body.global_orient[frame] + fit.frames.pose.weight[frame, :3])
+            torch.testing.assert_close(
+                written[2][frame], body.transl[frame] + fit.person.corrections.place.weight[frame]
+            )
+            torch.testing.assert_close(
+                written[0][frame], body.global_orient[frame] + fit.person.corrections.pose.weight[frame, :3]
+            )

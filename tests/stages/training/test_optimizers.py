@@ -12,7 +12,7 @@ from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, Phas
 @pytest.mark.parametrize("gradient", [1e-12, 1e-8, 1.0, 1e8])
 def test_h04_gradients_of_any_size_make_whole_steps(gradient, held):
     scene = SceneModel(torch.rand(4, 3), torch.rand(4, 3), 0, 1.0)
-    adam, before = optimizers(FrameCorrections(2), None, scene, 1.0)["scene"], scene.sh0.detach().clone()
+    adam, before = optimizers(FrameCorrections(2), {}, scene, 1.0)["scene"], scene.sh0.detach().clone()
     for group in adam.param_groups:
         group["lr"] = group["base"]
     scene.sh0.grad = torch.full_like(scene.sh0, gradient)
@@ -24,7 +24,7 @@ def test_h04_gradients_of_any_size_make_whole_steps(gradient, held):
 @pytest.mark.parametrize("gradient", [0.0, 1e-30, 1e-44])
 def test_h04_gradients_that_vanish_make_no_step_and_nothing_else(gradient):
     scene = SceneModel(torch.rand(4, 3), torch.rand(4, 3), 0, 1.0)
-    adam, before = optimizers(FrameCorrections(2), None, scene, 1.0)["scene"], scene.sh0.detach().clone()
+    adam, before = optimizers(FrameCorrections(2), {}, scene, 1.0)["scene"], scene.sh0.detach().clone()
     for group in adam.param_groups:
         group["lr"] = group["base"]
     for _ in range(3):

@@ -31,7 +31,7 @@ def trained_scene(gauge: float, shift: float = 0.0):
     K = torch.tensor([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
     extent = scene_extent(viewmats, points * gauge)
     scene = SceneModel(points * gauge, torch.rand(200, 3, generator=g), 0, extent)
-    adam = optimizers(FrameCorrections(4), None, scene, extent)["scene"]
+    adam = optimizers(FrameCorrections(4), {}, scene, extent)["scene"]
     growth = Growth(len(scene))
     pictures = []
     with torch.no_grad():

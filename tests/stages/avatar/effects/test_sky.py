@@ -95,7 +95,7 @@ def test_growth_sees_the_shell_as_angles_and_leaves_it_there():
     sizes = scene.sizes().amax(1)
     torch.testing.assert_close(sizes[:30], largest[:30], rtol=0, atol=0)
     torch.testing.assert_close(sizes[30:], largest[30:] / RADIUS)
-    adam = optimizers(FrameCorrections(2), None, scene, 1.0)["scene"]
+    adam = optimizers(FrameCorrections(2), {}, scene, 1.0)["scene"]
     rules = Rules(2e-4, 0.01, 0.5, 0.3, 0.005, 70)
     rows = grow_scene(scene, adam, Growth(70), rules, 1, torch.Generator())
     assert rows.pruned == 0 and len(scene) == 70
