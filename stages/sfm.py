@@ -234,6 +234,8 @@ def map_cameras(
         "distortion": {"model": "SIMPLE_RADIAL", "params": [k], "max_shift_px": shift},
         **solution.facts,
     }
+    if params.focal is None and (spread := solution.facts.get("lens", {}).get("focal_spread_px")):
+        job.note(f"focal length {found:.0f} px, give or take {spread:.0f}")
     Ks = np.array([pinhole(focal, width, height) for focal in focals])
     return Pinholes(solution.verdict, solution.names, solution.viewmats, Ks, grids, facts, solution.model)
 

@@ -77,6 +77,26 @@ def test_i01_a_turning_camera_is_named_and_keeps_its_rotations(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_walk_of_a_few_centimetres_is_no_turn(tmp_path):
+    views = walk(12, 0.05, turn=3.0)
+    write_clip(tmp_path, views)
+    facts, events = run(tmp_path, features=1024)
+    assert facts["verdict"] == "moving" and facts["mapper"] == "short walk" and facts["registered"] == 12
+    spread = facts["lens"]["focal_spread_px"]
+    assert abs(facts["focal_px"] - FOCAL) < 2 * spread < 0.2 * FOCAL
+    assert any("short walk, no turn" in event.get("text", "") for event in events)
+    assert any(f"px, give or take {spread:.0f}" in event.get("text", "") for event in events)
+    found = read_cameras(tmp_path / "out/cameras.npz")
+    truth = cameras.camera_centers(views)
+    scale, R, t = umeyama(found.centers, truth)
+    off = np.linalg.norm(scale * found.centers @ R.T + t - truth, axis=1)
+    assert off.max() < 0.02
+    xyz, rgb = read_points(tmp_path / "out/points.ply")
+    to_wall = np.min([abs((scale * xyz @ R.T + t) @ normal - offset) for normal, offset, _ in WALLS], 0)
+    assert len(xyz) > 300 and np.median(to_wall) < 0.5 and rgb.std() > 5
+
+
+@pytest.mark.slow
 def test_a26_a_standing_camera_is_named_and_its_frames_are_left_alone(tmp_path):
     write_clip(tmp_path, np.tile(np.eye(4), (5, 1, 1)))
     facts, events = run(tmp_path, features=512)

@@ -33,8 +33,10 @@ class Observations:
 
 @dataclass(frozen=True)
 class Bundle:
-    """Cameras `viewmats` [F,4,4] and `points` [T,3]; `log_focal` [J] (px) at knots spread over the clip; `k` of the lens.
+    """Cameras `viewmats` [F,4,4] and `points` [T,4]; `log_focal` [J] (px) at knots spread over the clip; `k` of the lens.
 
+    A point is x, y, z, w of length 1 for the place (x, y, z) / w, so that one far away or without parallax (w 0) is one,
+    too. Cameras that stay in one place and points with w 0 are a turn, and adjusted they stay one.
     `readout` is the share of the time between two frames in which a picture is read; `viewmats` are of the middle row.
     """
 
@@ -122,7 +124,7 @@ class _Solver:
     def place(self, bundle: Bundle, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where frames `frame` [M] see the points: in the camera's axes [M,3], and in px from the middle [M,2]."""
         V = bundle.viewmats[frame]
-        local = (V[:, :3, :3] @ bundle.points[self.seen.point][..., None])[..., 0] + V[:, :3, 3]
+        local = (V[:, :3] @ bundle.points[self.seen.point][..., None])[..., 0]
         u = local[:, :2] / local[:, 2:]
         return local, u * (1 + bundle.k * (u**2).sum(1, keepdims=True)) * bundle.focals[frame][:, None]
 
@@ -165,8 +167,10 @@ class _Solver:
             [there[..., None] * self.knots[frame][:, None], f * bent * u[..., None], rolled[..., None]], 2
         )
         weight = np.sqrt(1 / (self.noise**2 + (off**2).sum(1)))[:, None, None]
-        cameras, shared = weight * np.concatenate([by_local @ turned, by_local], 2), weight * by_shared
-        points, rest = weight * (by_local @ V[frame, :3, :3]), weight * off[..., None]
+        near = bundle.points[point, 3, None, None]
+        cameras, shared = weight * np.concatenate([by_local @ turned, near * by_local], 2), weight * by_shared
+        self.ways = ways_of(bundle.points)
+        points, rest = weight * (by_local @ (V[frame, :3] @ self.ways[point])), weight * off[..., None]
         self.blocks = _sums(cameras.mT @ cameras, frame, self.frames, self.by_frame)
         self.cross = _sums(cameras.mT @ shared, frame, self.frames, self.by_frame).reshape(-1, J + 2)
         self.own = np.einsum("mki,mkj->ij", shared, shared)
@@ -209,7 +213,8 @@ class _Solver:
         turn = Rotation.from_rotvec(moves[:, :3]).as_matrix()
         viewmats[:, :3] = turn @ viewmats[:, :3]
         viewmats[:, :3, 3] += moves[:, 3:]
-        points = bundle.points + (inverse @ back)[..., 0]
+        points = bundle.points + (self.ways @ inverse @ back)[..., 0]
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
         log_focal, (k, readout) = bundle.log_focal + found[size : size + J], found[-2:]
         return Bundle(viewmats, points, log_focal, bundle.k + float(k), bundle.readout + float(readout))
 
@@ -218,6 +223,17 @@ class _Solver:
         found = np.linalg.inv(self.reduced(0.0)[0])[6 * self.frames :, 6 * self.frames :]
         found[-1, -1] *= self.rolls
         return found
+
+
+def ways_of(points: np.ndarray) -> np.ndarray:
+    """Three ways in which each of `points` [T,4] of length 1 can move, at right angles to it and to each other [T,4,3].
+
+    Source: Householder 1958. For w 0 the last way changes w alone.
+    """
+    mirror = points.copy()
+    mirror[:, 0] += np.where(points[:, 0] < 0, -1, 1)
+    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+    return (np.eye(4) - 2 * mirror[:, :, None] * mirror[:, None])[:, :, 1:]
 
 
 def _sums(values: np.ndarray, row: np.ndarray, count: int, order: np.ndarray | None = None) -> np.ndarray:

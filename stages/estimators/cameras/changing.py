@@ -10,9 +10,9 @@ import numpy as np
 
 from stages.contract import Job
 from stages.estimators.cameras import colmap_lens
-from stages.estimators.cameras.adjustment import Adjusted, Bundle, adjust
+from stages.estimators.cameras.adjustment import Bundle, adjust
 from stages.estimators.cameras.colmap import Model
-from stages.estimators.cameras.intrinsics import TRACK_ERROR, Prior
+from stages.estimators.cameras.intrinsics import Prior, spreads
 
 KNOTS = 7  # of the focal length over the clip
 ASKED, KEPT = 800, 4000  # points, those seen longest: to see whether the camera changes, and to model it
@@ -39,13 +39,13 @@ def model_changes(
         return None
     start, seen, points = colmap_lens.bundle_of(model.reconstruction, size, KEPT)
     free = adjust(_with(start, KNOTS), seen, True, prior.focal, prior.spread)
-    spreads = np.sqrt(np.diag(free.covariance))
-    apart, rolls = np.ptp(free.bundle.log_focal), abs(free.bundle.readout) > SIGMAS * spreads[-1]
-    zooms = apart > max(ZOOMS, SIGMAS * spreads[:KNOTS].max())
+    sigmas = np.sqrt(np.diag(free.covariance))
+    apart, rolls = np.ptp(free.bundle.log_focal), abs(free.bundle.readout) > SIGMAS * sigmas[-1]
+    zooms = apart > max(ZOOMS, SIGMAS * sigmas[:KNOTS].max())
     if not zooms and not rolls:
         return None
     found = adjust(_with(free.bundle, KNOTS if zooms else 1, rolls), seen, bool(rolls), prior.focal, prior.spread)
-    facts = _spreads(found, max(size))
+    facts = spreads(found, max(size))
     focals, readout = found.bundle.focals, found.bundle.readout
     if zooms:
         facts |= {"first_focal_px": round(focals[0], 3), "last_focal_px": round(focals[-1], 3)}
@@ -58,20 +58,12 @@ def model_changes(
             f"the camera reads its rows one after the other, in {abs(readout):.2f} of the time between two frames "
             "(rolling shutter): a frame's camera is that of its middle row"
         )
-    return Model(colmap_lens.rebuilt(model.reconstruction, found.bundle, seen, points)), facts
+    files = sorted(f"{name}.png" for name in model.poses)
+    colors = np.array([model.reconstruction.points3D[i].color for i in points])
+    return Model(colmap_lens.model_of(files, colors, found.bundle, seen)), facts
 
 
 def _with(bundle: Bundle, knots: int, rolls: bool = False) -> Bundle:
     """The bundle with its mean focal length at so many knots, or as it is with as many; no readout unless it `rolls`."""
     log_focal = bundle.log_focal if len(bundle.log_focal) == knots else np.full(knots, bundle.log_focal.mean())
     return Bundle(bundle.viewmats, bundle.points, log_focal, bundle.k, bundle.readout if rolls else 0.0)
-
-
-def _spreads(found: Adjusted, side: int) -> dict[str, float]:
-    """Standard deviations of the mean focal length in px and of k: tracks drift together, as in `intrinsics.weigh`."""
-    drift = max(TRACK_ERROR * side / found.noise, 1.0)
-    knots = len(found.bundle.log_focal)
-    of_log = np.sqrt(found.covariance[:knots, :knots].mean()) * drift
-    focal = float(np.median(found.bundle.focals))
-    k_spread = float(np.sqrt(found.covariance[knots, knots])) * drift
-    return {"focal_spread_px": round(focal * float(of_log), 3), "k_spread": round(k_spread, 5)}

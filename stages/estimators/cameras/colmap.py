@@ -67,6 +67,11 @@ class Model:
         return self.reconstruction.compute_mean_reprojection_error()
 
     @property
+    def middle_error(self) -> float:
+        """Median of the points' reprojection errors in px."""
+        return float(np.median([point.error for point in self.reconstruction.points3D.values()]))
+
+    @property
     def poses(self) -> dict[str, np.ndarray]:
         """Camera from world [3,4] of each frame with a pose, by the frame's name."""
         images = (image for image in self.reconstruction.images.values() if image.has_pose)

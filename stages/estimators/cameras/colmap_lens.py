@@ -79,16 +79,16 @@ def bundle_of(
     viewmats[:, :3] = [model.images[i].cam_from_world().matrix() for i in rows]
     focal, _, _, k = next(iter(model.cameras.values())).params
     point, frame = np.array(list(seen)).T
-    bundle = Bundle(viewmats, np.array([point.xyz for _, point in longest]), np.log([focal]), float(k))
+    places = np.array([[*point.xyz, 1.0] for _, point in longest])
+    places /= np.linalg.norm(places, axis=1, keepdims=True)
+    bundle = Bundle(viewmats, places, np.log([focal]), float(k))
     return bundle, Observations(frame, point, np.array(list(seen.values())), size), [i for i, _ in longest]
 
 
-def rebuilt(
-    model: pycolmap.Reconstruction, bundle: Bundle, seen: Observations, points: list[int]
-) -> pycolmap.Reconstruction:
-    """A model of `bundle`, made of `model`: with a camera for each frame if the focal length changes.
+def model_of(files: list[str], colors: np.ndarray, bundle: Bundle, seen: Observations) -> pycolmap.Reconstruction:
+    """A model of the bundle's pictures `files` and points with `colors` [T,3]; a camera for each if the focal length changes.
 
-    What a frame sees of `points` is moved to where its middle row's camera sees it.
+    What a frame sees is moved to where its middle row's camera sees it.
     """
     new, focals, middle = pycolmap.Reconstruction(), bundle.focals, np.array(seen.size) / 2
     shared = bool((focals == focals[0]).all())
@@ -100,18 +100,16 @@ def rebuilt(
         new.add_camera_with_trivial_rig(camera)
     still = seen.xy - rolled(bundle, seen)
     place = np.zeros(len(seen.frame), int)
-    for i, (old, viewmat) in enumerate(zip(_in_order(model), bundle.viewmats, strict=True)):
+    for i, (file, viewmat) in enumerate(zip(files, bundle.viewmats, strict=True)):
         here = seen.frame == i
         place[here] = np.arange(here.sum())
-        image = pycolmap.Image(
-            name=model.images[old].name, camera_id=1 if shared else i + 1, image_id=i + 1, keypoints=still[here]
-        )
+        image = pycolmap.Image(name=file, camera_id=1 if shared else i + 1, image_id=i + 1, keypoints=still[here])
         new.add_image_with_trivial_frame(image, pycolmap.Rigid3d(viewmat[:3]))
-    tracks = [pycolmap.Track() for _ in points]
+    tracks = [pycolmap.Track() for _ in bundle.points]
     for point, frame, index in zip(seen.point, seen.frame, place, strict=True):
         tracks[point].add_element(int(frame) + 1, int(index))
-    for xyz, track, old in zip(bundle.points, tracks, points, strict=True):
-        new.add_point3D(xyz, track, model.points3D[old].color)
+    for place, track, color in zip(bundle.points, tracks, colors, strict=True):
+        new.add_point3D(place[:3] / place[3], track, color)
     new.update_point_3d_errors()
     return new
 

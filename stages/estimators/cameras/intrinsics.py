@@ -13,6 +13,7 @@ import numpy as np
 from stages.avatar.cameras import lens
 from stages.contract import Job
 from stages.estimators.cameras import colmap_lens
+from stages.estimators.cameras.adjustment import Adjusted
 from stages.estimators.cameras.colmap import Model
 
 USUAL_FOCAL, FOCAL_SPREAD = 0.85, 0.35  # of the longer side, and of its logarithm: 24 mm to 85 mm lie within two of it
@@ -73,6 +74,16 @@ def weigh(focal: float, k: float, covariance: np.ndarray, side: int, prior: Prio
     likely, spread = left @ (evidence @ found + known @ before), np.sqrt(np.diag(left))
     best = float(np.exp(likely[0]))
     return Intrinsics(best, float(likely[1]), best * float(spread[0]), float(spread[1]))
+
+
+def spreads(found: Adjusted, side: int) -> dict[str, float]:
+    """Standard deviations of the mean focal length in px and of k, for sfm.json: tracks drift together, as in `weigh`."""
+    drift = max(TRACK_ERROR * side / found.noise, 1.0)
+    knots = len(found.bundle.log_focal)
+    of_log = np.sqrt(found.covariance[:knots, :knots].mean()) * drift
+    focal = float(np.median(found.bundle.focals))
+    k_spread = float(np.sqrt(found.covariance[knots, knots])) * drift
+    return {"focal_spread_px": round(focal * float(of_log), 3), "k_spread": round(k_spread, 5)}
 
 
 def compare_halves(model: Model, likely: Intrinsics) -> dict[str, float]:

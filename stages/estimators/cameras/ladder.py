@@ -114,10 +114,10 @@ RUNGS: dict[str, Mapping] = {
 }
 
 
-def climb(job: Job, matched: Matched) -> list[Rung]:
-    """Try RUNGS in order until a model is good enough; each is noted, unless the first is good enough."""
+def climb(job: Job, matched: Matched, most: int | None = None) -> list[Rung]:
+    """Try RUNGS in order, `most` of them, until a model is good enough; each is noted, unless the first is good enough."""
     tried: list[Rung] = []
-    for how, mapping in RUNGS.items():
+    for how, mapping in list(RUNGS.items())[:most]:
         if tried:
             job.note(f"{tried[-1].describe(matched)}; trying the {how}, {SECONDS} s at most", at_once=True)
         placed = _counter(job, len(tried), matched.count)

@@ -97,7 +97,7 @@ def fit_rotation_camera(
     def leftover(f: float, k: float) -> np.ndarray:
         if k * farthest / f**2 < -0.12:  # near the radius where the lens folds over
             return np.full(len(pairs), float(side))
-        rays_a, rays_b = (_rays((points - center) / f, k) for points in (a, b))
+        rays_a, rays_b = (rays_of((points - center) / f, k) for points in (a, b))
         turned = rays_a @ rotations_between(rays_a, rays_b, 2 / f).mT
         return np.median(np.linalg.norm(turned - rays_b, axis=-1), axis=1) * f
 
@@ -145,7 +145,7 @@ def camera_rotations(
     center = np.array([width / 2, height / 2])
     edges = []
     for pair in pairs:
-        a, b = (_rays((points - center) / focal, k)[None] for points in (pair.a, pair.b))
+        a, b = (rays_of((points - center) / focal, k)[None] for points in (pair.a, pair.b))
         edges.append((pair.first, pair.second, rotations_between(a, b, 2 / focal)[0], len(pair.a)))
     turns, known = np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, dtype=bool)
     if edges:
@@ -178,7 +178,8 @@ def _sample(points: np.ndarray) -> np.ndarray:
     return points[np.linspace(0, len(points) - 1, SAMPLES).round().astype(int)]
 
 
-def _rays(points: np.ndarray, k: float) -> np.ndarray:
+def rays_of(points: np.ndarray, k: float) -> np.ndarray:
+    """Unit rays [...,3] to `points` [...,2], in focal lengths from the middle of a picture with radial `k`."""
     ideal = lens.undistort(points, k)
     rays = np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1)
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)

@@ -10,16 +10,20 @@ from typing import Any
 import numpy as np
 
 from stages.contract import Job
-from stages.estimators.cameras import colmap
+from stages.estimators.cameras import colmap, colmap_lens, short_walk
 from stages.estimators.cameras.changing import model_changes
-from stages.estimators.cameras.intrinsics import Prior, settle, usual
+from stages.estimators.cameras.colmap import Model
+from stages.estimators.cameras.intrinsics import Prior, settle, spreads, usual
 from stages.estimators.cameras.ladder import Matched, best_rung, climb
 from stages.estimators.cameras.motion import CameraMotion, Pair, camera_rotations, judge_motion
 from stages.estimators.cameras.parts import Parts
+from stages.estimators.cameras.short_walk import TurnOrWalk
 from stages.estimators.cameras.sparse_model import write_ignored
 from stages.estimators.cameras.stillness import measure_stillness
 from stages.estimators.cameras.verdict import Footage, components
 
+CLEARLY = 1.25  # times the error of a short walk: a mapper's model with more gives way to it
+GIVEN_SPREAD = 0.001  # of a focal length that the user gives
 GUESSED_FOCAL = 1.2  # of the longer side: COLMAP's guess, between a phone's wide lens (0.75) and twice its zoom
 HUMAN_ONLY = "film while walking a few steps around the person to get the scene too"
 
@@ -64,6 +68,11 @@ class Task:
         """Focal length in px that the user or the file gives."""
         return self.focal or (self.told.focal if self.told else None)
 
+    @property
+    def prior(self) -> Prior:
+        """What is known of the focal length before the frames are seen."""
+        return Prior(self.focal, GIVEN_SPREAD, "given") if self.focal else self.told or usual(self.side)
+
 
 @dataclass
 class Solution:
@@ -105,20 +114,26 @@ def solve(task: Task) -> Solution:
     }
     if motion.verdict == "static camera":
         return stands_still(task, motion.displacement_px, facts)
-    if motion.verdict == "rotation only":
-        return solve_turn(task, footage, motion, pairs, facts)
+    compared = None
+    if motion.nearly_turns or motion.verdict == "rotation only":
+        compared = turn_or_walk(task, motion, pairs, facts)
+        if motion.verdict == "rotation only" and compared is not None and compared.walks:
+            return short_walk_of(task, footage, compared, pairs, facts, [])
+        if motion.verdict == "rotation only" or (compared is not None and compared.turns):
+            return solve_turn(task, footage, motion, compared, pairs, facts)
     job.progress(55, 100)
     fixed = task.focal is not None
     matched = Matched(database, task.images, task.scratch, len(task.names), task.side, need, task.overlap, fixed)
-    walk = solve_walk(task, matched, footage, motion, pairs, facts)
-    return walk or solve_turn(task, footage, motion, pairs, facts)
+    walk = solve_walk(task, matched, footage, motion, compared, pairs, facts)
+    return walk or solve_turn(task, footage, motion, compared, pairs, facts)
 
 
 def still(task: Task, facts: dict[str, Any]) -> Solution:
     """The cameras of a clip whose camera stands still."""
-    count = len(task.names)
-    focals = np.full(count, task.known_focal or GUESSED_FOCAL * task.side)
-    return Solution("static camera", task.names, fixed_views(count), focals, task.center, 0.0, facts=facts)
+    count, focal = len(task.names), task.known_focal or GUESSED_FOCAL * task.side
+    lens = {"focal_spread_px": round(task.prior.spread * focal, 3)}
+    views, focals = fixed_views(count), np.full(count, focal)
+    return Solution("static camera", task.names, views, focals, task.center, 0.0, facts=facts | {"lens": lens})
 
 
 def stands_still(task: Task, displacement: float, facts: dict[str, Any]) -> Solution:
@@ -154,44 +169,105 @@ def solve_walk(
     matched: Matched,
     footage: Footage,
     motion: CameraMotion,
+    compared: TurnOrWalk | None,
     pairs: list[Pair],
     facts: dict[str, Any],
 ) -> Solution | None:
-    """The cameras of the best model of all rungs, its lens settled; None if no model is reliable and a turn may stand in."""
+    """The cameras of the best model of all rungs, its lens settled; None if no model is reliable and a turn may stand in.
+
+    Where `compared` found a short walk only the first rung is tried, and what leaves less is taken.
+    """
     job, names = task.job, footage.names
-    rungs = climb(job, matched)
+    short = compared is not None and compared.walks
+    rungs = climb(job, matched, 1 if short else None)
     task.parts.seconds |= {rung.how: rung.seconds for rung in rungs}
     facts["rungs"] = [rung.facts() for rung in rungs]
     rung = best_rung(matched, rungs)
+    tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.describe(matched) for rung in rungs)]
+    if compared is not None and short:
+        usable = [model for model in rung.models[:1] if matched.usable(model)]
+        if not usable or usable[0].middle_error > CLEARLY * np.median(compared.walk.off):
+            return short_walk_of(task, footage, compared, pairs, facts, tried)
     joined = components(pairs, len(names))[0].sum() >= footage.need
     if motion.nearly_turns and joined and not any(matched.usable(model) for model in rung.models):
         return None
-    tried = [f"the background moves {motion.displacement_px:.0f} px", *(rung.describe(matched) for rung in rungs)]
     facts["mapper"] = rung.how
     facts["trouble"] = footage.require(job, [model.placed_frames(names) for model in rung.models], tried)
     best = rung.models[0]
     if not matched.fixed_focal:
         with task.parts.timed("lens"):
-            prior = task.told or usual(task.side)
-            changed = model_changes(job, best, *task.size, prior)
-            best, facts["lens"] = changed or (best, settle(job, best, *task.size, prior))
-    poses, lenses = best.poses, best.lenses
+            changed = model_changes(job, best, *task.size, task.prior)
+            best, facts["lens"] = changed or (best, settle(job, best, *task.size, task.prior))
     if doubts := matched.doubts(best):
         job.warn(f"the best reconstruction looks unreliable: {', '.join(doubts)}")
-    kept = [name for name in names if name in poses]
+    return moving(task, best, facts)
+
+
+def moving(task: Task, model: Model, facts: dict[str, Any]) -> Solution:
+    """The cameras of a model, in the order of the frames."""
+    poses, lenses = model.poses, model.lenses
+    kept = [name for name in task.names if name in poses]
     viewmats = fixed_views(len(kept))
     viewmats[:, :3] = [poses[name] for name in kept]
     focals = np.array([lenses[name][0] for name in kept])
     cx, cy, k = (float(value) for value in lenses[kept[0]][1:])
-    return Solution("moving", kept, viewmats, focals, (cx, cy), k, best.reconstruction, facts)
+    return Solution("moving", kept, viewmats, focals, (cx, cy), k, model.reconstruction, facts)
+
+
+def turn_or_walk(task: Task, motion: CameraMotion, pairs: list[Pair], facts: dict[str, Any]) -> TurnOrWalk | None:
+    """The best turn and the best walk of a camera that nearly turns; None if too few matches tell."""
+    if motion.focal_px is None or motion.k is None:
+        return None
+    with task.parts.timed("turn or walk"):
+        largest = components(pairs, len(task.names))[0]
+        joined = [pair for pair in pairs if largest[pair.first]]
+        turns, _ = camera_rotations(joined, len(task.names), motion.focal_px, motion.k, *task.size)
+        compared = short_walk.compare(joined, turns, motion.focal_px, motion.k, task.size, task.prior)
+    if compared is not None:
+        facts["motion"] |= compared.facts()
+    return compared
+
+
+def short_walk_of(
+    task: Task, footage: Footage, compared: TurnOrWalk, pairs: list[Pair], facts: dict[str, Any], tried: list[str]
+) -> Solution:
+    """The cameras of a walk of a step or less, with which no mapper can begin: those that `short_walk` found.
+
+    `tried` says what was before, for the error if too few frames are placed.
+    """
+    with task.parts.timed("short walk"):
+        walk, seen = short_walk.all_tracks(compared, task.prior)
+    placed = np.bincount(seen.frame, minlength=len(task.names)) >= short_walk.ENOUGH
+    others = [part for part in components(pairs, len(task.names)) if not (part & placed).any()]
+    facts["trouble"] = footage.require(task.job, [placed, *others], tried)
+    facts["mapper"] = "short walk"
+    best = Model(colmap_lens.model_of(task.files, np.zeros((len(walk.bundle.points), 3)), walk.bundle, seen))
+    for i in np.flatnonzero(~placed):
+        best.reconstruction.deregister_frame(best.reconstruction.images[int(i) + 1].frame_id)
+    best.reconstruction.extract_colors_for_all_images(task.images, 1)
+    if task.focal is None:
+        with task.parts.timed("lens"):
+            changed = model_changes(task.job, best, *task.size, task.prior)
+            best, facts["lens"] = changed or (best, spreads(walk, task.side))
+    task.job.note(
+        f"a short walk, no turn: a turn leaves {compared.wins:.1f} times as much of the background's motion unexplained; "
+        "how far away things are is known only roughly"
+    )
+    return moving(task, best, facts)
 
 
 def solve_turn(
-    task: Task, footage: Footage, motion: CameraMotion, pairs: list[Pair], facts: dict[str, Any]
+    task: Task,
+    footage: Footage,
+    motion: CameraMotion,
+    compared: TurnOrWalk | None,
+    pairs: list[Pair],
+    facts: dict[str, Any],
 ) -> Solution:
     """The rotations of a camera that only turns, or that hardly does more and cannot be mapped.
 
-    Raises ValueError if `motion` was not measured well enough to know the lens.
+    The lens is that of `compared`, if there is one. Where a turn does not explain the clip, it is known no better than
+    before. Raises ValueError if `motion` was not measured well enough to know the lens.
     """
     if motion.focal_px is None or motion.k is None:
         raise ValueError("a turn needs the focal length and lens that judge_motion fits")
@@ -199,17 +275,23 @@ def solve_turn(
     turns, known = camera_rotations(pairs, len(names), motion.focal_px, motion.k, *task.size)
     others = [part for part in components(pairs, len(names)) if not (part & known).any()]
     facts["trouble"] = footage.require(job, [known, *others], [])
-    only = motion.verdict == "rotation only"
+    focals, k = np.full(len(names), motion.focal_px), motion.k
+    facts["lens"] = {"focal_spread_px": round(task.prior.spread * motion.focal_px, 3)}
+    if compared is not None:
+        bundle = compared.turn.bundle
+        turns, focals, k = bundle.viewmats[:, :3, :3], bundle.focals, bundle.k
+        turns = turns @ turns[np.argmax(known)].T
+        facts["lens"] |= spreads(compared.turn, task.side) if compared.turns else {}
+    only = compared.turns if compared is not None else motion.verdict == "rotation only"
     job.warn(
-        f"the camera {'only turns' if only else 'hardly does more than turn, and nothing could be mapped'} "
+        f"the camera {'only turns' if only else 'hardly does more than turn, and no walk explains it'} "
         f"(a turn explains the {motion.displacement_px:.0f} px by which the background moves to "
         f"{motion.rotation_residual_px:.2f} px): its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
     )
     views = fixed_views(len(names))
     views[:, :3, :3] = turns
     kept = [name for name, there in zip(names, known, strict=True) if there]
-    focals = np.full(len(kept), motion.focal_px)
-    return Solution("rotation only", kept, views[known], focals, task.center, motion.k, facts=facts)
+    return Solution("rotation only", kept, views[known], focals[known], task.center, k, facts=facts)
 
 
 def fixed_views(count: int) -> np.ndarray:

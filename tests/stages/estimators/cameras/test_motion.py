@@ -5,55 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras import lens
-from stages.avatar.cameras import pinhole as cameras
 from stages.estimators.cameras.motion import (
-    Pair,
     camera_rotations,
     fit_rotation_camera,
     judge_motion,
     rotations_between,
 )
-
-WIDTH, HEIGHT, FOCAL = 480, 360, 520.0
-K = cameras.pinhole(FOCAL, WIDTH, HEIGHT)
-FRAMES = 24
-
-
-def clip(
-    turn: float,
-    travel: float,
-    flat: bool = False,
-    k: float = 0.0,
-    noise: float = 0.2,
-    outliers: float = 0.0,
-    focal: float = FOCAL,
-):
-    """Pairs and views of a synthetic clip: `turn` degrees and `travel` metres to each side, points 3 to 8 m away."""
-    rng = np.random.default_rng(5)
-    points = rng.uniform([-6, -4, 3], [6, 4, 8], (1500, 3))
-    if flat:
-        points[:, 2] = 5 + 0.3 * points[:, 0]
-    phase = np.linspace(0, 2 * np.pi, FRAMES)
-    views = np.tile(np.eye(4), (FRAMES, 1, 1))
-    angles = np.stack([turn * np.sin(phase), 0.4 * turn * np.sin(2 * phase), 0.2 * turn * np.cos(phase)], 1)
-    views[:, :3, :3] = Rotation.from_euler("yxz", angles, degrees=True).as_matrix()
-    at = np.stack([travel * np.sin(phase), 0.1 * travel * np.cos(phase), 0.2 * travel * np.sin(phase)], 1)
-    views[:, :3, 3] = -(views[:, :3, :3] @ at[..., None])[..., 0]
-    seen = []
-    for view in views:
-        pixels, z = cameras.project(points, view, cameras.pinhole(focal, WIDTH, HEIGHT))
-        pixels = lens.distort((pixels - K[:2, 2]) / focal, k) * focal + K[:2, 2] + rng.normal(0, noise, pixels.shape)
-        seen.append((pixels, (z > 0.1) & (pixels > 0).all(1) & (pixels < [WIDTH, HEIGHT]).all(1)))
-    pairs = []
-    for gap in (1, 2, 4, 8, 16):
-        for i in range(FRAMES - gap):
-            (a, in_a), (b, in_b) = seen[i], seen[i + gap]
-            both = np.flatnonzero(in_a & in_b)[:200]
-            wrong = rng.random(len(both)) < outliers
-            moved = b[both] + wrong[:, None] * rng.normal(0, 60, (len(both), 2))
-            if len(both) >= 15:
-                pairs.append(Pair(i, i + gap, a[both], moved))
-    return pairs, views
+from tests.made.matches import FOCAL, FRAMES, HEIGHT, WIDTH, clip
 
 
 def test_a_static_camera_is_named_even_with_moving_things_in_view():
