@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from stages.avatar.cameras.pinhole import camera_centers, pinhole
+from stages.estimators.person import static_scene
 from stages.estimators.person.static_scene import corrected, inverse_depth
 from stages.records import Cameras
 from tests.made import rooms
@@ -65,6 +66,20 @@ def test_a_blob_goes_and_a_doubted_piece_comes_back(clip):
     after = [overlap(*pair) for pair in zip(found, truth)]
     assert max(before) < 0.88 and min(after) > 0.91 and np.mean(after) > 0.94  # a part is hidden in all other frames
     assert after[3] > 0.985  # all of it is shown by others
+
+
+@pytest.mark.slow
+def test_somebody_tall_is_compared_in_smaller_pictures_and_outlined_in_their_own(clip, monkeypatch):
+    images, cameras, truth, guessed = clip
+    sizes: list[tuple[int, int]] = []
+    compared = static_scene._compared
+    monkeypatch.setattr(static_scene, "_compared", lambda *given: sizes.append(given[1].shape) or compared(*given))
+    monkeypatch.setattr(static_scene, "TALL", 70)  # of 140 px
+    found = list(corrected(guessed, images, cameras, points_of(cameras)))
+    assert set(sizes) == {(rooms.HEIGHT // 2, rooms.WIDTH // 2)} and found[0].shape == (rooms.HEIGHT, rooms.WIDTH)
+    assert (
+        min(overlap(*pair) for pair in zip(found, truth)) > max(overlap(*pair) for pair in zip(guessed, truth)) + 0.02
+    )
 
 
 @pytest.mark.slow
