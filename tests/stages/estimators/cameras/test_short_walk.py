@@ -69,6 +69,7 @@ def test_a_turn_that_tells_no_focal_length_keeps_what_is_known_and_says_how_litt
     )
 
 
+@pytest.mark.slow
 def test_what_is_no_parallax_is_believed_to_be_neither():
     found, _ = compared(turn=8, travel=0)
     for wins, behind, px, turns, walks in (
