@@ -14,6 +14,8 @@ from stages.estimators.person.identities import PAINT, around_mask, everybody, f
 
 HEIGHT, WIDTH, FRAMES, SIDE = 60, 200, 21, 40
 RED, BLUE = (200, 40, 40), (40, 40, 200)
+OUTLINE = np.full((SIDE, SIDE), -9.0)
+OUTLINE[:, 12:28] = 9  # of a patch 16 px wide in the middle of its crop
 NAMED = [f"{i:06d}" for i in range(FRAMES)]
 
 
@@ -37,16 +39,16 @@ class Eyes:
             found += [float(part.mean()) for part in parts if len(part) > 6]
         return found
 
-    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, None]:
+    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, np.ndarray]:
         near = min(self.places(image), key=lambda x: abs(x - roi.x), default=np.inf)
         there = abs(near - roi.x) < SIDE / 2
-        return (pose_at(near) if there else replace(pose_at(roi.x), presence=0.0)), None
+        return (pose_at(near) if there else replace(pose_at(roi.x), presence=0.0)), OUTLINE
 
     def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
         pose, _ = self.look(image, roi)
         return pose if pose.presence else None
 
-    def detect(self, image: np.ndarray) -> list[tuple[float, Roi]]:
+    def detect(self, image: np.ndarray, window: Roi | None = None) -> list[tuple[float, Roi]]:
         return [(0.9, pose_at(x).next_roi) for x in self.places(image)]
 
 
@@ -98,6 +100,24 @@ def test_one_who_leaves_is_gone_and_the_other_is_not_taken_for_them():
     leaving = np.where(np.arange(FRAMES) < 8, 160 + 3.0 * np.arange(FRAMES), np.nan)
     (first, second), _ = followed(filmed((RED, BLUE), (np.full(FRAMES, 60.0), leaving)), (60, 160))
     assert np.isfinite(first).all() and np.isfinite(second[:8]).all() and np.isnan(second[8:]).all()
+
+
+def test_a_small_person_beside_a_large_one_is_somebody_else():
+    class Sizes(Eyes):
+        """The red one is large: their crop holds the blue one."""
+
+        def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, np.ndarray]:
+            pose, outline = super().look(image, roi)
+            red = tuple(image[30, min(max(round(pose.next_roi.x), 0), WIDTH - 1)]) == RED
+            return replace(pose, next_roi=Roi(pose.next_roi.x, 30.0, 100.0 if red else SIDE, 0.0)), outline
+
+    beside = np.full(FRAMES, 60.0), np.full(FRAMES, 85.0)
+    images, eyes, said = filmed((RED, BLUE), beside), Sizes(), []
+    people = [Sighting(0, 0.9, pose_at(x).roi, eyes.look(images[0], pose_at(x).roi)[0]) for x in (60.0, 85.0)]
+    assert people[0].pose.next_roi.covers(people[1].pose.next_roi)
+    job = Job(Path(), emit=lambda event: said.append(event["text"]))
+    tracks = follow_everybody(job, eyes, images, NAMED, people)
+    assert len(tracks) == 2 and all(pose is not None for track in tracks for pose in track)
 
 
 def test_of_a_few_frames_those_with_the_most_people_count_and_one_of_many_is_no_proof():
