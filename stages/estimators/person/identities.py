@@ -46,6 +46,7 @@ ALIKE = (
 )
 CLEAR = 0.9  # probability of the pose of somebody who gets an identity; furniture has less
 PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over, from which on it is one of them
+WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
 LOST = 5  # frames after which somebody who is not seen is looked for where they were last, not where they were going
 
 
@@ -104,7 +105,7 @@ def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
                 theirs = _outlined(logits, first.next_roi, image.shape)
                 there = min(first.presence, pose.presence) >= CLEAR and torso_share(pose, 255 * theirs) > 0.7
                 taken = torso_share(pose, 255 * (image == PAINT).all(2).astype(np.uint8)) > PAINTED_MOST
-                if there and not taken and not any(alike(one.pose, pose) for one in here):
+                if there and not taken and not any(_same_or_within(one.pose, pose) for one in here):
                     here.append(Sighting(int(i), score, roi, pose))
                     _paint(image, pose.next_roi, theirs)
             if len(here) == known:
@@ -277,6 +278,11 @@ def alike(a: Pose, b: Pose) -> bool:
     """Whether two poses in one picture are the same person's; a crop around a large one holds all of a small one."""
     apart = float(np.median(np.linalg.norm(a.xy - b.xy, axis=1)))
     return apart < ALIKE * min(a.next_roi.side, b.next_roi.side)
+
+
+def _same_or_within(a: Pose, b: Pose) -> bool:
+    """Whether the pose `b` is `a` again, or too small for another person so close to them."""
+    return alike(a, b) or (a.next_roi.covers(b.next_roi) and b.next_roi.side < WITHIN * a.next_roi.side)
 
 
 def _near(a: Roi, b: Roi) -> bool:

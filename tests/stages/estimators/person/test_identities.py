@@ -10,7 +10,15 @@ import numpy as np
 from stages.contract import Job
 from stages.estimators.person.blazepose import NAMES, TORSO, Pose, Sighting
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.identities import PAINT, around_mask, everybody, follow_everybody, lasting, track_masked
+from stages.estimators.person.identities import (
+    PAINT,
+    _same_or_within,
+    around_mask,
+    everybody,
+    follow_everybody,
+    lasting,
+    track_masked,
+)
 
 HEIGHT, WIDTH, FRAMES, SIDE = 60, 200, 21, 40
 RED, BLUE = (200, 40, 40), (40, 40, 200)
@@ -155,3 +163,10 @@ def test_who_is_hardly_seen_is_left_out_and_it_is_said(tmp_path, monkeypatch):
     assert lasting(Job(tmp_path), [often, often]) == [often, often] and said == []
     assert lasting(Job(tmp_path), [often, seldom]) == [often]
     assert "person 2 in 1;" in said[0] and f"of {FRAMES} frames" in said[0]
+
+
+def test_a_tiny_one_within_a_large_person_is_their_hand_or_furniture():
+    large, beside = (replace(pose_at(x), next_roi=Roi(x, 30.0, side, 0.0)) for x, side in ((60.0, 100.0), (85.0, 60.0)))
+    tiny = replace(pose_at(85.0), next_roi=Roi(85.0, 30.0, 20.0, 0.0))
+    assert _same_or_within(large, tiny) and not _same_or_within(large, beside)
+    assert not _same_or_within(large, replace(pose_at(140.0), next_roi=Roi(140.0, 30.0, 20.0, 0.0)))
