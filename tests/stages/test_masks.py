@@ -180,6 +180,13 @@ def test_all_people_of_given_masks_get_masks_of_their_own(tmp_path, frames):
     assert not any("following" in line or "second large part" in line for line in said)
 
 
+def test_masks_of_several_people_are_not_inverted(tmp_path, frames):
+    folder = given(tmp_path, {f"{i:06d}.png": two(i) for i in range(12)})
+    with pytest.raises(StageError, match="several people cannot be inverted") as refused:
+        run(tmp_path, frames, folder, person="all", invert="always")
+    assert refused.value.facts == ("2 objects: 1, 2",) and "--person ID" in refused.value.hint
+
+
 def test_all_of_one_person_is_that_person(tmp_path, frames):
     folder = given(tmp_path, {f"{i}.png": body(i) for i in range(12)})
     usual = run(tmp_path, frames, folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -34,7 +35,7 @@ class Inputs:
     moving: bool
     others: tuple[np.ndarray, ...] = ()
 
-    @property
+    @cached_property
     def clear(self) -> list[np.ndarray]:
         """The masks, empty where another person touches this one: an outline there is not theirs alone."""
         if not self.others:

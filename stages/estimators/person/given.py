@@ -39,7 +39,7 @@ def import_masks(
     """Facts for masks.json, and for each frame in `listing` (frames.json) the mask uint8 [H,W], 255 = person.
 
     Where `person` is EVERYBODY it is a mask for each object, the largest and most frequent first. Raises StageError if frames
-    have no mask, if masks have the shape of other pictures, or if `person` is unknown.
+    have no mask, if masks have the shape of other pictures, if `person` is unknown, or if several people's are to be inverted.
     """
     total, names = listing.video.frames, [frame.name for frame in listing.frames]
     given = read_mask_files(path, total)
@@ -60,6 +60,12 @@ def import_masks(
             job.note(f"{len(people)} objects in the given masks: {said}")
     else:
         chosen = [pick_masks(job, people, person)]
+    if len(chosen) > 1 and invert == "always":
+        raise StageError(
+            "masks of several people cannot be inverted: what none of them marks is nobody's",
+            "leave out `--set masks.invert=always`, or choose one with `--person ID`",
+            [f"{len(chosen)} objects: {', '.join(one.id for one in chosen)}"],
+        )
     inverted = polarity(job, chosen[0], invert)
     encodings = chosen[0].masks.encodings()
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))

@@ -18,6 +18,7 @@ from stages.estimators.person.blazepose import (
     SEEDS,
     SURE,
     TORSO,
+    WIDER,
     BlazePose,
     Images,
     Pose,
@@ -40,6 +41,12 @@ MOST = 6  # people that are looked for
 HARDLY = 0.25  # probability of a detection that is looked at; many small people have no more
 PARTS = (1.0, 0.7)  # of the shorter side: the windows in which people are looked for
 LASTING = 0.1  # share of the frames in which somebody is seen who gets an avatar
+ALIKE = (
+    0.12  # of the smaller crop's side: two poses whose landmarks are nearer than that, by the median, are one person's
+)
+CLEAR = 0.9  # probability of the pose of somebody who gets an identity; furniture has less
+PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over, from which on it is one of them
+WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
 LOST = 5  # frames after which somebody who is not seen is looked for where they were last, not where they were going
 
 
@@ -95,12 +102,12 @@ def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
             for score, roi in sorted(hits, key=lambda hit: -hit[0]):
                 first, _ = network.look(image, roi)
                 pose, logits = network.look(image, first.next_roi)
-                theirs = (paste(sigmoid(logits), first.next_roi, image.shape) > FAINT).astype(np.uint8)
-                there = min(first.presence, pose.presence) >= SURE and torso_share(pose, 255 * theirs) > 0.7
-                if there and not any(one.pose.next_roi.covers(pose.next_roi) for one in here):
+                theirs = _outlined(logits, first.next_roi, image.shape)
+                there = min(first.presence, pose.presence) >= CLEAR and torso_share(pose, 255 * theirs) > 0.7
+                taken = torso_share(pose, 255 * (image == PAINT).all(2).astype(np.uint8)) > PAINTED_MOST
+                if there and not taken and not any(_same_or_within(one.pose, pose) for one in here):
                     here.append(Sighting(int(i), score, roi, pose))
-                    rim = max(3, round(RIM * pose.next_roi.side)) | 1
-                    image[cv2.dilate(theirs, np.ones((rim, rim), np.uint8)) > 0] = PAINT
+                    _paint(image, pose.next_roi, theirs)
             if len(here) == known:
                 break
         found += sorted(here, key=lambda one: -one.pose.next_roi.side)
@@ -208,16 +215,14 @@ def around_mask(mask: np.ndarray) -> Roi:
 def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple[list[Pose | None], bool]:
     """The pose of each identity in the next frame, and whether two of them might as well be exchanged."""
     candidates: list[Pose] = []
-    rois = [one.expected for one in known]
-    if (len(known) > 1 and any(_near(a, b) for i, a in enumerate(rois) for b in rois[:i])) or any(
-        o.unseen for o in known
-    ):
-        rois += [roi for _, roi in network.detect(image)]
-    for roi in rois:
-        first, _ = network.look(image, roi)
-        pose = network.average_looks(image, first.next_roi) if first.presence >= SURE else None
-        if pose is not None and not any(other.next_roi.covers(pose.next_roi) for other in candidates):
-            candidates.append(pose)
+    expected = [one.expected for one in known]
+    _add(network, image, expected, candidates)
+    if len(candidates) < len(known):
+        around = [Roi(roi.x, roi.y, WIDER * roi.side, 0.0) for roi in expected]
+        hidden = _painted_over(network, image, candidates)
+        for picture in (image, hidden):
+            found_rois = [roi for window in (None, *around) for _, roi in network.detect(picture, window)]
+            _add(network, picture, [*expected, *found_rois], candidates)
     colours = [colours_of(image, pose) for pose in candidates]
     costs = np.array([[one.cost(*seen) for seen in zip(candidates, colours, strict=True)] for one in known])
     costs = costs.reshape(len(known), len(candidates))
@@ -234,6 +239,50 @@ def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple
         alone = not any(_near(pose.next_roi, other.expected) for i, other in enumerate(known) if i != k)
         one.meet(pose, colours[taken[k]], alone)
     return found, doubtful
+
+
+def _add(network: BlazePose, image: np.ndarray, rois: Sequence[Roi], candidates: list[Pose]) -> None:
+    """Add to the candidates who else is seen in crops of a picture."""
+    for roi in rois:
+        first, _ = network.look(image, roi)
+        if first.presence < SURE or any(alike(other, first) for other in candidates):
+            continue
+        pose = network.average_looks(image, first.next_roi)
+        if pose is None or any(alike(other, pose) for other in candidates):
+            continue
+        if torso_share(pose, 255 * (image == PAINT).all(2).astype(np.uint8)) <= PAINTED_MOST:
+            candidates.append(pose)
+
+
+def _painted_over(network: BlazePose, image: np.ndarray, people: Sequence[Pose]) -> np.ndarray:
+    """The picture with everybody painted over by their outline, so that who stands behind or beside them is found."""
+    painted = image.copy()
+    for pose in people:
+        _, logits = network.look(image, pose.next_roi)
+        _paint(painted, pose.next_roi, _outlined(logits, pose.next_roi, image.shape))
+    return painted
+
+
+def _outlined(logits: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarray:
+    """Where the outline of a crop's person may be, uint8 [H,W] of 0 and 1."""
+    return (paste(sigmoid(logits), roi, shape) > FAINT).astype(np.uint8)
+
+
+def _paint(image: np.ndarray, roi: Roi, theirs: np.ndarray) -> None:
+    """Paint one person over, with a rim."""
+    rim = max(3, round(RIM * roi.side)) | 1
+    image[cv2.dilate(theirs, np.ones((rim, rim), np.uint8)) > 0] = PAINT
+
+
+def alike(a: Pose, b: Pose) -> bool:
+    """Whether two poses in one picture are the same person's; a crop around a large one holds all of a small one."""
+    apart = float(np.median(np.linalg.norm(a.xy - b.xy, axis=1)))
+    return apart < ALIKE * min(a.next_roi.side, b.next_roi.side)
+
+
+def _same_or_within(a: Pose, b: Pose) -> bool:
+    """Whether the pose `b` is `a` again, or too small for another person so close to them."""
+    return alike(a, b) or (a.next_roi.covers(b.next_roi) and b.next_roi.side < WITHIN * a.next_roi.side)
 
 
 def _near(a: Roi, b: Roi) -> bool:

@@ -10,10 +10,20 @@ import numpy as np
 from stages.contract import Job
 from stages.estimators.person.blazepose import NAMES, TORSO, Pose, Sighting
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.identities import PAINT, around_mask, everybody, follow_everybody, lasting, track_masked
+from stages.estimators.person.identities import (
+    PAINT,
+    _same_or_within,
+    around_mask,
+    everybody,
+    follow_everybody,
+    lasting,
+    track_masked,
+)
 
 HEIGHT, WIDTH, FRAMES, SIDE = 60, 200, 21, 40
 RED, BLUE = (200, 40, 40), (40, 40, 200)
+OUTLINE = np.full((SIDE, SIDE), -9.0)
+OUTLINE[:, 12:28] = 9  # of a patch 16 px wide in the middle of its crop
 NAMED = [f"{i:06d}" for i in range(FRAMES)]
 
 
@@ -37,16 +47,16 @@ class Eyes:
             found += [float(part.mean()) for part in parts if len(part) > 6]
         return found
 
-    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, None]:
+    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, np.ndarray]:
         near = min(self.places(image), key=lambda x: abs(x - roi.x), default=np.inf)
         there = abs(near - roi.x) < SIDE / 2
-        return (pose_at(near) if there else replace(pose_at(roi.x), presence=0.0)), None
+        return (pose_at(near) if there else replace(pose_at(roi.x), presence=0.0)), OUTLINE
 
     def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
         pose, _ = self.look(image, roi)
         return pose if pose.presence else None
 
-    def detect(self, image: np.ndarray) -> list[tuple[float, Roi]]:
+    def detect(self, image: np.ndarray, window: Roi | None = None) -> list[tuple[float, Roi]]:
         return [(0.9, pose_at(x).next_roi) for x in self.places(image)]
 
 
@@ -100,6 +110,24 @@ def test_one_who_leaves_is_gone_and_the_other_is_not_taken_for_them():
     assert np.isfinite(first).all() and np.isfinite(second[:8]).all() and np.isnan(second[8:]).all()
 
 
+def test_a_small_person_beside_a_large_one_is_somebody_else():
+    class Sizes(Eyes):
+        """The red one is large: their crop holds the blue one."""
+
+        def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, np.ndarray]:
+            pose, outline = super().look(image, roi)
+            red = tuple(image[30, min(max(round(pose.next_roi.x), 0), WIDTH - 1)]) == RED
+            return replace(pose, next_roi=Roi(pose.next_roi.x, 30.0, 100.0 if red else SIDE, 0.0)), outline
+
+    beside = np.full(FRAMES, 60.0), np.full(FRAMES, 85.0)
+    images, eyes, said = filmed((RED, BLUE), beside), Sizes(), []
+    people = [Sighting(0, 0.9, pose_at(x).roi, eyes.look(images[0], pose_at(x).roi)[0]) for x in (60.0, 85.0)]
+    assert people[0].pose.next_roi.covers(people[1].pose.next_roi)
+    job = Job(Path(), emit=lambda event: said.append(event["text"]))
+    tracks = follow_everybody(job, eyes, images, NAMED, people)
+    assert len(tracks) == 2 and all(pose is not None for track in tracks for pose in track)
+
+
 def test_of_a_few_frames_those_with_the_most_people_count_and_one_of_many_is_no_proof():
     def seen(frame: int, x: float) -> Sighting:
         return Sighting(frame, 0.9, pose_at(x).roi, pose_at(x))
@@ -135,3 +163,10 @@ def test_who_is_hardly_seen_is_left_out_and_it_is_said(tmp_path, monkeypatch):
     assert lasting(Job(tmp_path), [often, often]) == [often, often] and said == []
     assert lasting(Job(tmp_path), [often, seldom]) == [often]
     assert "person 2 in 1;" in said[0] and f"of {FRAMES} frames" in said[0]
+
+
+def test_a_tiny_one_within_a_large_person_is_their_hand_or_furniture():
+    large, beside = (replace(pose_at(x), next_roi=Roi(x, 30.0, side, 0.0)) for x, side in ((60.0, 100.0), (85.0, 60.0)))
+    tiny = replace(pose_at(85.0), next_roi=Roi(85.0, 30.0, 20.0, 0.0))
+    assert _same_or_within(large, tiny) and not _same_or_within(large, beside)
+    assert not _same_or_within(large, replace(pose_at(140.0), next_roi=Roi(140.0, 30.0, 20.0, 0.0)))
