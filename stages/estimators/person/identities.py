@@ -41,9 +41,7 @@ MOST = 6  # people that are looked for
 HARDLY = 0.25  # probability of a detection that is looked at; many small people have no more
 PARTS = (1.0, 0.7)  # of the shorter side: the windows in which people are looked for
 LASTING = 0.1  # share of the frames in which somebody is seen who gets an avatar
-ALIKE = (
-    0.12  # of the smaller crop's side: two poses whose landmarks are nearer than that, by the median, are one person's
-)
+ALIKE = 0.12  # of the smaller crop's side: poses whose landmarks are that near, by the median, are one person's
 CLEAR = 0.9  # probability of the pose of somebody who gets an identity; furniture has less
 PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over, from which on it is one of them
 WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
