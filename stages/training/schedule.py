@@ -43,6 +43,8 @@ LR_EFFECTS = {
 LAST_MEANS = 0.01  # of the first rate, reached exponentially at the end
 LAST_OTHERS = 0.1  # likewise, from SETTLE on: no densification and falling rates at the end are worth 0.3 dB (D14)
 SETTLE = 0.65
+UNHURRIED, MOST = 1200, 4.0  # steps from which on rates stay as they are; see `hurry`
+HURRY_OWN, HURRY_SCENE = 1.0, 0.5  # powers of `hurry`: networks, poses and effects keep their rates
 SCENE_GROWTH = (0.06, SETTLE)  # shares of the steps between which each set is densified
 HUMAN_GROWTH = (0.15, SETTLE)
 LATE = 0.99  # last share of the schedule at which steps are timed
@@ -136,6 +138,11 @@ class Progress:
     def load(self, state: dict[str, Any]) -> None:
         """Continue from `state()`."""
         self.step, self.phases = state["step"], tuple(Phase(*phase) for phase in state["phases"])
+
+
+def hurry(steps: float) -> float:
+    """How many times as fast single Gaussians learn in a training of `steps`: 1 from UNHURRIED on, at most MOST."""
+    return min(max(UNHURRIED / steps, 1.0), MOST)
 
 
 def rate(name: str, done: float) -> float:
