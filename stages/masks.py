@@ -108,7 +108,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     from stages.estimators.person.blazepose import BlazePose
     from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
     from stages.estimators.person.outline import outline
-    from stages.estimators.person.people import Company
+    from stages.estimators.person.people import Bystanders
     from stages.formats.images import read_image
     from stages.formats.people import EVERYBODY
 
@@ -123,17 +123,19 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
             each = [blank if one is None else outline(network, image, one.next_roi) for one in there]
             yield [np.rint(255 * one).astype(np.uint8) for one in each]
         return
-    company = Company(job, names, network.sightings(pictures), None if params.person == EVERYBODY else params.person)
-    poses = network.track(pictures, company.start)
-    company.warn_of_jumps(poses)
+    bystanders = Bystanders(
+        job, names, network.sightings(pictures), None if params.person == EVERYBODY else params.person
+    )
+    poses = network.track(pictures, bystanders.start)
+    bystanders.warn_of_jumps(poses)
     for i, (path, pose) in enumerate(zip(paths, poses, strict=True)):
         image = read_image(path)
         mask = np.zeros(image.shape[:2], np.uint8)
         if pose is not None:
             mask = np.rint(outline(network, image, pose.next_roi) * 255).astype(np.uint8)
-            company.look(i, pose, mask)
+            bystanders.look(i, pose, mask)
         yield [mask]
-    company.close()
+    bystanders.close()
 
 
 class Pictures:

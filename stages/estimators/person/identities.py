@@ -94,6 +94,7 @@ def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
     found: list[Sighting] = []
     for i in np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)):
         image, here = images[i].copy(), list[Sighting]()
+        covered = np.zeros(image.shape[:2], np.uint8)
         while len(here) < MOST:
             known = len(here)
             hits = [hit for window in _windows(*image.shape[:2]) for hit in network.detect(image, window, HARDLY)]
@@ -102,10 +103,10 @@ def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
                 pose, logits = network.look(image, first.next_roi)
                 theirs = _outlined(logits, first.next_roi, image.shape)
                 there = min(first.presence, pose.presence) >= CLEAR and torso_share(pose, 255 * theirs) > 0.7
-                taken = torso_share(pose, 255 * (image == PAINT).all(2).astype(np.uint8)) > PAINTED_MOST
+                taken = torso_share(pose, covered) > PAINTED_MOST
                 if there and not taken and not any(_same_or_within(one.pose, pose) for one in here):
                     here.append(Sighting(int(i), score, roi, pose))
-                    _paint(image, pose.next_roi, theirs)
+                    _paint(image, covered, pose.next_roi, theirs)
             if len(here) == known:
                 break
         found += sorted(here, key=lambda one: -one.pose.next_roi.side)
@@ -213,14 +214,13 @@ def around_mask(mask: np.ndarray) -> Roi:
 def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple[list[Pose | None], bool]:
     """The pose of each identity in the next frame, and whether two of them might as well be exchanged."""
     candidates: list[Pose] = []
-    expected = [one.expected for one in known]
-    _add(network, image, expected, candidates)
+    expected, bare = [one.expected for one in known], np.zeros(image.shape[:2], np.uint8)
+    _add(network, image, bare, expected, candidates)
     if len(candidates) < len(known):
         around = [Roi(roi.x, roi.y, WIDER * roi.side, 0.0) for roi in expected]
-        hidden = _painted_over(network, image, candidates)
-        for picture in (image, hidden):
+        for picture, covered in ((image, bare), _painted_over(network, image, candidates)):
             found_rois = [roi for window in (None, *around) for _, roi in network.detect(picture, window)]
-            _add(network, picture, [*expected, *found_rois], candidates)
+            _add(network, picture, covered, [*expected, *found_rois], candidates)
     colours = [colours_of(image, pose) for pose in candidates]
     costs = np.array([[one.cost(*seen) for seen in zip(candidates, colours, strict=True)] for one in known])
     costs = costs.reshape(len(known), len(candidates))
@@ -239,8 +239,10 @@ def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple
     return found, doubtful
 
 
-def _add(network: BlazePose, image: np.ndarray, rois: Sequence[Roi], candidates: list[Pose]) -> None:
-    """Add to the candidates who else is seen in crops of a picture."""
+def _add(
+    network: BlazePose, image: np.ndarray, covered: np.ndarray, rois: Sequence[Roi], candidates: list[Pose]
+) -> None:
+    """Add to the candidates who else is seen in crops of a picture, of which `covered` uint8 [H,W] is painted over."""
     for roi in rois:
         first, _ = network.look(image, roi)
         if first.presence < SURE or any(alike(other, first) for other in candidates):
@@ -248,17 +250,17 @@ def _add(network: BlazePose, image: np.ndarray, rois: Sequence[Roi], candidates:
         pose = network.average_looks(image, first.next_roi)
         if pose is None or any(alike(other, pose) for other in candidates):
             continue
-        if torso_share(pose, 255 * (image == PAINT).all(2).astype(np.uint8)) <= PAINTED_MOST:
+        if torso_share(pose, covered) <= PAINTED_MOST:
             candidates.append(pose)
 
 
-def _painted_over(network: BlazePose, image: np.ndarray, people: Sequence[Pose]) -> np.ndarray:
-    """The picture with everybody painted over by their outline, so that who stands behind or beside them is found."""
-    painted = image.copy()
+def _painted_over(network: BlazePose, image: np.ndarray, people: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
+    """The picture with everybody painted over, so that who stands behind or beside them is found; and where, uint8 [H,W]."""
+    painted, covered = image.copy(), np.zeros(image.shape[:2], np.uint8)
     for pose in people:
         _, logits = network.look(image, pose.next_roi)
-        _paint(painted, pose.next_roi, _outlined(logits, pose.next_roi, image.shape))
-    return painted
+        _paint(painted, covered, pose.next_roi, _outlined(logits, pose.next_roi, image.shape))
+    return painted, covered
 
 
 def _outlined(logits: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarray:
@@ -266,10 +268,11 @@ def _outlined(logits: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarra
     return (paste(sigmoid(logits), roi, shape) > FAINT).astype(np.uint8)
 
 
-def _paint(image: np.ndarray, roi: Roi, theirs: np.ndarray) -> None:
-    """Paint one person over, with a rim."""
+def _paint(image: np.ndarray, covered: np.ndarray, roi: Roi, theirs: np.ndarray) -> None:
+    """Paint one person over, with a rim, and mark it as covered."""
     rim = max(3, round(RIM * roi.side)) | 1
-    image[cv2.dilate(theirs, np.ones((rim, rim), np.uint8)) > 0] = PAINT
+    there = cv2.dilate(theirs, np.ones((rim, rim), np.uint8)) > 0
+    image[there], covered[there] = PAINT, 255
 
 
 def alike(a: Pose, b: Pose) -> bool:

@@ -11,7 +11,7 @@ ENOUGH = 4  # frames checked, of which one alone that shows somebody else makes 
 JUMP = 0.5  # of the crop's side between neighbouring frames: a person does not move that far, so it is somebody else
 
 
-class Company:
+class Bystanders:
     """Who else is in view of a clip, from `sightings` in a few of its frames (`names`)."""
 
     def __init__(self, job: Job, names: list[str], sightings: list[Sighting], person: int | str | None):

@@ -64,14 +64,14 @@ def corrected(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         small = list(pool.map(partial(_resized, scale=scale), images))
         asked = list(pool.map(partial(_resized, scale=scale), masks))
-        turned = _scaled(cameras, small[0].shape) if small else cameras
+        scaled = _scaled(cameras, small[0].shape) if small else cameras
         hidden = [cv2.dilate(mask, disk(2)) for mask in asked]
 
         def one(frame: int) -> np.ndarray:
-            window = _window(asked[frame], frame, turned, points)
+            window = _window(asked[frame], frame, scaled, points)
             if window is None:
                 return masks[frame]
-            evidence = _compared(frame, asked[frame], window, hidden, small, turned)
+            evidence = _compared(frame, asked[frame], window, hidden, small, scaled)
             return masks[frame] if evidence is None else _decided(masks[frame], images[frame], evidence)
 
         yield from pool.map(one, range(len(masks)))

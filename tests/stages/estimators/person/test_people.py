@@ -12,7 +12,7 @@ from stages.contract import Job, StageError
 from stages.estimators.person.blazepose import NAMES, Pose, Sighting, pick_clearest, pick_masked
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import outline
-from stages.estimators.person.people import Company
+from stages.estimators.person.people import Bystanders
 from stages.formats.body_model import read_body_model
 from stages.synthetic.clip import make_clip
 
@@ -26,16 +26,16 @@ def seen(frame: int, x: float, side: float, score: float = 0.9) -> Sighting:
     return Sighting(frame, score, roi, Pose(xy, xy[:, 0], xy[:, 0], np.zeros((33, 3)), 1.0, roi, roi))
 
 
-def company(sightings: list[Sighting], person: int | str | None = None) -> tuple[Company, list[str]]:
+def bystanders(sightings: list[Sighting], person: int | str | None = None) -> tuple[Bystanders, list[str]]:
     said: list[str] = []
-    return Company(Job(Path(), emit=lambda event: said.append(event["text"])), FRAMES, sightings, person), said
+    return Bystanders(Job(Path(), emit=lambda event: said.append(event["text"])), FRAMES, sightings, person), said
 
 
 TWO = [seen(0, 50, 80), seen(2, 52, 90), seen(2, 250, 60), seen(5, 55, 100)]
 
 
 def test_the_largest_is_followed_and_the_others_are_named_with_numbers():
-    one, said = company(TWO)
+    one, said = bystanders(TWO)
     assert one.start is TWO[3]
     assert said[0].startswith(
         "2 people in frame 000006, several in 1 of 3 frames checked: 1 at x 52, y 100 px, 90 px across; 2 at"
@@ -44,37 +44,37 @@ def test_the_largest_is_followed_and_the_others_are_named_with_numbers():
 
 
 def test_another_is_picked_by_number_and_an_unknown_one_is_refused():
-    one, said = company(TWO, 2)
+    one, said = bystanders(TWO, 2)
     assert one.start is TWO[2] and "following person 2" in said[1]
     for person in (3, 0, "bob"):
         with pytest.raises(StageError, match=f"no person {person!r} in view") as error:
-            company(TWO, person)
+            bystanders(TWO, person)
         assert "2 seen in frame 000006: 1 at x 52" in error.value.facts[0] and "--person" in error.value.hint
     with pytest.raises(StageError, match="no person 1 in view"):
-        company([], 1)
+        bystanders([], 1)
 
 
 def test_one_doubtful_sighting_is_no_second_person():
     alone = [seen(i, 50 + i, 80) for i in range(5)]
-    one, said = company([*alone, seen(3, 250, 60)])
+    one, said = bystanders([*alone, seen(3, 250, 60)])
     assert one.start in alone and len(said) == 1
     assert said[0].startswith("perhaps 2 people in frame 000009, but in none of the other 4 frames checked: 1 at")
-    assert "following the largest" in company([*alone, seen(2, 240, 60), seen(3, 250, 60)])[1][1]
+    assert "following the largest" in bystanders([*alone, seen(2, 240, 60), seen(3, 250, 60)])[1][1]
 
 
 def test_one_person_is_not_worth_a_word():
-    one, said = company([seen(0, 50, 80), seen(3, 60, 80)])
+    one, said = bystanders([seen(0, 50, 80), seen(3, 60, 80)])
     assert one.start.frame in (0, 3) and said == []
-    assert company([])[0].start is None
+    assert bystanders([])[0].start is None
 
 
 def test_an_outline_that_holds_two_and_a_jump_are_said():
-    one, said = company(TWO)
+    one, said = bystanders(TWO)
     mask = np.full((200, 300), 255, np.uint8)
     one.look(2, TWO[1].pose, mask)
     one.close()
     assert "also covers somebody else in 1 of 1 frames checked, first 000006" in said[-1]
-    alone, said = company(TWO)
+    alone, said = bystanders(TWO)
     mask[:, 150:] = 0
     alone.look(2, TWO[1].pose, mask)
     alone.close()
@@ -109,7 +109,7 @@ def test_two_people_side_by_side_are_found_and_either_is_followed(blazepose):
     alone = blazepose.sightings(list(clip.images))
     assert len({one.frame for one in alone}) == len(alone) == 3, "one person is seen once a frame"
     for person in (None, 2):
-        poses = blazepose.track(images, company(sightings, person)[0].start)
+        poses = blazepose.track(images, bystanders(sightings, person)[0].start)
         found = outline(blazepose, images[0], poses[0].next_roi) > 0.5
         wanted, other = truth[0] if person != 2 else truth[0][::-1]
         assert (found & wanted).sum() / (found | wanted).sum() > 0.75 and not (found & other).any()
