@@ -33,6 +33,7 @@ SceneFile = Annotated[
         help="A scene of Gaussians (.ply, .spz, .npz) in place of the trained one; for animate also a run's folder.",
     ),
 ]
+Who = Annotated[int, Option(min=1, help="Which of the people of VIDEO, where its run has several.")]
 Overwrite = Annotated[bool, Option("--force", help="Write over what others made; never over a source or a result.")]
 
 
@@ -46,6 +47,7 @@ def render(
     poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
     avatar: AvatarFile = None,
     scene: SceneFile = None,
+    who: Who = 1,
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
     force: Overwrite = False,
     pipeline: PipelineName = "default",
@@ -62,15 +64,16 @@ def render(
         raise UsageError("no cameras to draw for", "`--cameras views.npz`; only an avatar alone is drawn without")
     if only is options.Only.scene and avatar is not None and scene is None:
         raise UsageError(f"{avatar} has no scene", "`--only human`, or a scene with `--scene room.ply`")
-    train = None if video is None else finished(video, work, pipeline, "train")[0]
+    check_who(avatar, who)
+    train, smpl = (None, None) if video is None else finished(video, work, pipeline, "train", "smpl")
     check_files(cameras, poses, avatar, scene)
     check_out(out, work, (video, cameras, poses, avatar, scene), force, is_folder=True)
     where = engine.device_of(device.value)
     console = Console()
     job = Job(out, where, emit=lambda event: console.say(event["text"]))
     only = options.Only.human if avatar and not scene else only
-    inputs = {"train": train, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
-    run_directly("stages.views", job, {"only": only.value}, **inputs)
+    inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
+    run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
     remember_out(out, work)
     console.result(words.relative(out))
 
@@ -89,6 +92,7 @@ def animate(
             help="In a --scene: where the soles stand, m, in its axes; of a run to the left of its person, 0, ahead."
         ),
     ] = (0, 0, 0),
+    who: Who = 1,
     out: Annotated[Path | None, Option(help="The video to write (mp4).", show_default="CLIP-MOTION.mp4")] = None,
     only: Annotated[options.Only, Option(help="human: over white; both: in the scene.")] = options.Only.both,
     fps: Annotated[float, Option(min=0.1, max=240, help="Frames a second of the video.")] = 30,
@@ -115,6 +119,7 @@ def animate(
     check_source(video, avatar)
     if motion is None:
         raise UsageError("no motion to perform", "`hugs animate VIDEO moves.bvh`")
+    check_who(avatar, who)
     run_folder = None
     if video is not None:
         finished(video, work, pipeline, *films.STAGES)
@@ -122,11 +127,12 @@ def animate(
     check_files(motion, cameras, avatar, None if scene is None or scene.is_dir() else scene)
     if only is options.Only.scene:
         raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
-    who = clip_name(video) if video else Path(avatar or "avatar").stem
-    out = out or Path(f"{who}-{motion.stem}.mp4")
+    name = clip_name(video) if video else Path(avatar or "avatar").stem
+    out = out or Path(f"{name}-{motion.stem}.mp4" if who == 1 else f"{name}-{who}-{motion.stem}.mp4")
     if out.suffix.lower() != ".mp4":
         raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
-    person = {"avatar": run_folder or avatar, "motion": str(motion), "motion_fps": motion_fps, "up": up and up.value}
+    person: dict[str, Any] = {"avatar": run_folder or avatar, "who": who, "motion": str(motion)}
+    person |= {"motion_fps": motion_fps, "up": up and up.value}
     film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene": scene}
     film["camera"] = str(cameras) if cameras else "before"
     if scene is not None and scene.is_dir():
@@ -145,6 +151,12 @@ def check_source(video: Path | None, avatar: Path | None) -> None:
     if (video is None) == (avatar is None):
         problem = "nobody to draw" if video is None else f"{video} and {avatar} are two people"
         raise UsageError(problem, "give a VIDEO that `hugs run` has finished, or `--avatar avatar.npz`")
+
+
+def check_who(avatar: Path | None, who: int) -> None:
+    """UsageError where one of several people is asked of an avatar file, which holds one."""
+    if avatar is not None and who > 1:
+        raise UsageError(f"{avatar} holds one person, and not {who}", "leave out `--who`; it goes with a VIDEO")
 
 
 def finished(video: Path, work: Path, pipeline: str, *stages: str) -> list[Path]:

@@ -269,7 +269,7 @@ def _viewer(
         if effects.middles is not None and effects.covariances is not None:
             parts = effects.middles, effects.covariances
             if one is not clip:
-                theirs = casters_of(one)
+                theirs = casters_of(one.body_model, one.body.betas)
                 parts = theirs.middles.numpy(), theirs.covariances.numpy()
         moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
         figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts))

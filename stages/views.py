@@ -14,6 +14,8 @@ from stages.contract import Job, StageError
 class Params(contract.Params):
     only: Literal["human", "scene", "both"] = "both"
     """What to show."""
+    who: int = Field(1, ge=1)
+    """Which of the people of a run."""
     turntable: int = Field(24, gt=0)
     """Pictures around an avatar for which no cameras are given."""
 
@@ -23,6 +25,7 @@ def run(
     params: Params,
     *,
     train: Path | None = None,
+    smpl: Path | None = None,
     avatar: Path | None = None,
     scene: Path | None = None,
     cameras: Path | None = None,
@@ -30,17 +33,19 @@ def run(
 ) -> None:
     """Write one PNG with alpha (not multiplied into color) for each camera.
 
-    Of what training left in `train`, or of the file `avatar` alone (y up, standing at the origin, facing z); `scene` is a
-    file in place of the trained scene. `cameras` is a cameras.npz in the clip's world (metres), with `avatar` in the
-    avatar's or the scene's; without it the avatar is seen from all sides. `poses` is a body.npz with one pose or one per
-    camera. Without it a camera named as a frame of the clip gets that frame's pose, any other the middle frame's, and an
-    avatar stands relaxed. Raises StageError when the counts differ, or when the scene is asked for and there is none.
+    Of what training left in `train`, on the body of `smpl`, or of the file `avatar` alone (y up, standing at the origin,
+    facing z); `scene` is a file in place of the trained scene. `cameras` is a cameras.npz in the clip's world (metres), with
+    `avatar` in the avatar's or the scene's; without it the avatar is seen from all sides. `poses` is a body.npz with one pose
+    or one per camera. Without it a camera named as a frame of the clip gets that frame's pose, any other the middle frame's,
+    and an avatar stands relaxed. Raises StageError when the counts differ, or when the scene is asked for and there is none.
     """
     import numpy as np
 
     from stages.avatar.drawing.draw import draw, load_learned, to_uint8
     from stages.avatar.drawing.turntable import around, standing
     from stages.avatar.rasterize import Camera
+    from stages.filming.company import casting
+    from stages.formats.body_model import read_body_model
     from stages.formats.cameras import read_cameras
     from stages.formats.exchange.read import lacks, read_given
     from stages.formats.images import write_image
@@ -48,7 +53,10 @@ def run(
     from stages.formats.trained import check_scene, read_trained_poses
 
     only = params.only
-    learned = load_learned(*read_given(train, avatar, scene), job.device)
+    given = read_given(train, avatar, scene, params.who)
+    learned = load_learned(*given, job.device)
+    if smpl is not None and params.who > 1:
+        learned = casting(learned, read_body_model(smpl / "body_model.npz"), given[0].betas)
     for fact in lacks(avatar, scene):
         job.note(fact)
     if only != "human" and train is not None and scene is None:
@@ -60,18 +68,18 @@ def run(
         path = read_cameras(cameras)
         each = zip(path.names, path.viewmats, path.Ks, strict=True)
         views = {name: Camera.of(viewmat, K, path.width, path.height) for name, viewmat, K in each}
-    known = {} if train is None else read_trained_poses(train)
+    known = {} if train is None else read_trained_poses(train, params.who)
     middle = list(known.values())[len(known) // 2] if known else standing()
     chosen = [known.get(name, middle) for name in views]
     if poses is not None:
-        given = read_poses(poses)
-        if len(given) not in (1, len(views)):
+        told = read_poses(poses)
+        if len(told) not in (1, len(views)):
             raise StageError(
                 "poses and cameras do not belong together",
                 "give one pose, or one per camera",
-                [f"{len(views)} cameras in {cameras}", f"{len(given)} poses in {poses}"],
+                [f"{len(views)} cameras in {cameras}", f"{len(told)} poses in {poses}"],
             )
-        rows = list(zip(given.global_orient, given.body_pose, given.transl, strict=True))
+        rows = list(zip(told.global_orient, told.body_pose, told.transl, strict=True))
         chosen = rows * len(views) if len(rows) == 1 else rows
     job.out.mkdir(parents=True, exist_ok=True)
     for (name, view), pose in zip(views.items(), chosen, strict=True):

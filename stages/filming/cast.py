@@ -24,15 +24,16 @@ from stages.avatar.motion.takes import SECONDS
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import with_gain
 from stages.contract import StageError
+from stages.filming.company import casters_of
 from stages.filming.motions import Manner, from_clip, from_file
 from stages.filming.spec import Person
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.read import lacks, read_any_avatar
 from stages.formats.facts import Listing, read_facts
 from stages.formats.ground import read_ground
-from stages.formats.people import PEOPLE, folder_of
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar
+from stages.formats.trained import trained_of
 
 SAME = 0.005  # m: joints nearer than that to the free body's are its own
 
@@ -117,7 +118,8 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     run = person.avatar if person.avatar.is_dir() else None
     if run is None and person.who > 1:
         raise StageError(f"{person.avatar} holds one person, and not {person.who}", "leave out `who:`")
-    record = read_avatar(_trained(run, person.who) / "avatar.npz") if run else read_any_avatar(person.avatar)
+    own = None if run is None else trained_of(run / "train", person.who)
+    record = read_avatar(own / "avatar.npz") if own else read_any_avatar(person.avatar)
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
@@ -170,22 +172,12 @@ def _own(run: Path | None, person: Person, manner: Manner, soles: Soles) -> Plac
     if run is None:
         hint = "give them a motion: `motion: moves.bvh`"
         raise StageError(f"{person.avatar} has no clip to move as in", hint, ["an exported avatar holds no motion"])
-    body = read_poses(_trained(run, person.who) / "body.npz")
+    body = read_poses(trained_of(run / "train", person.who) / "body.npz")
     times = np.array(read_facts(run / "frames" / "frames.json", Listing).times(body.names))
     placed = from_clip(body, times, read_ground(run / "smpl" / "ground.json"), manner, soles)
     if placed is None:
         raise StageError(f"nobody is seen in the clip of {run}", "give them a motion: `motion: moves.bvh`")
     return placed
-
-
-def _trained(run: Path, who: int) -> Path:
-    """The folder of one of the people whom a run trained; StageError where it has not as many."""
-    folder = folder_of(run / "train", who)
-    if not folder.is_dir():
-        people = 1 + len(list((run / "train" / PEOPLE).glob("*/avatar.npz")))
-        facts = [f"it has {people} {'person' if people == 1 else 'people'}"]
-        raise StageError(f"there is no person {who} in {run}", "choose another with `who:`", facts)
-    return folder
 
 
 def _model(run: Path | None, record: records.Avatar) -> records.BodyModel | None:
@@ -200,7 +192,6 @@ def _model(run: Path | None, record: records.Avatar) -> records.BodyModel | None
 def _parts(model: records.BodyModel | None, record: records.Avatar, rig: records.Rig) -> Casters:
     """What casts the shadow, at rest: the body or, where that is not known, the Gaussians."""
     if model is not None:
-        vertices, _ = Body(model).rest(torch.as_tensor(record.betas).float())
-        return casters(vertices, Body(model).lbs_weights)
+        return casters_of(model, record.betas)
     solid = rig.opacities > SOLID
     return casters(torch.as_tensor(rig.means[solid]), torch.as_tensor(record.lbs_weights[solid]).float())

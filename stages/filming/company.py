@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 
 from stages.avatar.body.smpl import Body
@@ -19,7 +20,7 @@ from stages.formats.clip import Clip, load_people
 from stages.formats.people import folder_of
 from stages.formats.splats import read_avatar
 from stages.formats.trained import read_trained
-from stages.records import Ground, Rig
+from stages.records import BodyModel, Ground, Rig
 
 
 class Member(NamedTuple):
@@ -49,15 +50,21 @@ def load_company(sfm: Path, smpl: Path, train: Path, device: str) -> list[Member
     members = [Member(first, load_learned(*read_trained(train), device))]
     for clip in others:
         avatar = load_avatar(read_avatar(folder_of(train, clip.person) / "avatar.npz"), device)
-        parts = Casters(*(part.to(avatar.joints) for part in casters_of(clip)))
-        members.append(Member(clip, members[0].learned._replace(avatar=avatar, parts=parts)))
+        learned = members[0].learned._replace(avatar=avatar)
+        members.append(Member(clip, casting(learned, clip.body_model, clip.body.betas)))
     return members
 
 
-def casters_of(clip: Clip) -> Casters:
-    """What of the clip's `person` casts a shadow, at rest."""
-    body = Body(clip.body_model)
-    vertices, _ = body.rest(torch.as_tensor(clip.body.betas).float())
+def casting(learned: Learned, model: BodyModel, betas: np.ndarray) -> Learned:
+    """The same, their shadow cast by a body of their own and not by that of the clip's first person."""
+    joints = learned.avatar.joints
+    return learned._replace(parts=Casters(*(part.to(joints) for part in casters_of(model, betas))))
+
+
+def casters_of(model: BodyModel, betas: np.ndarray) -> Casters:
+    """What of a body casts a shadow, at rest."""
+    body = Body(model)
+    vertices, _ = body.rest(torch.as_tensor(betas).float())
     return casters(vertices, body.lbs_weights)
 
 

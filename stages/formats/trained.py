@@ -8,20 +8,31 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.effects import read_effects
+from stages.formats.people import PEOPLE, folder_of
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, read_scene
 from stages.records import Avatar, Effects, Scene
 
 
-def read_trained(train: Path) -> tuple[Avatar, Scene | None, Effects]:
-    """The avatar, the scene, or None where only the person was trained, and the effects."""
+def trained_of(train: Path, who: int) -> Path:
+    """The folder of one of the people whom a training left, the first is 1; StageError where there are not as many."""
+    folder = folder_of(train, who)
+    if not (folder / "avatar.npz").is_file():
+        people = 1 + len(list((train / PEOPLE).glob("*/avatar.npz")))
+        facts = [f"it has {people} {'person' if people == 1 else 'people'}"]
+        raise StageError(f"there is no person {who} in {train}", "choose another with `who`", facts)
+    return folder
+
+
+def read_trained(train: Path, who: int = 1) -> tuple[Avatar, Scene | None, Effects]:
+    """The avatar of one of the people, the scene, or None where only people were trained, and the effects."""
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
-    return read_avatar(train / "avatar.npz"), scene, read_effects(train / "effects.npz")
+    return read_avatar(trained_of(train, who) / "avatar.npz"), scene, read_effects(train / "effects.npz")
 
 
-def read_trained_poses(train: Path) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """By frame name: global_orient [3] and body_pose [69] in rad, transl [3] in m."""
-    body = read_poses(train / "body.npz")
+def read_trained_poses(train: Path, who: int = 1) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Of one of the people, by frame name: global_orient [3] and body_pose [69] in rad, transl [3] in m."""
+    body = read_poses(trained_of(train, who) / "body.npz")
     return dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
 
 

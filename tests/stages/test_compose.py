@@ -1,5 +1,7 @@
 """`hugs animate`, which draws through the stage compose: where people stand, where they look, what is said."""
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +12,18 @@ from stages import export
 from stages.avatar.motion.formulas import MOTIONS
 from stages.contract import Job
 from stages.formats.body_model import read_body_model
-from stages.formats.cameras import write_cameras
+from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.clip import load_clip
 from stages.formats.images import read_pixels
+from stages.formats.people import folder_of
+from stages.formats.poses import read_poses, write_poses
+from stages.formats.splats import read_avatar, write_splats
 from stages.formats.video import decode
 from stages.records import Cameras
 from tests.made import bvh as bvh_made
 from tests.made import finished
 from tests.made.command import hugs_here
-from tests.made.tiny import HEIGHT, WIDTH, colour_of
+from tests.made.tiny import HEIGHT, WIDTH, WORLD_FROM_SFM, colour_of
 
 RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
 
@@ -260,8 +265,43 @@ def test_an_exported_avatar_is_drawn_from_all_sides(trained, exported, hugs):
         ("animate", ("--avatar", "none.glb", "amass.npz"), "no file at none.glb"),
         ("render", ("clip.mp4", "--out", "x"), "no cameras to draw for"),
         ("render", ("--out", "x"), "nobody to draw"),
+        ("animate", ("--avatar", "made/train/avatar.npz", "amass.npz", "--who", "2"), "holds one person, and not 2"),
         ("render", ("--avatar", "made/train/avatar.npz", "--only", "scene", "--out", "x"), "has no scene"),
     ],
 )
 def test_a_person_is_a_clips_or_a_files(hugs, command, args, problem):
     assert problem in hugs(*args, command=command, code=2, source=())[1]
+
+
+@pytest.mark.slow
+def test_one_of_several_people_is_drawn(tmp_path, monkeypatch, capsys):
+    links = finished.make(tmp_path)
+    first, poses = read_avatar(links / "train/avatar.npz"), read_poses(links / "train/body.npz")
+    theirs = folder_of(links / "train", 2)
+    theirs.mkdir(parents=True)
+    write_splats(theirs / "avatar.npz", replace(first, sh0=first.sh0[:, [1, 0, 2]]))  # red in front becomes green
+    write_poses(theirs / "body.npz", replace(poses, transl=poses.transl + [0.3, 0, 0]))
+    cameras = read_cameras(links / "sfm/cameras.npz")
+    viewmats = cameras.viewmats[:1].copy()
+    viewmats[:, :3, 3] *= WORLD_FROM_SFM
+    write_cameras(tmp_path / "c.npz", replace(cameras, names=("a",), viewmats=viewmats, Ks=cameras.Ks[:1]))
+    hugs = partial(hugs_here, tmp_path, monkeypatch, capsys)
+    seen = []
+    for who in ("1", "2"):
+        hugs("render", "clip.mp4", "--cameras", "c.npz", "--only", "human", "--who", who, "--out", who)
+        picture = read_pixels(tmp_path / who / "a.png")
+        seen.append(picture[picture[..., 3] > 200][:, :3].mean(0))
+        hugs("animate", "clip.mp4", "--who", who, str(write_motion(tmp_path)), "--fps", "2", "--only", "human")
+    assert seen[0][0] > seen[0][1] + 50 and seen[1][1] > seen[1][0] + 50
+    names = sorted(path.name for path in tmp_path.glob("*.mp4"))
+    assert names == ["clip-2-moves.mp4", "clip-moves.mp4", "clip.mp4"]
+    shown = [film(tmp_path / name)[0].reshape(-1, 3).astype(float).mean(0) for name in names[:2]]
+    assert shown[0][1] > shown[0][0] and shown[1][0] > shown[1][1]
+    for command, *args in (("animate", "moves.npz"), ("render", "--cameras", "c.npz", "--out", "x")):
+        assert "there is no person 3" in hugs(command, "clip.mp4", *args, "--who", "3", code=1)[1]
+
+
+def write_motion(folder):
+    orient, pose, transl = (t.numpy().astype(float) for t in MOTIONS["wave"](1.0, 10))
+    np.savez(folder / "moves.npz", poses=np.concatenate([orient, pose], 1), trans=transl, fps=10.0)
+    return folder / "moves.npz"

@@ -30,13 +30,15 @@ def read_any_scene(path: Path) -> Scene:
     return _read(path, SCENES, "scene", "give a .ply or .spz of 3D Gaussians, or scene.npz")
 
 
-def read_given(train: Path | None, avatar: Path | None, scene: Path | None) -> tuple[Avatar, Scene | None, Effects]:
-    """What training left in `train`, or the avatar file alone; a scene file takes the place of the trained scene."""
+def read_given(
+    train: Path | None, avatar: Path | None, scene: Path | None, who: int = 1
+) -> tuple[Avatar, Scene | None, Effects]:
+    """What training left in `train` of person `who`, or the avatar file alone; a scene file takes the place of the trained one."""
     found: tuple[Avatar, Scene | None, Effects]
     if avatar is not None:
         found = read_any_avatar(avatar), None, Effects()
     elif train is not None:
-        found = read_trained(train)
+        found = read_trained(train, who)
     else:
         raise ValueError("neither a trained folder nor an avatar")
     return found if scene is None else (found[0], read_any_scene(scene), found[2])
