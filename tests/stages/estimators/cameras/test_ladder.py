@@ -1,6 +1,7 @@
 """Which way of mapping is taken, and what is said of a clip that none of them could place; cases I01 to I21."""
 
 import json
+import time
 from dataclasses import asdict, dataclass
 from functools import partial
 
@@ -95,6 +96,26 @@ def test_every_rung_after_the_first_is_said_and_kept(monkeypatch, tmp_path):
     assert kept[1] == {"how": "way 1", "models": [asdict(Made(71))]} and kept[0]["models"] == kept[4]["models"] == []
     done = [event["done"] for event in events if event["event"] == "progress"]
     assert done == sorted(done) and done[0] >= 60 and done[-1] <= 85
+
+
+def test_every_mapper_is_told_when_to_stop_and_a_word_comes_before_each(monkeypatch, tmp_path):
+    limits, events = [], []
+    monkeypatch.setattr(colmap, "map_global", lambda *args: limits.append(args[5]) or [])
+    monkeypatch.setattr(colmap, "map_incremental", lambda *args: limits.append(args[5]) or [])
+    monkeypatch.setattr(colmap, "match", lambda *args, **how: None)
+    climb(Job(tmp_path, emit=events.append), matched_of(tmp_path))
+    assert limits == [ladder.SECONDS] * len(ladder.RUNGS) and ladder.SECONDS < 300 / 2
+    notes = [event for event in events if event["event"] == "note"]
+    assert [note.get("at_once", False) for note in notes] == [True] * (len(ladder.RUNGS) - 1) + [False]
+
+
+@pytest.mark.slow
+def test_a_mapper_stops_when_it_is_told_to(tmp_path):
+    matched = extracted(tmp_path, walk(10, 2.0, 2.0))
+    soon, late = (tmp_path / name for name in ("soon", "late"))
+    (whole,) = colmap.map_incremental(matched.database, matched.images, late, False, lambda: None, 60)
+    models = colmap.map_incremental(matched.database, matched.images, soon, False, lambda: time.sleep(1.2), 1)
+    assert whole.registered == 10 and max(model.registered for model in models) < 8, "two frames begin, each takes 1.2 s"
 
 
 def test_i06_the_best_model_may_come_third(monkeypatch, tmp_path):
