@@ -286,8 +286,10 @@ def floor_of(clip: Inputs, *people: BodyPoses) -> Ground:
         feet, joints = soles.at(poses.global_orient[seen], poses.body_pose[seen], poses.transl[seen])
         points.append(feet)
         hips.append(joints[len(joints) // 2, 0])
+    most = max(feet.shape[1] for feet in points)  # a body's shape decides how many points its soles have
+    all_feet = np.concatenate([np.pad(feet, ((0, 0), (0, most - feet.shape[1]), (0, 0)), "edge") for feet in points])
     metres = people[0].world_from_sfm
-    viewmats, all_feet = rescale_viewmats(clip.cameras.viewmats, metres), np.concatenate(points)
+    viewmats = rescale_viewmats(clip.cameras.viewmats, metres)
     return find_ground(clip.points * metres, all_feet, np.concatenate(turns), hips[0], viewmats, metres)
 
 

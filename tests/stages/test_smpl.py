@@ -15,12 +15,14 @@ from stages import smpl
 from stages.avatar.body.rotations import rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.avatar.body.smpl_rest import smpl_rest
+from stages.avatar.motion.placing import Soles
 from stages.contract import Job, StageError
-from stages.estimators.bodyfit.inputs import touch
+from stages.estimators.bodyfit.inputs import read_inputs, touch
 from stages.estimators.bodyfit.resting import carry_over
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
+from stages.formats.facts import Listing, read_facts
 from stages.formats.given_fits.record import SMPLX_PELVIS
 from stages.formats.ground import read_ground
 from stages.formats.images import write_image, write_mask
@@ -246,6 +248,25 @@ def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
     smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
     (text,) = (event["text"] for event in said)
     assert "does not stand on the plane" in text and "1.1 m per SfM unit" in text and "0.5" in text
+
+
+def test_one_floor_is_found_under_two_people_whose_soles_have_other_numbers_of_points(folders):
+    clip, frames, sfm = folders
+    inputs, fit = read_inputs(read_facts(frames / "frames.json", Listing), sfm, None), camera_fit(clip)
+    back = Rotation.from_matrix(clip.cameras.viewmats[:, :3, :3]).inv()
+    orient = (back * Rotation.from_rotvec(fit["global_orient"])).as_rotvec()
+    pelvis = (MODEL.J_regressor @ MODEL.v_template)[0].astype(float)
+    known = orient, fit["body_pose"], clip.joints[:, 0] - pelvis, np.ones(len(orient))
+    one = BodyPoses(clip.cameras.names, np.zeros(10), *known, world_from_sfm=clip.scale)
+    other = replace(one, betas=np.eye(10)[0] * 2)
+    assert len({smpl_soles(person).shape for person in (one, other)}) == 2, "or it shows nothing"
+    alone, both = smpl.floor_of(inputs, one), smpl.floor_of(inputs, one, other)
+    np.testing.assert_allclose(both.up, alone.up, atol=0.02)
+    assert abs((both.point - alone.point) @ alone.up) < 0.02 and alone.points and both.points
+
+
+def smpl_soles(poses):
+    return Soles.of_model(MODEL, poses.betas).at_rest()[0]
 
 
 @pytest.mark.slow

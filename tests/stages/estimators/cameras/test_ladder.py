@@ -115,7 +115,9 @@ def test_a_mapper_stops_when_it_is_told_to(tmp_path):
     soon, late = (tmp_path / name for name in ("soon", "late"))
     (whole,) = colmap.map_incremental(matched.database, matched.images, late, False, lambda: None, 60)
     models = colmap.map_incremental(matched.database, matched.images, soon, False, lambda: time.sleep(1.2), 1)
-    assert whole.registered == 10 and max(model.registered for model in models) < 8, "two frames begin, each takes 1.2 s"
+    assert whole.registered == 10 and max(model.registered for model in models) < 8, (
+        "two frames begin, each takes 1.2 s"
+    )
 
 
 def test_i06_the_best_model_may_come_third(monkeypatch, tmp_path):
