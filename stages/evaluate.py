@@ -233,11 +233,12 @@ def fit_pose(shot: Shot, steps: int) -> Pose:
     falling = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.0, max(1, steps))
     alone = shot.learned.scene is None
     truth = (over_white(shot.image, shot.mask) if alone else shot.image)[box]
+    known = (~shot.theirs if alone else torch.ones_like(shot.theirs))[box]  # alone: not where another may hide them
     best, least = shot.pose, float("inf")
     for _ in range(steps):
         optimiser.zero_grad()
         human = shot.learned.effects.lit(pose_avatar(shot.learned.avatar, orient, body, transl))
-        loss = (shot.render(human, shot.scene, box, white=alone) - truth).abs().mean()
+        loss = ((shot.render(human, shot.scene, box, white=alone) - truth) * known).abs().mean()
         if loss.item() < least:
             now = [p.detach().cpu().numpy().copy() for p in (orient, body, transl)]
             best, least = (now[0], now[1], now[2]), loss.item()

@@ -62,9 +62,10 @@ def result_of(
 
     `others` is the same clip with the bodies of further people.
     """
-    (avatar, poses, kept, never), *rest = [_person(fit, who, one, say) for who, one in zip(fit.people, (clip, *others))]
+    people = [_person(fit, who, one, say) for who, one in zip(fit.people, (clip, *others))]
+    (avatar, poses, _, _), *rest = people
     scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
-    broken = invalid + kept.broken + sum(one[2].broken for one in rest)
+    broken = invalid + sum(kept.broken for _, _, kept, _ in people)
     settled = fit.densifier.settled
     behind = 0 if settled is None else int(settled.sum())
     if behind:
@@ -98,12 +99,12 @@ def result_of(
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar) + sum(len(one[0]) for one in rest)},
         "broken": broken,
-        "strays": kept.strays,
-        "evened": kept.snapped,
-        "leant": kept.recolored,
-        "unseen": never,
+        "strays": sum(kept.strays for _, _, kept, _ in people),
+        "evened": sum(kept.snapped for _, _, kept, _ in people),
+        "leant": sum(kept.recolored for _, _, kept, _ in people),
+        "unseen": sum(never for *_, never in people),
         "behind": behind,
-        "lining": kept.lining,
+        "lining": sum(kept.lining for _, _, kept, _ in people),
         "left_out": fit.guard.left_out,
         "clipped": fit.guard.clipped,
         "not_drawn": fit.undrawn,

@@ -103,6 +103,19 @@ def shot(clip, gain=None, scene=True, **poses):
     return evaluate.Shot(loaded, load_learned(read_avatar(train / "avatar.npz"), wall, Effects()), HELD, gain, "cpu")
 
 
+@pytest.mark.slow
+def test_a_pose_without_a_scene_is_not_fitted_to_where_another_hides_them(tiny):
+    moved = []
+    for known in (True, False):
+        frame = shot(tiny, scene=False)
+        hidden = torch.zeros_like(frame.theirs)
+        hidden[:, (frame.box[1].start + frame.box[1].stop) // 2 :] = True
+        frame.mask = frame.mask * ~hidden[..., 0]
+        frame.theirs = hidden & known
+        moved.append(np.linalg.norm(evaluate.fit_pose(frame, 20)[2] - frame.pose[2]))
+    assert moved[0] < 0.3 * moved[1]
+
+
 def test_a_wrong_pose_is_fitted_back(tiny):
     truth = read_poses(tiny["smpl"] / "body.npz")
     body_pose = truth.body_pose.copy()
