@@ -233,17 +233,17 @@ def select(names: Sequence[str], chosen: np.ndarray) -> list[str]:
 
 
 def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
-    """Warn where the size of the person against the scene is hardly known, or the scene's plane below the feet is not theirs."""
+    """Warn where the size of the person against the scene is hardly known, the plane below the feet is not theirs, or it slopes."""
     if "floor_refused" in scale:
         plane = f"{scale['floor_refused']:.3g} m per SfM unit, differing by {100 * scale['floor_spread']:.0f} %"
         job.warn(
             f"the person does not stand on the plane below their feet in the picture: it would mean {plane}, and how the"
-            f" feet stand still {scale['initial']:.3g}; a table, a stage, stairs or a jump?"
+            f" feet stand still {scale['initial']:.3g}; a table, a stage, stairs, a jump, or does a board carry them?"
         )
+    if (slope := scale.get("floor_slope_degrees")) is not None:
+        job.warn(f"the floor slopes by about {slope:.0f} degrees: balance goes by camera and person, not by it")
     if scale["how"].startswith("not found"):
-        job.warn(
-            "the scale of the person against the scene is unknown: neither a floor below the feet nor a standing foot was found"
-        )
+        job.warn("the person's scale in the scene is unknown: no floor below the feet and no standing foot was found")
     elif "floor_refused" not in scale and scale.get("floor_spread", 0) > FLOOR_SPREAD:
         job.warn(f"the feet meet the floor at scales that differ by {100 * scale['floor_spread']:.0f} %")
 

@@ -9,9 +9,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.body.joints import ANKLES, HEAD
+from stages.avatar.body.joints import ANKLES, FEET, HEAD
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import camera_centers, pinhole, project
+from stages.estimators.bodyfit.balance import mass_and_soles
 from stages.formats.body_model import read_body_model
 from stages.records import BodyPoses, Cameras
 from tests.made.family import film
@@ -100,6 +101,29 @@ def test_a_shot_shows_a_person_on_the_floor_whose_standing_feet_stand(shot):
         assert not inside[:, ANKLES].all() and inside[:, HEAD].mean() > 0.5
     else:
         assert inside.mean() > 0.99
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["slope_toward", "slope_side", "slope_down"])
+def test_on_a_slope_feet_are_on_the_floor_and_person_and_camera_upright(name):
+    (shot,) = shots(names=(name,))
+    model, poses, cameras = made(shot)
+    assert np.median(soles_of(model, poses)[..., 1].min((1, 2))) < 0.03
+    up = film.upright(shot)[:, 1]
+    assert np.degrees(np.arccos(up[1])) == pytest.approx(abs(shot.slope))
+    assert np.degrees(abs(np.arcsin(cameras.viewmats[:, 0, :3] @ up))).max() < 1.5
+    mass, soles = (part.numpy() for part in mass_and_soles(torch.from_numpy(joints_of(poses, model)).float()))
+    bodies = (mass - soles.mean(1)).mean(0)
+    assert np.degrees(np.arccos(bodies @ up / np.linalg.norm(bodies))) < 6
+
+
+@pytest.mark.slow
+def test_who_rides_stands_as_who_does_not_and_goes_along_the_floor():
+    still, rides = (made(shots(names=(name,))[0]) for name in ("ride_none", "ride_pan"))
+    assert still[1].body_pose.shape == rides[1].body_pose.shape
+    way = np.diff(joints_of(rides[1], rides[0])[:, FEET], axis=0) * FPS
+    np.testing.assert_allclose(way.mean((0, 1)), [1.5, 0, 0], atol=0.03)
+    assert np.median(soles_of(rides[0], rides[1])[..., 1].min((1, 2))) < 0.03
 
 
 @pytest.mark.slow

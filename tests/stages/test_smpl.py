@@ -250,6 +250,14 @@ def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
     assert "does not stand on the plane" in text and "1.1 m per SfM unit" in text and "0.5" in text
 
 
+def test_a_floor_that_slopes_is_said_with_its_degrees(tmp_path):
+    said = []
+    scale = {"initial": 0.5, "how": "the body stands on the floor's SfM points", "floor_slope_degrees": 11.6}
+    smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
+    (text,) = (event["text"] for event in said)
+    assert "slopes by about 12 degrees" in text
+
+
 def test_one_floor_is_found_under_two_people_whose_soles_have_other_numbers_of_points(folders):
     clip, frames, sfm = folders
     inputs, fit = read_inputs(read_facts(frames / "frames.json", Listing), sfm, None), camera_fit(clip)

@@ -39,6 +39,12 @@ def mass_shares() -> Tensor:
     return shares / shares.sum()
 
 
+def mass_and_soles(placed: Tensor) -> tuple[Tensor, Tensor]:
+    """The center of mass [F,3] of joints `placed` [F,24,3] m, and where either foot bears it [F,2,3]."""
+    mass = (placed * mass_shares()[:, None]).sum(1)
+    return mass, torch.lerp(placed[:, ANKLES], placed[:, BALLS], LOAD)
+
+
 def smooth_acceleration(x: Tensor, times: Tensor, reach: float) -> Tensor:
     """Acceleration [F,3] of `x` [F,3] m at `times` [F] s: of the parabola through each point's neighbours within `reach` s.
 
@@ -62,8 +68,7 @@ def balance_cost(placed: Tensor, stands: Tensor, times: Tensor, up: Tensor, up_s
     LOAD of the way from ankle to ball. Walkers fall from foot to foot and who starts or stops leans, so the mean over STRIDE
     counts, less what the mass's own acceleration takes: the zero moment point (Vukobratovic 1972).
     """
-    mass = (placed * mass_shares()[:, None]).sum(1)
-    soles = torch.lerp(placed[:, ANKLES], placed[:, BALLS], LOAD)
+    mass, soles = mass_and_soles(placed)
     level = torch.eye(3) - up[:, None] * up
     apart, beside = (soles[:, 1] - soles[:, 0]) @ level, (mass - soles[:, 0]) @ level
     along = (beside * apart).sum(-1) / apart.square().sum(-1).clamp(min=1e-6)

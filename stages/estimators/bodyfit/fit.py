@@ -13,9 +13,10 @@ import torch
 from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit import terms
+from stages.estimators.bodyfit.balance import mass_and_soles
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.estimators.bodyfit.expected_error import expected_errors
-from stages.estimators.bodyfit.gravity import camera_up
+from stages.estimators.bodyfit.gravity import camera_up, up_on_slope
 from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
 from stages.estimators.bodyfit.snug import hidden_joints
 from stages.estimators.bodyfit.solve import Solver, State, World
@@ -129,7 +130,10 @@ def fit_body(
     if floor is not None and metres is None:
         above = found["initial"] * np.median(floor.height(cameras.centers))
         spread = max(SOLE_SPREAD / above, SCALE_SHARE * found["floor_spread"])
-    whole = _make_solver(inputs, np.arange(len(times)), floor, spread)
+    slope = None if floor is None else _slope_of(solver, state, cameras.viewmats[seen], floor)
+    if floor is not None and slope is not None:
+        found["floor_slope_degrees"] = float(np.degrees(np.arccos(slope[0] @ floor.normal)))
+    whole = _make_solver(inputs, np.arange(len(times)), floor, spread, slope)
     whole.snug = solver.snug
     solver, state = whole, _extend_to_all_frames(solver, whole, state, times, seen)
     state = solver.minimise(state, LAST, borders, True, lambda i, cost: progress(total - LAST + i, total, cost))
@@ -141,15 +145,24 @@ def fit_body(
     return BodyFit(poses, pixels, found, motion.cloth_off if motion else [], expected_errors(solver, state), hidden)
 
 
-def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, scale_spread: float = 1.0) -> Solver:
-    """The solver of the frames `rows`. Camera centres are taken about their mean, so that float32 keeps what differs."""
+def _make_solver(
+    inputs: _Inputs,
+    rows: np.ndarray,
+    floor: Floor | None = None,
+    scale_spread: float = 1.0,
+    slope: tuple[np.ndarray, float] | None = None,
+) -> Solver:
+    """The solver of the frames `rows`; `slope` is what is up, and how surely, where the floor is not level.
+
+    Camera centres are taken about their mean, so that float32 keeps what differs.
+    """
     evidence, cameras, times = inputs.evidence, inputs.cameras, inputs.times
     part = LandmarkEvidence(
         evidence.names,
         *(getattr(evidence, key)[rows] for key in ("xy", "weight", "world", "seen", "height")),
     )
     middle = cameras.centers.mean(0)
-    up, up_spread = camera_up(cameras.viewmats) if floor is None else (floor.normal, FLOOR_TILT)
+    up, up_spread = slope or (camera_up(cameras.viewmats) if floor is None else (floor.normal, FLOOR_TILT))
     world = World(
         torch.tensor(cameras.viewmats[rows, :3, :3], dtype=torch.float32),
         torch.tensor(cameras.centers[rows] - middle, dtype=torch.float32),
@@ -159,7 +172,7 @@ def _make_solver(inputs: _Inputs, rows: np.ndarray, floor: Floor | None = None, 
         up_spread,
         torch.tensor([cameras.width, cameras.height]),
         inputs.motion,
-        None if floor is None else float(floor.height(middle)),
+        None if floor is None else (torch.tensor(floor.normal, dtype=torch.float32), float(floor.height(middle))),
         scale_spread,
     )
     faces = torch.tensor(inputs.model.faces.astype(np.int64))
@@ -186,6 +199,14 @@ def _find_scale(
         solver.evidence.height,
         np.stack([camera_up(path.viewmats)[0], trunk]),
     )
+
+
+def _slope_of(solver: Solver, state: State, viewmats: np.ndarray, floor: Floor) -> tuple[np.ndarray, float] | None:
+    """What is up where the floor slopes, by cameras `viewmats` [F,4,4] and by bodies that nothing has set upright yet."""
+    with torch.no_grad():
+        mass, soles = mass_and_soles(solver.pose(state)[1] @ solver.world.turn)
+        bodies = torch.nn.functional.normalize(mass - soles.mean(1), dim=-1).double().numpy()
+    return up_on_slope(viewmats, floor.normal, bodies)
 
 
 def _extend_to_all_frames(solver: Solver, whole: Solver, state: State, times: np.ndarray, seen: np.ndarray) -> State:

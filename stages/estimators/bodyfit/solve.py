@@ -78,9 +78,10 @@ class State:
 class World:
     """The world of the camera frames: rotations [F,3,3] camera_from_world, centres [F,3] SfM units, times [F] s.
 
-    `up` [3] is known to `up_spread` rad, metres per SfM unit to `scale_spread` of itself before the last steps. `offset` is
-    that of the floor, whose normal is `up` (None: no floor known). `moving` False: one camera, its frame is the world.
-    `size` [2] px of the pictures; `motion` of the surface in them, if there are pictures.
+    `up` [3], against gravity, is known to `up_spread` rad, metres per SfM unit to `scale_spread` of itself before the last
+    steps. `floor` is the floor's normal [3], which is `up` unless it slopes, and its offset (None: no floor known). `moving`
+    False: one camera, its frame is the world. `size` [2] px of the pictures; `motion` of the surface in them, if there are
+    pictures.
     """
 
     turn: Tensor
@@ -91,7 +92,7 @@ class World:
     up_spread: float
     size: Tensor
     motion: SurfaceMotion | None = None
-    offset: float | None = None
+    floor: tuple[Tensor, float] | None = None
     scale_spread: float = 1.0
 
 
@@ -257,10 +258,11 @@ class Solver:
         A point that is not seen says how the body is posed, not where it stands: `trust` [F,M] is the share of its slope that
         place and scale get.
         """
-        if self.world.offset is None:
+        if self.world.floor is None:
             return None
-        about = (points - state.place[:, None]) @ self.world.turn @ self.world.up
-        stand = self.to_world(state, state.place[:, None], scale) @ self.world.up + scale * self.world.offset
+        normal, offset = self.world.floor
+        about = (points - state.place[:, None]) @ self.world.turn @ normal
+        stand = self.to_world(state, state.place[:, None], scale) @ normal + scale * offset
         return about + trust * stand + (1 - trust) * stand.detach()
 
     def minimise(

@@ -97,7 +97,7 @@ def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
 def find_person(folder: Path, names: list[str]) -> None:
     """Write masks/ and tracks.npz from images/, as the stages masks and smpl find them."""
     job = Job(out=folder, emit=lambda event: None)
-    masks = list(masks_stage.segment(job, masks_stage.Params(), folder, names))
+    masks = [mask for (mask,) in masks_stage.segment(job, masks_stage.Params(), folder, names)]
     (folder / "masks").mkdir(exist_ok=True)
     for name, mask in zip(names, masks, strict=True):
         write_mask(folder / "masks" / f"{name}.png", mask)

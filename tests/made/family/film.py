@@ -20,7 +20,7 @@ from stages.synthetic import clip as synthetic
 from stages.synthetic import room as rooms
 from stages.synthetic.effects import ClipEffects
 from tests.made.family.legs import perform
-from tests.made.family.motions import MOTIONS
+from tests.made.family.motions import MOTIONS, Plan
 from tests.made.family.table import FPS, FRAMES, LONG, SHORT, Box, Shot
 from tests.made.truth import Similarity
 
@@ -109,7 +109,7 @@ def moved(
     """global_orient [F,3], body_pose [F,69] and transl [F,3] of the shot's motion, float64."""
     t = np.arange(FRAMES) / FPS
     if shot.motion in MOTIONS:
-        motion = perform(MOTIONS[shot.motion](t), body, betas)
+        motion = perform(on_slope(MOTIONS[shot.motion](t), np.radians(shot.slope)), body, betas)
     elif shot.motion in FORMULAS:
         leg = -float(body.rest(torch.from_numpy(betas))[0][:, 1].min()) - 0.11
         motion = tuple(part.numpy().astype(np.float64) for part in FORMULAS[shot.motion](FRAMES / FPS, FPS, leg))
@@ -128,7 +128,22 @@ def moved(
         motion = on_floor(*motion, body, betas)
     orient, pose, transl = motion
     turn = Rotation.from_rotvec([0, np.radians(shot.facing), 0])
-    return (turn * Rotation.from_rotvec(orient)).as_rotvec(), pose, turn.apply(transl)
+    ridden = shot.ride * (t - t.mean())
+    return (turn * Rotation.from_rotvec(orient)).as_rotvec(), pose, turn.apply(transl) + ridden[:, None] * [1, 0, 0]
+
+
+def on_slope(plan: Plan, slope: float) -> Plan:
+    """The plan, of somebody who looks along +z, on a floor that rises ahead by `slope` rad: seen from the floor, they lean."""
+    plan.spot[:, 1] += plan.tall * np.sin(slope)
+    plan.tall *= np.cos(slope)
+    plan.lean += slope
+    return plan
+
+
+def upright(shot: Shot) -> np.ndarray:
+    """The turn [3,3] from the floor's normal, y, to what is up on its slope."""
+    facing = np.radians(shot.facing)
+    return Rotation.from_rotvec(np.radians(shot.slope) * np.array([np.cos(facing), 0, -np.sin(facing)])).as_matrix()
 
 
 def on_floor(
@@ -141,7 +156,7 @@ def on_floor(
 
 
 def path(shot: Shot, transl: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """viewmats [F,4,4] of the shot's camera."""
+    """viewmats [F,4,4] of the shot's camera, which is held upright as the person is."""
     t, u = np.arange(FRAMES) / FPS, np.linspace(-0.5, 0.5, FRAMES)
     shake = np.stack([sum(np.sin(2 * np.pi * f * t + p) / f for f, p in synthetic._tones(rng)) for _ in range(7)], 1)
     held = 0.0 if shot.path == "still" else 0.15 if shot.path == "little" else 1.0
@@ -161,7 +176,9 @@ def path(shot: Shot, transl: np.ndarray, rng: np.random.Generator) -> np.ndarray
         spun = np.eye(4)
         spun[:3, :3] = Rotation.from_rotvec([0, 0, roll]).as_matrix()
         views.append(spun @ view)
-    return np.stack(views)
+    viewmats = np.stack(views)
+    viewmats[:, :3, :3] = viewmats[:, :3, :3] @ upright(shot).T
+    return viewmats
 
 
 def hall(rng: np.random.Generator, boxes: tuple[Box, ...], turn: float) -> rooms.Room:

@@ -52,6 +52,10 @@ class Shot:
     """Middle and half sizes, where the person looks along +z."""
     start: float = 0.0
     """Where in a captured motion the clip begins, s."""
+    slope: float = 0.0
+    """Of the floor, which rises ahead of somebody who looks along +z by plan, degrees."""
+    ride: float = 0.0
+    """m/s at which a board carries the person along +x, over the same floor."""
 
 
 FAMILY = (
@@ -92,8 +96,26 @@ FAMILY = (
 )  # fmt: skip
 
 
+ODD = (
+    Shot("slope_toward", "setting", "reach", 1.4, 2.3, 0.9, 26, "arc", 50, stature=1.74, slope=12),
+    Shot("slope_side", "setting", "squat", 1.4, 2.5, 0.8, 28, "arc", 40, facing=90, stature=1.66, heavy=1, slope=12),
+    Shot("slope_diag", "setting", "reach", 1.3, 2.5, 0.9, 28, "sideways", 1.0, facing=45, stature=1.70, slope=12),
+    Shot("slope_down", "setting", "walk_toward", 1.5, 4.6, 0.9, 45, "sideways", 0.8, stature=1.80, slope=-12),
+    Shot("slope_back", "setting", "bend", 1.6, 2.6, 0.8, 28, "arc", 45, facing=180, stature=1.70, slope=12),
+    Shot("ride_none", "setting", "reach", 1.4, 3.2, 0.9, 26, "sideways", 0.8, facing=60, stature=1.74),
+    Shot("ride_follow", "setting", "reach", 1.4, 3.2, 0.9, 26, "sideways", 0.8, facing=60, stature=1.74, ride=1.5,
+         follow=0.9),
+    Shot("ride_overtaken", "setting", "reach", 1.4, 3.2, 0.9, 26, "sideways", 0.8, facing=60, stature=1.74, ride=1.5,
+         follow=1.5),
+    Shot("ride_against", "setting", "reach", 1.4, 3.2, 0.9, 26, "sideways", 0.8, facing=60, stature=1.74, ride=-1.5),
+    Shot("ride_pan", "setting", "reach", 1.4, 3.2, 0.9, 26, "sideways", 0.8, facing=60, stature=1.74, ride=1.5),
+)  # fmt: skip
+"""Clips beside the family, which are only made by name: floors that slope, and somebody who rides over a level one."""
+
+
 def shots(half: str | None = None, names: tuple[str, ...] = ()) -> list[Shot]:
-    """The clips of that half, or with those names, in the table's order; ValueError for a name that is not there."""
-    if unknown := set(names) - {shot.name for shot in FAMILY}:
+    """The family's clips of that half, or any clips with those names, in the tables' order; ValueError for an unknown name."""
+    if unknown := set(names) - {shot.name for shot in FAMILY + ODD}:
         raise ValueError(f"no clip {', '.join(sorted(unknown))} in the family")
-    return [shot for shot in FAMILY if (not names or shot.name in names) and half in (None, shot.half)]
+    known = [shot for shot in FAMILY + ODD if shot.name in names] if names else FAMILY
+    return [shot for shot in known if half in (None, shot.half)]

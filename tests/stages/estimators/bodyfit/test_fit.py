@@ -26,7 +26,7 @@ from stages.estimators.bodyfit.terms import acceleration, geman_mcclure, joint_s
 from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
-from tests.made import bodyfit_clips
+from tests.made import bodyfit_clips, odd_clips
 
 MODEL = read_body_model()
 
@@ -63,6 +63,20 @@ def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
     assert np.nanmean(verdict.iou) > 0.88
     assert not any(verdict.fast)
     assert (verdict.confidence[[13, 14]] == 0).all() and np.delete(verdict.confidence, [13, 14]).min() > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("floor", [bodyfit_clips.level, odd_clips.slope])
+def test_who_stands_on_a_slope_is_not_set_square_to_it(floor):
+    clip = bodyfit_clips.make(MODEL, frames=16, betas=(0.0,), floor=floor)
+    regressor, evidence, _ = evidence_of(clip)
+    fit = fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, clip.masks(), clip.points)
+    error = joint_error(clip, fit.poses).mean()
+    print(f"joints {100 * error:.1f} cm off, slope {fit.scale.get('floor_slope_degrees')}")
+    if floor is bodyfit_clips.level:
+        assert "floor_slope_degrees" not in fit.scale and error < 0.05
+    else:
+        assert fit.scale["floor_slope_degrees"] == pytest.approx(12, abs=4) and error < 0.12  # 0.17 square to it
 
 
 @pytest.mark.slow

@@ -1,12 +1,13 @@
-"""Which way is up, from how people hold cameras."""
+"""Which way is up, from how people hold cameras and how they stand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at
-from stages.estimators.bodyfit.gravity import camera_up
+from stages.estimators.bodyfit.gravity import camera_up, up_on_slope
 
 UP = np.array([0, 1.0, 0])
 
@@ -53,3 +54,43 @@ def test_the_axes_of_the_world_do_not_matter():
     turned[:, :3, :3] = turned[:, :3, :3] @ turn.T
     np.testing.assert_allclose(camera_up(turned)[0], turn @ camera_up(views)[0], atol=1e-9)
     assert camera_up(turned)[1] == pytest.approx(camera_up(views)[1])
+
+
+def swaying(ahead: float = 0.0, count: int = 30) -> np.ndarray:
+    """Directions [count,3] from the feet to the mass of somebody upright who sways, in degrees; `ahead` of it toward the camera."""
+    sway = np.random.default_rng(1).normal(0, 2.5, (count, 2)) + [0, ahead]
+    return Rotation.from_euler("zx", sway, degrees=True).apply(UP)
+
+
+def rolled(views: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    turned = views.copy()
+    turned[:, :3, :3] = Rotation.from_rotvec(np.radians(degrees)[:, None] * [0, 0, 1]).as_matrix() @ views[:, :3, :3]
+    return turned
+
+
+@pytest.mark.parametrize("axis", [[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1], [0.7, 0, 0.7]])
+def test_on_a_slope_up_is_what_cameras_and_bodies_say(axis):
+    normal = Rotation.from_rotvec(np.radians(12) * np.array(axis)).apply(UP)
+    found = up_on_slope(arc(60, roll=0.03), normal, swaying())
+    assert found is not None
+    off, expected = np.degrees(np.arccos(found[0] @ UP)), np.degrees(found[1])
+    assert off < 4 and 4 < expected < 8
+
+
+def test_a_rolled_camera_is_no_slope():
+    """Also not one whose roll drifts as it goes around, as the horizon would over a slope."""
+    for degrees in (np.full(30, 9.0), np.full(30, -10.0), np.linspace(-6, 6, 30), np.linspace(0, 12, 30)):
+        assert up_on_slope(rolled(arc(60), degrees), UP, swaying()) is None
+
+
+@pytest.mark.parametrize("ahead", [15, -15, 75])
+def test_who_leans_or_lies_on_a_level_floor_makes_no_slope_of_it(ahead):
+    for roll in (0.0, 6.0):
+        assert up_on_slope(rolled(arc(60), np.full(30, roll)), UP, swaying(ahead)) is None
+
+
+def test_a_slope_that_cameras_cannot_tell_from_how_they_are_held_is_none():
+    """Straight ahead of a camera that stays before it, a slope only looks like another pitch; a small one is within the noise."""
+    for degrees, views in ((12, arc(4)), (4, arc(60))):
+        normal = Rotation.from_rotvec([np.radians(degrees), 0, 0]).apply(UP)
+        assert up_on_slope(views, normal, swaying()) is None
