@@ -28,7 +28,7 @@ from stages.training.outlines import Outline
 from stages.training.patches import PatchLoss
 from stages.training.person import Another, PersonLearner
 from stages.training.refine import FrameCorrections
-from stages.training.schedule import Options, Progress, hurry, rate
+from stages.training.schedule import Options, Progress, rate
 from stages.training.settings import Params
 from stages.training.transients import Transients
 from stages.training.views import Person, Views, frame_speeds
@@ -128,10 +128,9 @@ class Fit(Company):
         return frame
 
     def _set_rates(self) -> None:
-        faster = hurry(self.progress.phase.whole)
         for optimizer in self.adam.values():
             for group in optimizer.param_groups:
-                group["lr"] = group["base"] * faster ** group["hurry"] * rate(group["name"], self.progress.done)
+                group["lr"] = group["base"] * rate(group["name"], self.progress.done)
 
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
         shot = self._draw(frame, views)

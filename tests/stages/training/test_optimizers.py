@@ -6,8 +6,7 @@ import torch
 from stages.avatar.model.scene import SceneModel
 from stages.training.optimizers import optimizers
 from stages.training.refine import FrameCorrections
-from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, UNHURRIED, Phase, hurry, phases, rate
-from tests.made.training import fit_of, make_clip
+from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, Phase, phases, rate
 
 
 @pytest.mark.parametrize("gradient", [1e-12, 1e-8, 1.0, 1e8])
@@ -46,16 +45,3 @@ def test_h15_phases_cover_every_step_once(steps, joint):
     found = phases(steps, joint)
     assert sum(phase.steps for phase in found) == steps and found[0] == Phase(0, found[0].steps, joint, True)
     assert all(a.first + a.steps == b.first for a, b in zip(found, found[1:], strict=False))
-
-
-def test_single_gaussians_learn_faster_in_a_short_training_and_the_rest_does_not():
-    def rates(steps):
-        fit = fit_of(make_clip(), steps=steps)
-        fit.advance()
-        return {(owner, group["name"]): group["lr"] for owner, adam in fit.adam.items() for group in adam.param_groups}
-
-    usual, half = rates(UNHURRIED), rates(UNHURRIED // 2)
-    times = {name: round(half[name] / usual[name], 2) for name in usual}
-    assert times["scene", "sh0"] == 1.41 and times["human", "opacity"] == 2 == hurry(UNHURRIED / 2)
-    assert times["human", "triplane"] == times["frames of human", "pose"] == times["frames", "gain"] == 1
-    assert hurry(1) == hurry(10) and hurry(10 * UNHURRIED) == 1
