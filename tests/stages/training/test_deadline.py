@@ -33,8 +33,8 @@ def test_as_many_steps_as_fit_and_at_least_one():
 
 
 def test_more_steps_are_nearer_to_10_000_and_none_is_beyond():
-    assert short_of(1100) == pytest.approx(1.8) and 0.8 < short_of(2000) < 1.8
-    assert short_of(10) == pytest.approx(6.3) and short_of(50_000) == 0
+    assert short_of(1000) == pytest.approx(1.1) and 0.3 < short_of(2000) < 0.8
+    assert short_of(10) == pytest.approx(5.4) and short_of(50_000) == 0
 
 
 def test_what_was_slow_is_believed_to_stay_slow():
