@@ -18,6 +18,7 @@ from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import Finished, finish, unseen
+from stages.training.finishing.settle import settle_colors
 from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
 from stages.training.person import PersonLearner
@@ -169,6 +170,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     dressed = body._replace(antialias=fit.options.antialias)
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
     kept = finish(baked, who.human.skinning_outliers(baked.weights), dressed, seen, frames)
+    kept = kept._replace(person=settle_colors(fit, who, fit.scene, kept.person, kept.own, frames))
     if kept.strays:
         say.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
     if kept.recolored:

@@ -39,7 +39,9 @@ PEELS = 8  # rounds at most: what goes may have hidden more
 
 
 class Finished(NamedTuple):
-    """The `person` to keep, and how many Gaussians were left out, moved back, recoloured or added on the way."""
+    """The `person` to keep, how many Gaussians were left out, moved back, recoloured or added on the way, and how far the
+    colour of each that is kept is its own[N], from 0 to 1.
+    """
 
     person: Canonical
     broken: int
@@ -47,6 +49,7 @@ class Finished(NamedTuple):
     snapped: int
     recolored: int
     lining: int
+    own: Tensor
 
 
 def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
@@ -59,11 +62,13 @@ def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, fram
     stray = far_from_surface(kept.means, body.surface()[0]) | outliers[whole]
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
-    kept, recolored = recolor(kept, body, views, frames)
+    kept, own = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
         done = done._replace(weights=of_few_bones(done.weights))
-    return Finished(done, int((~whole).sum()), int(stray.sum()), snapped, recolored, len(done.means) - len(kept.means))
+    lining = len(done.means) - len(kept.means)
+    own = torch.cat([own, own.new_zeros(lining)])
+    return Finished(done, int((~whole).sum()), int(stray.sum()), snapped, int((own < 0.5).sum()) - lining, lining, own)
 
 
 def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:
@@ -100,25 +105,25 @@ def unseen(color_grad_sum: Tensor) -> Tensor:
     return color_grad_sum <= SEEN * color_grad_sum.mean()
 
 
-def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
+def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Tensor]:
     """Blend colours that frames do not show well with the median of the nearest that they do; far ones over a larger patch.
 
     At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay.
-    Also returns how many colours are more their neighbours' than their own.
+    Also returns how far each colour is its own[N], from 0 to 1; the rest is its neighbours'.
     """
     inside, edge, _ = _count_pixels(person, body, views, frames)[0].unbind(1)
     mean = inside.mean()
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
-        return person, 0
+        return person, torch.ones_like(inside)
     means = person.means
     away, rows = nearest(means[sure], means, NEIGHBOURS)
     around, far = person.sh[sure][rows].median(1).values, away[:, 0] > FAR
     spots = sure.nonzero()[:, 0][farthest_points(means[sure], SPOTS)]
     around[far] = median_near(around[spots], means[spots], means[far], ASKED)
-    own = (inside / (inside + EDGE_DOUBT * edge + DOUBT * mean))[:, None, None]
-    return person._replace(sh=own * person.sh + (1 - own) * around), int((own < 0.5).sum())
+    own = inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
+    return person._replace(sh=torch.lerp(around, person.sh, own[:, None, None])), own
 
 
 def add_lining(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
