@@ -64,8 +64,8 @@ def names_of(film: Film) -> list[str]:
         own = person.avatar.parent.name if person.avatar.is_dir() else person.avatar.stem
         plain = re.sub(r"\W", "_", own, flags=re.ASCII) or "person"
         plain = plain if plain[0].isalpha() else f"person_{plain}"
-        taken = sum(re.fullmatch(rf"{plain}(_\d+)?", name) is not None for name in ("scene", *names))
-        names.append(plain if not taken else f"{plain}_{taken + 1}")
+        numbered = (plain, *(f"{plain}_{number}" for number in range(2, len(film.people) + 2)))
+        names.append(next(name for name in numbered if name not in ("scene", *names)))
     return names
 
 
