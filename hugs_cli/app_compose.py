@@ -48,7 +48,7 @@ def compose(
     """
     given = films_ or []
     if init:
-        begin(given, out, force)
+        begin(given, out, force, work)
         return
     if len(given) != 1:
         raise UsageError(f"{len(given)} films to make", "`hugs compose film.yaml`")
@@ -126,12 +126,13 @@ OTHERS = "train/people/*/avatar.npz"  # of a run: its further people
 APART = 1.0  # m between the people of two runs
 
 
-def begin(runs: list[Path], out: Path, force: bool) -> None:
+def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     """Write a commented film of runs and exported avatars, side by side in the scene of the first."""
     if not runs:
         raise UsageError("nobody to make a film of", "`hugs compose --init work/kitchen/default work/dance/default`")
     if out.exists() and not force:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
+    check_out(out, work, runs, force=True)
     names = [os.path.relpath(run, out.parent) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
     people = []

@@ -88,6 +88,11 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
     shutil.rmtree(others.parent)
     assert "first.yaml is already there" in hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1]
     assert "nobody to make a film of" in hugs("--init", code=2)[1]
+    shutil.copyfile(made / "work/ann/default/train/avatar.npz", made / "ann.npz")
+    for out in ("work/ann/default/train/avatar.npz", "ann.npz"):
+        before = (made / out).read_bytes()
+        _, err = hugs("--init", "work/ann/default", "ann.npz", "--out", out, "--force", code=2)
+        assert "is never written over" in err and (made / out).read_bytes() == before
 
 
 def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs, drawn):
