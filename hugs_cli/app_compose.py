@@ -102,13 +102,13 @@ fps: 30
 # moment: 2.0             # second of the film that `splats` shows
 
 out:
-  film: {stem}.mp4
-  # page: {stem}.html         # all of them in a browser
-  # stills: {{folder: {stem}, at: [0.5, 2.0]}}
-  # alpha: {stem}.mov         # the people alone, with alpha
-  # splats: {stem}.ply        # scene and people at `moment`, .ply or .spz
-  # glb: {stem}.glb           # skinned people with their motions, and the scene
-  # usd: {stem}.usdc          # needs the extra `usd`
+  film: {mp4}
+  # page: {html}         # all of them in a browser
+  # stills: {{folder: {stills}, at: [0.5, 2.0]}}
+  # alpha: {mov}         # the people alone, with alpha
+  # splats: {ply}        # scene and people at `moment`, .ply or .spz
+  # glb: {glb}           # skinned people with their motions, and the scene
+  # usd: {usdc}          # needs the extra `usd`
 """
 PERSON = """\
   - avatar: {avatar}
@@ -133,7 +133,7 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     if out.exists() and not force:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
     check_out(out, work, runs, force=True)
-    names = [os.path.relpath(run, out.parent) for run in runs]
+    names = [films.quoted(os.path.relpath(run, out.parent)) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
     people = []
     for i, (name, run) in enumerate(zip(names, runs, strict=True)):
@@ -143,7 +143,9 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
             who = WHO.format(number) if further else ""
             people.append(PERSON.format(avatar=name, who=who, motion=motion, aside=aside))
     camera = "clip" if scene else "before"
-    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera, "name": out.name, "stem": out.stem}
+    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera, "name": out.name}
+    parts |= {ending: films.quoted(f"{out.stem}.{ending}") for ending in ("mp4", "html", "mov", "ply", "glb", "usdc")}
+    parts["stills"] = films.quoted(out.stem)
     out.parent.mkdir(parents=True, exist_ok=True)
     text = TEMPLATE.format(**parts)
     read = films.checked(films.with_paths(films.plain_yaml.read(text), out.parent), out.name)

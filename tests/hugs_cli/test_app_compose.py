@@ -88,6 +88,11 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
     shutil.rmtree(others.parent)
     assert "first.yaml is already there" in hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1]
     assert "nobody to make a film of" in hugs("--init", code=2)[1]
+    (made / "work/ann: a dance #1").symlink_to("ann")
+    hugs("--init", "work/ann: a dance #1/default", "--out", "new/no: 1.yaml")
+    text = (made / "new/no: 1.yaml").read_text()
+    assert 'avatar: "../work/ann: a dance #1/default"' in text and 'film: "no: 1.mp4"' in text
+    (made / "work/ann: a dance #1").unlink()
     shutil.copyfile(made / "work/ann/default/train/avatar.npz", made / "ann.npz")
     for out in ("work/ann/default/train/avatar.npz", "ann.npz"):
         before = (made / out).read_bytes()

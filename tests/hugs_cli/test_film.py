@@ -71,6 +71,13 @@ def test_what_is_no_film_is_refused_by_name(tmp_path, old, new, problem, help):
     assert help in "\n".join([refused.value.hint, *refused.value.facts])
 
 
+@pytest.mark.parametrize("name", ["two: ann", "ann #1", "ann, eve", "- a", "[a]", "null", "10", "a\nb", "*a"])
+def test_a_name_that_yaml_takes_for_something_else_is_quoted(name):
+    text = films.quoted(name)
+    assert text != name and films.plain_yaml.read(f"a: {text} # {text}\nb: [{text}]") == {"a": name, "b": [name]}
+    assert films.quoted("../work/tänzerin im Bad/default") == "../work/tänzerin im Bad/default"
+
+
 def test_a_film_that_is_not_there_is_said(tmp_path):
     with pytest.raises(UsageError, match="cannot read"):
         films.read_film(tmp_path / "film.yaml")
