@@ -133,7 +133,7 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     if out.exists() and not force:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
     check_out(out, work, runs, force=True)
-    names = [films.quoted(os.path.relpath(run, out.parent)) for run in runs]
+    names = [films.quoted(os.path.relpath(run, os.path.realpath(out.parent))) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
     people = []
     for i, (name, run) in enumerate(zip(names, runs, strict=True)):

@@ -93,6 +93,10 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
     text = (made / "new/no: 1.yaml").read_text()
     assert 'avatar: "../work/ann: a dance #1/default"' in text and 'film: "no: 1.mp4"' in text
     (made / "work/ann: a dance #1").unlink()
+    (made / "far/films").mkdir(parents=True)
+    (made / "way").symlink_to("far/films")
+    hugs("--init", "work/ann/default", "--out", "way/first.yaml")
+    assert "avatar: ../../work/ann/default" in (made / "far/films/first.yaml").read_text()
     shutil.copyfile(made / "work/ann/default/train/avatar.npz", made / "ann.npz")
     for out in ("work/ann/default/train/avatar.npz", "ann.npz"):
         before = (made / out).read_bytes()
