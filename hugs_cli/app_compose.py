@@ -16,7 +16,7 @@ from hugs_cli.cache.whole import replace
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
-from hugs_cli.outputs import check_out, remember_out
+from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
 
@@ -80,9 +80,9 @@ def shoot(
 
     code = Code(work / CODE_MEMORY)
     settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
-    run_directly(films.MODULE, Job(kept or work, where, emit=heard), settings)
+    with remembering(films.outputs(film), work):
+        run_directly(films.MODULE, Job(kept or work, where, emit=heard), settings)
     for path in films.outputs(film):
-        remember_out(path, work)
         console.result(words.relative(path))
 
 

@@ -15,7 +15,7 @@ from hugs_cli.cache.workspace import Stamp, Workspace, clip_name
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import DeviceName, PipelineName, Work
-from hugs_cli.outputs import check_out, remember_out
+from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
 
@@ -73,8 +73,8 @@ def render(
     job = Job(out, where, emit=lambda event: console.say(event["text"]))
     only = options.Only.human if avatar and not scene else only
     inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
-    run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
-    remember_out(out, work)
+    with remembering([out], work):
+        run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
     console.result(words.relative(out))
 
 

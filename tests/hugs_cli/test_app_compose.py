@@ -142,6 +142,21 @@ def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monke
     assert len(list(decode(made / "long.mp4"))) == 24
 
 
+def test_a_film_is_no_strangers_where_what_comes_after_it_was_not_made(made, hugs, drawn, monkeypatch):
+    film = write(made, "h.yaml", "film: h.mp4; splats: h.ply")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("stages.filming.outputs.splats", full)
+        hugs(film, code=1)
+    assert (made / "h.mp4").exists() and drawn
+    drawn.clear()
+    _, err = hugs(film)
+    assert "h.mp4 is as it was made before" in err and not drawn
+
+
 def test_a_change_draws_again_what_depends_on_it_and_nothing_else(made, hugs, drawn):
     film = write(made, "c.yaml", "film: c.mp4")
     hugs(film)
