@@ -72,6 +72,7 @@ def names_of(film: Film) -> list[str]:
 def _check_endings(film: Film) -> None:
     from stages.avatar.motion.formulas import MOTIONS
     from stages.filming.cameras import KINDS
+    from stages.filming.outputs import check_splats
 
     wanted = {"film": ".mp4", "alpha": ".mov", "page": ".html", "glb": ".glb", "usd": ".usdc"}
     for name, ending in wanted.items():
@@ -79,6 +80,8 @@ def _check_endings(film: Film) -> None:
         if path is not None and path.suffix.lower() != ending:
             facts = [f"it ends in {path.suffix!r}"]
             raise StageError(f"cannot write {path}: `out: {name}` is a {ending}", f"give it the ending {ending}", facts)
+    if film.out.splats is not None:
+        check_splats(film.out.splats)
     for person in film.people:
         if not Path(person.motion).suffix and person.motion not in ("clip", *MOTIONS):
             hint = f"a .bvh or .npz, or one of clip, {', '.join(MOTIONS)}"

@@ -202,7 +202,7 @@ def test_the_page_has_all_people_and_the_films_camera(made, hugs):
     assert np.linalg.norm(spots[1] - spots[0]) == pytest.approx(0.85)
 
 
-def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs):
+def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs, drawn):
     film = write(made, "f.yaml", "stills: {folder: near, at: [0]}", ("at: [0.45, 0.0]", "at: [-0.3, 0.0]"))
     assert re.search(r"warning: ann and bob are in each other by \d+ cm at \d\.\d s", hugs(film)[1])
     for old, new, problem in (
@@ -212,6 +212,8 @@ def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs)
     ):
         assert problem in hugs(write(made, "g.yaml", "film: g.mp4", (old, new)), code=2 if "eve" in new else 1)[1]
     assert "`out: film` is a .mp4" in hugs(write(made, "g.yaml", "film: g.avi"), code=1)[1]
+    drawn.clear()
+    assert "cannot write g.obj" in hugs(write(made, "g.yaml", "film: g.mp4; splats: g.obj"), code=1)[1] and not drawn
     assert "asks for nothing" in hugs(write(made, "g.yaml", "{}"), code=2)[1]
     inside = write(made, "g.yaml", "film: work/ann/default/train/film.mp4")
     assert "is a folder of results, or lies in it" in hugs(inside, "--force", code=2)[1]
