@@ -87,7 +87,7 @@ def shoot(
 
 
 TEMPLATE = """\
-# A film of people of several clips in one scene: `hugs compose {name}` makes it. Paths count from this file's folder.
+# A film of people of several clips in one scene: `{command}` makes it. Paths count from this file's folder.
 scene: {scene}
 # ground: {{point: [0, 1, 3], up: [0, -1, 0], ahead: [0, 0, -1]}}   # where the scene is a .ply or .spz: its floor
 
@@ -143,7 +143,8 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
             who = WHO.format(number) if further else ""
             people.append(PERSON.format(avatar=name, who=who, motion=motion, aside=aside))
     camera = "clip" if scene else "before"
-    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera, "name": out.name}
+    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera}
+    parts["command"] = words.command("compose", out.name, pipeline="default", work=Path("work"))
     parts |= {ending: films.quoted(f"{out.stem}.{ending}") for ending in ("mp4", "html", "mov", "ply", "glb", "usdc")}
     parts["stills"] = films.quoted(out.stem)
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -163,7 +163,7 @@ def finished(video: Path, work: Path, pipeline: str, *stages: str) -> list[Path]
     """The folders of these stages as the pipeline last made them; UsageError where one is missing or of another film."""
     if not video.exists():
         raise UsageError(f"no video at {video}", "check the path")
-    command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
+    command = words.command("run", video, pipeline=pipeline, work=work)
     folders, workspace = [], Workspace(video, work, pipeline)
     for stage in stages:
         folder = workspace.linked(stage)
