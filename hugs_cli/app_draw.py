@@ -141,7 +141,8 @@ def animate(
         own = {"scene": run_folder, "gaussians": scene, "camera": str(cameras) if cameras else "still"}
         film |= {"people": [person]} | own
     else:
-        film |= {"people": [person], "size": SIZE} | ({} if scene is None else {"ground": {"point": at}})
+        floor = {} if scene is None else {"ground": {"point": at}}
+        film |= {"people": [person], "size": None if cameras else SIZE} | floor
     given = [path for path in (video, motion, cameras, avatar, scene) if path is not None]
     shoot(films.checked(film, "animate"), None, device.value, work, force, given, "animate")
 
