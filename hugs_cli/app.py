@@ -142,8 +142,8 @@ def run_pipeline(
 def hint_accept(session: Session, wanted: list[str], console: Console) -> None:
     """Before a run: one line if it would make results again although only code has changed."""
     if stamps := session.acceptable(wanted):
-        name = session.workspace.links.name
-        command = f"hugs accept {session.video}" + ("" if name == "default" else f" --pipeline {name}")
+        workspace = session.workspace
+        command = words.command("accept", session.video, pipeline=workspace.links.name, work=workspace.work)
         spent = words.duration(sum(stamp.seconds for stamp in stamps))
         console.say(f"only code has changed: {spent} of results are made again; `{command}` (and --set ...) keeps them")
 

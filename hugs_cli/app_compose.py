@@ -16,7 +16,7 @@ from hugs_cli.cache.whole import replace
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
-from hugs_cli.outputs import check_out, remember_out
+from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
 
@@ -48,7 +48,7 @@ def compose(
     """
     given = films_ or []
     if init:
-        begin(given, out, force)
+        begin(given, out, force, work)
         return
     if len(given) != 1:
         raise UsageError(f"{len(given)} films to make", "`hugs compose film.yaml`")
@@ -80,14 +80,14 @@ def shoot(
 
     code = Code(work / CODE_MEMORY)
     settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
-    run_directly(films.MODULE, Job(kept or work, where, emit=heard), settings)
+    with remembering(films.outputs(film), work):
+        run_directly(films.MODULE, Job(kept or work, where, emit=heard), settings)
     for path in films.outputs(film):
-        remember_out(path, work)
         console.result(words.relative(path))
 
 
 TEMPLATE = """\
-# A film of people of several clips in one scene: `hugs compose {name}` makes it. Paths count from this file's folder.
+# A film of people of several clips in one scene: `{command}` makes it. Paths count from this file's folder.
 scene: {scene}
 # ground: {{point: [0, 1, 3], up: [0, -1, 0], ahead: [0, 0, -1]}}   # where the scene is a .ply or .spz: its floor
 
@@ -102,13 +102,13 @@ fps: 30
 # moment: 2.0             # second of the film that `splats` shows
 
 out:
-  film: {stem}.mp4
-  # page: {stem}.html         # all of them in a browser
-  # stills: {{folder: {stem}, at: [0.5, 2.0]}}
-  # alpha: {stem}.mov         # the people alone, with alpha
-  # splats: {stem}.ply        # scene and people at `moment`, .ply or .spz
-  # glb: {stem}.glb           # skinned people with their motions, and the scene
-  # usd: {stem}.usdc          # needs the extra `usd`
+  film: {mp4}
+  # page: {html}         # all of them in a browser
+  # stills: {{folder: {stills}, at: [0.5, 2.0]}}
+  # alpha: {mov}         # the people alone, with alpha
+  # splats: {ply}        # scene and people at `moment`, .ply or .spz
+  # glb: {glb}           # skinned people with their motions, and the scene
+  # usd: {usdc}          # needs the extra `usd`
 """
 PERSON = """\
   - avatar: {avatar}
@@ -126,13 +126,14 @@ OTHERS = "train/people/*/avatar.npz"  # of a run: its further people
 APART = 1.0  # m between the people of two runs
 
 
-def begin(runs: list[Path], out: Path, force: bool) -> None:
+def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     """Write a commented film of runs and exported avatars, side by side in the scene of the first."""
     if not runs:
         raise UsageError("nobody to make a film of", "`hugs compose --init work/kitchen/default work/dance/default`")
     if out.exists() and not force:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
-    names = [os.path.relpath(run, out.parent) for run in runs]
+    check_out(out, work, runs, force=True)
+    names = [films.quoted(os.path.relpath(run, os.path.realpath(out.parent))) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
     people = []
     for i, (name, run) in enumerate(zip(names, runs, strict=True)):
@@ -142,7 +143,10 @@ def begin(runs: list[Path], out: Path, force: bool) -> None:
             who = WHO.format(number) if further else ""
             people.append(PERSON.format(avatar=name, who=who, motion=motion, aside=aside))
     camera = "clip" if scene else "before"
-    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera, "name": out.name, "stem": out.stem}
+    parts = {"scene": scene or "null", "people": "".join(people), "camera": camera}
+    parts["command"] = words.command("compose", out.name, pipeline="default", work=Path("work"))
+    parts |= {ending: films.quoted(f"{out.stem}.{ending}") for ending in ("mp4", "html", "mov", "ply", "glb", "usdc")}
+    parts["stills"] = films.quoted(out.stem)
     out.parent.mkdir(parents=True, exist_ok=True)
     text = TEMPLATE.format(**parts)
     read = films.checked(films.with_paths(films.plain_yaml.read(text), out.parent), out.name)

@@ -15,7 +15,7 @@ from hugs_cli.cache.workspace import Stamp, Workspace, clip_name
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import DeviceName, PipelineName, Work
-from hugs_cli.outputs import check_out, remember_out
+from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
 
@@ -73,8 +73,8 @@ def render(
     job = Job(out, where, emit=lambda event: console.say(event["text"]))
     only = options.Only.human if avatar and not scene else only
     inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
-    run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
-    remember_out(out, work)
+    with remembering([out], work):
+        run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
     console.result(words.relative(out))
 
 
@@ -141,7 +141,8 @@ def animate(
         own = {"scene": run_folder, "gaussians": scene, "camera": str(cameras) if cameras else "still"}
         film |= {"people": [person]} | own
     else:
-        film |= {"people": [person], "size": SIZE} | ({} if scene is None else {"ground": {"point": at}})
+        floor = {} if scene is None else {"ground": {"point": at}}
+        film |= {"people": [person], "size": None if cameras else SIZE} | floor
     given = [path for path in (video, motion, cameras, avatar, scene) if path is not None]
     shoot(films.checked(film, "animate"), None, device.value, work, force, given, "animate")
 
@@ -163,7 +164,7 @@ def finished(video: Path, work: Path, pipeline: str, *stages: str) -> list[Path]
     """The folders of these stages as the pipeline last made them; UsageError where one is missing or of another film."""
     if not video.exists():
         raise UsageError(f"no video at {video}", "check the path")
-    command = f"hugs run {video}" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
+    command = words.command("run", video, pipeline=pipeline, work=work)
     folders, workspace = [], Workspace(video, work, pipeline)
     for stage in stages:
         folder = workspace.linked(stage)

@@ -32,7 +32,7 @@ def view(
     (folder,) = finished(video, work, pipeline, "export")
     page = folder / PAGE
     if not page.is_file():
-        command = f"hugs run {video} export" + ("" if pipeline == "default" else f" --pipeline {pipeline}")
+        command = words.command("run", video, "export", pipeline=pipeline, work=work)
         facts = ["it was written without `viewer` in `export.formats`, or by a hugs that had no page"]
         raise UsageError(f"the export of {video.name} holds no {PAGE}", f"`{command}`", facts)
     console = Console()

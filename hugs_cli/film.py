@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -80,6 +81,15 @@ def with_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
             for key, value in film["out"].items()
         }
     return film
+
+
+def quoted(path: str) -> str:
+    """A path as YAML reads it back: in quotes where it would be something else, or be cut at a #."""
+    try:
+        same = plain_yaml.read(f"{{key: {path}}}") == {"key": path}
+    except (yaml.YAMLError, ValueError):
+        same = False
+    return path if same else json.dumps(path, ensure_ascii=False)
 
 
 def is_path(key: str, value: Any) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hugs_cli.cache.fingerprint import content_digest
@@ -44,6 +44,21 @@ def protected(work: Path, given: Iterable[Path | None]) -> Iterator[tuple[str, P
     sources = (Path(path) for path in paths if path and isinstance(path, str))
     yield from (("a source", path) for path in (*filter(None, given), *sources) if path.exists())
     yield from (("a folder of results", store) for store in work.glob("*/store"))
+
+
+@contextmanager
+def remembering(outs: Iterable[Path], work: Path) -> Iterator[None]:
+    """Note what is drawn meanwhile; where that is cut short, what has changed until then, so that it may be drawn again."""
+    before = {out: content_digest(out) if out.exists() else None for out in outs}
+    try:
+        yield
+    except BaseException:
+        for out, found in before.items():
+            if out.exists() and content_digest(out) != found:
+                remember_out(out, work)
+        raise
+    for out in before:
+        remember_out(out, work)
 
 
 def remember_out(out: Path, work: Path) -> None:

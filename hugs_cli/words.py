@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -62,3 +63,10 @@ def count(number: int, what: str) -> str:
 def relative(path: Path) -> str:
     """A path as short as it can be said from here, on one line."""
     return plain(os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path))
+
+
+def command(*said: object, pipeline: str, work: Path) -> str:
+    """A `hugs` command that a shell takes as it is, whatever the names in it; pipeline and work folder where they matter."""
+    chosen = () if pipeline == "default" else ("--pipeline", pipeline)
+    kept = () if work == Path("work") else ("--work", work)
+    return shlex.join(map(str, ("hugs", *said, *chosen, *kept)))

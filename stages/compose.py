@@ -64,14 +64,15 @@ def names_of(film: Film) -> list[str]:
         own = person.avatar.parent.name if person.avatar.is_dir() else person.avatar.stem
         plain = re.sub(r"\W", "_", own, flags=re.ASCII) or "person"
         plain = plain if plain[0].isalpha() else f"person_{plain}"
-        taken = sum(re.fullmatch(rf"{plain}(_\d+)?", name) is not None for name in ("scene", *names))
-        names.append(plain if not taken else f"{plain}_{taken + 1}")
+        numbered = (plain, *(f"{plain}_{number}" for number in range(2, len(film.people) + 2)))
+        names.append(next(name for name in numbered if name not in ("scene", *names)))
     return names
 
 
 def _check_endings(film: Film) -> None:
     from stages.avatar.motion.formulas import MOTIONS
     from stages.filming.cameras import KINDS
+    from stages.filming.outputs import check_splats
 
     wanted = {"film": ".mp4", "alpha": ".mov", "page": ".html", "glb": ".glb", "usd": ".usdc"}
     for name, ending in wanted.items():
@@ -79,6 +80,8 @@ def _check_endings(film: Film) -> None:
         if path is not None and path.suffix.lower() != ending:
             facts = [f"it ends in {path.suffix!r}"]
             raise StageError(f"cannot write {path}: `out: {name}` is a {ending}", f"give it the ending {ending}", facts)
+    if film.out.splats is not None:
+        check_splats(film.out.splats)
     for person in film.people:
         if not Path(person.motion).suffix and person.motion not in ("clip", *MOTIONS):
             hint = f"a .bvh or .npz, or one of clip, {', '.join(MOTIONS)}"

@@ -276,7 +276,7 @@ def floor_of(clip: Inputs, *people: BodyPoses) -> Ground:
     from stages.avatar.motion.placing import Soles
     from stages.estimators.ground import find_ground
 
-    turns, points, hips = [], [], []
+    turns, points, stood = [], [], []
     for poses in people:
         seen = poses.confidence > 0
         if not seen.any():
@@ -285,12 +285,12 @@ def floor_of(clip: Inputs, *people: BodyPoses) -> Ground:
         soles = Soles.of_model(clip.model, poses.betas)
         feet, joints = soles.at(poses.global_orient[seen], poses.body_pose[seen], poses.transl[seen])
         points.append(feet)
-        hips.append(joints[len(joints) // 2, 0])
+        stood.append((joints[len(joints) // 2, 0], turns[-1][len(joints) // 2]))
     most = max(feet.shape[1] for feet in points)  # a body's shape decides how many points its soles have
     all_feet = np.concatenate([np.pad(feet, ((0, 0), (0, most - feet.shape[1]), (0, 0)), "edge") for feet in points])
     metres = people[0].world_from_sfm
     viewmats = rescale_viewmats(clip.cameras.viewmats, metres)
-    return find_ground(clip.points * metres, all_feet, np.concatenate(turns), hips[0], viewmats, metres)
+    return find_ground(clip.points * metres, all_feet, np.concatenate(turns), *stood[0], viewmats, metres)
 
 
 def report_ground(job: Job, ground: Ground) -> None:

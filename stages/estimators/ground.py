@@ -38,13 +38,19 @@ class Plane(NamedTuple):
 
 
 def find_ground(
-    things: np.ndarray, soles: np.ndarray, turns: np.ndarray, pelvis: np.ndarray, viewmats: np.ndarray, metres: float
+    things: np.ndarray,
+    soles: np.ndarray,
+    turns: np.ndarray,
+    pelvis: np.ndarray,
+    turn: np.ndarray,
+    viewmats: np.ndarray,
+    metres: float,
 ) -> Ground:
-    """The floor under a person, in their world of metres; `metres` per SfM unit is only handed on.
+    """The floor under a person, or several, in their world of metres; `metres` per SfM unit is only handed on.
 
-    `things` [N,3] m are solid parts of the scene; of F frames that show the person `soles` [F,P,3] m are points of their
-    soles, `turns` [F,3,3] how the body is turned, and `pelvis` [3] m and `turns[F // 2]` where they stood and looked in the
-    middle of the clip; `viewmats` [C,4,4] in metres. Where the scene has no floor under the soles, bodies over all frames
+    `things` [N,3] m are solid parts of the scene; of F frames that show somebody `soles` [F,P,3] m are points of their
+    soles, `turns` [F,3,3] how the body is turned; `pelvis` [3] m and `turn` [3,3] are where the first person stood and looked
+    in the middle of the clip; `viewmats` [C,4,4] in metres. Where the scene has no floor under the soles, bodies over all frames
     and the way people hold cameras tell it.
     """
     trunk = turns[:, :, 1].mean(0)
@@ -57,7 +63,7 @@ def find_ground(
             "guessed from the bodies: the scene shows no floor under them",
         )
     up = plane.normal
-    ahead = turns[len(turns) // 2][:, 2]
+    ahead = turn[:, 2]
     ahead = ahead - up * (ahead @ up)
     return Ground(
         point=pelvis - up * plane.height(pelvis),

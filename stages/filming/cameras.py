@@ -34,7 +34,7 @@ def cameras_of(
     StageError where it needs a clip and the scene has none, or where given cameras do not fit.
     """
     if kind not in KINDS:
-        return _given(Path(kind), count)
+        return _given(Path(kind), count, size)
     clip = setting.clip
     if clip is None and kind in ("clip", "still", "follow"):
         others = "orbit, before, or a file of cameras"
@@ -53,12 +53,14 @@ def cameras_of(
     return [Camera.of(view, K, width, height) for view in views]
 
 
-def _given(path: Path, count: int) -> list[Camera]:
+def _given(path: Path, count: int, size: tuple[int, int] | None) -> list[Camera]:
     given = read_cameras(path)
     if len(given) not in (1, count):
         facts = [f"{len(given)} cameras in {path}", f"{count} pictures of the motion"]
         raise StageError("cameras and motion do not belong together", "give one camera, or one per picture", facts)
-    views = [Camera.of(*view, given.width, given.height) for view in zip(given.viewmats, given.Ks, strict=True)]
+    own = given.width, given.height
+    Ks = given.Ks if size is None else [_resized(K, own, size) for K in given.Ks]
+    views = [Camera.of(*view, *(size or own)) for view in zip(given.viewmats, Ks, strict=True)]
     return views * count if len(views) == 1 else views
 
 

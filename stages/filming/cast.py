@@ -125,6 +125,11 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
     model = _model(run, record)
     if person.motion in MOTIONS:
+        if round(SECONDS * manner.wanted) < 2:
+            shown = [f"{SECONDS:g} s, {person.speed:g} times as fast, at {fps:g} pictures a second"]
+            raise StageError(
+                f"{person.motion} is over before its second picture", "a lower `speed:`, or more `fps:`", shown
+            )
         placed, facts = by_formula(person.motion, soles, SECONDS, manner.wanted), []
     elif person.motion != "clip":
         path = Path(person.motion)

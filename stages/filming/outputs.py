@@ -74,10 +74,14 @@ def still(shoot: Shoot, folder: Path, seconds: float, parts: Parts) -> bool:
     return parts.bring(out, lambda: write_image(out, shoot.picture(number)), shoot.made_of([number]))
 
 
-def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> bool:
-    """People and scene as one set of Gaussians, y down as viewers take it; whether it was made."""
+def check_splats(out: Path) -> None:
+    """StageError unless the file's ending is that of one of SPLATS."""
     if out.suffix.lower() not in SPLATS:
         raise StageError(f"cannot write {out}", "give a .ply or an .spz", [f"it ends in {out.suffix!r}"])
+
+
+def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> bool:
+    """People and scene as one set of Gaussians, y down as viewers take it; whether it was made."""
     number = shoot.where(seconds)
 
     def make() -> None:

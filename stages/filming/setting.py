@@ -59,6 +59,8 @@ def load_setting(film: Film, device: str) -> Setting:
             )
             raise StageError(f"where is the floor of {film.scene}?", hint, ["a file of Gaussians does not say it"])
         ground, scene = _floor(film.ground), read_any_scene(film.scene)
+        if film.only == "human":
+            return Setting(None, None, ground, None, None, nothing, ())
         shadow, fact = lamp_of(None, ground, film.light)
         shown = load_scene(scene, device)
         return Setting(scene, shown, ground, shadow, None, nothing, (*lacks(None, film.scene), *fact))

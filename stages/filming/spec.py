@@ -5,16 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from stages import contract
 
 Axis = tuple[float, float, float]
 Matching = Literal["off", "auto", "always"]
 Moment = Annotated[float, Field(ge=0)]
+Side = Annotated[int, Field(gt=0, le=16384)]  # px; H.264 has no larger pictures
 
 
-class Person(contract.Params):
+class Keys(contract.Params):
+    """Keys whose numbers are finite."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class Person(Keys):
     avatar: Path
     """The folder of a run, such as work/dance/default, or an exported avatar.npz or .glb."""
     who: int = Field(1, ge=1)
@@ -42,7 +49,7 @@ class Person(contract.Params):
     """The axis that points up in the motion file, in place of the direction in which its pelvis points."""
 
 
-class Floor(contract.Params):
+class Floor(Keys):
     point: Axis
     """A point of the floor, m, from which `at` counts."""
     up: Axis = (0.0, -1.0, 0.0)
@@ -51,13 +58,13 @@ class Floor(contract.Params):
     """The way that people look who are not turned."""
 
 
-class Stills(contract.Params):
+class Stills(Keys):
     folder: Path
-    at: list[Moment]
+    at: list[Moment] = Field(min_length=1)
     """Seconds of the film."""
 
 
-class Out(contract.Params):
+class Out(Keys):
     film: Path | None = None
     """The film, .mp4."""
     alpha: Path | None = None
@@ -74,7 +81,7 @@ class Out(contract.Params):
     """The scene, and the people with a sample a picture, .usdc."""
 
 
-class Film(contract.Params):
+class Film(Keys):
     scene: Path | None = None
     """The folder of a run, or a .ply, .spz or .npz of Gaussians; none: over white."""
     gaussians: Path | None = None
@@ -94,7 +101,7 @@ class Film(contract.Params):
     """Pictures a second."""
     seconds: float | None = Field(None, gt=0)
     """Length of the film; as long as the longest motion if not said."""
-    size: tuple[int, int] | None = None
+    size: tuple[Side, Side] | None = None
     """Width and height, px; those of the scene's clip, or 640x360, if not said."""
     moment: Moment = 0.0
     """Second of the film that `splats` shows."""

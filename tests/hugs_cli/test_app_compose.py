@@ -88,6 +88,20 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
     shutil.rmtree(others.parent)
     assert "first.yaml is already there" in hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1]
     assert "nobody to make a film of" in hugs("--init", code=2)[1]
+    (made / "work/ann: a dance #1").symlink_to("ann")
+    hugs("--init", "work/ann: a dance #1/default", "--out", "new/no: 1.yaml")
+    text = (made / "new/no: 1.yaml").read_text()
+    assert 'avatar: "../work/ann: a dance #1/default"' in text and 'film: "no: 1.mp4"' in text
+    (made / "work/ann: a dance #1").unlink()
+    (made / "far/films").mkdir(parents=True)
+    (made / "way").symlink_to("far/films")
+    hugs("--init", "work/ann/default", "--out", "way/first.yaml")
+    assert "avatar: ../../work/ann/default" in (made / "far/films/first.yaml").read_text()
+    shutil.copyfile(made / "work/ann/default/train/avatar.npz", made / "ann.npz")
+    for out in ("work/ann/default/train/avatar.npz", "ann.npz"):
+        before = (made / out).read_bytes()
+        _, err = hugs("--init", "work/ann/default", "ann.npz", "--out", out, "--force", code=2)
+        assert "is never written over" in err and (made / out).read_bytes() == before
 
 
 def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs, drawn):
@@ -126,6 +140,21 @@ def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monke
     hugs(longer)
     assert drawn == list(range(16, 24)), "only what is new is drawn"
     assert len(list(decode(made / "long.mp4"))) == 24
+
+
+def test_a_film_is_no_strangers_where_what_comes_after_it_was_not_made(made, hugs, drawn, monkeypatch):
+    film = write(made, "h.yaml", "film: h.mp4; splats: h.ply")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("stages.filming.outputs.splats", full)
+        hugs(film, code=1)
+    assert (made / "h.mp4").exists() and drawn
+    drawn.clear()
+    _, err = hugs(film)
+    assert "h.mp4 is as it was made before" in err and not drawn
 
 
 def test_a_change_draws_again_what_depends_on_it_and_nothing_else(made, hugs, drawn):
@@ -173,7 +202,7 @@ def test_the_page_has_all_people_and_the_films_camera(made, hugs):
     assert np.linalg.norm(spots[1] - spots[0]) == pytest.approx(0.85)
 
 
-def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs):
+def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs, drawn):
     film = write(made, "f.yaml", "stills: {folder: near, at: [0]}", ("at: [0.45, 0.0]", "at: [-0.3, 0.0]"))
     assert re.search(r"warning: ann and bob are in each other by \d+ cm at \d\.\d s", hugs(film)[1])
     for old, new, problem in (
@@ -183,6 +212,8 @@ def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs)
     ):
         assert problem in hugs(write(made, "g.yaml", "film: g.mp4", (old, new)), code=2 if "eve" in new else 1)[1]
     assert "`out: film` is a .mp4" in hugs(write(made, "g.yaml", "film: g.avi"), code=1)[1]
+    drawn.clear()
+    assert "cannot write g.obj" in hugs(write(made, "g.yaml", "film: g.mp4; splats: g.obj"), code=1)[1] and not drawn
     assert "asks for nothing" in hugs(write(made, "g.yaml", "{}"), code=2)[1]
     inside = write(made, "g.yaml", "film: work/ann/default/train/film.mp4")
     assert "is a folder of results, or lies in it" in hugs(inside, "--force", code=2)[1]

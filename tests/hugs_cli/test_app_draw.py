@@ -44,6 +44,14 @@ def test_the_result_of_another_film_of_the_same_name_is_not_taken(two_films):
     assert "others" in (folder / "out.txt").read_text()
 
 
+def test_the_command_that_helps_can_be_pasted_whatever_the_names_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("my dance.mp4").write_text("pixels")
+    with pytest.raises(UsageError, match="no finished train") as caught:
+        finished(Path("my dance.mp4"), Path("my work"), "draft", "train")
+    assert caught.value.hint == "`hugs run 'my dance.mp4' --pipeline draft --work 'my work'`"
+
+
 @pytest.mark.slow
 def test_a_result_is_its_films_although_a_stage_before_it_was_run_on_another(two_films):
     run_other(two_films, "one")

@@ -75,10 +75,10 @@ def test_a_machine_without_a_browser_says_so(hugs, page, monkeypatch):
 def test_an_export_without_the_page_says_how_to_get_it(hugs, page, opened):
     page.resolve().unlink()
     code, _, said = hugs("my dance.mp4", "--pipeline", "default")
-    assert code == 2 and "holds no viewer.html" in said and "hint: `hugs run my dance.mp4 export`" in said
+    assert code == 2 and "holds no viewer.html" in said and "hint: `hugs run 'my dance.mp4' export`" in said
     assert opened == []
 
 
 def test_a_clip_that_never_ran_says_so(hugs):
     code, _, said = hugs("my dance.mp4")
-    assert code == 2 and "no finished export of my dance.mp4" in said and "hint: `hugs run my dance.mp4`" in said
+    assert code == 2 and "no finished export of my dance.mp4" in said and "hint: `hugs run 'my dance.mp4'`" in said

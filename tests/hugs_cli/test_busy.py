@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -23,3 +26,27 @@ def test_a_share_falls_when_others_compute():
             other.kill()
             other.wait()
     assert 0 < beside < alone <= 1
+
+
+STOPPED = """
+import signal
+from hugs_cli import busy
+def stop(number, frame):
+    raise InterruptedError
+signal.signal(signal.SIGINT, stop)
+busy.processors, busy.TRIED = lambda: 2, 20
+print("begun", flush=True)
+try:
+    busy.share()
+except InterruptedError:
+    print("stopped", flush=True)
+"""
+
+
+def test_a_measurement_that_is_stopped_is_said_once():
+    run = [sys.executable, "-c", STOPPED]
+    with subprocess.Popen(run, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+        assert process.stdout and process.stdout.readline() == "begun\n"
+        time.sleep(0.2)
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.stdout.read() == "stopped\n"

@@ -53,6 +53,10 @@ def test_paths_count_from_the_films_folder_and_words_are_no_paths(tmp_path):
             "people 1, speed: input should be greater",
         ),
         ("camera: orbit", "fps: fast", "film.yaml: not a film that can be made", "fps"),
+        ("camera: orbit", "seconds: .inf", "film.yaml: not a film that can be made", "seconds: input should be a"),
+        ("at: [0.5, 0]", "at: [.nan, 0]", "film.yaml: not a film that can be made", "people 1, at 1: input should be"),
+        ("camera: orbit", "size: [640, 0]", "film.yaml: not a film that can be made", "size 2: input should be"),
+        ("at: [1]", "at: []", "film.yaml: not a film that can be made", "out, stills, at: list should have at least 1"),
         ("people:", "folk:", "film.yaml: no key 'folk'", ""),
         (GOOD, "scene: a", "film.yaml: not a film that can be made", "people"),
         (GOOD, "[1, 2]", "holds no film", "--init"),
@@ -65,6 +69,13 @@ def test_what_is_no_film_is_refused_by_name(tmp_path, old, new, problem, help):
         read(tmp_path, GOOD.replace(old, new))
     assert problem in refused.value.problem
     assert help in "\n".join([refused.value.hint, *refused.value.facts])
+
+
+@pytest.mark.parametrize("name", ["two: ann", "ann #1", "ann, eve", "- a", "[a]", "null", "10", "a\nb", "*a"])
+def test_a_name_that_yaml_takes_for_something_else_is_quoted(name):
+    text = films.quoted(name)
+    assert text != name and films.plain_yaml.read(f"a: {text} # {text}\nb: [{text}]") == {"a": name, "b": [name]}
+    assert films.quoted("../work/tänzerin im Bad/default") == "../work/tänzerin im Bad/default"
 
 
 def test_a_film_that_is_not_there_is_said(tmp_path):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hugs_cli.outputs import check_out, remember_out
+from hugs_cli.outputs import check_out, remember_out, remembering
 from hugs_cli.pipelines import UsageError
 
 
@@ -73,6 +73,19 @@ def test_a_folder_is_free_if_empty_or_as_it_was_drawn(work):
     (out / "note.txt").write_text("mine")
     with pytest.raises(UsageError, match="is already there"):
         check_out(out, work, (), False, is_folder=True)
+
+
+def test_what_was_drawn_before_a_drawing_was_cut_short_may_be_drawn_again(work):
+    outs = [Path("new.mp4"), Path("views"), Path("other.mp4"), Path("never.mp4")]
+    with pytest.raises(KeyboardInterrupt), remembering(outs, work):
+        Path("new.mp4").write_text("drawn")
+        Path("views").mkdir()
+        Path("views/1.png").write_text("drawn")
+        raise KeyboardInterrupt
+    check_out(outs[0], work, (), False)
+    check_out(outs[1], work, (), False, is_folder=True)
+    with pytest.raises(UsageError, match="is already there"):
+        check_out(outs[2], work, (), False)
 
 
 def test_only_drawings_that_are_still_there_are_remembered(work):

@@ -271,6 +271,9 @@ def test_one_floor_is_found_under_two_people_whose_soles_have_other_numbers_of_p
     alone, both = smpl.floor_of(inputs, one), smpl.floor_of(inputs, one, other)
     np.testing.assert_allclose(both.up, alone.up, atol=0.02)
     assert abs((both.point - alone.point) @ alone.up) < 0.02 and alone.points and both.points
+    about = (Rotation.from_rotvec(orient) * Rotation.from_euler("y", 180, degrees=True)).as_rotvec()
+    both = smpl.floor_of(inputs, one, replace(other, global_orient=about))
+    assert both.ahead @ alone.ahead > 0.99, "the first person's way, whichever way another looks"
 
 
 def smpl_soles(poses):

@@ -99,12 +99,12 @@ def test_the_ground_is_below_the_person_and_looks_as_they_do():
     views = np.tile(np.eye(4), (3, 1, 1))
     views[:, :3, :3] = Rotation.from_matrix(np.diag([1.0, -1, -1])).as_matrix() @ TILT.inv().as_matrix()
     things, pelvis = world(square(rng, 700, [0.3, 0, 0.2], [2.4, 0, 2.0])), world(np.array([0.2, 1.0, 0.1]))
-    ground = find_ground(things, soles(rng), turns, pelvis, views, 0.06)
+    ground = find_ground(things, soles(rng), turns, pelvis, turns[0], views, 0.06)
     np.testing.assert_allclose(ground.point, world(np.array([0.2, 0, 0.1])), atol=0.01)
     np.testing.assert_allclose(
         TILT.inv().apply(ground.ahead), [np.sin(np.radians(40)), 0, np.cos(np.radians(40))], atol=0.01
     )
     assert ground.metres == 0.06 and ground.points > 500 and "scene" in ground.how
-    guessed = find_ground(np.zeros((0, 3)), soles(rng), turns, pelvis, views, 0.06)
+    guessed = find_ground(np.zeros((0, 3)), soles(rng), turns, pelvis, turns[0], views, 0.06)
     assert guessed.points == 0 and guessed.how.startswith("guessed from the bodies")
     assert guessed.tilt_error > 5 * ground.tilt_error

@@ -75,6 +75,14 @@ def test_another_size_shows_as_much_about_the_same_middle(stage):
     assert wide.K[0, 0] / own.K[0, 0] == pytest.approx(256 / own.width), "the wider side decides"
 
 
+def test_given_cameras_take_another_size_as_the_clips_do(stage, tmp_path):
+    clip = stage[0].clip
+    write_cameras(tmp_path / "one.npz", Cameras(("a",), clip.viewmats[:1], clip.Ks[:1], clip.width, clip.height))
+    camera = cameras_of(str(tmp_path / "one.npz"), 3, FPS, (2 * clip.width, 2 * clip.height), *stage)[0]
+    assert (camera.width, camera.height) == (2 * clip.width, 2 * clip.height)
+    np.testing.assert_allclose(camera.K[:2], 2 * clip.Ks[0, :2], rtol=1e-6)
+
+
 def test_given_cameras_are_one_or_one_a_picture_and_others_are_refused(stage, tmp_path):
     setting, people = stage
     clip = setting.clip

@@ -76,6 +76,12 @@ def test_a_motion_begins_ends_loops_and_goes_at_its_speed(run):
     assert rows(speed=2.0) == (60, [0, 30, 59, 59])
 
 
+def test_a_made_motion_that_is_over_at_once_is_refused(run):
+    with pytest.raises(StageError, match="wave is over before its second picture") as refused:
+        cast(Person(avatar=run, motion="wave", speed=100), "a", SLOPE, FPS, "cpu")
+    assert refused.value.facts == ("4 s, 100 times as fast, at 30 pictures a second",) and "speed" in refused.value.hint
+
+
 def test_size_is_about_the_place_and_colours_are_multiplied(run):
     plain = cast(Person(avatar=run, motion="wave", at=(1, 1)), "a", SLOPE, FPS, "cpu")
     giant = cast(Person(avatar=run, motion="wave", at=(1, 1), scale=2), "a", SLOPE, FPS, "cpu")

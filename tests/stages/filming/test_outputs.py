@@ -66,3 +66,5 @@ def test_usd_has_a_sample_a_picture_y_up_with_the_floor_at_0(shoot, tmp_path):
 def test_nobody_is_named_as_the_scene_or_as_another():
     people = [Person(avatar=f"{name}.npz", motion="wave") for name in ("ann", "ann", "scene", "7", "scene")]
     assert names_of(Film(people=people)) == ["ann", "ann_2", "scene_2", "person_7", "scene_3"]
+    people = [Person(avatar=f"{name}.npz", motion="wave") for name in ("ann_2", "ann", "ann")]
+    assert names_of(Film(people=people)) == ["ann_2", "ann", "ann_3"], "a clip may be named so"

@@ -98,6 +98,9 @@ def test_a_file_needs_its_floor_and_stands_on_it(run, tmp_path):
     np.testing.assert_allclose(setting.ground.up, [0, -1, 0])
     np.testing.assert_allclose(setting.ground.ahead, [0.5**0.5, 0, -(0.5**0.5)], atol=1e-12)
     assert len(setting.splats.means) == 441 and setting.clip is None
+    alone = load_setting(film(tmp_path / "room.ply", ground=Floor(point=(0, 1, 3)), only="human"), "cpu")
+    assert alone.splats is None and alone.shadow is None
+    np.testing.assert_allclose(alone.ground.point, [0, 1, 3])
     np.testing.assert_allclose(setting.shadow.light(), [0, -1, 0], atol=1e-6)
 
 
