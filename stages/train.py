@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 RESUMES = True
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
 
-FINISH = 40.0
-"""Training steps of full size that it takes to look at the frames and write the person, after the last step.
+FINISH = 85.0
+"""Training steps of full size that it takes to look at the frames, settle colours and write the person, after the last step.
 The kitchen clip, a short training, 2 cores, November 2026."""
 
 
