@@ -272,7 +272,8 @@ def _viewer(
                 theirs = casters_of(one.body_model, one.body.betas)
                 parts = theirs.middles.numpy(), theirs.covariances.numpy()
         moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
-        figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts))
+        figure = viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts)
+        figures.append(replace(figure, absent=np.flatnonzero(one.body.confidence <= 0).tolist()))
     shown = viewer.Exhibit(
         title=title,
         subtitle=f"{gaussians:,} Gaussians in the {'person' if len(cast) == 1 else 'people'}"
@@ -283,7 +284,6 @@ def _viewer(
         effects=effects,
         cameras=clip.world_cameras,
         images=clip.images,
-        absent=np.flatnonzero(np.all([one.body.confidence <= 0 for one in people], 0)).tolist(),
         turn=ground.turn,
         spot=ground.point,
         made_by=made_by,

@@ -47,7 +47,6 @@ def exhibit(shoot: Shoot, title: str) -> viewer.Exhibit:
         effects=lamp(shoot),
         cameras=Cameras(names, views, Ks, first.width, first.height),
         images=None,
-        absent=[],
         turn=ground.turn,
         spot=ground.point,
         made_by=made_by,

@@ -44,7 +44,8 @@ class Figure:
     `weights` [N,24+K] skin the Gaussians of `rig`, rows sum to 1; K: the bones of its clothes. All figures have as many
     `moves`, of the same names and lengths. `turn` [3,3] and `spot` [3] m take a motion, y up and facing z, to where the person
     stands; they are `scale` times as large there. `soles`: points [P,3] m of the body at rest, and their weights [P,24].
-    `parts` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 at rest.
+    `parts` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 at rest. `absent` are frames of the first motion that do
+    not show them.
     """
 
     rig: Rig
@@ -55,6 +56,7 @@ class Figure:
     soles: tuple[np.ndarray, np.ndarray]
     parts: tuple[np.ndarray, np.ndarray] | None
     scale: float = 1.0
+    absent: Sequence[int] = ()
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ class Exhibit:
     """All that the page shows. The world is that of the clip, in metres; `turn` [3,3] and `spot` [3] m lead to it from one with
     y up and the floor at 0.
 
-    `cameras` in metres, one a frame of the first motion, and of a clip its frames `images(i)` uint8 [H,W,3]; `absent` are
-    frames that show nobody. `effects` have the lamp and the light on people. `facts` are names and values in words.
+    `cameras` in metres, one a frame of the first motion, and of a clip its frames `images(i)` uint8 [H,W,3]. `effects` have the
+    lamp and the light on people. `facts` are names and values in words.
     """
 
     title: str
@@ -74,7 +76,6 @@ class Exhibit:
     effects: Effects
     cameras: Cameras
     images: Callable[[int], np.ndarray] | None
-    absent: Sequence[int]
     turn: np.ndarray
     spot: np.ndarray
     made_by: str
@@ -150,6 +151,7 @@ def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any
         "people": [
             {
                 "parents": np.asarray(figure.rig.parents).tolist(),
+                "absent": list(figure.absent),
                 "stand": {
                     "turn": figure.turn.ravel().tolist(),
                     "spot": figure.spot.tolist(),
@@ -165,7 +167,6 @@ def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any
             "names": cameras.names,
             "size": [cameras.width, cameras.height],
             "middle": len(cameras) // 2,
-            "absent": list(shown.absent),
             "pictures": _pictures(shown),
         },
     }

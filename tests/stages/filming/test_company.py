@@ -1,6 +1,7 @@
 """A clip of two people after training: every later stage shows, measures and writes both."""
 
 import json
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar
 from stages.formats.video import probe
 from tests.made import company, tiny
+from tests.made.devtools import Page
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +78,24 @@ def test_films_files_and_the_report_show_both(clip, tmp_path):
     report.run(Job(folders["report"], upstream=tiny.UPSTREAM), report.Params(), **needs(folders, *before))
     text = (folders["report"] / "report.html").read_text()
     assert "person 2: the person from all sides" in text and "person 2: frame" in text and ", person 2<" in text
+
+
+@pytest.mark.slow
+def test_the_page_shows_each_in_the_frames_that_show_them(clip, tmp_path):
+    """The first is not in one of them; in every other motion of the page they are there all the time."""
+    folder = tmp_path / "export"
+    folder.mkdir()
+    export.run(Job(folder), export.Params(), **needs(clip, "frames", "sfm", "smpl", "train"))
+    shown = "hugs.player.people.map(({ mesh }) => mesh.visible)"
+    with closing(Page(tmp_path / "profile")) as page:
+        page.open(folder / "viewer.html", "document.body?.matches('.open, .stuck')")
+        seen = {}
+        for motion, frame, only in ((0, 0, "both"), (0, tiny.EMPTY, "both"), (1, tiny.EMPTY, "both"), (0, 0, "scene")):
+            wanted = {"motion": motion, "frame": frame, "camera": 0, "only": only}
+            page.run(f"hugs.show({json.dumps(wanted)})")
+            seen[motion, frame, only] = page.run(shown)
+        assert page.said == []
+    assert list(seen.values()) == [[True, True], [False, True], [True, True], [False, False]]
 
 
 def test_in_a_film_of_their_own_scene_each_is_where_they_were(clip):

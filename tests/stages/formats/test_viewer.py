@@ -84,7 +84,7 @@ def test_the_page_holds_all_that_it_shows(html):
         "Wave",
         "Squats",
     ]
-    assert facts["motions"][0]["fps"] == pytest.approx(10) and facts["clip"]["absent"] == [tiny.EMPTY]
+    assert facts["motions"][0]["fps"] == pytest.approx(10) and facts["people"][0]["absent"] == [tiny.EMPTY]
     assert len(facts["clip"]["pictures"]) == tiny.FRAMES
 
 

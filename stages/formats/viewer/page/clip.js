@@ -2,9 +2,8 @@
 
 export class Clip {
   /** `views` [16 a frame] camera from world, OpenCV's axes; `lenses` [4 a frame] fx, fy, cx, cy in px of `size`. */
-  constructor({ names, size, pictures, absent }, { views, lenses }) {
+  constructor({ names, size, pictures }, { views, lenses }) {
     Object.assign(this, { names, size, pictures, views, lenses }); // pictures: [frame, data: URL] each
-    this.absent = new Set(absent); // frames that show nobody
   }
 
   /** The camera of a frame, as the stage takes it. */

@@ -8,8 +8,9 @@ import { add, rotvecOfQuat, scale as mulScalar, sub } from "hugs/turns";
 export class Person {
   /** `stand`: `turn` [9] and `spot` [3] m take a motion to the clip's world, where they are `scale` times as large, in the light
    * of `bands` [8][3] or of itself. */
-  constructor(arrays, { parents, stand }, soles, bands) {
+  constructor(arrays, { parents, stand, absent }, soles, bands) {
     Object.assign(this, { joints: arrays.joints, parents, stand, soles });
+    this.absent = new Set(absent); // frames of the first motion that do not show them
     const { middles, covariances } = arrays;
     this.parts = middles ? { middles, covariances } : null; // what casts their shadow
     this.body = new Splats(arrays);

@@ -48,9 +48,9 @@ export class Player {
       this.changed();
       this.stage.dirty = true;
     }
-    const { stage, people, scene } = this, absent = this.motion === this.motions[0] && this.clip.absent.has(Math.floor(this.position));
-    const seen = this.show !== "scene" && !absent;
-    for (const { mesh } of people) mesh.visible = seen;
+    const { stage, people, scene } = this, frame = Math.floor(this.position);
+    for (const { mesh, absent } of people) mesh.visible = this.show !== "scene" && !(this.motion === this.motions[0] && absent.has(frame));
+    const seen = people.map(({ mesh }) => mesh.visible);
     if (scene) scene.mesh.visible = this.show !== "person";
     stage.floor.visible = this.show === "person" && this.view === "orbit" && !this.plain;
     stage.lens = this.view === "clip" ? this.clip.lens(Math.floor(this.position)) : this.given;
@@ -59,7 +59,8 @@ export class Player {
     if (wanted === this.posed) return;
     this.posed = wanted;
     const bones = people.map((person, who) => person.take(this.bent(this.motion.at(at, who))));
-    if (scene && this.shadow && this.show !== "person") this.shadow.cast(scene, this.shaded && seen ? people : [], bones);
+    const casting = (_, who) => this.shaded && seen[who];
+    if (scene && this.shadow && this.show !== "person") this.shadow.cast(scene, people.filter(casting), bones.filter(casting));
   }
 
   bent(pose) {
