@@ -110,9 +110,9 @@ def probe(path: Path) -> VideoInfo:
         return VideoInfo(str(path), width, height, 1.0, len(files), float(len(files)), 0, "sdr")
     container, stream = open_video(path)
     with container:
-        base, average, declared = stream.time_base, stream.average_rate, stream.frames
+        base, average, declared = stream.time_base, stream.average_rate, declared_frames(stream)
         try:
-            found = [packet.pts for packet in container.demux(stream) if packet.size]
+            found = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
         except av.error.FFmpegError as error:
             raise StageError(f"{path} cannot be read to its end", AGAIN, [first_line(str(error))]) from error
         kind = container.format.long_name
@@ -135,6 +135,14 @@ def probe(path: Path) -> VideoInfo:
     frames = declared or len(times)
     duration = span + (1 / rate if rate > 0 else 0.0)
     return VideoInfo(str(path), width, height, rate, frames, duration, rotation * QUARTER, transfer)
+
+
+def declared_frames(stream: av.video.stream.VideoStream) -> int:
+    """Frames that a video's header promises, 0 if none; in MP4 and MOV without those that its edit list cuts away."""
+    index = getattr(stream, "index_entries", ())  # older versions of PyAV have none
+    if not stream.frames or "mov" not in stream.container.format.name.split(",") or not len(index):
+        return stream.frames
+    return sum(not entry.is_discard for entry in index)
 
 
 def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
