@@ -167,10 +167,10 @@ def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
     """Yield (index, time in seconds from the first frame, uint8 [H,W,3] upright) of a video or a folder of pictures.
 
     Frames that do not decode are left out: compare the count with `probe`. A folder gives one picture a second.
-    Raises StageError as `probe` does, and for a folder whose pictures differ in size.
+    Raises StageError as `probe` does, and where pictures differ in size.
     """
+    size = None
     if Path(path).is_dir():
-        size = None
         for index, file in enumerate(picture_files(path)):
             picture = read_image(file)
             size = size or picture.shape
@@ -184,6 +184,11 @@ def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
         time = frame.time if frame.time is not None else float(index)
         start = time if start is None else start
         upright = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / QUARTER))
+        size = size or upright.shape
+        if upright.shape != size:
+            facts = [f"first {size[1]}x{size[0]}, from {time - start:.1f} s on {upright.shape[1]}x{upright.shape[0]}"]
+            hint = f"make them equal: `ffmpeg -i {Path(path).name} -vf scale={size[1]}:{size[0]} equal.mp4`; or cut it there"
+            raise StageError(f"the pictures of {path} change their size", hint, facts)
         yield index, time - start, np.ascontiguousarray(upright)
 
 
