@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from stages import compose
 from stages.compose import names_of
+from stages.contract import Job
 from stages.filming import outputs
 from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast
@@ -61,6 +65,14 @@ def test_usd_has_a_sample_a_picture_y_up_with_the_floor_at_0(shoot, tmp_path):
             assert abs(found[:, 1].min()) < 0.05, "soles at 0"
     scene = stage.GetPrimAtPath("/World/scene").GetAttribute("positions").Get()
     assert len(scene) == len(shoot.setting.scene)
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "1 frame, 0.2 s at 4 fps"), (2, "2 frames, 0.5 s at 4 fps")])
+def test_frames_are_counted_in_words(tmp_path, count, said):
+    heard: list[dict] = []
+    film = Film(people=[Person(avatar="ann.npz", motion="wave")], fps=FPS)
+    compose._write(Job(tmp_path, emit=heard.append), film, SimpleNamespace(count=count), Parts(tmp_path / "kept", ""))
+    assert [event["text"] for event in heard] == [said]
 
 
 def test_nobody_is_named_as_the_scene_or_as_another():
