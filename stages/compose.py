@@ -180,4 +180,4 @@ def _write(job: Job, film: Film, shoot: Shoot, parts: Parts) -> None:
     for path, new in made.items():
         if not new:
             job.note(f"{path.name} is as it was made before")
-    job.note(f"{count} frames, {count / film.fps:.1f} s at {film.fps:g} fps")
+    job.note(f"{count} frame{'' if count == 1 else 's'}, {count / film.fps:.1f} s at {film.fps:g} fps")

@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from stages import contract
-from stages.contract import Job
+from stages.contract import Job, StageError
 from stages.formats import page, plot
 from stages.formats.plot import Dot, Line, Panel
 
@@ -30,8 +30,11 @@ def run(
     """Write NAME.svg, NAME.png and NAME.html.
 
     `result` is what `hugs costs --json` prints, `regions` the regions to draw with their names, `table` the same numbers
-    as lines of text.
+    as lines of text. StageError where there is no region to draw.
     """
+    if not regions:
+        hint = "leave out `--plot`: times and memory are compared without it"
+        raise StageError("there is nothing to plot: no accuracy was measured in all of these pipelines", hint)
     figure = plot.plot(panels(result, regions), len(regions))
     paths = {suffix: job.out / f"{params.name}.{suffix}" for suffix in ("svg", "png", "html")}
     paths["svg"].write_text(plot.svg(figure, alone=True), encoding="utf-8")

@@ -91,7 +91,9 @@ def run(
         overlays=[
             figure
             for one in people
-            for figure in _overlays(one, ground, read_facts(folder_of(smpl, one.person) / "smpl.json", Smpl))
+            for figure in _overlays(
+                one, ground, read_facts(folder_of(smpl, one.person) / "smpl.json", Smpl), _who(one.person, numbers)
+            )
         ],
         effects=_effects(found, trained.effects),
         measures=_measures(found),
@@ -106,7 +108,9 @@ def run(
 
 def _headline(metrics: Metrics) -> list[tuple[str, str]]:
     held = metrics.heldout
-    values = [(f"PSNR, {name}", held[region]["psnr"]) for region, name in REGIONS.items()]
+    of_first = ", person 1" if metrics.people else ""
+    names = {region: name + of_first * (region != "full") for region, name in REGIONS.items()}
+    values = [(f"PSNR, {name}", held[region]["psnr"]) for region, name in names.items()]
     known = [(name, f"{value:.1f} dB") for name, value in values if value is not None]
     seconds, memory = metrics.seconds.total, metrics.peak_memory_bytes / 2**30
     return [*known, ("from video to avatar", _duration(seconds)), ("peak memory", f"{memory:.1f} GiB")]
@@ -209,8 +213,11 @@ def _training_times(spent: dict[str, float]) -> Columns:
     return rows, (1, 2), [seconds / total for seconds in spent.values()]
 
 
-def _overlays(clip: Clip, ground: Ground, fit: Smpl) -> list[Figure]:
-    """Over evenly spread frames the posed body in blue and the edge of the mask in orange, and the body from the side."""
+def _overlays(clip: Clip, ground: Ground, fit: Smpl, who: str) -> list[Figure]:
+    """Over evenly spread frames the posed body in blue and the edge of the mask in orange, and the body from the side.
+
+    `who` begins each caption.
+    """
     import cv2
     import numpy as np
 
@@ -231,9 +238,8 @@ def _overlays(clip: Clip, ground: Ground, fit: Smpl) -> list[Figure]:
         off = None if expected is None else np.array(expected.along) / 1000
         eye = camera_centers(clip.viewmats[i : i + 1])[0]
         beside = side_view(vertices, model.faces, model.J_regressor @ vertices, off, eye, ground, clip.height)
-        caption = (
-            f"frame {clip.names[i]}: body blue, mask edge orange; beside it from the side, the camera far to the left"
-        )
+        frame = f"{who}frame {clip.names[i]}"
+        caption = f"{frame}: body blue, mask edge orange; beside it from the side, the camera far to the left"
         figures.append(page.picture(np.concatenate([image, beside], 1), caption))
     return figures
 

@@ -176,14 +176,13 @@ def estimate_poses(
     evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
     count = int(evidence.seen.sum())
     if count < max(2, SEEN_LEAST * len(tracks)):
+        who = "a person"
         hint = "use a clip that shows one whole person, or give a fit of your own with --smpl-fit FIT.npz"
         if clip.others:
+            who = f"person {clip.person}"
             hint = "leave them out: follow one with `--person ID`, or give masks of the others alone with --masks"
-        raise StageError(
-            f"a person was found in only {count} of {len(tracks)} frames",
-            hint,
-            [f"{int(strangers.sum())} more frames showed somebody else than the masked person"],
-        )
+        more = [f"{int(strangers.sum())} more frames showed somebody else than the masked person"]
+        raise StageError(f"{who} was found in only {count} of {len(tracks)} frames", hint, more)
     write_landmarks(folder / "landmarks.npz", frames, tracks)
     others, exchanged = select(frames, strangers), select(frames, swapped)
     if others:

@@ -109,7 +109,8 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
 
     def stop(signum: int, frame: Any) -> None:
         asked.append(signum)
-        process.send_signal(signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
+        with suppress(ProcessLookupError):  # send_signal would reap a process that has just ended
+            os.kill(process.pid, signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     outcome = Outcome("killed")

@@ -209,6 +209,8 @@ def notes(found: Sequence[Run], rows: Sequence[dict[str, Any]], common: str) -> 
     apart = [row["pipeline"] for row in rows if row["pictures"] != common]
     if apart:
         said.append(f"measured on other frames, sizes or masks than the rest, so on no front: {', '.join(apart)}")
+    if not measured([row["scores"] for row in rows]):
+        said.append("no accuracy was measured in all of them, so there is none to compare")
     if len(machines := sorted({run.machine for run in found})) > 1:
         said.append(f"times are of different machines: {', '.join(machines)}")
     if len({run.code for run in found}) > 1:
@@ -261,10 +263,12 @@ def front_text(row: dict[str, Any], region: str, knees: dict[str, str]) -> str:
 
 def advice(result: dict[str, Any]) -> Iterable[str]:
     """The knees in words, a line a pipeline."""
-    slowest = max((row for row in result["rows"] if row["front"]), key=lambda row: row["seconds"]["total"])
+    slowest: dict[str, Any] = max(
+        (row for row in result["rows"] if row["front"]), key=lambda row: row["seconds"]["total"], default={}
+    )
     for name in dict.fromkeys(result["knee"].values()):
         where = " and ".join(REGIONS[region] for region, one in result["knee"].items() if one == name)
         more = f"beyond it a doubling of the time buys less than {WORTH:g} dB"
-        if name == slowest["pipeline"]:
+        if name == slowest.get("pipeline"):
             more = f"each doubling of the time up to it bought {WORTH:g} dB or more; nothing slower was better"
         yield f"knee: {name} ({where}); {more}"

@@ -120,7 +120,7 @@ def usd(shoot: Shoot, out: Path, parts: Parts, progress: Callable[[int], None]) 
         here = {} if scene is None else {"scene": turned(scene, ground.turn.T, ground.point)}
         write_usd(out, here, {actor.name: poses(actor, i) for i, actor in enumerate(shoot.cast)}, shoot.fps)
 
-    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps)
+    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, shoot.names)
 
 
 def glb(shoot: Shoot, out: Path, parts: Parts) -> bool:
@@ -135,7 +135,7 @@ def glb(shoot: Shoot, out: Path, parts: Parts) -> bool:
             figures.append((actor.name, rig, mesh, take(shoot, actor), stand(shoot, actor)))
         write_film_glb(out, figures, None if scene is None else turned(scene, ground.turn.T, ground.point))
 
-    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps)
+    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, shoot.names)
 
 
 def in_gain(actor: Actor) -> Rig:

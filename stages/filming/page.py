@@ -25,7 +25,7 @@ def page(shoot: Shoot, out: Path, parts: Parts) -> tuple[bool, list[str]]:
     def make() -> None:
         lacks.extend(viewer.write_viewer(out, exhibit(shoot, out.stem)))
 
-    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, out.stem), lacks
+    return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, out.stem, shoot.names), lacks
 
 
 def exhibit(shoot: Shoot, title: str) -> viewer.Exhibit:

@@ -29,6 +29,11 @@ class Shoot:
     def count(self) -> int:
         return len(self.cameras)
 
+    @property
+    def names(self) -> list[str]:
+        """What the people are called."""
+        return [actor.name for actor in self.cast]
+
     def picture(self, number: int) -> np.ndarray:
         """A picture, uint8 [H,W,3]: in the scene, or over white."""
         white = 1.0 if self.setting.splats is None else 0.0

@@ -110,9 +110,9 @@ def probe(path: Path) -> VideoInfo:
         return VideoInfo(str(path), width, height, 1.0, len(files), float(len(files)), 0, "sdr")
     container, stream = open_video(path)
     with container:
-        base, average, declared = stream.time_base, stream.average_rate, stream.frames
+        base, average, declared = stream.time_base, stream.average_rate, declared_frames(stream)
         try:
-            found = [packet.pts for packet in container.demux(stream) if packet.size]
+            found = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
         except av.error.FFmpegError as error:
             raise StageError(f"{path} cannot be read to its end", AGAIN, [first_line(str(error))]) from error
         kind = container.format.long_name
@@ -137,6 +137,14 @@ def probe(path: Path) -> VideoInfo:
     return VideoInfo(str(path), width, height, rate, frames, duration, rotation * QUARTER, transfer)
 
 
+def declared_frames(stream: av.video.stream.VideoStream) -> int:
+    """Frames that a video's header promises, 0 if none; in MP4 and MOV without those that its edit list cuts away."""
+    index = getattr(stream, "index_entries", ())  # older versions of PyAV have none
+    if not stream.frames or "mov" not in stream.container.format.name.split(",") or not len(index):
+        return stream.frames
+    return sum(not entry.is_discard for entry in index)
+
+
 def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
     """Every frame that decodes, in order; damaged packets and frames marked corrupt are left out."""
     container, stream = open_video(path)
@@ -159,10 +167,10 @@ def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
     """Yield (index, time in seconds from the first frame, uint8 [H,W,3] upright) of a video or a folder of pictures.
 
     Frames that do not decode are left out: compare the count with `probe`. A folder gives one picture a second.
-    Raises StageError as `probe` does, and for a folder whose pictures differ in size.
+    Raises StageError as `probe` does, and where pictures differ in size.
     """
+    size = None
     if Path(path).is_dir():
-        size = None
         for index, file in enumerate(picture_files(path)):
             picture = read_image(file)
             size = size or picture.shape
@@ -176,6 +184,11 @@ def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
         time = frame.time if frame.time is not None else float(index)
         start = time if start is None else start
         upright = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / QUARTER))
+        size = size or upright.shape
+        if upright.shape != size:
+            facts = [f"first {size[1]}x{size[0]}, from {time - start:.1f} s on {upright.shape[1]}x{upright.shape[0]}"]
+            hint = f"make them equal: `ffmpeg -i {Path(path).name} -vf scale={size[1]}:{size[0]} equal.mp4`; or cut it there"
+            raise StageError(f"the pictures of {path} change their size", hint, facts)
         yield index, time - start, np.ascontiguousarray(upright)
 
 

@@ -1,6 +1,7 @@
 """Stage frames picks sharp frames, spread in time, and refuses too little video."""
 
 import json
+import struct
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from stages.formats.images import read_image, write_image
 from stages.formats.video import decode, write_video
 
 HEIGHT, WIDTH = 96, 128
+TICKS = 15360  # a second, in films of 30 frames a second
 
 
 def panned(count, blurred=(), step=2.0, seed=0, size=(HEIGHT, WIDTH)):
@@ -117,6 +119,20 @@ def test_i14_a_file_cut_short_gives_what_it_has_or_says_so(tmp_path):
     (tmp_path / "stub.mp4").write_bytes(whole[: int(len(whole) * 0.4)])
     with pytest.raises(StageError, match=r"only \d+ of 60 frames"):
         frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "stub.mp4")
+
+
+@pytest.mark.parametrize("end", ["front", "back"])
+def test_a_film_that_was_trimmed_without_coding_it_again_is_not_called_damaged(tmp_path, end):
+    write_video(tmp_path / "v.mp4", panned(60), fps=30)
+    data = bytearray((tmp_path / "v.mp4").read_bytes())
+    at = data.index(b"elst") + 12  # duration in ms, then where it begins
+    duration, begin = struct.unpack_from(">Ii", data, at)
+    moved = duration * 2 // 3 * (end == "front")
+    struct.pack_into(">Ii", data, at, duration // 3, begin + moved * TICKS // 1000)
+    (tmp_path / "trimmed.mp4").write_bytes(data)
+    facts, _, warnings = run(tmp_path, tmp_path / "trimmed.mp4", count=10)
+    assert facts["video"]["frames"] == 20 and facts["dropped"]["undecodable"] == 0 and not warnings
+    assert len(facts["frames"]) == 10, "slots are those of what is left"
 
 
 def test_i22_a_folder_of_pictures_keeps_their_names(tmp_path):

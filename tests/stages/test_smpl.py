@@ -17,7 +17,7 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.body.smpl_rest import smpl_rest
 from stages.avatar.motion.placing import Soles
 from stages.contract import Job, StageError
-from stages.estimators.bodyfit.inputs import read_inputs, touch
+from stages.estimators.bodyfit.inputs import of_person, read_inputs, touch
 from stages.estimators.bodyfit.resting import carry_over
 from stages.estimators.person import blazepose
 from stages.formats.body_model import read_body_model
@@ -240,6 +240,23 @@ def test_j05_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):
     with pytest.raises(StageError, match="0 of 16 frames") as error:
         run(tmp_path / "out", frames, sfm)
     assert "--smpl-fit" in error.value.hint
+
+
+def test_of_several_people_the_one_without_poses_is_named(folders, tmp_path, monkeypatch):
+    _, frames, sfm = folders
+    (tmp_path / "sfm").mkdir()
+    for path in sfm.iterdir():
+        (tmp_path / "sfm" / path.name).symlink_to(path)
+    for k in (1, 2):
+        (tmp_path / "sfm" / "people" / str(k)).mkdir(parents=True)
+        (tmp_path / "sfm" / "people" / str(k) / "masks").symlink_to(sfm / "masks")
+    monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
+    monkeypatch.setattr("stages.estimators.person.identities.track_masked", lambda *given: [None] * 16)
+    inputs = read_inputs(read_facts(frames / "frames.json", Listing), sfm, None)
+    second = of_person(inputs, tmp_path / "sfm", 2)
+    with pytest.raises(StageError, match="person 2 was found in only 0 of 16 frames") as error:
+        smpl.estimate_poses(Job(out=tmp_path), tmp_path, tmp_path / "sfm", second, 1.0)
+    assert "--person ID" in error.value.hint
 
 
 def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):

@@ -24,7 +24,8 @@ NEXT = 0.005  # of the picture's longer side: people so near in it touch
 class Inputs:
     """The clip as both ways to a body fit need it: `times` [F] s, `masks` F of uint8 [H,W], `points` [P,3] in SfM units.
 
-    `moving` says whether SfM found a camera that moves. `others`: F masks of the other people, none where there are none.
+    `moving` says whether SfM found a camera that moves. `others`: F masks of the other people, none where there are none;
+    `person` is the number of this one.
     """
 
     model: BodyModel
@@ -34,6 +35,7 @@ class Inputs:
     points: np.ndarray
     moving: bool
     others: tuple[np.ndarray, ...] = ()
+    person: int = 1
 
     @cached_property
     def clear(self) -> list[np.ndarray]:
@@ -60,9 +62,8 @@ def of_person(clip: Inputs, sfm: Path, person: int) -> Inputs:
     """The clip of one of several people: with their own masks, and those of the others."""
     each = {k: [read_mask(masks_of(sfm, k) / f"{name}.png") for name in clip.cameras.names] for k in people_of(sfm)}
     own = each.pop(person)
-    return replace(
-        clip, masks=own, others=tuple(np.maximum.reduce(there) for there in zip(*each.values(), strict=True))
-    )
+    others = tuple(np.maximum.reduce(there) for there in zip(*each.values(), strict=True))
+    return replace(clip, masks=own, others=others, person=person)
 
 
 def touch(mask: np.ndarray, other: np.ndarray) -> bool:

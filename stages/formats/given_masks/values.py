@@ -16,7 +16,9 @@ from stages.formats.images import read_pixels
 from stages.formats.video import natural_order
 
 LABELS = 32
-"""Integer masks whose largest value is at most this are labels; pictures with more colours than this are no masks."""
+"""Labels of one clip at most; pictures with more colours than this are no masks."""
+UNMARKED = 127
+"""Largest value of 8 bits that marks nothing in a soft mask: few integers that never exceed it are labels."""
 PIECE = 1 << 20  # pixels counted at a time
 COLOURED = 30
 """Levels between a pixel's channels from which it is coloured; JPEG makes grey ones differ by less."""
@@ -159,7 +161,7 @@ def neighbours(values: np.ndarray) -> set[tuple[int, int]]:
 class ForeignMasks:
     """Masks of another program: what their values mean is decided over all files of a kind, then each can be read.
 
-    Integers up to `LABELS`, a few integers of 16 bits and more, colours, and any two values, are labels (the lowest is
+    Few integers up to `UNMARKED`, a few integers of 16 bits and more, colours, and any two values, are labels (the lowest is
     background). Floats below 0 are logits: the person is above 0. Other values are soft masks over the range of their
     type (floats: 0..1, or 0..255 if any is above 1). `values_of` reads the values of a key; keys that have none are left
     out of `keys`.
@@ -187,7 +189,7 @@ class ForeignMasks:
         if levels.few is None or len(levels.few) <= 2:
             return levels.few is not None
         wide = levels.dtype.kind in "ui" and levels.dtype.itemsize > 1 and levels.highest != 65535
-        return levels.dtype.kind in "ui" and (levels.highest <= LABELS or wide or kind.endswith("ids"))
+        return levels.dtype.kind in "ui" and (levels.highest <= UNMARKED or wide or kind.endswith("ids"))
 
     def top(self, kind: str) -> float:
         """The value that means 'surely person' in soft masks of this kind."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 
 import pytest
 
@@ -47,6 +48,7 @@ def test_a_stage_error_passes_unchanged_and_a_bug_is_one_line_with_its_traceback
 
 STAGE = """
 import os
+import signal
 from stages.contract import Params as Base
 
 class Params(Base):
@@ -69,6 +71,32 @@ def test_the_lock_is_handed_to_the_stage(tmp_path, monkeypatch):
         outcome = launch(job, tmp_path / "log", handle, lambda event: None)
         assert outcome.kind == "done", (tmp_path / "log").read_text()
         assert int((tmp_path / "seen").read_text()) == os.fstat(handle).st_ino
+    finally:
+        os.close(handle)
+
+
+QUICK = """
+from stages.contract import Params
+
+def run(job, params):
+    (job.out / "made").touch()
+"""
+
+
+def test_a_stop_that_comes_as_the_stage_has_just_ended_loses_nothing(tmp_path, monkeypatch):
+    (tmp_path / "over_at_once.py").write_text(QUICK)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    job = {"module": "over_at_once", "params": {}, "inputs": {}, "out": str(tmp_path), "upstream": {}}
+    job |= {"device": "cpu", "seed": 0, "resumes": False}
+    handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
+
+    def heard(event):
+        if event.get("event") == "done":
+            os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # its process has ended, and nobody has asked how
+            os.kill(os.getpid(), signal.SIGINT)
+
+    try:
+        assert launch(job, tmp_path / "log", handle, heard).kind == "done"
     finally:
         os.close(handle)
 

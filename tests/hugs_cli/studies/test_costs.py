@@ -12,6 +12,7 @@ import pytest
 from hugs_cli.studies import costs, costs_page
 from hugs_cli.studies.comparison import METRICS, REGIONS
 from stages import costs_page as drawing
+from stages.contract import StageError
 from stages.formats.images import read_image
 from tests.made.browser import probe
 
@@ -90,6 +91,19 @@ def test_without_a_scene_the_person_over_white_is_compared():
     result = costs.compared(found)
     assert result["knee"] == {"person_white": "b"}
     assert "person over white" in "\n".join(costs.table(result))
+
+
+def test_where_nothing_was_measured_times_are_compared_and_that_is_said(tmp_path):
+    found = [run_("a", 70, 28.0), run_("b", 130, 30.0)]
+    for region in REGIONS:  # nobody is in the frames that were held out, and b has no scene
+        found[1].scores[region] = dict.fromkeys(METRICS)
+    result = costs.compared(found)
+    lines = "\n".join(costs.table(result))
+    assert "1m 10s" in lines and lines.endswith(
+        "note: no accuracy was measured in all of them, so there is none to compare"
+    )
+    with pytest.raises(StageError, match="nothing to plot"):
+        costs_page.write(tmp_path, "costs", "clip", result)
 
 
 @pytest.mark.slow

@@ -12,6 +12,8 @@ from stages.contract import Job, StageError
 from stages.filming.cast import cast
 from stages.filming.company import floor_under, load_company, present
 from stages.filming.spec import Person
+from stages.formats.clip import load_people
+from stages.formats.facts import Metrics, Seconds, Smpl, read_facts
 from stages.formats.ground import read_ground
 from stages.formats.images import read_image
 from stages.formats.people import folder_of
@@ -78,6 +80,23 @@ def test_films_files_and_the_report_show_both(clip, tmp_path):
     report.run(Job(folders["report"], upstream=tiny.UPSTREAM), report.Params(), **needs(folders, *before))
     text = (folders["report"] / "report.html").read_text()
     assert "person 2: the person from all sides" in text and "person 2: frame" in text and ", person 2<" in text
+    assert "person 2: frame 000000: body blue" in text and "PSNR, box of the person, person 1<" in text
+
+
+def test_the_report_says_whose_bodies_and_numbers_it_shows(clip, monkeypatch):
+    monkeypatch.setattr(report, "OVERLAYS", 1)
+    people, ground = load_people(clip["sfm"], clip["smpl"]), read_ground(clip["smpl"] / "ground.json")
+    facts = read_facts(clip["smpl"] / "smpl.json", Smpl)
+    figures = [report._overlays(one, ground, facts, report._who(one.person, range(1, 3)))[0] for one in people]
+    assert [one.caption.partition(": body")[0] for one in figures] == [f"person {k}: frame 000000" for k in (1, 2)]
+    scores = {region: {"psnr": 30.0} for region in ("full", "person_crop", "person_white")}
+    known = {"heldout": scores, "seconds": Seconds(total=1), "peak_memory_bytes": 1}
+    one, two = (Metrics.model_construct(**known, people=others) for others in ({}, {"2": {"heldout": scores}}))
+    assert [name for name, _ in report._headline(one)[:2]] == ["PSNR, whole picture", "PSNR, box of the person"]
+    assert [name for name, _ in report._headline(two)[:2]] == [
+        "PSNR, whole picture",
+        "PSNR, box of the person, person 1",
+    ]
 
 
 @pytest.mark.slow

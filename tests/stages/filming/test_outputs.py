@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from stages import compose
 from stages.compose import names_of
+from stages.contract import Job
 from stages.filming import outputs
 from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast
+from stages.filming.page import page
 from stages.filming.parts import Parts
 from stages.filming.setting import load_setting
 from stages.filming.shoot import Shoot
 from stages.filming.spec import Film, Person
+from stages.formats import viewer
 
 FPS = 4.0
 
@@ -61,6 +68,26 @@ def test_usd_has_a_sample_a_picture_y_up_with_the_floor_at_0(shoot, tmp_path):
             assert abs(found[:, 1].min()) < 0.05, "soles at 0"
     scene = stage.GetPrimAtPath("/World/scene").GetAttribute("positions").Get()
     assert len(scene) == len(shoot.setting.scene)
+
+
+def test_files_that_name_people_are_made_again_when_these_are_called_otherwise(shoot, tmp_path, monkeypatch):
+    writers = ((outputs, "write_film_glb"), (outputs, "write_usd"), (viewer, "write_viewer"))
+    for module, name in writers:
+        monkeypatch.setattr(module, name, lambda out, *rest: [out.touch()][1:])
+    ann = replace(shoot, cast=[replace(actor, name=f"ann_{actor.name}") for actor in shoot.cast])
+    parts = Parts(tmp_path / "kept", "")
+    for one, made in ((shoot, True), (shoot, False), (ann, True), (ann, False)):
+        assert outputs.glb(one, tmp_path / "a.glb", parts) == made
+        assert outputs.usd(one, tmp_path / "a.usdc", parts, lambda done: None) == made
+        assert page(one, tmp_path / "a.html", parts) == (made, [])
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "1 frame, 0.2 s at 4 fps"), (2, "2 frames, 0.5 s at 4 fps")])
+def test_frames_are_counted_in_words(tmp_path, count, said):
+    heard: list[dict] = []
+    film = Film(people=[Person(avatar="ann.npz", motion="wave")], fps=FPS)
+    compose._write(Job(tmp_path, emit=heard.append), film, SimpleNamespace(count=count), Parts(tmp_path / "kept", ""))
+    assert [event["text"] for event in heard] == [said]
 
 
 def test_nobody_is_named_as_the_scene_or_as_another():

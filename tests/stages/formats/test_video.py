@@ -193,6 +193,29 @@ def test_pictures_without_times_are_called_so(tmp_path, codec, kind):
     assert error.value.facts == ("12 packets, none with a time",)
 
 
+def test_a_film_whose_pictures_change_their_size_is_refused(tmp_path):
+    sizes = [
+        {"height": 48, "width": 64},
+        {"height": 64, "width": 48},
+    ]  # as calls in a browser record a phone that is turned
+    with av.open(str(tmp_path / "call.mkv"), "w") as out:
+        stream, time = None, 0
+        for number, size in enumerate(sizes):
+            write_video(tmp_path / f"{number}.mp4", corner_marked(6, **size), fps=30)
+            with av.open(str(tmp_path / f"{number}.mp4")) as film:
+                own = av.BitStreamFilterContext("h264_mp4toannexb", film.streams.video[0])
+                stream = stream or out.add_stream_from_template(film.streams.video[0])
+                for packet in (one for raw in film.demux(video=0) for one in own.filter(raw if raw.size else None)):
+                    packet.pts += time
+                    packet.dts += time
+                    packet.stream = stream
+                    out.mux(packet)
+            time += 6 * 512
+    with pytest.raises(StageError, match="change their size") as refused:
+        list(decode(tmp_path / "call.mkv"))
+    assert list(refused.value.facts) == ["first 64x48, from 0.2 s on 48x64"]
+
+
 def test_a_list_of_films_is_no_film(tmp_path):
     write_video(tmp_path / "v.mp4", corner_marked(), fps=24)
     (tmp_path / "film.mp4").write_text("ffconcat version 1.0\nfile v.mp4\nfile v.mp4\n")

@@ -7,7 +7,7 @@ import pytest
 from stages.contract import StageError
 from stages.formats.frame_names import number, stem
 from stages.formats.given_masks import values as values_module
-from stages.formats.given_masks.objects import is_number
+from stages.formats.given_masks.objects import is_number, labeled_objects
 from stages.formats.given_masks.values import ForeignMasks, Levels, mask_files
 from stages.formats.images import write_image
 
@@ -77,6 +77,15 @@ def test_soft_masks_stay_soft(tmp_path):
     assert np.array_equal(ForeignMasks([tmp_path / "m.png"]).read(tmp_path / "m.png"), ramp)
     np.save(tmp_path / "m.npy", ramp / 255)
     assert np.array_equal(ForeignMasks([tmp_path / "m.npy"]).read(tmp_path / "m.npy"), ramp)
+
+
+@pytest.mark.parametrize("ids", [(1, 2), (3, 40), (7, 104)])
+def test_ids_of_8_bits_may_be_any_that_a_tracker_counts_to(ids):
+    pixels = np.zeros((40, 40), np.uint8)
+    pixels[5:20, 5:15], pixels[5:30, 25:35] = ids
+    given = ForeignMasks([0], lambda _: (pixels, "png uint8"))
+    assert [one.id for one in labeled_objects(given)] == [str(ids[1]), str(ids[0])]
+    assert (given.read(0, frozenset(ids[:1])) == 255).sum() == 150
 
 
 def test_what_a_value_means_is_decided_over_all_files(tmp_path):
