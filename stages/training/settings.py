@@ -53,7 +53,7 @@ class Params(contract.Params):
     """It also looks at as many patches anywhere in the whole picture, as in the paper."""
     perceptual_net: Literal["alex", "vgg"] = "alex"
     """The network of that term: AlexNet, or VGG16 as in the paper, which takes seven times as long."""
-    curve_points: int = Field(12, gt=0)
+    curve_points: int = Field(8, gt=0)
     """How often held-out accuracy is measured for the curve; the clock stands still meanwhile."""
     lbs_learning: bool = True
     """Skinning weights are learned; else they stay those of the body where each Gaussian began (see `hugs ablate`)."""
