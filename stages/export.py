@@ -181,11 +181,12 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     if take is None:
         raise StageError("nobody is seen in this clip, so it has no motion", "--set export.motion=wave")
     baked, name = load_avatar(avatar, job.device), f"avatar_{take.name}"
-    numbered: dict[str, tuple[str, Callable[[Path, Scene], object]]] = {
+    numbered: dict[str, tuple[str, Callable[[Path, Scene], int | dict[str, int]]]] = {
         "ply_motion": ("ply", write_ply),
         "spz_motion": ("spz", write_spz),
     }
     chosen = [numbered[one] for one in params.formats if one in numbered]
+    clamped: dict[str, int] = {}
     for ending, _ in chosen:
         (job.out / f"{name}_{ending}").mkdir()
 
@@ -193,7 +194,9 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
         for number, posed_there in enumerate(posed(baked, take)):
             splats = replace(posed_there, means=posed_there.means - np.array([0, floor, 0], np.float32))
             for ending, write in chosen:
-                write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
+                held = write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
+                for what, count in held.items() if isinstance(held, dict) else ():
+                    clamped[what] = max(count, clamped.get(what, 0))
             if number % ACCOUNT == 0:
                 job.progress(number, len(take))
             yield splats
@@ -204,6 +207,7 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     else:
         for _ in pictures():
             pass
+    _say_clamped(job, f"a file of {name}_spz", clamped)
     job.note(f"{name}: {len(take)} poses, clothes as they move")
 
 
