@@ -80,6 +80,18 @@ def test_a_tool_that_numbers_pictures_from_one_is_joined_by_its_count():
     assert frames.tolist() == [0, 1] and joined.names == ("img/000002.jpg", "img/000003.jpg")
 
 
+@pytest.mark.parametrize("tool", ["npz", "ROMP"])
+def test_pictures_that_ffmpeg_numbered_from_one_are_not_taken_for_the_frame_after(tool):
+    times, names = np.arange(4) / 30, names_of([0, 1, 2, 3])
+    fit = replace(fit_of(times), tool=tool, names=("000001.jpg", "000002.jpg", "000003.jpg", "000004.jpg"))
+    joined, frames = join_frames(fit, names, times, total=4)
+    assert frames.tolist() == [0, 1, 2, 3] and np.array_equal(joined.transl, fit.transl)
+    assert "count the frames from 1" in joined.notes[0]
+    for known in ({"total": 5}, {"total": 4, "sources": ["000001", "000002", "000003", "000004"]}):
+        joined, _ = join_frames(fit, names, times, **known)
+        assert not joined.notes, known
+
+
 def test_people_of_one_frame_stay_together_and_in_the_clips_order():
     times = np.arange(4) / 30
     fit = replace(fit_of(times), tracks=("a", "b", "a", "b"), numbers=np.array([6, 6, 3, 3]))
