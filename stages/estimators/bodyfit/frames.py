@@ -26,12 +26,17 @@ def join_frames(
     """The rows of `fit` that belong to frames, and the place of each one's frame in `names` [M]; frames in order.
 
     `names` are numbers of frames in the video, taken at `times` [F] s; `sources` are the names of the pictures they came
-    from, if they came from pictures. A video has `total` frames, 0 if that is not known: by it names are seen to count from 1.
-    Poses with times are read off between their neighbours. StageError if no frame has a row, or two rows of a fit of one
-    person claim one frame.
+    from, if they came from pictures. The clip has `total` frames, 0 if that is not known: by it names are seen to count from
+    1, and rows without names to be one for each. Poses with times are read off between their neighbours. StageError if no
+    frame has a row, or two rows of a fit of one person claim one frame.
     """
     if fit.times is not None:
         return _resample(fit, fit.times, names, times)
+    if fit.names is None and fit.numbers is None and len(fit) != total > 0:
+        facts = [
+            f"it has {len(fit)} poses, the clip {total} frames; by order they are joined only where there is one for each"
+        ]
+        raise StageError(f"nothing in {fit.path} tells which frames its poses are of", HINT, facts)
     if not sources and _count_from_one(fit, total):
         fit = replace(
             fit,

@@ -37,7 +37,7 @@ class Inputs:
     others: tuple[np.ndarray, ...] = ()
     person: int = 1
     total: int = 0
-    """Frames of the video."""
+    """Frames of the video, or pictures; 0 if not known."""
 
     @cached_property
     def clear(self) -> list[np.ndarray]:

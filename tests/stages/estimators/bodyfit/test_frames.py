@@ -105,3 +105,13 @@ def test_rows_by_count_need_most_of_the_clip():
     with pytest.raises(StageError, match="7 of 10 frames have no row") as caught:
         join_frames(fit, names_of(range(0, 40, 4)), np.arange(10) / 7.5)
     assert "add `names`" in caught.value.hint
+
+
+def test_rows_without_names_are_joined_only_where_there_is_one_for_each_frame_of_the_clip():
+    """Every second frame of a film of 60: each pose would belong to a frame at half its time."""
+    names, taken = names_of(range(0, 60, 2)), np.arange(0, 60, 2) / 30
+    with pytest.raises(StageError, match="tells which frames") as caught:
+        join_frames(fit_of(np.arange(30) / 15), names, taken, total=60)
+    assert "30 poses, the clip 60 frames" in caught.value.facts[0] and "add `names`" in caught.value.hint
+    _, frames = join_frames(fit_of(np.arange(60) / 30), names, taken, total=60)
+    assert frames.tolist() == list(range(30))
