@@ -13,6 +13,10 @@ from hugs_cli.pipelines import UsageError
 
 MEMORY = ".drawn.json"  # in the work folder: path -> digest of what was drawn there
 ELSEWHERE = "choose another `--out`"
+CLIPS = (
+    "*",
+    "from-*/*",
+)  # where clips lie in a work folder; the latter have a name that another has, see `fleet.clips`
 
 
 def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, is_folder: bool = False) -> None:
@@ -39,11 +43,12 @@ def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, 
 
 def protected(work: Path, given: Iterable[Path | None]) -> Iterator[tuple[str, Path]]:
     """What no drawing may change, each with its kind in words: files given, sources of all clips in `work`, stores."""
-    entries = (entry for memory in work.glob("*/sources.json") for entry in read_json(memory).values())
+    clips = [clip for place in CLIPS for clip in work.glob(place)]
+    entries = (entry for clip in clips for entry in read_json(clip / "sources.json").values())
     paths = (entry.get("path") for entry in entries if isinstance(entry, dict))
     sources = (Path(path) for path in paths if path and isinstance(path, str))
     yield from (("a source", path) for path in (*filter(None, given), *sources) if path.exists())
-    yield from (("a folder of results", store) for store in work.glob("*/store"))
+    yield from (("a folder of results", clip / "store") for clip in clips if (clip / "store").is_dir())
 
 
 @contextmanager

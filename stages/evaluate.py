@@ -79,6 +79,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
 
     from stages.avatar.drawing.draw import to_uint8
     from stages.avatar.measures.lpips import Lpips
+    from stages.avatar.splats.neighbours import spread_evenly
     from stages.estimators.assets import path
     from stages.filming.company import load_company, present
     from stages.formats.facts import Trained, read_facts
@@ -92,7 +93,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
     held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or present(members, int(i))]
-    shown = set(held[:: max(1, len(held) // SHOWN)][:SHOWN])
+    shown = set(spread_evenly(held, SHOWN))
     (job.out / "heldout").mkdir()
     protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
     each: list[dict[str, list[dict[str, Any]]]] = [{protocol: [] for protocol in protocols} for _ in members]

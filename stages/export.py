@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -55,12 +55,15 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     shaded = read_effects(train / "effects.npz").shading is not None
     cast: list[tuple[Avatar, Rig, Soles]] = []
     for person in people:
-        there, own = folder_of(train, person), replace(job, out=folder_of(job.out, person))
+        there, own = (
+            folder_of(train, person),
+            job if len(people) == 1 else _of_person(job, person, folder_of(job.out, person)),
+        )
         own.out.mkdir(parents=True, exist_ok=True)
         avatar = read_avatar(there / "avatar.npz")
         shutil.copyfile(there / "avatar.npz", own.out / "avatar.npz")
-        around, who = scene if person == 1 else None, f"person {person}: " * (len(people) > 1)
-        job.note(f"{who}avatar {len(avatar)} Gaussians" + (f", scene {len(around)}" if around else ""))
+        around = scene if person == 1 else None
+        own.note(f"avatar {len(avatar)} Gaussians" + (f", scene {len(around)}" if around else ""))
         rig = rig_of(avatar)
         soles = Soles.of_rig(rig)
         _still(own, formats, avatar, around, soles, ground)
@@ -69,10 +72,20 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
             _rigged(own, params, avatar, rig, model, takes, soles.floor)
         if formats & set(MOVING):
             _moving(own, params, avatar, takes, soles.floor)
-        _lacks(own, formats, avatar, rig, around, shaded)
+        _lacks_of_person(own, formats, avatar, rig)
         cast.append((avatar, rig, soles))
+    _lacks(job, formats, [avatar for avatar, *_ in cast], scene, shaded)
     if "viewer" in formats:
         _viewer(job, frames, sfm, smpl, train, cast, scene, ground)
+
+
+def _of_person(job: Job, person: int, out: Path) -> Job:
+    """The job of one of several people: what it says begins with whom it is about."""
+
+    def emit(event: dict[str, Any]) -> None:
+        job.emit(event | {"text": f"person {person}: {event['text']}"} if "text" in event else event)
+
+    return replace(job, out=out, emit=emit)
 
 
 def _check(formats: set[str]) -> None:
@@ -168,11 +181,12 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     if take is None:
         raise StageError("nobody is seen in this clip, so it has no motion", "--set export.motion=wave")
     baked, name = load_avatar(avatar, job.device), f"avatar_{take.name}"
-    numbered: dict[str, tuple[str, Callable[[Path, Scene], object]]] = {
+    numbered: dict[str, tuple[str, Callable[[Path, Scene], int | dict[str, int]]]] = {
         "ply_motion": ("ply", write_ply),
         "spz_motion": ("spz", write_spz),
     }
     chosen = [numbered[one] for one in params.formats if one in numbered]
+    clamped: dict[str, int] = {}
     for ending, _ in chosen:
         (job.out / f"{name}_{ending}").mkdir()
 
@@ -180,7 +194,9 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
         for number, posed_there in enumerate(posed(baked, take)):
             splats = replace(posed_there, means=posed_there.means - np.array([0, floor, 0], np.float32))
             for ending, write in chosen:
-                write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
+                held = write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
+                for what, count in held.items() if isinstance(held, dict) else ():
+                    clamped[what] = max(count, clamped.get(what, 0))
             if number % ACCOUNT == 0:
                 job.progress(number, len(take))
             yield splats
@@ -191,21 +207,16 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     else:
         for _ in pictures():
             pass
+    _say_clamped(job, f"a file of {name}_spz", clamped)
     job.note(f"{name}: {len(take)} poses, clothes as they move")
 
 
-def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene | None, lit: bool) -> None:
-    """Say once what each format that was written does not hold, and which way up it stands; `lit`: by a light of the clip."""
+def _among(formats: set[str], *names: str) -> str:
+    return ", ".join(name for name in names if name in formats)
 
-    def among(*names: str) -> str:
-        return ", ".join(name for name in names if name in formats)
 
-    if down := among("ply", "spz", "sog"):
-        job.note(
-            f"{down}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
-        )
-    if up := among("usd", "usd_motion"):
-        job.note(f"{up}: y up")
+def _lacks_of_person(job: Job, formats: set[str], avatar: Avatar, rig: Rig) -> None:
+    """Say what the files of one person do not hold."""
     if "glb" in formats:
         job.note(
             "avatar.glb: y up; eight bones a Gaussian, and the first four "
@@ -214,16 +225,26 @@ def _lacks(job: Job, formats: set[str], avatar: Avatar, rig: Rig, scene: Scene |
     if avatar.clothes is not None:
         if "glb" in formats:
             job.note(f"avatar.glb: the {len(avatar.clothes)} bones of clothes move in its own motions")
-        if stiff := among("ply", "spz", "usd", "sog"):
+        if stiff := _among(formats, "ply", "spz", "usd", "sog"):
             job.note(f"clothes have {len(avatar.clothes)} bones and stand still in {stiff}")
-    if avatar.shN.shape[1] and "glb" in formats:
+
+
+def _lacks(job: Job, formats: set[str], people: list[Avatar], scene: Scene | None, lit: bool) -> None:
+    """Say once what each format that was written does not hold, and which way up it stands; `lit`: by a light of the clip."""
+    if down := _among(formats, "ply", "spz", "sog"):
+        job.note(
+            f"{down}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
+        )
+    if up := _among(formats, "usd", "usd_motion"):
+        job.note(f"{up}: y up")
+    if people[0].shN.shape[1] and "glb" in formats:
         job.note("avatar.glb: view-dependent colours turn with the person, not with each bone")
-    if lit and (even := among("ply", "spz", "glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion")):
+    if lit and (even := _among(formats, "ply", "spz", "glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion")):
         job.note(
             f"the person's colours in {even} are those in even light: the clip's, which stays when they turn, is not in them"
         )
-    antialias = avatar.antialias or (scene is not None and scene.antialias)
-    silent = among("ply", "glb", "usd", "sog", "ply_motion", "usd_motion")
+    antialias = any(avatar.antialias for avatar in people) or (scene is not None and scene.antialias)
+    silent = _among(formats, "ply", "glb", "usd", "sog", "ply_motion", "usd_motion")
     if antialias and silent:
         job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
 

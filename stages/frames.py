@@ -107,9 +107,13 @@ def run(job: Job, params: Params, *, video: Path) -> None:
 
 
 def check_video(job: Job, info: VideoInfo) -> None:
-    """StageError for a video that says it has too few frames; a warning for high dynamic range."""
+    """StageError for a video that says it has too few frames; a warning for high dynamic range, a note for oblong pixels."""
     if info.transfer != "sdr":
         job.warn(f"the video is {info.transfer} (high dynamic range), decoded without tone mapping: colours look flat")
+    if info.pixel != 1:
+        job.note(
+            f"the video's pixels are {info.pixel:.3g} times as wide as high: made square, {info.width}x{info.height}"
+        )
     if info.frames < LEAST:
         raise StageError(
             f"{Path(info.path).name} has only {info.frames} frame{'s' * (info.frames != 1)}",

@@ -129,7 +129,7 @@ def import_poses(
 
     cameras = clip.cameras
     fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
-    known = (fit, clip.model, cameras, clip.times, clip.masks, clip.points, clip.moving, sources, metres)
+    known = (fit, clip.model, cameras, clip.times, clip.masks, clip.points, clip.moving, sources, metres, clip.total)
     poses, facts = import_fit(*known)
     for note in facts.pop("notes"):
         job.warn(note)

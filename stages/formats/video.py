@@ -20,6 +20,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp")
 HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # ITU-T H.273 transfer characteristics
 BT709 = 1  # H.273 number of BT.709 for matrix, primaries and transfer
 QUARTER = 90  # degrees
+SQUARE, LONGEST = 0.01, 4.0  # of a pixel's width over its height: nearer to 1 is square, beyond is no film's
 THREADS = 2
 REPEATABLE = "mbtree=0"
 """Of x264: the same pictures give the same bytes. Its macroblock tree reads memory that nobody wrote, at widths such as 480."""
@@ -41,6 +42,8 @@ class VideoInfo:
     """Degrees counter-clockwise that put the stored picture upright: 0, 90, 180 or 270."""
     transfer: str
     """'sdr', 'PQ' or 'HLG'."""
+    pixel: float = 1.0
+    """Width over height of a stored pixel; where it is not 1, pictures are widened or narrowed until it is."""
 
 
 def natural_order(path: Path) -> list:
@@ -127,14 +130,15 @@ def probe(path: Path) -> VideoInfo:
     if first is None:
         facts = [f"{len(found)} packets, {declared or 'unknown'} frames declared"]
         raise StageError(f"no frame of {path} can be decoded", AGAIN, facts)
-    rotation = round(first.rotation / QUARTER) % 4
-    width, height = (first.width, first.height) if rotation % 2 == 0 else (first.height, first.width)
+    rotation, pixel = round(first.rotation / QUARTER) % 4, pixel_shape(path)
+    wide = round(first.width * pixel)
+    width, height = (wide, first.height) if rotation % 2 == 0 else (first.height, wide)
     span = float((max(times) - min(times)) * base) if times and base else 0.0
     rate = (len(times) - 1) / span if span > 0 else float(average or 0)
     transfer = HIGH_DYNAMIC_RANGE.get(int(first.color_trc), "sdr")
     frames = declared or len(times)
     duration = span + (1 / rate if rate > 0 else 0.0)
-    return VideoInfo(str(path), width, height, rate, frames, duration, rotation * QUARTER, transfer)
+    return VideoInfo(str(path), width, height, rate, frames, duration, rotation * QUARTER, transfer, pixel)
 
 
 def declared_frames(stream: av.video.stream.VideoStream) -> int:
@@ -143,6 +147,14 @@ def declared_frames(stream: av.video.stream.VideoStream) -> int:
     if not stream.frames or "mov" not in stream.container.format.name.split(",") or not len(index):
         return stream.frames
     return sum(not entry.is_discard for entry in index)
+
+
+def pixel_shape(path: Path) -> float:
+    """Width over height of a video's stored pixels, 1 where it does not say: 4/3 in HDV of 1440x1080."""
+    container, stream = open_video(path)
+    with container:
+        shape = float(stream.sample_aspect_ratio or 1)
+    return shape if abs(shape - 1) > SQUARE and 1 / LONGEST <= shape <= LONGEST else 1.0
 
 
 def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
@@ -166,7 +178,8 @@ def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
 def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
     """Yield (index, time in seconds from the first frame, uint8 [H,W,3] upright) of a video or a folder of pictures.
 
-    Frames that do not decode are left out: compare the count with `probe`. A folder gives one picture a second.
+    Pixels of a video that are not square are made so, at the height that is stored. Frames that do not decode are left out:
+    compare the count with `probe`. A folder gives one picture a second.
     Raises StageError as `probe` does, and where pictures differ in size.
     """
     size = None
@@ -179,11 +192,12 @@ def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
                 raise StageError(f"pictures of different sizes in {path}", "give pictures of one camera", facts)
             yield index, float(index), picture
         return
-    start = None
+    start, pixel = None, pixel_shape(path)
     for index, frame in enumerate(decode_frames(path)):
         time = frame.time if frame.time is not None else float(index)
         start = time if start is None else start
-        upright = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / QUARTER))
+        square = frame.to_ndarray(format="rgb24", width=round(frame.width * pixel))
+        upright = np.rot90(square, round(frame.rotation / QUARTER))
         size = size or upright.shape
         if upright.shape != size:
             facts = [f"first {size[1]}x{size[0]}, from {time - start:.1f} s on {upright.shape[1]}x{upright.shape[0]}"]

@@ -25,6 +25,8 @@ def heldout_accuracy(fit: Fit, frames: list[int], lpips: Lpips | None = None) ->
     for i in frames:
         image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
         there = [one for one in people if one[0].shown(i)]
+        if scene is None and not there:
+            continue  # of several people: nothing to draw
         poses = [
             (who, (orient[i], body_pose[i], transl[i]), resting) for who, (orient, body_pose, transl), resting in there
         ]

@@ -31,6 +31,15 @@ def test_sources_and_stores_are_refused_even_with_force(work, out):
             check_out(Path(out), work, (Path("wave.bvh"), None), force)
 
 
+@pytest.mark.parametrize("out", ["a.mp4", "masks/x.mp4", "work/from-monday/a/store/x.mp4"])
+def test_those_of_clips_of_the_same_name_are_refused_too(work, out):
+    """`hugs fleet` gives them a work folder of their own."""
+    (work / "from-monday").mkdir()
+    (work / "a").rename(work / "from-monday/a")
+    with pytest.raises(UsageError, match="is never written over"):
+        check_out(Path(out), work, (), True)
+
+
 def test_sources_are_known_by_any_name(work):
     Path("again.mp4").hardlink_to("a.mp4")
     Path("way").symlink_to("masks")

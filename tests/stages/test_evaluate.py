@@ -95,6 +95,16 @@ def test_nothing_held_out_is_said(lpips, tiny, tmp_path, monkeypatch):
     assert any(e["event"] == "warning" and "nothing could be measured" in e["text"] for e in events)
 
 
+@pytest.mark.slow
+def test_pictures_are_shown_of_the_whole_clip(lpips, tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr("stages.formats.splits.HELD_OUT_EVERY", 1)
+    monkeypatch.setattr("stages.formats.splits.HELD_OUT_FIRST", 0)
+    metrics, _ = run(tiny, tmp_path, fit_steps=0)
+    assert metrics["frames"] == 8, "and six are shown"
+    names = [tiny_clip.NAMES[i] for i in (0, 1, 2, 4, 5, 6)]
+    assert sorted(path.stem for path in (tmp_path / "heldout").glob("*.png")) == names
+
+
 def shot(clip, gain=None, scene=True, **poses):
     train = clip["train"]
     loaded = load_clip(clip["sfm"], clip["smpl"])

@@ -132,6 +132,15 @@ def test_a_motion_as_numbered_files(clip, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
+def test_what_numbered_spz_files_clamp_is_said(clip, tmp_path):
+    train = shutil.copytree(clip["train"], tmp_path / "train")
+    avatar = read_avatar(train / "avatar.npz")
+    avatar.sh0[:3] = 9
+    write_splats(train / "avatar.npz", avatar)
+    said = made(clip | {"train": train}, tmp_path / "out", formats=["spz_motion"])
+    assert "a file of avatar_clip_spz has 3 Gaussians with colours out of range: held at the limit" in said
+
+
 def test_in_usd_the_floor_of_the_scene_is_at_height_0(clip, tmp_path, monkeypatch):
     """The clip's floor is level, y down; the origin is below where the person stood, and z where they looked."""
     written = {}

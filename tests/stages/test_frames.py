@@ -10,7 +10,7 @@ import pytest
 from stages import frames
 from stages.contract import Job, StageError
 from stages.formats.images import read_image, write_image
-from stages.formats.video import decode, write_video
+from stages.formats.video import VideoInfo, decode, write_video
 
 HEIGHT, WIDTH = 96, 128
 TICKS = 15360  # a second, in films of 30 frames a second
@@ -93,6 +93,13 @@ def test_a_black_fade_is_dropped(tmp_path):
         pictures[i] = np.full_like(pictures[i], 3 * i)
     facts, _, _ = pick(tmp_path, pictures)
     assert [f["index"] for f in facts["frames"]] == list(range(6, 20))
+
+
+def test_oblong_pixels_are_said(tmp_path):
+    said = []
+    info = VideoInfo("v.mp4", 1920, 1080, 25.0, 50, 2.0, 0, "sdr", 4 / 3)
+    frames.check_video(Job(tmp_path, emit=lambda event: said.append(event["text"])), info)
+    assert said == ["the video's pixels are 1.33 times as wide as high: made square, 1920x1080"]
 
 
 def test_h19_i20_too_little_video_is_refused(tmp_path):

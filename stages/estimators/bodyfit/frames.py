@@ -21,16 +21,29 @@ _NUMBERS = ("betas", "transl", "scale")
 
 
 def join_frames(
-    fit: SmplFit, names: Sequence[str], times: np.ndarray, sources: Sequence[str] = ()
+    fit: SmplFit, names: Sequence[str], times: np.ndarray, sources: Sequence[str] = (), total: int = 0
 ) -> tuple[SmplFit, np.ndarray]:
     """The rows of `fit` that belong to frames, and the place of each one's frame in `names` [M]; frames in order.
 
     `names` are numbers of frames in the video, taken at `times` [F] s; `sources` are the names of the pictures they came
-    from, if they came from pictures. Poses with times are read off between their neighbours. StageError if no frame has
-    a row, or two rows of a fit of one person claim one frame.
+    from, if they came from pictures. The clip has `total` frames, 0 if that is not known: by it names are seen to count from
+    1, and rows without names to be one for each. Poses with times are read off between their neighbours. StageError if no
+    frame has a row, or two rows of a fit of one person claim one frame.
     """
     if fit.times is not None:
         return _resample(fit, fit.times, names, times)
+    if fit.names is None and fit.numbers is None and len(fit) != total > 0:
+        facts = [
+            f"it has {len(fit)} poses, the clip {total} frames; by order they are joined only where there is one for each"
+        ]
+        raise StageError(f"nothing in {fit.path} tells which frames its poses are of", HINT, facts)
+    if not sources and _count_from_one(fit, total):
+        fit = replace(
+            fit,
+            names=None,
+            numbers=np.array([(number(Path(name).stem) or 0) - 1 for name in fit.names or ()]),
+            notes=(*fit.notes, f"{total} is among the names and 0 is not: they are taken to count the frames from 1"),
+        )
     keys, wanted, sure = _keys(fit, names, sources)
     place = {key: i for i, key in enumerate(wanted)}
     pairs = [(place[key], row) for row, key in enumerate(keys) if key is not None and key in place]
@@ -41,6 +54,14 @@ def join_frames(
         _refuse(fit, names, len(found))
     pairs.sort()
     return fit.rows([row for _, row in pairs]), np.array([frame for frame, _ in pairs])
+
+
+def _count_from_one(fit: SmplFit, total: int) -> bool:
+    """Whether the names surely count the `total` frames of a video from 1, as ffmpeg's do; a tool's own numbers do not."""
+    if fit.names is None or fit.numbers is not None:
+        return False
+    counted = {number(Path(name).stem) for name in fit.names}
+    return total in counted and not {0, None} & counted and total > 0
 
 
 def _keys(fit: SmplFit, names: Sequence[str], sources: Sequence[str]) -> tuple[list, list, bool]:

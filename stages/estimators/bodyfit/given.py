@@ -38,14 +38,16 @@ def import_fit(
     moving: bool,
     sources: tuple[str, ...] = (),
     metres: float | None = None,
+    total: int = 0,
 ) -> tuple[BodyPoses, dict[str, Any]]:
     """The fit as poses of all `cameras` (SfM units), and facts for smpl.json: person, scale, notes.
 
     `masks` [H,W] of each camera choose among several people; `sources` are the names of the pictures, if the clip came
-    as pictures; `metres` per SfM unit are kept where somebody else in the clip tells them. A fit in SfM units brings its scale;
-    for one in camera frames it is found from floor and feet. Frames without a row are filled in between with confidence 0.
+    as pictures, `total` counts the clip's frames; `metres` per SfM unit are kept where somebody else in the clip tells
+    them. A fit in SfM units brings its scale; for one in camera frames it is found from floor and feet. Frames without a
+    row are filled in between with confidence 0.
     """
-    fit, frames = join_frames(fit, cameras.names, times, sources)
+    fit, frames = join_frames(fit, cameras.names, times, sources, total)
     if model.name == FREE and fit.body == SMPL:
         fit = onto_body(fit, model)
     fit, rows, person = choose_person(fit, frames, cameras, masks, model)

@@ -36,6 +36,8 @@ class Inputs:
     moving: bool
     others: tuple[np.ndarray, ...] = ()
     person: int = 1
+    total: int = 0
+    """Frames of the video, or pictures; 0 if not known."""
 
     @cached_property
     def clear(self) -> list[np.ndarray]:
@@ -55,6 +57,7 @@ def read_inputs(listing: Listing, sfm: Path, body_model: Path | None) -> Inputs:
         masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
         points=read_points(sfm / "points.ply")[0].astype(np.float64),
         moving=read_facts(sfm / "sfm.json", Sfm).verdict == "moving",
+        total=listing.video.frames,
     )
 
 

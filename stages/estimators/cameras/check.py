@@ -80,7 +80,8 @@ def compare_colors(job: Job, found: Pinholes, cloud: Cloud) -> None:
     alike = color_agreement(job.out / "images", found, cloud)
     found.facts["colour_correlation"] = alike
     if alike is None:
-        job.warn("the given points have no colours, so the given cameras could not be checked")
+        lacking = "colours" if any(map(len, cloud.tracks)) else "tracks"
+        job.warn(f"the given points have no {lacking}, so the given cameras could not be checked")
     elif alike < COLORS_FIT:
         job.warn(
             f"the given points have other colours than the frames where they project (correlation {alike:.2f}, usual is "

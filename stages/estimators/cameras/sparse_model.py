@@ -59,7 +59,10 @@ def write_model(job: Job, found: Pinholes, size: tuple[int, int]) -> dict:
 
 
 def write_points(job: Job, found: Pinholes, cloud: Cloud) -> tuple[np.ndarray, dict]:
-    """Write points.ply without weak points: returns bool [P] of those kept, and facts for sfm.json."""
+    """Write points.ply without weak points: returns bool [P] of those kept, and facts for sfm.json.
+
+    Where no given point is seen often enough, the file does not tell which are weak: some programs keep no tracks.
+    """
     on_person, in_view = np.zeros(len(cloud.ids)), np.zeros(len(cloud.ids))
     for name, viewmat, K in zip(found.names, found.viewmats, found.Ks, strict=True) if len(cloud.ids) else ():
         mask = read_mask(job.out / "masks" / f"{name}.png")
@@ -69,6 +72,10 @@ def write_points(job: Job, found: Pinholes, cloud: Cloud) -> tuple[np.ndarray, d
         in_view += inside
         on_person[inside] += mask[y, x] > 127
     short, loose = cloud.lengths < MIN_TRACK, cloud.errors > MAX_ERROR
+    told = found.cloud is None or not short.all()
+    if not told and len(short):
+        job.note(f"{len(short)} given points, seen in fewer than {MIN_TRACK} pictures each: kept as they are")
+        short[:] = False
     person = on_person > PERSON_SHARE * np.maximum(in_view, 1)
     keep = ~(short | loose | person)
     points.write_points(job.out / "points.ply", cloud.xyz[keep], cloud.rgb[keep])
@@ -82,11 +89,11 @@ def write_points(job: Job, found: Pinholes, cloud: Cloud) -> tuple[np.ndarray, d
     flatness = float(spread[2] / spread[0])
     if flatness < FLAT:
         job.warn(f"the points lie on a plane (thickness {flatness:.3f} of their width): the focal length is uncertain")
-    return keep, facts | {
+    facts["flatness"] = flatness
+    return keep, facts if not told else facts | {
         "reprojection_px": float(cloud.errors[keep].mean()),
         "median_track": float(np.median(cloud.lengths[keep])),
         "median_triangulation_deg": float(np.median(cloud.angles[keep])),
-        "flatness": flatness,
     }
 
 

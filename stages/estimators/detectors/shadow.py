@@ -32,7 +32,8 @@ def detect(evidence: ClipEvidence) -> Finding:
     """How much of the best-fitting lamp's light the body takes from the floor.
 
     Spots of the floor are compared with themselves in other frames only, so its pattern does not matter. Tried are lamps
-    in all directions; the shadow of each is the body laid down on the floor along its light.
+    in all directions; the shadow of each is the body laid down on the floor along its light. Where the mask is empty nobody
+    takes any: bodies there are only filled in.
     """
     floor = _FloorPatch(evidence)
     logs = np.stack([floor.logs(evidence, i) for i in evidence.sampled])
@@ -41,7 +42,8 @@ def detect(evidence: ClipEvidence) -> Finding:
         return unmeasured(UNIT, DARKNESS, "too little of the floor is seen around the person")
     logs = logs[:, spots]
     light = (logs - np.nanmedian(logs, 0)).clip(-LARGEST, LARGEST)
-    bodies = evidence.bodies[:, ::EVERY]
+    there = [bool((evidence.clip.mask(i) > 127).any()) for i in evidence.sampled]
+    bodies = [body[::EVERY] if seen else body[:0] for body, seen in zip(evidence.bodies, there, strict=True)]
 
     def try_lamp(tilt: float, turn: float) -> tuple[float, float, np.ndarray, tuple[float, float]]:
         shadow = np.stack([floor.shadow(body, tilt, turn)[spots] for body in bodies])

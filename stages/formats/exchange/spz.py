@@ -26,6 +26,8 @@ FRACTION = 12  # bits
 FARTHEST = 1 << (23 - FRACTION)  # m
 COLOUR = 0.15  # of the range of a byte for a unit of the coefficient of degree 0
 LOGS = (-10.0, 16.0)  # the least logarithm of a scale, and steps in 1
+WIDEST = float(np.exp(LOGS[0] + 255 / LOGS[1]))  # m: 379
+GLOSSIEST = 1.0  # of a coefficient of degree 1 and higher
 STEPS = (8, 16)  # the bytes of degree 1 and of higher degrees are multiples of these
 LARGEST = 2**-0.5  # of a quaternion's components that are not the largest one
 CHUNK = 1 << 14  # rows made at a time
@@ -41,14 +43,22 @@ def write_spz(path: Path, splats: Scene) -> dict[str, int]:
     degree = {0: 0, 3: 1, 8: 2, 15: 3}[splats.shN.shape[1]]
     far = np.abs(splats.means) >= FARTHEST
     bright = np.abs(splats.sh0) * COLOUR > 0.5
+    wide = splats.scales > WIDEST
+    most = np.stack([splats.shN.max((1, 2), initial=0), -splats.shN.min((1, 2), initial=0)], 1)
     flags = ANTIALIAS if splats.antialias else 0
     with Path(path).open("wb") as plain, gzip.GzipFile("", "wb", LEVEL, plain, mtime=0) as file:
         file.write(HEAD.pack(MAGIC, VERSION, len(splats), degree, FRACTION, flags, 0))
         for table in (_places, _opacities, _colours, _scales, _turns, _higher):
             for start in range(0, len(splats), CHUNK):
                 file.write(table(splats, slice(start, start + CHUNK)).tobytes())
-    clamped = {f"beyond {FARTHEST} m": int(far.any(1).sum()), "with colours out of range": int(bright.any(1).sum())}
-    return {what: count for what, count in clamped.items() if count}
+    clamped = {
+        f"beyond {FARTHEST} m": far,
+        f"wider than {WIDEST:.0f} m": wide,
+        "with colours out of range": bright,
+        "with colours that depend too much on the view": most > GLOSSIEST,
+    }
+    counts = {what: int(rows.any(1).sum()) for what, rows in clamped.items()}
+    return {what: count for what, count in counts.items() if count}
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

@@ -28,14 +28,14 @@ def settle_colors(
     Nothing else moves. Pixels of other people are not compared. Without a `scene` the person is compared over black.
     """
     views, seen, gains, viewmats = fit.full, who.masked(fit.full), fit.gains().detach(), fit.cameras().detach()
-    poses = tuple(part.detach() for part in fit.bodies(who))
+    orient, body_pose, transl = (part.detach() for part in fit.bodies(who))
     splats = None if scene is None else scene.splats().detach()
     resting = rest(person, who.canonical_bones)
     change = torch.zeros_like(person.sh).requires_grad_()
     colors = lambda: person.sh + own[:, None, None] * change  # noqa: E731
     adam = torch.optim.Adam([change], eps=1e-15)
     for step, i in enumerate(islice(cycle(person_frames(who.body, seen, frames)), STEPS)):
-        body = tuple(part[i] for part in poses)
+        body = orient[i], body_pose[i], transl[i]
         posed = fit.posed(resting._replace(sh=colors()), *body, of=who)
         with torch.no_grad():
             lit, motion = fit.effects.shade(splats, fit.stance(*body, of=who)), fit.motion(i, [who], [resting])

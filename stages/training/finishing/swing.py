@@ -44,13 +44,10 @@ def _carry_anew(clothing: Clothing, bones: Tensor, swing: Tensor) -> Tensor:
     count, pull = len(moved), (STAY * len(moved)) ** 0.5
     for k in range(len(clothing)):
         before = clothing.carriers[k]
-        rows = [
-            found[k].reshape(-1, found.shape[-1]),
-            pull * torch.eye(len(before)),
-            FULL * count * torch.ones(1, len(before)),
-        ]
-        told = [wanted[k].reshape(-1), pull * before, FULL * count * torch.ones(1)]
-        share, _ = nnls(torch.cat(rows).double().numpy(), torch.cat(told).double().numpy())
+        one = torch.ones_like(before)
+        rows = [found[k].reshape(-1, found.shape[-1]), pull * one.diag(), FULL * count * one[None]]
+        told = [wanted[k].reshape(-1), pull * before, FULL * count * one[:1]]
+        share, _ = nnls(torch.cat(rows).double().cpu().numpy(), torch.cat(told).double().cpu().numpy())
         clothing.carriers[k] = torch.as_tensor(share / share.sum()).to(before)
     carried = clothing.carried(bones)
     left = torch.linalg.solve(carried, moved)
@@ -65,7 +62,7 @@ def _ridge(told: Tensor, wanted: Tensor, ridge: float) -> Tensor:
     x, y = told.double(), wanted.flatten(1).double()
     size = x.square().mean(0).sqrt().clamp_min(1e-9)
     x = x / size
-    eye = ridge * torch.eye(x.shape[1], dtype=x.dtype)
+    eye = ridge * torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
     eye[0, 0] = 1e-6  # the first is 1: what clothes do on average is their shape
     found = torch.linalg.solve(x.mT @ x + eye, x.mT @ y) / size[:, None]
     return found.mT.unflatten(0, wanted.shape[1:]).to(told)

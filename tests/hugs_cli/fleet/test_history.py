@@ -20,6 +20,15 @@ def test_medians_and_the_most_memory(tmp_path):
     assert found.megabytes("draft") == OWN_MB + round(1.25 * 2048) and found.megabytes("other") == UNMEASURED_MB
 
 
+def test_clips_of_the_same_name_count_too(tmp_path):
+    """Their results lie in a work folder of their own, see `clips.work_folders`."""
+    for place, seconds in (("dance", 10), ("from-monday/dance", 20), ("from-shots-tuesday/dance", 90)):
+        (tmp_path / place).mkdir(parents=True)
+        run = {"pipeline": "draft", "stage": "train", "result": "done", "peak_memory_bytes": 0, "seconds": seconds}
+        (tmp_path / place / "runs.jsonl").write_text(json.dumps(run))
+    assert history(tmp_path).expected("draft", ["train"]) == 20
+
+
 def test_an_empty_folder_tells_nothing(tmp_path):
     assert history(tmp_path / "none").expected("draft", ["train"]) is None
 

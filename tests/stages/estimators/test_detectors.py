@@ -285,6 +285,34 @@ def test_a_clip_with_the_effect_calls_for_it(filmed, name, strength):
         assert np.dot(lamp, synthetic.LIGHT) > np.cos(np.radians(12)) and darkness == found.value
 
 
+@pytest.mark.slow
+def test_frames_in_which_nobody_is_yet_do_not_hide_a_shadow(filmed):
+    """Their bodies are filled in: held as in the first frame that shows somebody."""
+    before, brush = 8, np.ones((5, 5), np.uint8)
+    evidence, plain = filmed(shadow=0.6), filmed()
+
+    def late(evidence):
+        clip, room = evidence.clip, plain.clip
+
+        def images(i):
+            if i >= before:
+                return clip.images(i)
+            person = cv2.dilate(room.mask(i), brush) > 0
+            return cv2.inpaint(room.images(i), person.astype(np.uint8), 3, cv2.INPAINT_TELEA)
+
+        held = {name: np.array(value) for name, value in vars(clip.body).items()}
+        for name in ("global_orient", "body_pose", "transl"):
+            held[name][:before] = held[name][before]
+        held["confidence"][:before] = 0
+        more = {"images": images, "mask": lambda i: clip.mask(i) * (i >= before), "body": SimpleNamespace(**held)}
+        return ClipEvidence(SimpleNamespace(**vars(clip) | more), evidence.facts)
+
+    assert not shadow.detect(late(plain)).called_for
+    found = shadow.detect(late(evidence))
+    assert found.called_for and found.value > 0.7 * shadow.detect(evidence).value, found
+    assert np.dot(found.start[:3], synthetic.LIGHT) > np.cos(np.radians(12))
+
+
 def test_arms_3_degrees_off_call_for_refined_poses_and_true_ones_do_not_however_small_the_person(filmed):
     evidence = filmed()
     assert pose_refinement.detect(evidence).value == 0, "in 150x200 px edges alone are 3 % of the person"

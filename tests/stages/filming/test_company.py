@@ -54,6 +54,16 @@ def test_both_are_measured_drawn_together(clip, tmp_path):
 
 
 @pytest.mark.slow
+def test_what_export_says_of_one_of_them_names_them_and_the_rest_is_said_once(clip, tmp_path):
+    said = []
+    job = Job(tmp_path, emit=lambda event: said.append(event["text"]))
+    export.run(job, export.Params(formats=["spz", "glb"]), **needs(clip, "frames", "sfm", "smpl", "train"))
+    about = [text.partition(": ")[0] for text in said]
+    assert about.count("person 1") == about.count("person 2") == 3
+    assert [text for text in said if "y down" in text] == [said[-1]] and said[-1].startswith("spz: y down")
+
+
+@pytest.mark.slow
 def test_films_files_and_the_report_show_both(clip, tmp_path):
     folders = clip | {name: tmp_path / name for name in ("export", "render", "evaluate", "report")}
     for name in ("export", "render", "evaluate", "report"):

@@ -82,6 +82,27 @@ def test_i11_rotation_in_the_file_is_applied(tmp_path, degrees):
     assert is_red(frame[corner]) and sum(is_red(frame[y, x]) for y in (4, -4) for x in (4, -4)) == 1
 
 
+@pytest.mark.parametrize(("pixel", "width"), [(Fraction(4, 3), 64), (Fraction(8, 9), 43), (Fraction(1), 48)])
+def test_pixels_that_are_not_square_are_made_square(tmp_path, pixel, width):
+    """HDV keeps 1920x1080 as 1440x1080, DV keeps 640x480 as 720x480."""
+    with av.open(str(tmp_path / "v.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 48, 32, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = pixel
+        for picture in corner_marked(4, 32, 48):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode(None))
+    for degrees in (0, 90):
+        set_rotation(tmp_path / "v.mp4", degrees)
+        info, frames = probe(tmp_path / "v.mp4"), [picture for _, _, picture in decode(tmp_path / "v.mp4")]
+        assert {picture.shape for picture in frames} == {(info.height, info.width, 3)} and len(frames) == 4
+        assert (info.width, info.height) == ((32, width) if degrees else (width, 32))
+        assert info.pixel == pytest.approx(float(pixel))
+        red = (frames[0][..., 0] > 180) & (frames[0][..., 1] < 80)
+        rows, columns = (np.flatnonzero(red.any(axis)) for axis in (1, 0))
+        assert abs(len(columns if not degrees else rows) - width / 4) <= 1, "the corner is a quarter of the width"
+
+
 def test_i10_variable_frame_rate_keeps_each_time(tmp_path):
     times = [0, 1, 2, 10, 11, 30]  # in 1/30 s
     with av.open(str(tmp_path / "v.mkv"), "w") as container:

@@ -45,3 +45,15 @@ def test_one_who_is_not_there_is_not_drawn(clip):
     assert [len(fit.drawn_people(i, fit.full)) for i in range(FRAMES)] == [1, 1, 1, 2, 2, 2]
     run(fit, 4)
     assert fit.guard.left_out == 0
+
+
+@pytest.mark.slow
+def test_without_a_scene_a_frame_in_which_nobodys_pose_is_known_is_not_measured(clip):
+    """Their masks are there, but in held-out frame 2 no landmarks were found."""
+    views, people, masks = clip
+    found = torch.arange(FRAMES) != 2
+    people = [person._replace(confidence=found.float()) for person in people]
+    fit = fit_of_two((views, people, masks))
+    fit.scene = None
+    assert set(heldout_accuracy(fit, [2]).values()) == {None}
+    assert heldout_accuracy(fit, [1, 2]) == heldout_accuracy(fit, [1])

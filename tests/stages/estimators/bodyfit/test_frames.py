@@ -80,6 +80,18 @@ def test_a_tool_that_numbers_pictures_from_one_is_joined_by_its_count():
     assert frames.tolist() == [0, 1] and joined.names == ("img/000002.jpg", "img/000003.jpg")
 
 
+@pytest.mark.parametrize("tool", ["npz", "ROMP"])
+def test_pictures_that_ffmpeg_numbered_from_one_are_not_taken_for_the_frame_after(tool):
+    times, names = np.arange(4) / 30, names_of([0, 1, 2, 3])
+    fit = replace(fit_of(times), tool=tool, names=("000001.jpg", "000002.jpg", "000003.jpg", "000004.jpg"))
+    joined, frames = join_frames(fit, names, times, total=4)
+    assert frames.tolist() == [0, 1, 2, 3] and np.array_equal(joined.transl, fit.transl)
+    assert "count the frames from 1" in joined.notes[0]
+    for known in ({"total": 5}, {"total": 4, "sources": ["000001", "000002", "000003", "000004"]}):
+        joined, _ = join_frames(fit, names, times, **known)
+        assert not joined.notes, known
+
+
 def test_people_of_one_frame_stay_together_and_in_the_clips_order():
     times = np.arange(4) / 30
     fit = replace(fit_of(times), tracks=("a", "b", "a", "b"), numbers=np.array([6, 6, 3, 3]))
@@ -93,3 +105,13 @@ def test_rows_by_count_need_most_of_the_clip():
     with pytest.raises(StageError, match="7 of 10 frames have no row") as caught:
         join_frames(fit, names_of(range(0, 40, 4)), np.arange(10) / 7.5)
     assert "add `names`" in caught.value.hint
+
+
+def test_rows_without_names_are_joined_only_where_there_is_one_for_each_frame_of_the_clip():
+    """Every second frame of a film of 60: each pose would belong to a frame at half its time."""
+    names, taken = names_of(range(0, 60, 2)), np.arange(0, 60, 2) / 30
+    with pytest.raises(StageError, match="tells which frames") as caught:
+        join_frames(fit_of(np.arange(30) / 15), names, taken, total=60)
+    assert "30 poses, the clip 60 frames" in caught.value.facts[0] and "add `names`" in caught.value.hint
+    _, frames = join_frames(fit_of(np.arange(60) / 30), names, taken, total=60)
+    assert frames.tolist() == list(range(30))

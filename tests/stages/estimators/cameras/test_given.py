@@ -17,7 +17,7 @@ from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap, given
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
-from stages.formats.facts import Listing, parse
+from stages.formats.facts import Listing, Sfm, parse, read_facts
 from stages.formats.given_cameras.recognize import read_camera_files
 from stages.formats.given_cameras.record import PARAMS, Lens
 from stages.formats.images import write_image, write_mask
@@ -137,6 +137,24 @@ def test_a_models_points_are_taken_and_the_rest_of_sfm_is_as_ever(tmp_path, trut
 
     sparse = pycolmap.Reconstruction(tmp_path / "out/sparse")
     assert sparse.num_points3D() == len(xyz) and sparse.num_reg_images() == FRAMES
+
+
+@pytest.mark.parametrize("seen", [0, 1])
+def test_points_of_a_program_that_keeps_no_tracks_are_kept(tmp_path, truth, points, stages, seen):
+    """VGGT's and MASt3R's models: no errors, and a point is seen by one picture or none."""
+    model = files.colmap(tmp_path / "model", truth, *points, text=True)
+    lines = [line.split() for line in (model / "points3D.txt").read_text().splitlines() if not line.startswith("#")]
+    lines = [[*line[:7], "-1", *line[8 : 8 + 2 * seen]] for line in lines]
+    (model / "points3D.txt").write_text("\n".join(map(" ".join, lines)))
+    (tmp_path / "out").mkdir()
+    said: list[str] = []
+    job = Job(tmp_path / "out", emit=lambda event: said.append(event.get("text", "")))
+    sfm.run(job, sfm.Params(), frames=stages / "frames", masks=stages / "masks", cameras=model)
+    facts = read_facts(tmp_path / "out/sfm.json", Sfm)
+    assert len(read_points(tmp_path / "out/points.ply")[0]) > 200
+    assert facts.median_triangulation_deg is None and facts.reprojection_px is None
+    assert any("in fewer than 3 pictures each: kept as they are" in text for text in said)
+    assert not any("no colours" in text for text in said)
 
 
 def test_points_of_another_clip_are_doubted(tmp_path, truth, points, stages):

@@ -69,11 +69,19 @@ def test_singular_gaussians(tmp_path):
 
 
 def test_what_is_clamped_is_counted(tmp_path):
-    splats = some(5)
+    splats = some(5, degree=1)
     splats.means[2, 1], splats.sh0[3, 0], splats.sh0[3, 1] = -5000, 4, -4
+    splats.scales[:2, 1], splats.shN[1, 2, 0], splats.shN[4, 0, 1], splats.shN[4, 1, 1] = 900, 3, -2, 2
     said = write_spz(tmp_path / "a.spz", splats)
-    assert said == {"beyond 2048 m": 1, "with colours out of range": 1}
-    assert read_spz(tmp_path / "a.spz").means[2, 1] == -2048
+    assert said == {
+        "beyond 2048 m": 1,
+        "wider than 379 m": 2,
+        "with colours out of range": 1,
+        "with colours that depend too much on the view": 2,
+    }
+    back = read_spz(tmp_path / "a.spz")
+    assert back.means[2, 1] == -2048 and round(float(back.scales[0, 1])) == 379
+    assert back.shN[1, 2, 0] == 127 / 128 and back.shN[4, 0, 1] == -1
 
 
 def test_version_2_is_read(tmp_path):

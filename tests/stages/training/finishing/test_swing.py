@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import pytest
 import torch
+from torch.overrides import TorchFunctionMode
+from torch.utils._device import _device_constructors
 
 from stages.avatar.body.rotations import matrix_from_rotvec, rotvec_from_matrix
 from stages.avatar.body.smpl import affine
@@ -79,3 +81,28 @@ def test_a_bone_is_carried_by_what_it_moves_with(trained):
     assert clothing.carriers[0, 1] > 0.95 and clothing.carriers[1, 0] > 0.95
     torch.testing.assert_close(clothing.carriers.sum(1), torch.ones(2))
     assert clothing.swings.abs().max() < 0.1, "and need not swing"
+
+
+class FarTensors(TorchFunctionMode):
+    """Takes tensors for those of a GPU, but for those that were just made without a device: where the two meet, it refuses."""
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        kwargs, name = kwargs or {}, getattr(func, "__name__", "")
+        inside = [one for arg in args for one in (arg if isinstance(arg, list | tuple) else [arg])]
+        here = [hasattr(one, "here") for one in inside if isinstance(one, torch.Tensor) and one.dim()]
+        assert name in ("to", "__getitem__") or len(set(here)) < 2, f"{name} of tensors on two devices"
+        assert name != "numpy" or all(here), "a GPU's tensor is no array"
+        found = func(*args, **kwargs)
+        if name == "to":
+            return found.clone()
+        made = func in _device_constructors() and "device" not in kwargs
+        if isinstance(found, torch.Tensor) and (made or name == "cpu" or (here and all(here))):
+            found.here = True
+        return found
+
+
+def test_on_a_gpu_nothing_meets_a_tensor_of_the_processor(trained):
+    told = course()
+    clothing, table = clothes(told), torch.zeros(FRAMES, 2, 6)
+    with FarTensors():
+        assert fit_swing(clothing, table, trained, *told) < 1
