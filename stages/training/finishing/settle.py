@@ -12,6 +12,7 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera, Layer
 from stages.training import losses
 from stages.training.company import Company
+from stages.training.finishing.bake import EDGE
 from stages.training.person import PersonLearner
 from stages.training.schedule import LR_OWN
 from stages.training.views import person_box, person_frames
@@ -25,7 +26,7 @@ def settle_colors(
 ) -> Canonical:
     """The finished person with colours that draw the `frames` better; a colour moves as far as it is its own[N], 0 to 1.
 
-    Nothing else moves. Pixels of other people are not compared. Without a `scene` the person is compared over black.
+    Nothing else moves. Pixels of other people are not compared; without a `scene` only those well inside the person's mask.
     """
     views, seen, gains, viewmats = fit.full, who.masked(fit.full), fit.gains().detach(), fit.cameras().detach()
     orient, body_pose, transl = (part.detach() for part in fit.bodies(who))
@@ -44,9 +45,9 @@ def settle_colors(
         crop = slice(top, bottom), slice(left, right)
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
         drawn = fit.effects.draw(posed, lit, motion, camera, [Layer(window=box)])[0].image * gains[i]
-        wanted = image[crop] if scene is not None else image[crop] * mask[crop][..., None]
-        theirs = (everybody - mask)[crop][..., None]
-        loss = losses.photometric(theirs * wanted + (1 - theirs) * drawn, wanted)
+        known = 1 - (everybody - mask) if scene is not None else -losses.dilated(-mask, EDGE)
+        wanted, told = image[crop], known[crop][..., None]
+        loss = losses.photometric(wanted + told * (drawn - wanted), wanted)
         (change.grad,) = torch.autograd.grad(loss, change)
         adam.param_groups[0]["lr"] = RATE * (1 - step / STEPS)
         adam.step()
