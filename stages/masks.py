@@ -107,7 +107,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
 
     from stages.estimators.person.blazepose import BlazePose
     from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
-    from stages.estimators.person.outline import outline
+    from stages.estimators.person.outline import outline, outlines
     from stages.estimators.person.people import Bystanders
     from stages.formats.images import read_image
     from stages.formats.people import EVERYBODY
@@ -128,11 +128,10 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     )
     poses = network.track(pictures, bystanders.start)
     bystanders.warn_of_jumps(poses)
-    for i, (path, pose) in enumerate(zip(paths, poses, strict=True)):
-        image = read_image(path)
-        mask = np.zeros(image.shape[:2], np.uint8)
+    found = outlines(pictures, [pose and pose.next_roi for pose in poses])
+    for i, (pose, probable) in enumerate(zip(poses, found, strict=True)):
+        mask = np.rint(probable * 255).astype(np.uint8)
         if pose is not None:
-            mask = np.rint(outline(network, image, pose.next_roi) * 255).astype(np.uint8)
             bystanders.look(i, pose, mask)
         yield [mask]
     bystanders.close()

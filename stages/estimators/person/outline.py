@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 
-from stages.estimators.person.blazepose import CROP_SIDE, SURE, BlazePose, sigmoid
+from stages.estimators.person.blazepose import CROP_SIDE, SURE, BlazePose, Images, sigmoid
 from stages.estimators.person.crops import Roi
 
 # Looks at the whole person: (side as a share of the fitting crop, turn in degrees), each also at the mirrored picture.
@@ -19,6 +23,25 @@ FADE = 0.12  # share of a close look's side over which it fades out towards its 
 GUIDE_RADIUS = 1.5  # px of the whole person's mask over which edges are set by colour
 GUIDE_EPS = 2e-4 * 255**2  # colour variance below which the guided filter (He et al. 2013) smooths a patch
 ISLAND = 0.01  # a part smaller than this share of the person is no part of the person
+WORKERS = 2  # pictures at a time, each on one thread: the same to the bit as one picture on two, and 2 s of 14 less
+AHEAD = 8  # pictures whose outlines wait for their turn
+
+
+def outlines(images: Images, rois: Sequence[Roi | None]) -> Iterator[np.ndarray]:
+    """The `outline` of each picture in its crop, in order; nothing but 0 where there is no crop."""
+    own = threading.local()
+
+    def one(i: int) -> np.ndarray:
+        image, roi = images[i], rois[i]
+        if roi is None:
+            return np.zeros(image.shape[:2], np.float32)
+        if not hasattr(own, "network"):
+            own.network = BlazePose(threads=1)
+        return outline(own.network, image, roi)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for first in range(0, len(rois), AHEAD):
+            yield from pool.map(one, range(first, min(first + AHEAD, len(rois))))
 
 
 def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:
