@@ -128,7 +128,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     )
     poses = network.track(pictures, bystanders.start)
     bystanders.warn_of_jumps(poses)
-    found = outlines(pictures, [pose and pose.next_roi for pose in poses])
+    found = outlines(pictures, [None if pose is None else pose.next_roi for pose in poses])
     for i, (pose, probable) in enumerate(zip(poses, found, strict=True)):
         mask = np.rint(probable * 255).astype(np.uint8)
         if pose is not None:

@@ -88,13 +88,13 @@ def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | Non
     before, spent = copy.deepcopy(fit.state()), dict(fit.clock.seconds)
     fit.progress.freeze()
     try:
-        least = dict.fromkeys([None, *effects], math.inf)  # without an effect; None: with all of them
+        least = dict.fromkeys(["", *effects], math.inf)  # without an effect; "": with all of them
         for _ in range(TURNS):
             for name in least:
-                with nullcontext() if name is None else without(fit, name):
+                with without(fit, name) if name else nullcontext():
                     least[name] = min(least[name], _seconds(fit))
         for name in effects:
-            found[name]["share"] = 1 - least[name] / least[None]
+            found[name]["share"] = 1 - least[name] / least[""]
     finally:
         fit.load(before)
         fit.clock.seconds = spent
