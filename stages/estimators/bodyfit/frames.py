@@ -37,6 +37,9 @@ def join_frames(
             f"it has {len(fit)} poses, the clip {total} frames; by order they are joined only where there is one for each"
         ]
         raise StageError(f"nothing in {fit.path} tells which frames its poses are of", HINT, facts)
+    if fit.numbers is not None and fit.tracks is None and len(fit) != total > 0:
+        told = f"it has {len(fit)} poses, the clip {total} frames: pose 0 is taken for frame 0, and so on"
+        fit = replace(fit, notes=(*fit.notes, told))
     if not sources and _count_from_one(fit, total):
         fit = replace(
             fit,

@@ -115,3 +115,13 @@ def test_rows_without_names_are_joined_only_where_there_is_one_for_each_frame_of
     assert "30 poses, the clip 60 frames" in caught.value.facts[0] and "add `names`" in caught.value.hint
     _, frames = join_frames(fit_of(np.arange(60) / 30), names, taken, total=60)
     assert frames.tolist() == list(range(30))
+
+
+def test_a_tool_with_more_or_fewer_poses_than_the_clip_has_frames_is_joined_by_number_and_that_is_said():
+    times = np.arange(10) / 30
+    for total, said in ((10, False), (0, False), (12, True)):
+        fit, frames = join_frames(
+            fit_of(times, numbers=np.arange(10)), names_of(range(0, 10, 3)), times[::3], total=total
+        )
+        assert frames.tolist() == [0, 1, 2, 3] and fit.numbers.tolist() == [0, 3, 6, 9]
+        assert any("10 poses, the clip 12 frames" in note for note in fit.notes) == said
