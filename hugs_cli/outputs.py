@@ -9,14 +9,11 @@ from pathlib import Path
 
 from hugs_cli.cache.fingerprint import content_digest
 from hugs_cli.cache.workspace import read_json, write_json
+from hugs_cli.fleet.clips import clip_folders
 from hugs_cli.pipelines import UsageError
 
 MEMORY = ".drawn.json"  # in the work folder: path -> digest of what was drawn there
 ELSEWHERE = "choose another `--out`"
-CLIPS = (
-    "*",
-    "from-*/*",
-)  # where clips lie in a work folder; the latter have a name that another has, see `fleet.clips`
 
 
 def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, is_folder: bool = False) -> None:
@@ -43,7 +40,7 @@ def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, 
 
 def protected(work: Path, given: Iterable[Path | None]) -> Iterator[tuple[str, Path]]:
     """What no drawing may change, each with its kind in words: files given, sources of all clips in `work`, stores."""
-    clips = [clip for place in CLIPS for clip in work.glob(place)]
+    clips = list(clip_folders(work))
     entries = (entry for clip in clips for entry in read_json(clip / "sources.json").values())
     paths = (entry.get("path") for entry in entries if isinstance(entry, dict))
     sources = (Path(path) for path in paths if path and isinstance(path, str))

@@ -171,7 +171,9 @@ def _write(job: Job, film: Film, shoot: Shoot, parts: Parts) -> None:
         for line in lacks:
             job.note(f"not in {out.page.name}: {line}", at_once=True)
     if out.splats is not None:
-        made[out.splats] = outputs.splats(shoot, out.splats, film.moment, parts)
+        made[out.splats], held = outputs.splats(shoot, out.splats, film.moment, parts)
+        for line in held:
+            job.note(line, at_once=True)
     if out.glb is not None:
         made[out.glb] = outputs.glb(shoot, out.glb, parts)
     if out.usd is not None:

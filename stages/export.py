@@ -55,10 +55,8 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     shaded = read_effects(train / "effects.npz").shading is not None
     cast: list[tuple[Avatar, Rig, Soles]] = []
     for person in people:
-        there, own = (
-            folder_of(train, person),
-            job if len(people) == 1 else _of_person(job, person, folder_of(job.out, person)),
-        )
+        there, out = folder_of(train, person), folder_of(job.out, person)
+        own = job if len(people) == 1 else _of_person(job, person, out)
         own.out.mkdir(parents=True, exist_ok=True)
         avatar = read_avatar(there / "avatar.npz")
         shutil.copyfile(there / "avatar.npz", own.out / "avatar.npz")
@@ -115,26 +113,24 @@ def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None, sol
     feet, _ = soles.at(np.zeros((1, 3)), avatar.canonical_pose[None], np.zeros((1, 3)))
     below = np.array([0, feet[..., 1].min(), 0])
     down = {"avatar": turned(avatar, OVER, below)} | ({"scene": scene} if scene else {})
-    bounded = 0
     for name, splats in down.items():
         if "ply" in formats:
-            bounded += write_ply(job.out / f"{name}.ply", splats)
+            _say_held(job, f"{name}.ply", write_ply(job.out / f"{name}.ply", splats))
         if "spz" in formats:
-            _say_clamped(job, f"{name}.spz", write_spz(job.out / f"{name}.spz", splats))
+            _say_held(job, f"{name}.spz", write_spz(job.out / f"{name}.spz", splats))
         if "sog" in formats:
             write_sog(job.out / f"{name}.sog", splats)
     if "usd" in formats:
         write_usd(job.out / "avatar.usdc", {"avatar": turned(avatar, np.eye(3), below)})
     if "usd" in formats and scene:
         write_usd(job.out / "scene.usdc", {"scene": turned(scene, ground.turn.T, ground.point)})
-    if bounded:
-        job.note(f"{bounded} opacities of 0 or 1 written to .ply as logits of +-15")
 
 
-def _say_clamped(job: Job, name: str, clamped: dict[str, int]) -> None:
-    if clamped:
-        said = ", ".join(f"{count} Gaussians {what}" for what, count in clamped.items())
-        job.note(f"{name} has {said}: held at the limit")
+def _say_held(job: Job, name: str, clamped: dict[str, int]) -> None:
+    from stages.formats.exchange.limits import held
+
+    for line in held(name, clamped):
+        job.note(line)
 
 
 def _takes(frames: Path, train: Path, ground: Ground, soles: Soles) -> list[Take]:
@@ -181,22 +177,23 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     if take is None:
         raise StageError("nobody is seen in this clip, so it has no motion", "--set export.motion=wave")
     baked, name = load_avatar(avatar, job.device), f"avatar_{take.name}"
-    numbered: dict[str, tuple[str, Callable[[Path, Scene], int | dict[str, int]]]] = {
+    numbered: dict[str, tuple[str, Callable[[Path, Scene], dict[str, int]]]] = {
         "ply_motion": ("ply", write_ply),
         "spz_motion": ("spz", write_spz),
     }
     chosen = [numbered[one] for one in params.formats if one in numbered]
-    clamped: dict[str, int] = {}
+    most: dict[str, dict[str, int]] = {}
     for ending, _ in chosen:
+        most[ending] = {}
         (job.out / f"{name}_{ending}").mkdir()
 
     def pictures() -> Iterator[Scene]:
         for number, posed_there in enumerate(posed(baked, take)):
             splats = replace(posed_there, means=posed_there.means - np.array([0, floor, 0], np.float32))
             for ending, write in chosen:
-                held = write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
-                for what, count in held.items() if isinstance(held, dict) else ():
-                    clamped[what] = max(count, clamped.get(what, 0))
+                clamped = write(job.out / f"{name}_{ending}" / f"frame{number:05d}.{ending}", turned(splats, OVER))
+                for what, count in clamped.items():
+                    most[ending][what] = max(count, most[ending].get(what, 0))
             if number % ACCOUNT == 0:
                 job.progress(number, len(take))
             yield splats
@@ -207,7 +204,8 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     else:
         for _ in pictures():
             pass
-    _say_clamped(job, f"a file of {name}_spz", clamped)
+    for ending, clamped in most.items():
+        _say_held(job, f"a file of {name}_{ending}", clamped)
     job.note(f"{name}: {len(take)} poses, clothes as they move")
 
 
@@ -293,8 +291,8 @@ def _viewer(
                 theirs = casters_of(one.body_model, one.body.betas)
                 parts = theirs.middles.numpy(), theirs.covariances.numpy()
         moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
-        figure = viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts)
-        figures.append(replace(figure, absent=np.flatnonzero(one.body.confidence <= 0).tolist()))
+        stand, absent = (ground.turn, floor.point), np.flatnonzero(one.body.confidence <= 0).tolist()
+        figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, *stand, sole, parts, absent=absent))
     shown = viewer.Exhibit(
         title=title,
         subtitle=f"{gaussians:,} Gaussians in the {'person' if len(cast) == 1 else 'people'}"

@@ -17,6 +17,8 @@ from stages.formats.facts import Listing, read_facts
 if TYPE_CHECKING:
     import numpy as np
 
+    from stages.estimators.person.blazepose import Pose
+
 PERSON_SHARE = 5e-4
 """Share of the picture below which a mask shows nobody."""
 BORDER_SHARE = 0.01
@@ -103,13 +105,9 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
 
 def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterator[list[np.ndarray]]:
     """Follow one person, or all, through the frames by BlazePose; yields a mask uint8 [H,W] of each, empty where they are not."""
-    import numpy as np
-
     from stages.estimators.person.blazepose import BlazePose
     from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
-    from stages.estimators.person.outline import outline, outlines
     from stages.estimators.person.people import Bystanders
-    from stages.formats.images import read_image
     from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
@@ -117,24 +115,29 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     people = everybody(sight_everybody(network, pictures)) if params.person == EVERYBODY else []
     tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
     if len(tracks) > 1:
-        for path, there in zip(paths, zip(*tracks, strict=True), strict=True):
-            image = read_image(path)
-            blank = np.zeros(image.shape[:2], np.float32)
-            each = [blank if one is None else outline(network, image, one.next_roi) for one in there]
-            yield [np.rint(255 * one).astype(np.uint8) for one in each]
+        yield from outlined(pictures, tracks)
         return
     bystanders = Bystanders(
         job, names, network.sightings(pictures), None if params.person == EVERYBODY else params.person
     )
     poses = network.track(pictures, bystanders.start)
     bystanders.warn_of_jumps(poses)
-    found = outlines(pictures, [None if pose is None else pose.next_roi for pose in poses])
-    for i, (pose, probable) in enumerate(zip(poses, found, strict=True)):
-        mask = np.rint(probable * 255).astype(np.uint8)
+    for i, (pose, masks) in enumerate(zip(poses, outlined(pictures, [poses]), strict=True)):
         if pose is not None:
-            bystanders.look(i, pose, mask)
-        yield [mask]
+            bystanders.look(i, pose, masks[0])
+        yield masks
     bystanders.close()
+
+
+def outlined(pictures: Pictures, tracks: Sequence[Sequence[Pose | None]]) -> Iterator[list[np.ndarray]]:
+    """Of each picture the masks uint8 [H,W] of all whose poses are in `tracks`, empty where they are not."""
+    import numpy as np
+
+    from stages.estimators.person.outline import outlines
+
+    crops = [[None if pose is None else pose.next_roi for pose in there] for there in zip(*tracks, strict=True)]
+    for each in outlines(pictures, crops):
+        yield [np.rint(255 * one).astype(np.uint8) for one in each]
 
 
 class Pictures:

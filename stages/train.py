@@ -39,6 +39,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     """Fit the Gaussians of person, or people, and scene to the frames, jointly."""
     began = time.perf_counter()
     from stages.avatar.kernels.cache import compiled
+    from stages.avatar.rasterize.blend import draw_backward
     from stages.avatar.rasterize.rendering import T_STOP
     from stages.training.checkpoint import Checkpoint
     from stages.training.run import Breakdown
@@ -50,7 +51,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     if params.seconds and not params.joint:
         hint = "give `train.steps` in place of a time, or leave out `train.joint`"
         raise StageError("only a training of person and scene together can be fitted into a time", hint)
-    if job.device == "cpu" and not compiled():
+    if job.device == "cpu" and not compiled(draw_backward):
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
     task, checkpoint = _task(job, params, sfm, smpl, survey), Checkpoint(job.out / CHECKPOINT, job.device)
     try:

@@ -181,6 +181,12 @@ def told_apart(rows: list[Row]) -> list[Row]:
     return found
 
 
+def clip_folders(work: Path) -> Iterator[Path]:
+    """Where clips may lie in a work folder, those in its `work_folders` included."""
+    for place in ("*", "from-*/*"):
+        yield from work.glob(place)
+
+
 def work_folders(work: Path, video: Path) -> Iterator[Path]:
     """Where results of a clip may lie: in the work folder, else in one named after the folders that the clip lies in."""
     yield work

@@ -8,11 +8,12 @@ from collections import defaultdict
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from statistics import median
 
-PLACES = ("*/runs.jsonl", "from-*/*/runs.jsonl")  # the latter of clips of the same name, see `clips.work_folders`
+from hugs_cli.fleet.clips import clip_folders
+
 CLIPS = 500  # whose runs are read; more tell nothing new
 MARGIN = 1.25  # a clip may need more memory than those before it
 UNMEASURED_MB = 4000  # of a clip whose pipeline never ran here: twice what `default` took (README)
@@ -41,7 +42,7 @@ def history(work: Path) -> History:
     """What the runs of up to CLIPS clips of a work folder tell. A line that cannot be read is left out."""
     seconds: dict[tuple[str, str], list[float]] = defaultdict(list)
     memory: dict[str, int] = defaultdict(int)
-    files = chain.from_iterable(work.glob(place) for place in PLACES)
+    files = (file for clip in clip_folders(work) if (file := clip / "runs.jsonl").is_file())
     for file in islice(files, CLIPS):
         for run in runs(file):
             try:

@@ -22,6 +22,7 @@ from stages.filming.parts import Parts, spans
 from stages.filming.picture import everybody
 from stages.filming.shoot import Shoot
 from stages.formats.exchange.avatar_glb import Stand, write_film_glb
+from stages.formats.exchange.limits import held
 from stages.formats.exchange.ply import write_ply
 from stages.formats.exchange.spz import write_spz
 from stages.formats.exchange.usd import write_usd
@@ -30,7 +31,7 @@ from stages.formats.video import join_videos, write_alpha_video, write_video
 from stages.records import Rig, Scene, Take
 
 PIECE = 2.0  # s of film that are drawn and kept as one
-SPLATS: dict[str, Callable[[Path, Scene], object]] = {".ply": write_ply, ".spz": write_spz}
+SPLATS: dict[str, Callable[[Path, Scene], dict[str, int]]] = {".ply": write_ply, ".spz": write_spz}
 
 
 def film(shoot: Shoot, out: Path, parts: Parts, alone: bool, progress: Callable[[int], None]) -> bool:
@@ -80,18 +81,20 @@ def check_splats(out: Path) -> None:
         raise StageError(f"cannot write {out}", "give a .ply or an .spz", [f"it ends in {out.suffix!r}"])
 
 
-def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> bool:
-    """People and scene as one set of Gaussians, y down as viewers take it; whether it was made."""
-    number = shoot.where(seconds)
+def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> tuple[bool, list[str]]:
+    """People and scene as one set of Gaussians, y down as viewers take it; whether it was made, and what was then held at
+    the format's limits.
+    """
+    number, said = shoot.where(seconds), []
 
     def make() -> None:
         with torch.no_grad():
             sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, number, shoot.setting.shading)
         whole = joined([factored(one) for one in sets])
         down = whole if shoot.setting.ground.up[1] < 0 else turned(whole, OVER)
-        SPLATS[out.suffix.lower()](out, down)
+        said.extend(held(out.name, SPLATS[out.suffix.lower()](out, down)))
 
-    return parts.bring(out, make, shoot.made_of([number]))
+    return parts.bring(out, make, shoot.made_of([number])), said
 
 
 def joined(sets: list[Scene]) -> Scene:

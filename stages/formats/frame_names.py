@@ -34,10 +34,10 @@ def has_sources(listing: Listing) -> bool:
     return any(frame.source for frame in listing.frames)
 
 
-def count_from_one(listing: Listing, stems: Sequence[str]) -> bool:
-    """True if the stems surely count from 1: one equals the number of the video's frames, and none is 0."""
+def count_from_one(total: int, stems: Sequence[str]) -> bool:
+    """True if the stems surely count the `total` frames of a video from 1, as ffmpeg's do: one equals it, and none is 0."""
     numbers = {number(name) for name in stems}
-    return not has_sources(listing) and 0 not in numbers and listing.video.frames in numbers
+    return 0 not in numbers and total in numbers
 
 
 def join(listing: Listing, stems: Sequence[str], first: int, what: str) -> dict[str, int]:

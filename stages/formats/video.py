@@ -113,7 +113,8 @@ def probe(path: Path) -> VideoInfo:
         return VideoInfo(str(path), width, height, 1.0, len(files), float(len(files)), 0, "sdr")
     container, stream = open_video(path)
     with container:
-        base, average, declared = stream.time_base, stream.average_rate, declared_frames(stream)
+        base, average = stream.time_base, stream.average_rate
+        declared, pixel = declared_frames(stream), pixel_shape(stream)
         try:
             found = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
         except av.error.FFmpegError as error:
@@ -130,7 +131,7 @@ def probe(path: Path) -> VideoInfo:
     if first is None:
         facts = [f"{len(found)} packets, {declared or 'unknown'} frames declared"]
         raise StageError(f"no frame of {path} can be decoded", AGAIN, facts)
-    rotation, pixel = round(first.rotation / QUARTER) % 4, pixel_shape(path)
+    rotation = round(first.rotation / QUARTER) % 4
     wide = round(first.width * pixel)
     width, height = (wide, first.height) if rotation % 2 == 0 else (first.height, wide)
     span = float((max(times) - min(times)) * base) if times and base else 0.0
@@ -149,11 +150,9 @@ def declared_frames(stream: av.video.stream.VideoStream) -> int:
     return sum(not entry.is_discard for entry in index)
 
 
-def pixel_shape(path: Path) -> float:
+def pixel_shape(stream: av.video.stream.VideoStream) -> float:
     """Width over height of a video's stored pixels, 1 where it does not say: 4/3 in HDV of 1440x1080."""
-    container, stream = open_video(path)
-    with container:
-        shape = float(stream.sample_aspect_ratio or 1)
+    shape = float(stream.sample_aspect_ratio or 1)
     return shape if abs(shape - 1) > SQUARE and 1 / LONGEST <= shape <= LONGEST else 1.0
 
 
@@ -192,7 +191,9 @@ def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
                 raise StageError(f"pictures of different sizes in {path}", "give pictures of one camera", facts)
             yield index, float(index), picture
         return
-    start, pixel = None, pixel_shape(path)
+    start, (container, stream) = None, open_video(path)
+    with container:
+        pixel = pixel_shape(stream)
     for index, frame in enumerate(decode_frames(path)):
         time = frame.time if frame.time is not None else float(index)
         start = time if start is None else start

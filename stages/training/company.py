@@ -12,6 +12,7 @@ from stages.avatar.effects.shadow import Stance
 from stages.avatar.effects.speeds import FrameMotion, Speeds
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Resting, bone_transforms, pose
+from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import Splats
 from stages.training.person import PersonLearner
 from stages.training.refine import FrameCorrections
@@ -20,9 +21,12 @@ from stages.training.views import Views
 
 
 class Company:
-    """The `people` of a clip, none, one or several, in the frames of `full`; those that are `trained` [F] are corrected."""
+    """The `people` of a clip, none, one or several, and their `scene`, if any, in the frames of `full`; those that are
+    `trained` [F] are corrected.
+    """
 
     people: list[PersonLearner]
+    scene: SceneModel | None
     frames: FrameCorrections
     effects: FrameEffects
     options: Options

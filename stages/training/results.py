@@ -171,7 +171,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
     kept = finish(baked, who.human.skinning_outliers(baked.weights), dressed, seen, frames)
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
-    kept = kept._replace(person=settle_colors(fit, who, fit.scene, kept.person, kept.own, clear))
+    kept = kept._replace(person=settle_colors(fit, who, kept.person, kept.own, clear))
     if kept.strays:
         say.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
     if kept.recolored:

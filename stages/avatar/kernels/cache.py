@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import numba
+from numba.core.dispatcher import Dispatcher
 
 HOUSE = Path(__file__).parents[1]
 ROOM = "stages.avatar.kernels"
@@ -64,9 +65,9 @@ def tidy(root: Path, before: float) -> None:
                 shutil.rmtree(entry.path, ignore_errors=True)
 
 
-def compiled() -> bool:
-    """Whether an earlier process has left the kernels of these sources, for this processor or another."""
-    return any(FOLDER.glob("*/blend.draw_backward*.nbi"))
+def compiled(kernel: Dispatcher) -> bool:
+    """Whether an earlier process of this very installation has left a kernel of Numba, for this processor or another."""
+    return any(Path(str(kernel.stats.cache_path)).glob(f"*.{kernel.py_func.__name__}-*.nbi"))
 
 
 FOLDER = folder()

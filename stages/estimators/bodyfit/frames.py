@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.frame_names import number
+from stages.formats.frame_names import count_from_one, number
 from stages.formats.given_fits.record import SmplFit
 
 GAP = 0.25  # s; poses farther apart are not interpolated
@@ -40,13 +40,12 @@ def join_frames(
     if fit.numbers is not None and fit.tracks is None and len(fit) != total > 0:
         told = f"it has {len(fit)} poses, the clip {total} frames: pose 0 is taken for frame 0, and so on"
         fit = replace(fit, notes=(*fit.notes, told))
-    if not sources and _count_from_one(fit, total):
-        fit = replace(
-            fit,
-            names=None,
-            numbers=np.array([(number(Path(name).stem) or 0) - 1 for name in fit.names or ()]),
-            notes=(*fit.notes, f"{total} is among the names and 0 is not: they are taken to count the frames from 1"),
-        )
+    if not sources and fit.names is not None and fit.numbers is None:
+        stems = [Path(name).stem for name in fit.names]
+        if count_from_one(total, stems):
+            told = f"{total} is among the names and 0 is not: they are taken to count the frames from 1"
+            counts = np.array([(number(name) or 0) - 1 for name in stems])
+            fit = replace(fit, names=None, numbers=counts, notes=(*fit.notes, told))
     keys, wanted, sure = _keys(fit, names, sources)
     place = {key: i for i, key in enumerate(wanted)}
     pairs = [(place[key], row) for row, key in enumerate(keys) if key is not None and key in place]
@@ -57,14 +56,6 @@ def join_frames(
         _refuse(fit, names, len(found))
     pairs.sort()
     return fit.rows([row for _, row in pairs]), np.array([frame for frame, _ in pairs])
-
-
-def _count_from_one(fit: SmplFit, total: int) -> bool:
-    """Whether the names surely count the `total` frames of a video from 1, as ffmpeg's do; a tool's own numbers do not."""
-    if fit.names is None or fit.numbers is not None:
-        return False
-    counted = {number(Path(name).stem) for name in fit.names}
-    return total in counted and not {0, None} & counted and total > 0
 
 
 def _keys(fit: SmplFit, names: Sequence[str], sources: Sequence[str]) -> tuple[list, list, bool]:

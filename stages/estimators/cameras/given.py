@@ -67,8 +67,9 @@ def match_frames(
     names, total = [frame.name for frame in listing.frames], listing.video.frames
     numbers = {number(name) for name in stems}
     picked = len(names) < total and set(stems) <= set(names)  # the frames of an earlier run
-    start = int(count_from_one(listing, stems)) if first == "auto" else first
-    if first == "auto" and not (has_sources(listing) or start or 0 in numbers or picked or numbers == {None}):
+    own = has_sources(listing)
+    start = int(not own and count_from_one(total, stems)) if first == "auto" else first
+    if first == "auto" and not (own or start or 0 in numbers or picked or numbers == {None}):
         facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
         hint = (
             "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "

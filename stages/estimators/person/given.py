@@ -14,7 +14,7 @@ import numpy as np
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing
-from stages.formats.frame_names import count_from_one, join
+from stages.formats.frame_names import count_from_one, has_sources, join
 from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import Object, labeled_objects, pick, ranked
 from stages.formats.given_masks.recognize import read_mask_files
@@ -85,7 +85,7 @@ def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dic
     """
     if names is None:
         return {frame.name: frame.index for frame in listing.frames}
-    first = int(count_from_one(listing, names))
+    first = int(not has_sources(listing) and count_from_one(listing.video.frames, names))
     if first:
         job.warn(f"given masks are numbered 1 to {listing.video.frames}: taken as counted from 1")
     return join(listing, names, first, "masks")

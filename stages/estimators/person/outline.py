@@ -27,21 +27,20 @@ WORKERS = 2  # pictures at a time, each on one thread: the same to the bit as on
 AHEAD = 8  # pictures whose outlines wait for their turn
 
 
-def outlines(images: Images, rois: Sequence[Roi | None]) -> Iterator[np.ndarray]:
-    """The `outline` of each picture in its crop, in order; nothing but 0 where there is no crop."""
+def outlines(images: Images, crops: Sequence[Sequence[Roi | None]]) -> Iterator[list[np.ndarray]]:
+    """The `outline` in each of the crops of each picture, in order; nothing but 0 where there is no crop."""
     own = threading.local()
 
-    def one(i: int) -> np.ndarray:
-        image, roi = images[i], rois[i]
-        if roi is None:
-            return np.zeros(image.shape[:2], np.float32)
+    def there(i: int) -> list[np.ndarray]:
         if not hasattr(own, "network"):
             own.network = BlazePose(threads=1)
-        return outline(own.network, image, roi)
+        image = images[i]
+        blank = np.zeros(image.shape[:2], np.float32)
+        return [blank if roi is None else outline(own.network, image, roi) for roi in crops[i]]
 
     with ThreadPoolExecutor(WORKERS) as pool:
-        for first in range(0, len(rois), AHEAD):
-            yield from pool.map(one, range(first, min(first + AHEAD, len(rois))))
+        for first in range(0, len(crops), AHEAD):
+            yield from pool.map(there, range(first, min(first + AHEAD, len(crops))))
 
 
 def outline(network: BlazePose, image: np.ndarray, roi: Roi) -> np.ndarray:

@@ -31,8 +31,8 @@ def _names(rest: int) -> list[str]:
     return [*names, "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
 
 
-def write_ply(path: Path, splats: Scene, padded: bool = True) -> int:
-    """Write Gaussians as binary PLY in the layout of 3DGS; returns how many opacities were bounded.
+def write_ply(path: Path, splats: Scene, padded: bool = True) -> dict[str, int]:
+    """Write Gaussians as binary PLY in the layout of 3DGS; says what was clamped, in words, and how often.
 
     `padded` writes columns of degree 3, whatever the Gaussians have. Opacity is stored as its logit (bounded at +-15),
     scales as logarithms, rotation as w x y z, higher harmonics channel by channel. Raises StageError when a scale is not
@@ -62,7 +62,7 @@ def write_ply(path: Path, splats: Scene, padded: bool = True) -> int:
             table, more = _table(splats, slice(start, start + CHUNK), rest)
             file.write(table.tobytes())
             bounded += more
-    return bounded
+    return {"with opacities of 0 or 1, as logits of +-15": bounded} if bounded else {}
 
 
 def _table(splats: Scene, rows: slice, bases: int) -> tuple[np.ndarray, int]:

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from stages.avatar.model.person import Canonical, rest
-from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera, Layer
 from stages.training import losses
 from stages.training.company import Company
@@ -17,29 +16,26 @@ from stages.training.person import PersonLearner
 from stages.training.schedule import LR_OWN
 from stages.training.views import person_box, person_frames
 
-STEPS = 128  # a phone clip: 0.20 dB of the 0.25 that `recolor` costs, in 5 s
+STEPS = 128  # a phone clip: 0.20 dB of the 0.25 that finishing costs, in 5 s
 RATE = 4 * LR_OWN["sh"]  # falling to 0; a quarter of it brings back half as much
 
 
-def settle_colors(
-    fit: Company, who: PersonLearner, scene: SceneModel | None, person: Canonical, own: Tensor, frames: list[int]
-) -> Canonical:
+def settle_colors(fit: Company, who: PersonLearner, person: Canonical, own: Tensor, frames: list[int]) -> Canonical:
     """The finished person with colours that draw the `frames` better; a colour moves as far as it is its own[N], 0 to 1.
 
-    Nothing else moves. Pixels of other people are not compared; without a `scene` only those well inside the person's mask.
+    Nothing else moves. Pixels of other people are not compared; without a scene only those well inside the person's mask.
     """
     views, seen, gains, viewmats = fit.full, who.masked(fit.full), fit.gains().detach(), fit.cameras().detach()
     orient, body_pose, transl = (part.detach() for part in fit.bodies(who))
-    splats = None if scene is None else scene.splats().detach()
-    resting = rest(person, who.canonical_bones)
+    scene = None if fit.scene is None else fit.scene.splats().detach()
+    resting, share = rest(person, who.canonical_bones), own[:, None, None]
     change = torch.zeros_like(person.sh).requires_grad_()
-    colors = lambda: person.sh + own[:, None, None] * change  # noqa: E731
     adam = torch.optim.Adam([change], eps=1e-15)
     for step, i in enumerate(islice(cycle(person_frames(who.body, seen, frames)), STEPS)):
         body = orient[i], body_pose[i], transl[i]
-        posed = fit.posed(resting._replace(sh=colors()), *body, of=who)
+        posed = fit.posed(resting._replace(sh=person.sh + share * change), *body, of=who)
         with torch.no_grad():
-            lit, motion = fit.effects.shade(splats, fit.stance(*body, of=who)), fit.motion(i, [who], [resting])
+            lit, motion = fit.effects.shade(scene, fit.stance(*body, of=who)), fit.motion(i, [who], [resting])
         image, mask, everybody = views.images[i].float() / 255, *(m[i].float() / 255 for m in (seen.masks, views.masks))
         left, top, right, bottom = box = person_box(mask, posed.means.detach(), viewmats[i], views.Ks[i])
         crop = slice(top, bottom), slice(left, right)
@@ -51,4 +47,4 @@ def settle_colors(
         (change.grad,) = torch.autograd.grad(loss, change)
         adam.param_groups[0]["lr"] = RATE * (1 - step / STEPS)
         adam.step()
-    return person._replace(sh=colors().detach())
+    return person._replace(sh=person.sh + share * change.detach())

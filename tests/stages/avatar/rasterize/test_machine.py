@@ -1,5 +1,6 @@
 """The kernels whatever the machine: threads, processors, a cache folder that cannot be written, dtypes."""
 
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 from stages.avatar.kernels import cache
-from stages.avatar.rasterize import Camera, Gaussians, cpu, gaussian_axes, rasterize
+from stages.avatar.rasterize import Camera, Gaussians, blend, cpu, gaussian_axes, rasterize
 from tests.made.rasterized import PICTURE, apart, camera, cast, draw, gaussians
 
 
@@ -70,11 +71,16 @@ def test_an_older_processor_without_a_cache_folder_draws_the_same(tmp_path):
     assert all(apart(a, b) < 3e-6 for a, b in zip(others, grads))
 
 
-def test_kernels_of_an_earlier_process_are_noticed(tmp_path, monkeypatch):
+def test_kernels_of_an_earlier_process_are_noticed_but_not_those_of_another_installation(tmp_path):
     draw(cpu, gaussians(20), *camera())
-    assert cache.compiled()
-    monkeypatch.setattr(cache, "FOLDER", tmp_path)
-    assert not cache.compiled()
+    assert cache.compiled(blend.draw_backward)
+    copied = tmp_path / "elsewhere" / "blend.py"
+    copied.parent.mkdir()
+    copied.write_text(Path(blend.__file__).read_text())
+    spec = importlib.util.spec_from_file_location("elsewhere", copied)
+    other = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(other)
+    assert not cache.compiled(other.draw_backward)
 
 
 def test_kernels_of_older_sources_are_removed_when_nobody_has_used_them_for_a_month(tmp_path, monkeypatch):

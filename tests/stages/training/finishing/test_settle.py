@@ -32,7 +32,7 @@ def accuracy(fit, person) -> float:
 
 
 def settled(fit, person, own, frames=TRAIN):
-    return settle_colors(fit, fit.person, fit.scene, person, own, frames)
+    return settle_colors(fit, fit.person, person, own, frames)
 
 
 @pytest.mark.slow
