@@ -222,15 +222,16 @@ def _overlays(clip: Clip, ground: Ground, fit: Smpl, who: str) -> list[Figure]:
     import numpy as np
 
     from stages.avatar.cameras.pinhole import camera_centers
+    from stages.avatar.kernels.mesh import covered
+    from stages.estimators.bodyfit.posed import posed_bodies
     from stages.estimators.bodyfit.side_view import side_view
-    from stages.estimators.bodyfit.silhouette import posed_bodies, silhouette
     from stages.formats import page
 
     chosen = np.linspace(0, len(clip.names) - 1, min(OVERLAYS, len(clip.names))).round().astype(int)
     model, figures = clip.body_model, []
     for i, vertices in zip(chosen, posed_bodies(model, clip.body, chosen.tolist()), strict=True):
-        image, size = clip.images(i).copy(), (clip.height, clip.width)
-        inside = silhouette(vertices, model.faces, clip.viewmats[i], clip.Ks[i], size, size)
+        image = clip.images(i).copy()
+        inside = covered(vertices, model.faces, clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
         image[inside] = (0.6 * image[inside] + 0.4 * np.array([31, 111, 235])).astype(np.uint8)
         edges, _ = cv2.findContours((clip.own_mask(i) > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, edges, -1, (255, 140, 0), max(1, clip.height // 400))

@@ -17,7 +17,7 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.evidence import gather, model_landmarks
-from stages.estimators.bodyfit.silhouette import posed_vertices
+from stages.estimators.bodyfit.posed import posed_vertices
 from stages.estimators.person.blazepose import NAMES, Pose
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model

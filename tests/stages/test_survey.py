@@ -10,7 +10,7 @@ from stages import survey
 from stages.avatar.kernels.mesh import covered
 from stages.contract import Job
 from stages.estimators.bodyfit.inputs import touch
-from stages.estimators.bodyfit.silhouette import posed_bodies
+from stages.estimators.bodyfit.posed import posed_bodies
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.finding import compare, unmeasured
 from stages.formats.clip import load_people

@@ -66,9 +66,11 @@ class Body(nn.Module):
 
     def rest(self, betas: Tensor) -> tuple[Tensor, Tensor]:
         """Vertices [..., V, 3] and joints [..., 24, 3] in the T-pose for `betas` [..., 10]."""
-        vertices = self.v_template + torch.einsum("vcb,...b->...vc", self.shapedirs, betas)
-        joints = self.joint_template + torch.einsum("jcb,...b->...jc", self.joint_dirs, betas)
-        return vertices, joints
+        return self.v_template + torch.einsum("vcb,...b->...vc", self.shapedirs, betas), self.rest_joints(betas)
+
+    def rest_joints(self, betas: Tensor) -> Tensor:
+        """Joints [..., 24, 3] in the T-pose for `betas` [..., 10]."""
+        return self.joint_template + torch.einsum("jcb,...b->...jc", self.joint_dirs, betas)
 
     def forward(self, betas: Tensor, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Posed vertices [F,V,3] and joints [F,24,3] in metres, pose correctives included.
@@ -117,18 +119,22 @@ class Landmarks(nn.Module):
 
     def forward(self, betas: Tensor, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Landmarks [F,K,3] and joints [F,24,3] in metres; arguments as for Body."""
-        joints = self.body.rest(betas)[1]
+        joints = self.body.rest_joints(betas)
         rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (24, 3)))
-        transforms = rest_relative_transforms(joints, rotations, self.body.parents)
+        points, moved = self.placed(
+            betas, joints, rotations, rest_relative_transforms(joints, rotations, self.body.parents)
+        )
+        return points + self.mass.sum(-1, keepdim=True) * transl[..., None, :], moved + transl[..., None, :]
+
+    def placed(self, betas: Tensor, joints: Tensor, rotations: Tensor, transforms: Tensor) -> tuple[Tensor, Tensor]:
+        """As `forward` without `transl`, of a skeleton whose `transforms` are those of `rest_relative_transforms`."""
         sums = self.template[..., 0] + torch.einsum("lkcb,...b->...lkc", self.shape, betas)
         if self.pose.shape[-1]:
             feature = (rotations[..., 1:, :, :] - torch.eye(3).to(rotations)).flatten(-3)
             sums = sums + torch.einsum("lkcp,...p->...lkc", self.pose, feature)
         turn, shift = transforms[..., :3, :3], transforms[..., :3, 3]
         points = torch.einsum("...kij,...lkj->...li", turn, sums.expand(*turn.shape[:-3], *sums.shape[-3:]))
-        points = points + self.mass @ shift
-        moved = (turn @ joints[..., None])[..., 0] + shift
-        return points + self.mass.sum(-1, keepdim=True) * transl[..., None, :], moved + transl[..., None, :]
+        return points + self.mass @ shift, (turn @ joints[..., None])[..., 0] + shift
 
 
 def rest_relative_transforms(joints: Tensor, rotations: Tensor, parents: list[int]) -> Tensor:

@@ -141,7 +141,7 @@ def fit_body(
         pixels = solver.pixels(solver.pose(state)[0]).numpy()
     found["world_from_sfm"] = state.scale
     poses = _body_poses(solver, state, cameras, evidence.seen.astype(np.float64))
-    hidden = hidden_joints(body, body.v_template[solver.dense], solver.snug)
+    hidden = hidden_joints(body, solver.dense.template, solver.snug)
     return BodyFit(poses, pixels, found, motion.cloth_off if motion else [], expected_errors(solver, state), hidden)
 
 

@@ -17,9 +17,9 @@ from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.gravity import camera_up
 from stages.estimators.bodyfit.person import choose_person
 from stages.estimators.bodyfit.placing import median_shape, place_in_world
+from stages.estimators.bodyfit.posed import posed_vertices
 from stages.estimators.bodyfit.resting import onto_body
 from stages.estimators.bodyfit.scale import TimedCameras, find_scale
-from stages.estimators.bodyfit.silhouette import posed_vertices
 from stages.estimators.bodyfit.start import fill_poses
 from stages.formats.body_model import FREE, SMPL
 from stages.formats.given_fits.record import SmplFit

@@ -10,8 +10,9 @@ import torch
 
 from stages.avatar.body.rotations import angle_between, matrix_from_rotvec
 from stages.avatar.cameras.pinhole import rescale_viewmats
+from stages.avatar.kernels.mesh import covered
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
-from stages.estimators.bodyfit.silhouette import posed_vertices, silhouette
+from stages.estimators.bodyfit.posed import posed_vertices
 from stages.records import JOINT_NAMES, BodyModel, BodyPoses, Cameras
 
 SIDE = 480  # px of the longer side at which outlines are compared
@@ -71,7 +72,8 @@ def outline_iou(vertices: np.ndarray, faces: np.ndarray, viewmat: np.ndarray, K:
     rows, columns = mask.shape
     ratio = min(1.0, SIDE / max(rows, columns))
     small = cv2.resize(mask, (round(columns * ratio), round(rows * ratio)), interpolation=cv2.INTER_AREA) > 127
-    drawn = silhouette(vertices, faces, viewmat, K, (rows, columns), small.shape)
+    zoom = np.diag([small.shape[1] / columns, small.shape[0] / rows, 1.0])
+    drawn = covered(vertices, faces, viewmat, zoom @ K, small.shape[1], small.shape[0])
     union = (drawn | small).sum()
     return float((drawn & small).sum() / union) if union else float("nan")
 

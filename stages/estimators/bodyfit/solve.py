@@ -12,12 +12,13 @@ from torch import Tensor
 
 from stages.avatar.body.joints import HIPS
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.smpl import Body, Landmarks, rest_relative_transforms, vertex_normals
+from stages.avatar.body.smpl import Body, Landmarks, vertex_normals
 from stages.avatar.splats.neighbours import farthest_points
 from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.balance import balance_cost
 from stages.estimators.bodyfit.contact import floor_cost, loosen, slide_cost, sole_vertices, stance
 from stages.estimators.bodyfit.evidence import LandmarkEvidence, joint_trust
+from stages.estimators.bodyfit.skin import Bones, Skin
 from stages.estimators.bodyfit.snug import snugness
 from stages.estimators.bodyfit.surface_motion import SurfaceMotion
 from stages.records import JOINT_NAMES
@@ -122,40 +123,40 @@ class Solver:
         self.spread = terms.joint_spreads()
         parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]
         self.steady = torch.tensor([ACCELERATION.get(part, ACCELERATION_REST) for part in parts])
-        self.dense = farthest_points(body.v_template, DENSE)
-        self.coarse = self.dense[:COARSE]
+        spread = farthest_points(body.v_template, DENSE)
+        self.dense, self.coarse = Skin.of(body, spread), Skin.of(body, spread[:COARSE])
         self.soles = sole_vertices(body)
-        self.marks = torch.cat([self.soles.flatten(), self.dense[:MARKS]])
+        self.marks = Skin.of(body, torch.cat([self.soles.flatten(), spread[:MARKS]]))
         self.normals = vertex_normals(body.v_template, faces)
-        self.rim = torch.zeros(len(evidence.seen), 0, dtype=torch.long)  # until `match_outlines`
-        self.snug = torch.ones(len(self.dense))  # until `look_for_wide_clothes`
-        self.mark_trust = torch.tensor(joint_trust(evidence), dtype=f32) @ body.lbs_weights[self.marks].T
+        self.rim = Skin.of(body, torch.zeros(len(evidence.seen), 0, dtype=torch.long))  # until `match_outlines`
+        self.snug = torch.ones(len(spread))  # until `look_for_wide_clothes`
+        self.mark_trust = torch.tensor(joint_trust(evidence), dtype=f32) @ self.marks.weights.T
 
-    def pose(self, state: State) -> tuple[Tensor, Tensor]:
-        """Landmarks [F,K,3] and joints [F,24,3] in camera axes, metres."""
-        zero = state.pose.new_zeros(len(state.pose), 3)
-        points, joints = self.landmarks(state.betas, zero, state.pose, zero)
-        return self._to_camera(state, points, joints), self._to_camera(state, joints, joints)
-
-    def _to_camera(self, state: State, points: Tensor, joints: Tensor) -> Tensor:
-        return (points - joints[:, :1]) @ state.root.mT + state.place[:, None]
-
-    def surface(self, state: State, vertices: Tensor) -> tuple[Tensor, Tensor]:
-        """The vertices with indices [M] or [F,M] as points [F,M,3] and normals [F,M,3] in camera axes."""
-        body = self.body
-        vertices = vertices.expand(len(state.pose), -1)
-        rest, joints = body.rest(state.betas)
+    def bones(self, state: State) -> Bones:
+        """The skeleton of the state, its root not turned."""
         local = state.pose.unflatten(-1, (23, 3))
         turns = matrix_from_rotvec(torch.cat([local.new_zeros(len(local), 1, 3), local], 1))
-        transforms = rest_relative_transforms(joints, turns, body.parents)
-        points = rest[vertices]
-        if body.posedirs.shape[-1]:
-            feature = (turns[:, 1:] - torch.eye(3)).flatten(-3)
-            points = points + torch.einsum("fmcp,fp->fmc", body.posedirs[vertices], feature)
-        blend = (body.lbs_weights[vertices] @ transforms[:, :, :3].flatten(-2)).unflatten(-1, (3, 4))
-        points = (blend[..., :3] @ points[..., None])[..., 0] + blend[..., 3]
-        normals = (blend[..., :3].detach() @ self.normals[vertices][..., None])[..., 0]
-        return self._to_camera(state, points, joints[None]), normals @ state.root.detach().mT
+        return Bones.of(self.body, state.betas, turns)
+
+    def pose(self, state: State, bones: Bones | None = None) -> tuple[Tensor, Tensor]:
+        """Landmarks [F,K,3] and joints [F,24,3] in camera axes, metres."""
+        bones = bones or self.bones(state)
+        points, joints = self.landmarks.placed(bones.betas, bones.joints, bones.turns, bones.transforms)
+        return self._to_camera(state, bones, points), self._to_camera(state, bones, joints)
+
+    def _to_camera(self, state: State, bones: Bones, points: Tensor) -> Tensor:
+        return (points - bones.joints[0]) @ state.root.mT + state.place[:, None]
+
+    def surface(self, state: State, skin: Skin, bones: Bones | None = None) -> tuple[Tensor, Tensor]:
+        """The vertices of a `skin` as points [F,M,3] in camera axes, and its blended bones [F,M,3,4] for `facing`."""
+        bones = bones or self.bones(state)
+        points, blend = skin.posed(bones)
+        return self._to_camera(state, bones, points), blend
+
+    def facing(self, state: State, skin: Skin, blend: Tensor) -> Tensor:
+        """Where the vertices of a `skin` face [F,M,3] in camera axes; without a gradient. `blend` as of `surface`."""
+        normals = self.normals[skin.vertices][..., None]
+        return (blend[..., :3].detach() @ normals)[..., 0] @ state.root.detach().mT
 
     def pixels(self, points: Tensor) -> Tensor:
         """Project camera-axes points [F,M,3]; what is behind the camera is brought to 5 cm before it."""
@@ -169,14 +170,14 @@ class Solver:
     def match_outlines(self, state: State, outlines: terms.Outlines) -> None:
         """Give every contour point the vertex that lies nearest and faces the same way; kept until the next call."""
         with torch.no_grad():
-            points, normals = self.surface(state, self.dense)
-            pixels = self.pixels(points)
+            points, blend = self.surface(state, self.dense)
+            normals, pixels = self.facing(state, self.dense, blend), self.pixels(points)
             rim = torch.zeros(outlines.weight.shape, dtype=torch.long)
             for i in torch.nonzero(outlines.known).flatten().tolist():
                 away = torch.cdist(outlines.points[i], pixels[i]) / (0.03 * self.height[i])
                 facing = outlines.normals[i] @ normals[i, :, :2].T
                 rim[i] = (away.square() + 2 * (1 - facing)).argmin(1)
-            self.rim, self.rim_snug = self.dense[rim], self.snug[rim]
+            self.rim, self.rim_snug = Skin.of(self.body, self.dense.vertices[rim]), self.snug[rim]
 
     @torch.no_grad()
     def look_for_wide_clothes(self, state: State, outlines: terms.Outlines) -> None:
@@ -186,16 +187,16 @@ class Solver:
         """
         self.match_outlines(state, outlines)
         off = outlines.points - self.pixels(self.surface(state, self.rim)[0])
-        gaps, rest = (off * outlines.normals).sum(-1) / self.height[:, None], self.body.v_template
+        gaps = (off * outlines.normals).sum(-1) / self.height[:, None]
         used = (outlines.weight > 0) & outlines.known[:, None]
-        places, hips = rest[self.dense], self.body.joint_template[list(HIPS), 1].min()
-        snug = snugness(places, rest[self.rim[used]], gaps[used])
-        self.snug = torch.where(places[:, 1] < hips, snug, 1.0)
+        snug = snugness(self.dense.template, self.rim.template[used], gaps[used])
+        hips = self.body.joint_template[list(HIPS), 1].min()
+        self.snug = torch.where(self.dense.template[:, 1] < hips, snug, 1.0)
 
     def bodies(self, state: State) -> np.ndarray:
         """All vertices [F,V,3] m float64 in camera axes."""
         with torch.no_grad():
-            return self.surface(state, torch.arange(len(self.body.v_template)))[0].double().numpy()
+            return self.surface(state, Skin.of(self.body, torch.arange(len(self.body.v_template))))[0].double().numpy()
 
     def directions(self, bias: Tensor) -> Tensor:
         """Unit directions [F,S,3] of the limbs in camera axes, as BlazePose guessed them less the `bias` of its depths.
@@ -214,12 +215,12 @@ class Solver:
         turned = (along - self.directions(state.bias)).square().sum(-1) / self.segment_spread**2
         return cost + DIRECTION_SHARE * (self.segment_weight * terms.geman_mcclure(turned, 3.0)).sum(1)
 
-    def outline_cost(self, state: State, outlines: terms.Outlines) -> Tensor:
+    def outline_cost(self, state: State, outlines: terms.Outlines, bones: Bones) -> Tensor:
         """Cost [F]: contour points off their vertices along the normal, vertices off the mask."""
-        chosen, count = torch.cat([self.rim, self.coarse.expand(len(state.pose), -1)], 1), self.rim.shape[1]
-        skin, normals = self.surface(state, chosen)
-        cloth = (self.body.lbs_weights[self.rim] @ state.cloth)[..., None] * normals[:, :count]
-        pixels = self.pixels(torch.cat([skin[:, :count] + cloth, skin[:, count:]], 1))
+        (rim, blend), count = self.surface(state, self.rim, bones), self.rim.vertices.shape[1]
+        cloth = (self.rim.weights @ state.cloth)[..., None] * self.facing(state, self.rim, blend)
+        inner = self.surface(state, self.coarse, bones)[0]
+        pixels = self.pixels(torch.cat([rim + cloth, inner], 1))
         unit = OUTLINE * self.height[:, None]
         gap = (pixels[:, :count] - outlines.points) / unit[..., None]
         across = (gap * outlines.normals).sum(-1).square()
@@ -296,10 +297,11 @@ class Solver:
             now = State(matrix_from_rotvec(turn) @ root, torch.cat([ray[:, :2] * z, z], 1), pose, betas, bias, cloth)
             if i % 25 == 0 and outlines is not None:
                 self.match_outlines(now, outlines)
-            points, joints = self.pose(now)
+            bones = self.bones(now)
+            points, joints = self.pose(now, bones)
             cost = self.picture_cost(now, points)
             if outlines is not None:
-                cost = cost + self.outline_cost(now, outlines)
+                cost = cost + self.outline_cost(now, outlines, bones)
             local = pose.unflatten(-1, (23, 3))
             total = cost.mean() + PRIOR_SHARE * terms.pose_prior(local, self.spread).mean()
             total = total + BETAS * betas.square().sum() + (bias / torch.tensor(BIAS)).square().sum()
@@ -308,7 +310,7 @@ class Solver:
             total = total + self.motion_cost(now, joints, scale if in_world else None)
             if in_world:
                 loose = loosen(i / steps)
-                marks, size = self.surface(now, self.marks)[0], self.size(betas)
+                marks, size = self.surface(now, self.marks, bones)[0], self.size(betas)
                 count = self.soles.numel()
                 feet = self.to_world(now, marks[:, :count], scale).unflatten(1, self.soles.shape)
                 trust = self.trusted(marks)
@@ -321,7 +323,7 @@ class Solver:
                 if high is not None and low is not None:
                     total = total + floor_cost(low, high, stands, size, loose)
                 if self.world.motion is not None:
-                    pixels, chosen = self.pixels(marks[:, count:]), self.marks[count:].numpy()
+                    pixels, chosen = self.pixels(marks[:, count:]), self.marks.vertices[count:].numpy()
                     whole = partial(self.bodies, now)
                     total = total + self.world.motion.cost(pixels, self.height, chosen, whole, i / steps)
                 placed, up, spread = self.to_world(now, joints, scale), self.world.up, self.world.up_spread

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from stages.estimators.bodyfit.flow import SurfaceFlow, flow_cost, surface_flow
-from stages.estimators.bodyfit.silhouette import seen_vertices
+from stages.estimators.bodyfit.posed import seen_vertices
 from stages.estimators.bodyfit.ties import Ties
 
 NEXT_SHARE, TIE_SHARE = 120.0, 100.0  # of flow to the next frame, and of ties to frames far away; all points share it

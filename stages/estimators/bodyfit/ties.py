@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from stages.avatar.kernels.mesh import NEAR, fill
-from stages.estimators.bodyfit.flow import MARGIN, SIDE, Crop, SurfaceFlow, kept, sample, there_and_back
+from stages.estimators.bodyfit.flow import MARGIN, PLACES, SIDE, Crop, SurfaceFlow, kept, length, sample, there_and_back
 
 GAPS = (5, 10, 20, 40)  # frames from the one to the other
 MOST = 12.0  # px of the crop that the cloth may be off by
@@ -98,13 +98,12 @@ class Ties:
         there = _as_bright(sample(other.picture, place), one.picture, known)
         ahead, apart, to = there_and_back(self.search, one.picture, there)
         whole = cv2.erode(known.astype(np.float32), np.ones((3, 3)))
-        size = np.linalg.norm(ahead, axis=-1)
+        size = length(ahead)
         sure = known & (sample(whole, to) > 0.99) & (apart < AGREE) & (size < MOST)
         sure &= correlation(one.picture, sample(there, to)) > ALIKE
         if sure.sum() < max(LEAST, LEAST_SHARE * len(rows)):
             return None
-        y, x = np.mgrid[:SIDE, :SIDE] + 0.5
-        way = other.crop.outside(sample(place, to) + 0.5) - one.crop.outside(np.dstack([x, y]))
+        way = other.crop.outside(sample(place, to) + 0.5) - one.crop.outside(PLACES + 0.5)
         return kept(way, sure), size[sure]
 
 

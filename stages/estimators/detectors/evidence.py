@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stages.avatar.kernels.mesh import covered
-from stages.estimators.bodyfit.silhouette import posed_bodies
+from stages.estimators.bodyfit.posed import posed_bodies
 from stages.estimators.detectors.bundle import BundleResiduals, adjust_bundle
 from stages.estimators.detectors.light import frame_gains
 from stages.estimators.detectors.tracks import Tracks, follow

@@ -9,7 +9,7 @@ import numpy as np
 from stages.avatar.body.joints import ANKLES, FEET
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit.contact import sole_vertices
-from stages.estimators.bodyfit.silhouette import posed_vertices
+from stages.estimators.bodyfit.posed import posed_vertices
 from stages.records import JOINT_NAMES, BodyModel, BodyPoses, Cameras
 from tests.made.family.evidence import Truth
 from tests.made.truth import Similarity, align, joints_of, rows

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from stages.estimators.bodyfit.evidence import model_landmarks
-from stages.estimators.bodyfit.silhouette import posed_vertices
+from stages.estimators.bodyfit.posed import posed_vertices
 from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras

@@ -1,10 +1,10 @@
-"""The body as a camera sees it: which of its points nothing hides."""
+"""Bodies as a camera sees them: which of their points nothing hides."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from stages.estimators.bodyfit.silhouette import seen_vertices
+from stages.estimators.bodyfit.posed import seen_vertices
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
 

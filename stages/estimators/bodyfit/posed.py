@@ -1,28 +1,28 @@
-"""The body as a camera sees it: vertices of posed bodies, and the area that they cover in a picture."""
+"""The body as a camera sees it: vertices of posed bodies, and which of them the body itself hides."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import cv2
 import numpy as np
 import torch
 
 from stages.avatar.body.smpl import Body
-from stages.avatar.cameras.pinhole import project
 from stages.avatar.kernels.mesh import NEAR, fill
 from stages.records import BodyModel, BodyPoses
 
 VISIBLE_SIDE, HIDDEN = 160, 0.02  # px; m
+TOGETHER = 8  # frames that are posed at once
 
 
 def posed_vertices(model: BodyModel, poses: BodyPoses) -> Iterator[np.ndarray]:
     """Vertices [V,3] float64 m in the world of each frame in turn; placed in float64, however far the world's origin is."""
     body = Body(model)
     betas = _tensor(poses.betas)
-    for i in range(len(poses)):
-        parts = (poses.global_orient[i : i + 1], poses.body_pose[i : i + 1], np.zeros((1, 3)))
-        yield body(betas, *map(_tensor, parts))[0][0].double().numpy() + poses.transl[i]
+    for first in range(0, len(poses), TOGETHER):
+        rows = slice(first, first + TOGETHER)
+        parts = (poses.global_orient[rows], poses.body_pose[rows], 0 * poses.transl[rows])
+        yield from body(betas, *map(_tensor, parts))[0].double().numpy() + poses.transl[rows, None]
 
 
 def posed_bodies(model: BodyModel, poses: BodyPoses, rows: Sequence[int]) -> np.ndarray:
@@ -35,32 +35,6 @@ def posed_bodies(model: BodyModel, poses: BodyPoses, rows: Sequence[int]) -> np.
 
 def _tensor(values: np.ndarray) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.float32)
-
-
-def silhouette(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    size: tuple[int, int],
-    shape: tuple[int, int],
-) -> np.ndarray:
-    """The body painted as bool `shape` (rows, columns) for a camera whose picture has `size` (rows, columns).
-
-    `vertices` [V,3] in the world of `viewmat` [4,4] camera_from_world, `faces` [T,3], `K` [3,3] px. Also paints pixels that
-    an edge only touches, unlike `kernels.mesh.covered`: the survey's limits were set on exact outlines, the body fit's
-    confidence on painted ones, so both stay.
-    """
-    pixels, z = project(vertices, viewmat, K)
-    pixels = pixels * np.array([shape[1] / size[1], shape[0] / size[0]])
-    corners = pixels[faces]
-    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    front = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0] < 0
-    shown = front & (z[faces] > 0.05).all(1) & (np.abs(corners) < 4 * max(shape)).all((1, 2))
-    canvas = np.zeros(shape, np.uint8)
-    for triangle in np.rint(corners[shown] * 16 - 8).astype(np.int32):
-        cv2.fillConvexPoly(canvas, triangle, 1, shift=4)
-    return canvas.astype(bool)
 
 
 def seen_vertices(points: np.ndarray, faces: np.ndarray, Ks: np.ndarray, chosen: np.ndarray) -> np.ndarray:
