@@ -66,9 +66,11 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     from stages.estimators.detectors.evidence import ClipEvidence
     from stages.formats.clip import load_people
     from stages.formats.facts import Sfm, read_facts
+    from stages.formats.images import Kept
 
     facts = read_facts(sfm / "sfm.json", Sfm)
-    people, fitted = load_people(sfm, smpl), (smpl / "landmarks.npz").exists()
+    kept, fitted = Kept(), (smpl / "landmarks.npz").exists()
+    people = [replace(clip, kept=kept) for clip in load_people(sfm, smpl)]
     clip = people[0]
     evidence = ClipEvidence(clip, facts, fitted=fitted)
     each = [evidence]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
-from stages.formats.images import read_image, read_mask
+from stages.formats.images import Kept, read_image, read_mask
 from stages.formats.people import folder_of, masks_of, people_of
 from stages.formats.points import read_points
 from stages.formats.poses import read_poses
@@ -40,6 +41,8 @@ class Clip:
     person: int = 1
     alone: bool = False
     """Masks are of `person`, and not of everybody."""
+    kept: Kept | None = None
+    """Pictures for whoever asks for them again; None: each is read from its file every time."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,27 +82,28 @@ class Clip:
 
     def images(self, i: int) -> np.ndarray:
         """Undistorted frame `i`, uint8 [H,W,3]."""
-        return self._sized(read_image(self.folder / "images" / f"{self.names[i]}.png"), "images", i)
+        return self._read(read_image, self.folder / "images", i)
 
     def mask(self, i: int) -> np.ndarray:
         """Its person mask, uint8 [H,W], 255 = person; of everybody where several are modelled and none is `alone`."""
         if self.alone:
             return self.own_mask(i)
-        return self._sized(read_mask(self.folder / "masks" / f"{self.names[i]}.png"), "masks", i)
+        return self._read(read_mask, self.folder / "masks", i)
 
     def own_mask(self, i: int) -> np.ndarray:
         """The mask of `person` alone, uint8 [H,W]."""
-        masks = masks_of(self.folder, self.person)
-        return self._sized(read_mask(masks / f"{self.names[i]}.png"), str(masks.relative_to(self.folder)), i)
+        return self._read(read_mask, masks_of(self.folder, self.person), i)
 
     def shows_person(self, i: int) -> bool:
         """Whether the mask of frame `i` has `person` in it."""
         return bool((self.own_mask(i) > 127).any())
 
-    def _sized(self, pixels: np.ndarray, kind: str, i: int) -> np.ndarray:
+    def _read(self, read: Callable[[Path], np.ndarray], folder: Path, i: int) -> np.ndarray:
+        path = folder / f"{self.names[i]}.png"
+        pixels = self.kept.read(read, path) if self.kept else read(path)
         if pixels.shape[:2] != (self.height, self.width):
             raise StageError(
-                f"{kind}/{self.names[i]}.png does not have the size of its camera",
+                f"{path.relative_to(self.folder)} does not have the size of its camera",
                 "run the sfm stage again: `hugs run VIDEO sfm --force`",
                 [f"picture {pixels.shape[1]}x{pixels.shape[0]}, camera {self.width}x{self.height}"],
             )

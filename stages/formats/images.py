@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import OpenImageIO as oiio
 from stages.contract import StageError
 from stages.formats.budget import Budget
 
+KEPT = 1 << 28  # bytes of pictures that `Kept` holds
 PNG_LEVEL = 3  # zlib level: half the time of the default 6 for 4 % larger files
 TURNS = {3: 2, 6: -1, 8: 1}  # EXIF orientation -> quarter turns counter-clockwise that put the picture upright
 
@@ -40,6 +42,24 @@ def read_pixels(path: Path) -> np.ndarray:
         raise StageError(f"{path} is damaged or cut short", "make or copy the file again", [first_line(trouble)])
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     return np.ascontiguousarray(np.rot90(pixels, TURNS.get(spec.get_int_attribute("Orientation", 1), 0)))
+
+
+class Kept:
+    """Pictures that are asked for again and again: the first KEPT bytes of them are read from their files once."""
+
+    def __init__(self) -> None:
+        self.room, self.pictures = KEPT, dict[Path, np.ndarray]()
+
+    def read(self, read: Callable[[Path], np.ndarray], path: Path) -> np.ndarray:
+        """What `read` makes of the file; it cannot be written to where it is kept."""
+        if path in self.pictures:
+            return self.pictures[path]
+        pixels = read(path)
+        if pixels.nbytes <= self.room:
+            self.room -= pixels.nbytes
+            self.pictures[path] = pixels
+            pixels.flags.writeable = False
+        return pixels
 
 
 def read_image(path: Path) -> np.ndarray:
