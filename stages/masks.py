@@ -48,7 +48,7 @@ class Params(contract.Params):
 
 
 def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = None) -> None:
-    """Write masks.json, and masks/%06d.png (0..255, 255 = person) for every frame.
+    """Write masks.json, masks/%06d.png (0..255, 255 = person) for every frame, and the landmarks of the one BlazePose followed.
 
     Of several people these are everybody's, and people/1/masks, people/2/masks ... are each one's own, none of which share a
     pixel. Without `mask_files` the masks of the data set are used, and without those BlazePose segments the person.
@@ -104,10 +104,14 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
 
 
 def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterator[list[np.ndarray]]:
-    """Follow one person, or all, through the frames by BlazePose; yields a mask uint8 [H,W] of each, empty where they are not."""
+    """Follow one person, or all, through the frames by BlazePose; yields a mask uint8 [H,W] of each, empty where they are not.
+
+    Of one it writes landmarks.npz.
+    """
     from stages.estimators.person.blazepose import BlazePose
     from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
     from stages.estimators.person.people import Bystanders
+    from stages.formats.landmarks import write_landmarks
     from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
@@ -121,6 +125,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
         job, names, network.sightings(pictures), None if params.person == EVERYBODY else params.person
     )
     poses = network.track(pictures, bystanders.start)
+    write_landmarks(job.out / "landmarks.npz", names, poses)
     bystanders.warn_of_jumps(poses)
     for i, (pose, masks) in enumerate(zip(poses, outlined(pictures, [poses]), strict=True)):
         if pose is not None:

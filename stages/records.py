@@ -41,6 +41,19 @@ class Cameras:
 
 
 @dataclass(frozen=True)
+class SeenLandmarks:
+    """BlazePose's 33 landmarks of a person in a frame: where they are, `xy` [33,2] px.
+
+    `visibility` [33] is the probability that one is in the picture and not hidden; `world` [33,3] m from the hips' middle, x
+    right, y down, z away from the camera.
+    """
+
+    xy: np.ndarray
+    visibility: np.ndarray
+    world: np.ndarray
+
+
+@dataclass(frozen=True)
 class BodyPoses:
     """SMPL parameters of F frames: X_world = SMPL(global_orient, body_pose, betas) + transl, in metres.
 

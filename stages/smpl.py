@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from stages.estimators.bodyfit.fit import BodyFit
     from stages.estimators.bodyfit.inputs import Inputs
     from stages.estimators.bodyfit.quality import FitQuality
-    from stages.estimators.person.blazepose import Pose
-    from stages.records import BodyModel, BodyPoses, Ground
+    from stages.records import BodyModel, BodyPoses, Ground, SeenLandmarks
 
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
@@ -159,18 +158,14 @@ def estimate_poses(
     """
     from stages.estimators.bodyfit.evidence import drop_cut, drop_strangers, gather, model_landmarks, vote_sides
     from stages.estimators.bodyfit.fit import fit_body
-    from stages.estimators.person.blazepose import BlazePose, pick_masked
-    from stages.estimators.person.identities import track_masked
     from stages.formats.images import read_image
+    from stages.formats.landmarks import write_landmarks
 
     frames = clip.cameras.names
     names, regressor = model_landmarks(clip.model)
     job.progress(0, 100)
-    network, images = BlazePose(), [read_image(sfm / "images" / f"{name}.png") for name in frames]
-    if clip.others:
-        tracks = track_masked(network, images, clip.masks, clip.others)
-    else:
-        tracks = network.track(images, pick_masked(network.sightings(images), clip.masks))
+    images = [read_image(sfm / "images" / f"{name}.png") for name in frames]
+    tracks = follow(sfm, clip, images)
     job.progress(40, 100)
     evidence, strangers = drop_strangers(gather(tracks, names), clip.masks)
     evidence, swapped = vote_sides(drop_cut(evidence, (clip.cameras.width, clip.cameras.height)))
@@ -217,13 +212,19 @@ def estimate_poses(
     return fit, evidence, facts
 
 
-def write_landmarks(path: Path, names: Sequence[str], tracks: Sequence[Pose | None]) -> None:
-    """Write BlazePose's 33 landmarks of each frame: px, visibility and metres; zeros where nobody was found."""
-    import numpy as np
+def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[SeenLandmarks | None]:
+    """The person's landmarks in each frame: those by which the masks were made, else BlazePose's of whom the masks show."""
+    from stages.estimators.person.blazepose import BlazePose, pick_masked
+    from stages.estimators.person.identities import track_masked
+    from stages.formats.landmarks import read_landmarks
 
-    blank = np.zeros((33, 6))
-    found = np.stack([blank if t is None else np.c_[t.xy, t.visibility, t.world] for t in tracks])
-    np.savez(path, names=np.array(names), xy=found[..., :2], visibility=found[..., 2], world=found[..., 3:])
+    if (sfm / "landmarks.npz").exists():
+        known = read_landmarks(sfm / "landmarks.npz")
+        return [known[name] for name in clip.cameras.names]
+    network = BlazePose()
+    if clip.others:
+        return track_masked(network, images, clip.masks, clip.others)
+    return network.track(images, pick_masked(network.sightings(images), clip.masks))
 
 
 def select(names: Sequence[str], chosen: np.ndarray) -> list[str]:

@@ -182,7 +182,7 @@ def told_apart(rows: list[Row]) -> list[Row]:
 
 
 def clip_folders(work: Path) -> Iterator[Path]:
-    """Where clips may lie in a work folder, those in its `work_folders` included."""
+    """Folders in a work folder that may hold a clip's results, also those one deeper, in `from-...` (see `work_folders`)."""
     for place in ("*", "from-*/*"):
         yield from work.glob(place)
 

@@ -42,7 +42,7 @@ def history(work: Path) -> History:
     """What the runs of up to CLIPS clips of a work folder tell. A line that cannot be read is left out."""
     seconds: dict[tuple[str, str], list[float]] = defaultdict(list)
     memory: dict[str, int] = defaultdict(int)
-    files = (file for clip in clip_folders(work) if (file := clip / "runs.jsonl").is_file())
+    files = filter(Path.is_file, (clip / "runs.jsonl" for clip in clip_folders(work)))
     for file in islice(files, CLIPS):
         for run in runs(file):
             try:

@@ -18,10 +18,9 @@ from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.evidence import gather, model_landmarks
 from stages.estimators.bodyfit.posed import posed_vertices
-from stages.estimators.person.blazepose import NAMES, Pose
-from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
+from stages.formats.landmarks import read_landmarks
 from stages.formats.poses import read_poses
 from stages.records import BodyModel, BodyPoses, Cameras
 from tests.made.truth import Similarity, align, joints_of, mask_ious, rows
@@ -82,12 +81,8 @@ def jitter(joints: np.ndarray) -> float:
 
 def landmark_errors(results: Path, poses: BodyPoses, model: BodyModel, cameras: Cameras) -> np.ndarray:
     """Pixels between the body's landmarks and BlazePose's, of those it is surer of than not."""
-    stored = read_npz(results / "smpl" / "landmarks.npz")
     names, regressor = model_landmarks(model)
-    blank = np.zeros(len(NAMES))
-    tracks = [Pose(xy, blank, sure, world, 1.0, None, None) if xy.any() else None
-              for xy, sure, world in zip(stored["xy"], stored["visibility"], stored["world"], strict=True)]  # fmt: skip
-    evidence = gather(tracks, names)
+    evidence = gather(list(read_landmarks(results / "smpl" / "landmarks.npz").values()), names)
     views = rescale_viewmats(cameras.viewmats, poses.world_from_sfm)
     points = np.stack([regressor @ vertices for vertices in posed_vertices(model, poses)])
     off = np.linalg.norm(project(points, views, cameras.Ks)[0] - evidence.xy, axis=-1)

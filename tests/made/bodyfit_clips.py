@@ -13,9 +13,7 @@ from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
 from stages.estimators.bodyfit.evidence import NAMES, STAND_INS, model_landmarks
 from stages.estimators.bodyfit.scale import SOLE
-from stages.estimators.person.blazepose import Pose
-from stages.estimators.person.crops import Roi
-from stages.records import BodyModel, Cameras
+from stages.records import BodyModel, Cameras, SeenLandmarks
 
 WIDTH, HEIGHT, FOCAL = 480, 864, 760.0
 SFM_FROM_WORLD = 2.7  # SfM units per metre
@@ -34,7 +32,7 @@ class TrueClip:
     times: np.ndarray
     joints: np.ndarray  # [F,24,3] m, SfM axes
     vertices: np.ndarray  # [F,V,3] m, SfM axes
-    tracks: list[Pose | None]
+    tracks: list[SeenLandmarks | None]
     points: np.ndarray
     scale: float  # metres per SfM unit
 
@@ -128,7 +126,7 @@ def make(
     return TrueClip(model, cameras, times, joints, vertices, tracks, points, scale)
 
 
-def _tracks(model, vertices, viewmats, K, noise_px, rng) -> list[Pose | None]:
+def _tracks(model, vertices, viewmats, K, noise_px, rng) -> list[SeenLandmarks | None]:
     names, regressor = model_landmarks(model)
     landmarks = regressor @ vertices
     pixels, _ = project(landmarks, viewmats, K)
@@ -136,7 +134,7 @@ def _tracks(model, vertices, viewmats, K, noise_px, rng) -> list[Pose | None]:
     hips = [names.index("left_hip"), names.index("right_hip")]
     relative = in_camera - in_camera[:, hips].mean(1, keepdims=True)
     mirror = [NAMES.index(_other(name)) for name in NAMES]
-    tracks: list[Pose | None] = []
+    tracks: list[SeenLandmarks | None] = []
     for i in range(len(vertices)):
         xy, world, visibility = np.zeros((33, 2)), np.zeros((33, 3)), np.zeros(33)
         for k, name in enumerate(names):
@@ -148,8 +146,7 @@ def _tracks(model, vertices, viewmats, K, noise_px, rng) -> list[Pose | None]:
                 visibility[j] = rng.uniform(0.6, 1)
         if i in (7, 8, 20):
             xy, world = xy[mirror], world[mirror]
-        roi = Roi(240, 432, 800, 0)
-        tracks.append(None if i in (13, 14) else Pose(xy, np.zeros(33), visibility, world, 1.0, roi, roi))
+        tracks.append(None if i in (13, 14) else SeenLandmarks(xy, visibility, world))
     return tracks
 
 

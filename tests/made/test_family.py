@@ -16,7 +16,7 @@ from stages.estimators.bodyfit.balance import mass_and_soles
 from stages.formats.body_model import read_body_model
 from stages.records import BodyPoses, Cameras
 from tests.made.family import film
-from tests.made.family.evidence import Truth, read_tracks, write_tracks
+from tests.made.family.evidence import Truth
 from tests.made.family.measures import measured, soles_of, stature
 from tests.made.family.motions import MOTIONS
 from tests.made.family.table import FAMILY, FPS, FRAMES, LONG, SHORT, shots
@@ -147,20 +147,6 @@ def test_what_is_off_is_told_with_its_sign():
     doubled = replace(cameras, viewmats=cameras.viewmats * np.array([1, 1, 1, 2])[:, None].T)
     scaled = measured(replace(poses, world_from_sfm=0.55), model, doubled, True, truth)
     assert scaled["scale%"] == pytest.approx(10) and scaled["tall%"] == pytest.approx(100 / 1.1 - 100)
-
-
-def test_landmarks_come_back_from_the_disk(tmp_path):
-    from stages.estimators.person.blazepose import Pose
-    from stages.estimators.person.crops import Roi
-
-    rng = np.random.default_rng(0)
-    parts = rng.standard_normal((33, 2)), rng.random(33), rng.random(33), rng.standard_normal((33, 3))
-    write_tracks(tmp_path / "tracks.npz", [None, Pose(*parts, 0.9, Roi(1.0, 2, 3, 4), Roi(5.0, 6, 7, 8))])
-    nobody, pose = read_tracks(tmp_path / "tracks.npz")
-    assert nobody is None
-    assert pose.presence == 0.9 and pose.roi == Roi(1, 2, 3, 4) and pose.next_roi == Roi(5, 6, 7, 8)
-    for part, name in zip(parts, ("xy", "z", "visibility", "world")):
-        np.testing.assert_array_equal(getattr(pose, name), part)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 from stages import masks
 from stages.contract import Job, StageError
 from stages.formats.images import read_image, read_mask, write_image, write_mask
+from stages.formats.landmarks import read_landmarks
 
 SIZE = (96, 128)
 
@@ -143,6 +144,8 @@ def test_the_kitchen_man_is_outlined(tmp_path, blazepose, kitchen):
         write_image(frames / "images" / f"{i:06d}.png", kitchen[i])
     facts, made, _ = run(tmp_path, frames, None)
     assert facts["source"] == "blazepose" and facts["no_person"] == []
+    landmarks = read_landmarks(tmp_path / "out" / "landmarks.npz")
+    assert list(landmarks) == list(facts["frames"]) and None not in landmarks.values()
     for name, mask in made.items():
         assert 0.1 < facts["frames"][name]["coverage"] < 0.22 and ((mask > 25) & (mask < 230)).mean() < 0.03
         _, _, stats, _ = cv2.connectedComponentsWithStats((mask > 127).astype(np.uint8))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from stages.formats.facts import Listing, read_facts
 from stages.formats.given_fits.record import SMPLX_PELVIS
 from stages.formats.ground import read_ground
 from stages.formats.images import write_image, write_mask
+from stages.formats.landmarks import write_landmarks
 from stages.formats.points import write_points
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses
@@ -230,6 +232,23 @@ def test_j05_landmarks_become_poses_and_frames_without_a_person_are_named(folder
     assert facts["mean_iou"] > 0.85 and facts["mean_error_px"] < 15
     with np.load(tmp_path / "out" / "landmarks.npz") as landmarks:
         assert landmarks["xy"].shape == (16, 33, 2) and (landmarks["visibility"][13] == 0).all()
+
+
+def test_the_landmarks_by_which_masks_were_made_are_taken_and_nobody_looks_again(folders, tmp_path, monkeypatch):
+    clip = folders[0]
+    names, tracks = clip.cameras.names, clip.tracks
+
+    def looks_again(self):
+        raise AssertionError("BlazePose looks again")
+
+    monkeypatch.setattr(blazepose.BlazePose, "__init__", looks_again)
+    known = SimpleNamespace(cameras=clip.cameras, others=())
+    write_landmarks(tmp_path / "landmarks.npz", [*names[::-1], "one more"], [*tracks[::-1], tracks[0]])
+    taken = smpl.follow(tmp_path, known, [])
+    assert [one is None for one in taken] == [one is None for one in tracks]
+    assert all((a.xy == b.xy).all() for a, b in zip(taken, tracks) if b is not None)
+    with pytest.raises(AssertionError, match="looks again"):
+        smpl.follow(tmp_path / "without", known, [])
 
 
 def test_j05_nobody_in_the_clip_is_an_error(folders, tmp_path, monkeypatch):

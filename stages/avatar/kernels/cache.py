@@ -66,7 +66,7 @@ def tidy(root: Path, before: float) -> None:
 
 
 def compiled(kernel: Dispatcher) -> bool:
-    """Whether an earlier process of this very installation has left a kernel of Numba, for this processor or another."""
+    """Whether this installation has compiled a kernel of Numba before, for this processor or another."""
     return any(Path(str(kernel.stats.cache_path)).glob(f"*.{kernel.py_func.__name__}-*.nbi"))
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.estimators.person.blazepose import NAMES, Pose
-from stages.records import JOINT_NAMES, BodyModel
+from stages.estimators.person.blazepose import NAMES
+from stages.records import JOINT_NAMES, BodyModel, SeenLandmarks
 
 STAND_INS = {
     "left_hand": ("left_pinky", "left_index"),
@@ -70,7 +70,7 @@ def model_landmarks(model: BodyModel) -> tuple[tuple[str, ...], np.ndarray]:
     return tuple(names[i] for i in kept) + tuple(hands), np.concatenate(rows)
 
 
-def gather(tracks: Sequence[Pose | None], names: tuple[str, ...]) -> LandmarkEvidence:
+def gather(tracks: Sequence[SeenLandmarks | None], names: tuple[str, ...]) -> LandmarkEvidence:
     """BlazePose's poses (None: nobody was found) as evidence under the model's `names`."""
     sources = [[NAMES.index(s) for s in STAND_INS.get(name, (name,))] for name in names]
     count, points = len(tracks), len(names)

@@ -66,8 +66,8 @@ class _Inputs:
 def one_thread() -> Iterator[None]:
     """Let torch compute on one thread.
 
-    All frames index the same vertices. On several threads torch adds the gradients of such an index in whatever order the
-    threads come by, and two fits differed by up to 0.1 rad. One thread is not slower: 21 s for 40 frames, two take 22 to 24 s.
+    Joints, landmarks and frames are indexed more than once. On several threads torch adds the gradients of such an index in
+    whatever order the threads come by, and two fits differed by up to 0.1 rad. One thread was not slower.
     """
     count = torch.get_num_threads()
     torch.set_num_threads(1)

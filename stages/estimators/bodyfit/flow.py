@@ -111,9 +111,8 @@ def flow_cost(flow: SurfaceFlow, pixels: Tensor, shown: Tensor, height: Tensor) 
     here, there = pixels[flow.first], pixels[flow.second]
     moved, sure = flow.at(here.detach())
     weight = sure * shown[flow.first] * shown[flow.second]
-    spread = (
-        OFF * height[flow.first, None] + flow.share * moved.square().sum(-1).sqrt()
-    )  # norm() would take 70 times as long
+    # norm() takes 70 times as long on numbers that lie so
+    spread = OFF * height[flow.first, None] + flow.share * moved.square().sum(-1).sqrt()
     off = (there - here - moved).square().sum(-1) / spread**2
     return (weight * geman_mcclure(off, 3.0)).sum() / len(pixels)
 

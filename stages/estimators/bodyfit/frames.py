@@ -44,7 +44,8 @@ def join_frames(
         stems = [Path(name).stem for name in fit.names]
         if count_from_one(total, stems):
             told = f"{total} is among the names and 0 is not: they are taken to count the frames from 1"
-            counts = np.array([(number(name) or 0) - 1 for name in stems])
+            numbers = [number(name) for name in stems]
+            counts = np.array([-1 - i if counted is None else counted - 1 for i, counted in enumerate(numbers)])
             fit = replace(fit, names=None, numbers=counts, notes=(*fit.notes, told))
     keys, wanted, sure = _keys(fit, names, sources)
     place = {key: i for i, key in enumerate(wanted)}

@@ -1,4 +1,4 @@
-"""The body as a camera sees it: vertices of posed bodies, and which of them the body itself hides."""
+"""Posed bodies: their vertices, and which of them the body itself hides from a camera."""
 
 from __future__ import annotations
 

@@ -28,8 +28,10 @@ class Bones:
 
 @dataclass(frozen=True)
 class Skin:
-    """Vertices with indices `vertices` [M], or [F,M] where each frame has its own: place and shape at rest, pose correctives
-    and skinning weights, each [...,M,...] as in `Body`."""
+    """Vertices with indices `vertices` [M], or [F,M] where each frame has its own, and what `Body` knows of them.
+
+    `template` [M,3], `shape` [M,3,10], `correctives` [M,3,P] and `weights` [M,24], with F in front where `vertices` has it.
+    """
 
     vertices: Tensor
     template: Tensor
@@ -48,7 +50,6 @@ class Skin:
         points = self.template + self.shape @ bones.betas
         if self.correctives.shape[-1]:
             feature = (bones.turns[:, 1:] - torch.eye(3)).flatten(1)
-            frames = "f" if self.vertices.dim() > 1 else ""
-            points = points + torch.einsum(f"{frames}mcp,fp->fmc", self.correctives, feature)
+            points = points + torch.einsum("...mcp,...p->...mc", self.correctives, feature)
         blend = (self.weights @ bones.transforms[:, :, :3].flatten(-2)).unflatten(-1, (3, 4))
         return (blend[..., :3] @ points[..., None])[..., 0] + blend[..., 3], blend

@@ -123,13 +123,13 @@ class Solver:
         self.spread = terms.joint_spreads()
         parts = [name.removeprefix("left_").removeprefix("right_").rstrip("123") for name in JOINT_NAMES]
         self.steady = torch.tensor([ACCELERATION.get(part, ACCELERATION_REST) for part in parts])
-        spread = farthest_points(body.v_template, DENSE)
-        self.dense, self.coarse = Skin.of(body, spread), Skin.of(body, spread[:COARSE])
+        apart = farthest_points(body.v_template, DENSE)
+        self.dense, self.coarse = Skin.of(body, apart), Skin.of(body, apart[:COARSE])
         self.soles = sole_vertices(body)
-        self.marks = Skin.of(body, torch.cat([self.soles.flatten(), spread[:MARKS]]))
+        self.marks = Skin.of(body, torch.cat([self.soles.flatten(), apart[:MARKS]]))
         self.normals = vertex_normals(body.v_template, faces)
         self.rim = Skin.of(body, torch.zeros(len(evidence.seen), 0, dtype=torch.long))  # until `match_outlines`
-        self.snug = torch.ones(len(spread))  # until `look_for_wide_clothes`
+        self.snug = torch.ones(len(apart))  # until `look_for_wide_clothes`
         self.mark_trust = torch.tensor(joint_trust(evidence), dtype=f32) @ self.marks.weights.T
 
     def bones(self, state: State) -> Bones:

@@ -16,6 +16,7 @@ from ai_edge_litert.interpreter import Interpreter
 
 from stages.estimators import assets
 from stages.estimators.person.crops import Roi, crop, to_picture
+from stages.records import SeenLandmarks
 
 LANDMARKS = 33
 DETECTOR_SIDE, CROP_SIDE, HEATMAP_SIDE = 224, 256, 64  # px, the networks' own
@@ -56,17 +57,9 @@ class Images(Protocol):
 
 
 @dataclass(frozen=True)
-class Pose:
+class Pose(SeenLandmarks):
     """The person as seen in one frame."""
 
-    xy: np.ndarray
-    """[33,2] px."""
-    z: np.ndarray
-    """[33] depth against the hips, in px, smaller is nearer; not accurate."""
-    visibility: np.ndarray
-    """[33] probability that the joint is in the picture and not hidden."""
-    world: np.ndarray
-    """[33,3] metres from the hips' middle, x right, y down, z away from the camera."""
     presence: float
     """Probability that a person is in the crop."""
     roi: Roi
@@ -169,7 +162,6 @@ class BlazePose:
         turned = world[:LANDMARKS] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         pose = Pose(
             xy[:LANDMARKS],
-            points[:LANDMARKS, 2] * roi.side / CROP_SIDE,
             sigmoid(points[:LANDMARKS, 3]) * sigmoid(points[:LANDMARKS, 4]),
             turned,
             float(presence.reshape(())),
@@ -189,7 +181,7 @@ class BlazePose:
         kept = (far <= np.maximum(STRAY * roi.side, far.min(0))).astype(np.float64)
         mean = {
             name: np.einsum("pn,pn...->n...", kept / kept.sum(0), np.stack([getattr(pose, name) for pose in poses]))
-            for name in ("xy", "z", "visibility", "world")
+            for name in ("xy", "visibility", "world")
         }
         circles = np.stack([[pose.next_roi.x, pose.next_roi.y, pose.next_roi.side] for pose in poses])
         up = np.mean([np.exp(1j * pose.next_roi.angle) for pose in poses])

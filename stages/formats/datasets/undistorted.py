@@ -1,4 +1,4 @@
-"""images/ and masks/ of the sfm stage: the frames as a pinhole camera would have taken them."""
+"""images/, masks/ and landmarks.npz of the sfm stage: the frames as a pinhole camera would have taken them."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from stages.formats.images import read_image, read_mask, write_image, write_mask
+from stages.formats.landmarks import read_landmarks, write_landmarks
 from stages.formats.people import PEOPLE
+from stages.records import SeenLandmarks
 
 Grid = tuple[np.ndarray, np.ndarray]
+LANDMARKS = "landmarks.npz"
+STEPS = 30  # of the search for a point in the pinhole picture; a lens that doubles sizes takes 20 to 0.01 px
 
 
 def opencv_grid(K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> Grid:
@@ -31,9 +36,9 @@ def write_undistorted(
 ) -> Iterator[int]:
     """Write `names` from frames/images and masks/masks to `out`, sampled at `grid`, yielding how many are done.
 
-    The masks of each of several people go along. `grid_of` gives a frame's (x, y) [H,W] float32 as cv2.remap wants it:
-    centre of the first pixel at (0, 0). None links the files unchanged. Colours are sampled bicubically, masks bilinearly; a
-    sample outside the image takes its nearest pixel.
+    The masks of each of several people go along, and the landmarks of one. `grid_of` gives a frame's (x, y) [H,W] float32 as
+    cv2.remap wants it: centre of the first pixel at (0, 0). None links the files unchanged. Colours are sampled bicubically,
+    masks bilinearly; a sample outside the image takes its nearest pixel.
     """
     people = [folder.relative_to(masks) for folder in sorted((masks / PEOPLE).glob("*/masks"))]
     for kind in (Path("images"), Path("masks"), *people):
@@ -56,6 +61,29 @@ def write_undistorted(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for done, _ in enumerate(pool.map(write, names), 1):
             yield done
+    if (masks / LANDMARKS).exists():
+        seen = read_landmarks(masks / LANDMARKS)
+        write_landmarks(out / LANDMARKS, names, [_moved(seen[name], grid_of(name)) for name in names])
+
+
+def _moved(seen: SeenLandmarks | None, grid: Grid | None) -> SeenLandmarks | None:
+    return seen if seen is None or grid is None else replace(seen, xy=pinhole_points(seen.xy, grid))
+
+
+def pinhole_points(points: np.ndarray, grid: Grid) -> np.ndarray:
+    """Where the pinhole picture sampled at `grid` shows `points` [N,2] px of the lens's picture; by x <- x + (point - grid(x)).
+
+    Beyond its border a step of the one is taken for a step of the other.
+    """
+    height, width = grid[0].shape
+    wanted = points - 0.5
+    at = wanted
+    for _ in range(STEPS):
+        inner = at.clip(0, [width - 1, height - 1])
+        columns, rows = inner.astype(np.float32).T[..., None]
+        sampled = np.hstack([cv2.remap(part, columns, rows, cv2.INTER_LINEAR) for part in grid])
+        at = inner + wanted - sampled
+    return at + 0.5
 
 
 def link(source: Path, target: Path) -> None:

@@ -10,13 +10,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stages.estimators.person.blazepose import NAMES, Pose
-from stages.estimators.person.crops import Roi
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.facts import Listing, Sfm, read_facts
 from stages.formats.images import read_image, read_mask
+from stages.formats.landmarks import read_landmarks
 from stages.formats.points import read_points
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses, Cameras
@@ -26,7 +25,6 @@ from tests.made.truth import joints_of
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From the clip's axes, z up, to the family's."""
-NOWHERE = Roi(0.0, 0.0, 1.0, 0.0)
 
 
 def read_truth(clip: Path, results: Path) -> Truth:
@@ -56,17 +54,15 @@ def _sized(path: Path, cameras: Cameras) -> np.ndarray:
 
 def read_finished(results: Path) -> Take:
     """What the finished stages give the body fit, as the smpl stage reads it, its landmarks from landmarks.npz."""
-    sfm, stored = results / "sfm", read_npz(results / "smpl" / "landmarks.npz")
-    cameras, blank = read_cameras(sfm / "cameras.npz"), np.zeros(len(NAMES))
-    tracks = [Pose(xy, blank, sure, world, 1.0, NOWHERE, NOWHERE) if xy.any() else None
-              for xy, sure, world in zip(stored["xy"], stored["visibility"], stored["world"], strict=True)]  # fmt: skip
+    sfm, seen = results / "sfm", read_landmarks(results / "smpl" / "landmarks.npz")
+    cameras = read_cameras(sfm / "cameras.npz")
     return Take(
         cameras=cameras,
         times=np.array(read_facts(results / "frames" / "frames.json", Listing).times(cameras.names)),
         images=[read_image(sfm / "images" / f"{name}.png") for name in cameras.names],
         masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
         points=read_points(sfm / "points.ply")[0].astype(np.float64),
-        tracks=tracks,
+        tracks=[seen[name] for name in cameras.names],
         moving=read_facts(sfm / "sfm.json", Sfm).verdict == "moving",
     )
 

@@ -3,7 +3,7 @@
 A clip's folder:
   images/%06d.png, masks/%06d.png   pictures, and our own masks of them, corrected by the scene as sfm does
   cameras.npz, points.ply           as the sfm stage has them
-  tracks.npz                        BlazePose's landmarks of the masked person
+  landmarks.npz                     BlazePose's landmarks of the masked person
   facts.json                        fps, moving, half
   truth/                            cameras.npz, body.npz, body_model.npz (m, y up, floor at y = 0) and masks/;
                                     world.npz, the similarity from the world of cameras.npz above
@@ -29,16 +29,15 @@ from stages.estimators.bodyfit.evidence import (
     vote_sides,
 )
 from stages.estimators.bodyfit.fit import BodyFit, fit_body
-from stages.estimators.person.blazepose import BlazePose, Pose, pick_masked
-from stages.estimators.person.crops import Roi
 from stages.estimators.person.static_scene import corrected
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.images import read_mask, write_image, write_mask
+from stages.formats.landmarks import read_landmarks
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
-from stages.records import BodyModel, BodyPoses, Cameras
+from stages.records import BodyModel, BodyPoses, Cameras, SeenLandmarks
 from tests.made.family.film import film
 from tests.made.family.table import FPS, Shot
 from tests.made.truth import Similarity
@@ -47,14 +46,14 @@ from tests.made.truth import Similarity
 @dataclass(frozen=True)
 class Take:
     """One clip's evidence: `cameras` in SfM units, `times` [F] s, `images` and `masks` F of uint8 [H,W,3] and [H,W], `points`
-    [P,3], `tracks` F of BlazePose's poses; `moving` as `fit_body` takes it."""
+    [P,3], `tracks` F of BlazePose's landmarks; `moving` as `fit_body` takes it."""
 
     cameras: Cameras
     times: np.ndarray
     images: Sequence[np.ndarray]
     masks: list[np.ndarray]
     points: np.ndarray
-    tracks: list[Pose | None]
+    tracks: list[SeenLandmarks | None]
     moving: bool
 
 
@@ -95,37 +94,17 @@ def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
 
 
 def find_person(folder: Path, names: list[str]) -> None:
-    """Write masks/ and tracks.npz from images/, as the stages masks and smpl find them."""
+    """Write masks/ and landmarks.npz from images/, as the stage masks finds them."""
     job = Job(out=folder, emit=lambda event: None)
     masks = [mask for (mask,) in masks_stage.segment(job, masks_stage.Params(), folder, names)]
     (folder / "masks").mkdir(exist_ok=True)
     for name, mask in zip(names, masks, strict=True):
         write_mask(folder / "masks" / f"{name}.png", mask)
-    network = BlazePose(threads=1)
-    images = masks_stage.Pictures([folder / "images" / f"{name}.png" for name in names])
-    write_tracks(folder / "tracks.npz", network.track(images, pick_masked(network.sightings(images), masks)))
 
 
-def write_tracks(path: Path, tracks: Sequence[Pose | None]) -> None:
-    """Write all that BlazePose says of each frame; NaN where it found nobody."""
-    rows = np.full((len(tracks), 33 * 7 + 1 + 8), np.nan)
-    for row, pose in zip(rows, tracks, strict=True):
-        if pose is not None:
-            rois = [[roi.x, roi.y, roi.side, roi.angle] for roi in (pose.roi, pose.next_roi)]
-            parts = (pose.xy, pose.z, pose.visibility, pose.world, [pose.presence], *rois)
-            row[:] = np.concatenate([np.ravel(part) for part in parts])
-    np.savez(path, tracks=rows)
-
-
-def read_tracks(path: Path) -> list[Pose | None]:
-    """The poses that `write_tracks` wrote."""
-    return [None if np.isnan(row).any() else _pose(row) for row in read_npz(path)["tracks"]]
-
-
-def _pose(row: np.ndarray) -> Pose:
-    xy, z, visibility, world, rest = np.split(row, [66, 99, 132, 231])
-    first, second = Roi(*rest[1:5].tolist()), Roi(*rest[5:].tolist())
-    return Pose(xy.reshape(33, 2), z, visibility, world.reshape(33, 3), float(rest[0]), first, second)
+def read_tracks(folder: Path) -> list[SeenLandmarks | None]:
+    """The landmarks that `find_person` found."""
+    return list(read_landmarks(folder / "landmarks.npz").values())
 
 
 def read_take(folder: Path) -> tuple[Take, Truth]:
@@ -137,7 +116,7 @@ def read_take(folder: Path) -> tuple[Take, Truth]:
     times = np.arange(len(cameras)) / facts["fps"]
     points = read_points(folder / "points.ply")[0].astype(np.float64)
     images = masks_stage.Pictures([folder / "images" / f"{name}.png" for name in cameras.names])
-    take = Take(cameras, times, images, masks, points, read_tracks(folder / "tracks.npz"), facts["moving"])
+    take = Take(cameras, times, images, masks, points, read_tracks(folder), facts["moving"])
     truth = folder / "truth"
     poses, model = read_poses(truth / "body.npz"), read_body_model(truth / "body_model.npz")
     world = read_npz(truth / "world.npz")

@@ -100,7 +100,7 @@ def triangulated(folder: Path, clip: Path) -> tuple[np.ndarray, np.ndarray]:
     columns = [NAMES.index(name) for name in JOINTS]
     cameras, spots, sure = [], [], []
     for view in VIEWS:
-        K, tracks = read_cameras(folder / view / "cameras.npz").Ks[0], read_tracks(folder / view / "tracks.npz")
+        K, tracks = read_cameras(folder / view / "cameras.npz").Ks[0], read_tracks(folder / view)
         cameras.append(K @ (lenses[view].viewmat @ first)[:3])
         spots.append([np.full((12, 2), np.nan) if pose is None else pose.xy[columns] for pose in tracks])
         sure.append([np.zeros(12) if pose is None else pose.visibility[columns] for pose in tracks])
@@ -144,9 +144,7 @@ def measure_treadmill(folder: Path, clip: Path) -> dict[str, float]:
     masks = [read_mask(at / "masks" / f"{name}.png") for name in cameras.names]
     images = [read_image(at / "images" / f"{name}.png") for name in cameras.names]
     model = read_body_model()
-    fit, _ = fit_take(
-        Take(cameras, times, images, masks, np.zeros((0, 3)), read_tracks(at / "tracks.npz"), False), model
-    )
+    fit, _ = fit_take(Take(cameras, times, images, masks, np.zeros((0, 3)), read_tracks(at), False), model)
     names, regressor = model_landmarks(model)
     chosen = regressor[[names.index(name) for name in JOINTS]]
     found = np.stack([chosen @ vertices for vertices in posed_vertices(model, fit.poses)])

@@ -100,6 +100,14 @@ def test_people_of_one_frame_stay_together_and_in_the_clips_order():
     assert np.array_equal(joined.transl, fit.transl[[2, 3, 0, 1]])
 
 
+def test_pictures_without_a_number_are_of_no_frame():
+    times, names = np.arange(10) / 30, names_of(range(10))
+    called = (*(f"frame_{i:04d}.jpg" for i in range(1, 11)), "cover.jpg", "mean.jpg")
+    fit = replace(fit_of(np.arange(12) / 30), tool="ROMP", names=called)
+    joined, frames = join_frames(fit, names, times, total=10)
+    assert frames.tolist() == list(range(10)) and np.array_equal(joined.transl, fit.transl[:10])
+
+
 def test_rows_by_count_need_most_of_the_clip():
     fit = fit_of(np.arange(10) / 30)
     with pytest.raises(StageError, match="7 of 10 frames have no row") as caught:

@@ -1,4 +1,4 @@
-"""Bodies as a camera sees them: which of their points nothing hides."""
+"""Which vertices of a posed body the body itself hides."""
 
 from __future__ import annotations
 

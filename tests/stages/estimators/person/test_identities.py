@@ -33,7 +33,7 @@ def pose_at(x: float) -> Pose:
     xy[TORSO] = [[x - 5, 20], [x - 5, 30], [x + 5, 20], [x + 5, 30]]
     xy[[25, 26]] = [[x - 5, 42], [x + 5, 42]]
     roi = Roi(x, 30.0, SIDE, 0.0)
-    return Pose(xy, xy[:, 0], np.ones(33), np.zeros((33, 3)), 1.0, roi, roi)
+    return Pose(xy, np.ones(33), np.zeros((33, 3)), 1.0, roi, roi)
 
 
 class Eyes:

@@ -23,7 +23,7 @@ def seen(frame: int, x: float, side: float, score: float = 0.9) -> Sighting:
     """Somebody whose hips are at x, 100."""
     roi = Roi(x, 100.0, side, 0.0)
     xy = np.full((len(NAMES), 2), [x, 100.0])
-    return Sighting(frame, score, roi, Pose(xy, xy[:, 0], xy[:, 0], np.zeros((33, 3)), 1.0, roi, roi))
+    return Sighting(frame, score, roi, Pose(xy, xy[:, 0], np.zeros((33, 3)), 1.0, roi, roi))
 
 
 def bystanders(sightings: list[Sighting], person: int | str | None = None) -> tuple[Bystanders, list[str]]:
