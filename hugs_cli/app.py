@@ -102,7 +102,7 @@ def run_pipeline(
     forced = frozenset(stages or wanted) if force else frozenset()
     console = Console(name_width=max(9, *(len(name) + 1 for name in wanted)))
     if dry_run:
-        show(console, session.verdicts(wanted, forced), as_json)
+        show(console, (promised.last_session() if promised else session).verdicts(wanted, forced), as_json)
         return
     video, workspace = session.video, session.workspace
     session.check_sources()

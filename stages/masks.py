@@ -86,7 +86,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
             shared += [name] if sum(int((one > 127).sum()) for one in each) > (1 + SHARED) * (mask > 127).sum() else []
         job.progress(i + 1, len(names))
     nobody = [name for name, frame in found.items() if frame["coverage"] < PERSON_SHARE]
-    report(job, found, nobody)
+    report(job, found, nobody, given=source == "imported")
     if params.person == EVERYBODY and not seen:
         job.note("--person all: one person is found, and followed as without it")
     if seen:
@@ -121,9 +121,8 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     if len(tracks) > 1:
         yield from outlined(pictures, tracks)
         return
-    bystanders = Bystanders(
-        job, names, network.sightings(pictures), None if params.person == EVERYBODY else params.person
-    )
+    sightings = network.sightings(pictures) or network.sightings(pictures, most=len(pictures))
+    bystanders = Bystanders(job, names, sightings, None if params.person == EVERYBODY else params.person)
     poses = network.track(pictures, bystanders.start)
     write_landmarks(job.out / "landmarks.npz", names, poses)
     bystanders.warn_of_jumps(poses)
@@ -200,9 +199,17 @@ def cut_sides(mask: np.ndarray) -> list[str]:
     return [side for side, line in sides.items() if (line > 127).mean() > BORDER_SHARE]
 
 
-def report(job: Job, found: dict[str, FrameMask], nobody: list[str]) -> None:
-    """Note how much of the pictures the person covers, and where they are missing or cut off; StageError if nowhere."""
+def report(job: Job, found: dict[str, FrameMask], nobody: list[str], given: bool) -> None:
+    """Note how much of the pictures the person covers, and where they are missing or cut off; StageError if nowhere.
+
+    `given`: the masks are the user's.
+    """
     count = len(found)
+    if len(nobody) == count and given:
+        raise StageError(
+            f"the given masks show nobody in any of {count} frames",
+            "look at them: is the person white? `--set masks.invert=always` swaps; `--person ID` picks another object",
+        )
     if len(nobody) == count:
         raise StageError(
             f"no person found in any of {count} frames",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from stages import contract
 from stages.contract import Job
@@ -30,6 +30,12 @@ class Params(contract.Params):
     """The motion that is not in the clip."""
     motion_seconds: float = Field(4.0, gt=0)
     """Length of that motion."""
+
+    @model_validator(mode="after")
+    def _has_two_pictures(self) -> Self:
+        if round(self.motion_seconds * self.fps) < 2:
+            raise ValueError("motion_seconds times fps is less than two pictures")
+        return self
 
 
 SHORTER = {"turntable_frames": 36, "motion_seconds": 2.0}
@@ -59,6 +65,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
     from stages.filming.company import floor_under, load_company, present
+    from stages.formats.facts import Trained, read_facts
     from stages.formats.ground import read_ground
     from stages.formats.people import folder_of
     from stages.formats.splats import read_avatar
@@ -78,7 +85,8 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         shots[str(place / "motion")] = (motion, fps)
     held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or present(members, int(i))]
     if held:
-        shots["heldout"] = (_beside_truth(members, held), 4.0)
+        gains = read_facts(train / "train.json", Trained).exposure
+        shots["heldout"] = (_beside_truth(members, held, gains), 4.0)
     if learned.scene is not None:
         shots["scene"] = (_empty(clip, learned), fps / 2)
     for done, (name, (pictures, rate)) in enumerate(shots.items()):
@@ -87,8 +95,8 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     job.note(", ".join(f"{name}.mp4" for name in shots))
 
 
-def _beside_truth(members: list[Member], order: list[int]) -> Iterator[np.ndarray]:
-    """The clip on the left; on the right ours, as the same camera and its shutter take it.
+def _beside_truth(members: list[Member], order: list[int], gains: dict[str, list[float]]) -> Iterator[np.ndarray]:
+    """The clip on the left; on the right ours, as the same camera, its shutter and its exposure (`gains` by frame) take it.
 
     Without a scene it is over white. Frames that show nobody are drawn without the person.
     """
@@ -106,7 +114,10 @@ def _beside_truth(members: list[Member], order: list[int]) -> Iterator[np.ndarra
         human, scene = together(people), learned.effects.shade(learned.scene, *(member.stance(i) for member in there))
         motion = moving(members[0].motion(i), [(s, m.motion(i)) for s, m in zip(people, there, strict=True)])
         camera = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
-        drawn, _ = draw(human, scene, camera, 0.0 if learned.scene else 1.0, learned.effects, motion)
+        white = 0.0 if learned.scene else 1.0
+        drawn, alpha = draw(human, scene, camera, white, learned.effects, motion)
+        bare = white * (1 - alpha)[..., None]
+        drawn = bare + (drawn - bare) * np.array(gains.get(clip.names[i], [1.0, 1.0, 1.0]), np.float32)
         yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)
 
 

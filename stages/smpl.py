@@ -224,7 +224,8 @@ def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[Se
     network = BlazePose()
     if clip.others:
         return track_masked(network, images, clip.masks, clip.others)
-    return network.track(images, pick_masked(network.sightings(images), clip.masks))
+    masked = [i for i, mask in enumerate(clip.masks) if (mask > 127).any()]
+    return network.track(images, pick_masked(network.sightings(images, masked), clip.masks))
 
 
 def select(names: Sequence[str], chosen: np.ndarray) -> list[str]:

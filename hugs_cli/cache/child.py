@@ -84,6 +84,8 @@ class Outcome:
     peak_memory_bytes: int = 0
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    asked: bool = False
+    """Whether it was asked to stop, also where it ended well just then."""
 
 
 def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str, Any]], None]) -> Outcome:
@@ -116,9 +118,9 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
     outcome = Outcome("killed")
     assert process.stdin
     try:
-        job = {**job, "events": write, "path": sys.path}
-        process.stdin.write(json.dumps(job).encode() + b"\n")
-        process.stdin.flush()
+        with suppress(BrokenPipeError):  # it died before it read its job
+            process.stdin.write(json.dumps({**job, "events": write, "path": sys.path}).encode() + b"\n")
+            process.stdin.flush()
         for event in events(read, process.pid, heard):
             if event["event"] in ("note", "warning"):
                 said = outcome.notes if event["event"] == "note" else outcome.warnings
@@ -129,11 +131,10 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
             heard(event)
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-    except BrokenPipeError:  # it died before it read its job
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
     finally:
         os.close(read)
+        with suppress(BrokenPipeError):
+            process.stdin.close()  # where this side has failed, the stage ends
         for number, handler in before.items():
             signal.signal(number, handler)
     outcome.seconds = time.monotonic() - started
@@ -141,6 +142,7 @@ def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str,
     if process.returncode < 0 or (process.returncode and outcome.kind in ("done", "killed")):
         outcome.kind = "killed"
         outcome.facts = {"signal": -process.returncode, "exit": process.returncode}
+    outcome.asked = bool(asked)
     if asked and outcome.kind != "done":
         outcome.kind = "stopped"
     return outcome

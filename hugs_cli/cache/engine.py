@@ -96,8 +96,7 @@ def make(
     watcher: Watcher,
 ) -> Stamp:
     """Run one stage into its .part folder, stamp the result and give the folder its final name."""
-    workspace, folder = session.workspace, session.workspace.folder(stage.name, recipe.key)
-    part = workspace.part(stage.name, recipe.key)
+    part = session.workspace.part(stage.name, recipe.key)
     if part.exists() and (not stage.resumes or Forced() in reasons):
         shutil.rmtree(part)
     part.mkdir(exist_ok=True)
@@ -116,6 +115,25 @@ def make(
     }
     watcher.started(stage.name, reasons)
     outcome = child.launch(job, part / LOG, lock, lambda event: watcher.heard(stage.name, event))
+    with uninterrupted():  # a result that is there is kept, whatever comes now
+        stamp = publish(session, stage, recipe, reasons, outcome, device, watcher)
+    if outcome.asked:
+        raise RunStopped("", False)
+    return stamp
+
+
+def publish(
+    session: Session,
+    stage: Stage,
+    recipe: Recipe,
+    reasons: tuple[Reason, ...],
+    outcome: Outcome,
+    device: str,
+    watcher: Watcher,
+) -> Stamp:
+    """Stamp what a stage has left in its .part folder and give the folder its final name; raises what `make` does."""
+    workspace, folder = session.workspace, session.workspace.folder(stage.name, recipe.key)
+    part = workspace.part(stage.name, recipe.key)
     facts = {
         "when": now(),
         "stage": stage.name,
@@ -133,18 +151,18 @@ def make(
             outcome = replace(outcome, kind="crash", facts={"problem": "it ended as if all was well but wrote no file"})
         elif doubt := distrust(session, stage, recipe, part):
             outcome = replace(outcome, kind="error", facts=doubt)
-    watcher.ended(stage.name, outcome)
     if outcome.kind != "done":
-        error = failure(stage, outcome, part / LOG)
+        watcher.ended(stage.name, outcome)
+        error = failure(stage, outcome, part / LOG, continues=stage.resumes and not folder.exists())
         problem = {"problem": error.problem} if isinstance(error, StageFailed) else {}
         workspace.log_run(**facts, result=outcome.kind, **problem)
         raise error
     stamp = stamp_of(recipe, content, files, outcome, facts)
-    with uninterrupted():
-        stamp.write(part)
-        workspace.publish(part, folder)
-        workspace.link(stage.name, folder)
-        workspace.log_run(**facts, result="done")
+    stamp.write(part)
+    workspace.publish(part, folder)
+    workspace.link(stage.name, folder)
+    workspace.log_run(**facts, result="done")
+    watcher.ended(stage.name, outcome)  # said last: who cannot hear it any more loses nothing
     return stamp
 
 
@@ -200,11 +218,11 @@ def stamp_of(
     )
 
 
-def failure(stage: Stage, outcome: Outcome, log: Path) -> Exception:
-    """The error that says how a stage ended without a result."""
+def failure(stage: Stage, outcome: Outcome, log: Path, continues: bool) -> Exception:
+    """The error that says how a stage ended without a result; `continues`: the next run goes on where it was stopped."""
     facts = outcome.facts
     if outcome.kind == "stopped":
-        return RunStopped(stage.name, stage.resumes)
+        return RunStopped(stage.name, continues)
     if outcome.kind == "error":
         return StageFailed(facts["problem"], facts["hint"], facts["facts"])
     if outcome.kind == "crash":

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stages.estimators.bodyfit.gravity import camera_up
+from stages.estimators.bodyfit.gravity import camera_up, trunk_up
 from stages.records import Ground
 
 STEEPEST = np.cos(np.radians(30))  # between the floor's normal and what is up for the cameras or the bodies
@@ -53,9 +53,8 @@ def find_ground(
     in the middle of the clip; `viewmats` [C,4,4] in metres. Where the scene has no floor under the soles, bodies over all frames
     and the way people hold cameras tell it.
     """
-    trunk = turns[:, :, 1].mean(0)
     held, held_error = camera_up(viewmats)
-    ups = np.stack([held, trunk / np.linalg.norm(trunk)])
+    ups = np.stack([held, trunk_up(turns[:, :, 1], held)])
     plane, how = plane_of_scene(things, soles, ups), "a plane through the scene under the soles"
     if plane is None:
         plane, how = (

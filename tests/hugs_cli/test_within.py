@@ -124,6 +124,8 @@ def test_a_second_run_trains_no_more_unless_forced(timed):
     out, err = run(timed, "--within", "60s", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(timed) == before
     assert "continuing the training that was begun" in err
+    out, err = run(timed, "--within", "60s", "--dry-run", "--json")
+    assert "stale" not in out and "waiting" not in out, out
     out, err = run(timed, "--within", "60s", "--force", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"done"} and "are left for training" in err
 

@@ -123,7 +123,7 @@ def test_g06_frames_without_a_person_are_named_and_none_at_all_is_refused(tmp_pa
     named = {f"{i}.png": body(i) if i != 9 else np.zeros(SIZE, np.uint8) for i in range(12)}
     facts, _, said = run(tmp_path, frames, given(tmp_path, named))
     assert facts["no_person"] == ["000009"] and any("nobody in 1 of 4 frames: 000009" in line for line in said)
-    with pytest.raises(StageError, match="no person found in any of 4 frames"):
+    with pytest.raises(StageError, match="the given masks show nobody in any of 4 frames"):
         run(tmp_path, frames, given(tmp_path, {f"{i}.png": np.zeros(SIZE, np.uint8) for i in range(12)}))
 
 
@@ -188,6 +188,21 @@ def test_masks_of_several_people_are_not_inverted(tmp_path, frames):
     with pytest.raises(StageError, match="several people cannot be inverted") as refused:
         run(tmp_path, frames, folder, person="all", invert="always")
     assert refused.value.facts == ("2 objects: 1, 2",) and "--person ID" in refused.value.hint
+
+
+def test_an_object_that_is_the_background_inverts_nobody_else(tmp_path, frames):
+    folder = tmp_path / "given"
+    for i in range(12):
+        anna = body(i) > 0
+        bert = np.zeros(SIZE, bool)
+        bert[10:30, 80:90] = True
+        for name, mask in (("background", ~(anna | bert)), ("anna", anna), ("bert", bert)):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+            write_mask(folder / name / f"{i:06d}.png", np.where(mask, 255, 0).astype(np.uint8))
+    facts, _, _ = run(tmp_path, frames, folder, person="all")
+    assert facts["inverted"] is False and len(facts["person"]) == 3
+    shares = [(read_mask(tmp_path / f"out/people/{k}/masks/000003.png") > 127).mean() for k in (1, 2, 3)]
+    assert shares[0] > 0.7 and max(shares[1:]) < 0.2
 
 
 def test_all_of_one_person_is_that_person(tmp_path, frames):

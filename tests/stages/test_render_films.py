@@ -1,5 +1,8 @@
 """The films of a result: they decode, show the side they should, and stand where the person stood."""
 
+import json
+import shutil
+
 import numpy as np
 import pytest
 
@@ -77,6 +80,25 @@ def test_a_clip_without_a_scene_is_filmed_over_white(tiny_human, tmp_path):
     assert len(films["heldout"]) == 1, "the frame without a person has nothing to show"
     assert (films["heldout"][0, :8, WIDTH : WIDTH + 8] > 245).all() and (films["motion"][:, :8, :8] > 245).all()
     assert (colour_of(films["heldout"][0, :, WIDTH:]) >= 0).sum() > 300
+
+
+def test_held_out_frames_are_shown_at_their_own_exposure(tiny, tmp_path):
+    clip = load_clip(tiny["sfm"], tiny["smpl"])
+    first = int(np.flatnonzero(clip.heldout)[0])
+    train = tmp_path / "train"
+    shutil.copytree(tiny["train"], train)
+    facts = json.loads((train / "train.json").read_text())
+    facts["exposure"] = {clip.names[first]: [0.5, 0.5, 0.5]}
+    (train / "train.json").write_text(json.dumps(facts))
+    (tmp_path / "out").mkdir()
+    darker = run(tiny | {"train": train}, tmp_path / "out")[0]["heldout"][0]
+    left, right = darker[:, :WIDTH].astype(float), darker[:, WIDTH:].astype(float)
+    assert np.abs(right - 0.5 * left).mean() < 4 and left.mean() > 40
+
+
+def test_a_motion_of_less_than_two_pictures_is_refused_before_anything_runs():
+    with pytest.raises(ValueError, match="less than two pictures"):
+        render.Params(fps=24, motion_seconds=0.05)
 
 
 def test_l13_a_clip_too_short_to_hold_a_frame_out_has_no_such_film(tiny, tmp_path, monkeypatch):

@@ -25,6 +25,10 @@ ARMS, LEGS = ("elbow", "wrist", "hand"), ("knee", "ankle", "heel", "big_toe", "f
 SWAP_EDGE, SWAP_COST = 0.45, 0.1
 STRANGER_JUMP = 0.75  # body heights from the neighbours' median; farther is a stranger
 CUT = 0.04  # of the person's height: nearer to the picture's border than that, a landmark is a guess
+LEAST, LEFT = (
+    6,
+    4,
+)  # landmarks of somebody who is seen: that are surely seen, and of those that do not lie at the border
 WINDOW = 4  # neighbours on each side for that median
 # BlazePose draws people flat. Five synthetic clips: joints 4.16 cm off as it says, 3.99 with depths 1.3 times as large (3.96
 # with 1.4), and people stand 1.5 cm too far away instead of 2.3. Where there is no truth (the kitchen), outlines, motion and
@@ -85,7 +89,7 @@ def gather(tracks: Sequence[SeenLandmarks | None], names: tuple[str, ...]) -> La
     world[..., 2] *= FLAT
     weight = np.where(np.isfinite(xy).all(-1) & np.isfinite(world).all(-1), weight, 0.0)
     xy, world = np.where(weight[..., None] > 0, xy, 0.0), np.where(weight[..., None] > 0, world, 0.0)
-    seen = np.array([track is not None for track in tracks]) & ((weight > 0.3).sum(1) >= 6)
+    seen = np.array([track is not None for track in tracks]) & ((weight > 0.3).sum(1) >= LEAST)
     weight[~seen] = 0
     return LandmarkEvidence(names, xy, weight, world, seen, _heights(xy, weight, seen))
 
@@ -103,19 +107,20 @@ def _heights(xy: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray
 def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -> tuple[LandmarkEvidence, np.ndarray]:
     """Drop frames whose landmarks lie on somebody else: away from the neighbours, or off the person's mask.
 
-    Off it is where no shoulder or hip lies on it, or less than half as many landmarks as in the clip's middle frame: somebody
-    near by. Returns the evidence and which frames [F] were dropped.
+    Off it is where the mask is empty, no shoulder or hip lies on it, or less than half as many landmarks as in the median frame:
+    somebody near by. Returns the evidence and which frames [F] were dropped.
     """
     middle = evidence.middle
-    stranger = np.zeros(len(middle), bool)
+    away = np.array([not (mask > 127).any() for mask in masks]) if masks is not None else np.zeros(len(middle), bool)
+    stranger = evidence.seen & away
     on_mask = np.full(len(middle), np.nan)
-    order = np.flatnonzero(evidence.seen)
+    order = np.flatnonzero(evidence.seen & ~away)
     for rank, i in enumerate(order):
         near = np.r_[order[max(0, rank - WINDOW) : rank], order[rank + 1 : rank + 1 + WINDOW]]
         if len(near) >= 3:
-            away = np.linalg.norm(middle[i] - np.median(middle[near], axis=0))
-            stranger[i] = away > STRANGER_JUMP * np.median(evidence.height[near])
-        if masks is not None and (masks[i] > 127).any():
+            jump = np.linalg.norm(middle[i] - np.median(middle[near], axis=0))
+            stranger[i] = jump > STRANGER_JUMP * np.median(evidence.height[near])
+        if masks is not None:
             rows, columns = masks[i].shape
             at = np.floor(evidence.xy[i]).astype(int)
             inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows)
@@ -131,10 +136,15 @@ def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -
 
 
 def drop_cut(evidence: LandmarkEvidence, size: tuple[int, int]) -> LandmarkEvidence:
-    """Drop landmarks at the border of the pictures, `size` (width, height) px: what is cut off BlazePose puts there."""
+    """Drop landmarks at the border of the pictures, `size` (width, height) px: what is cut off BlazePose puts there.
+
+    A frame in which too few are left shows nobody.
+    """
     rim = CUT * evidence.height[:, None, None]
     inside = ((evidence.xy > rim) & (evidence.xy < np.array(size) - rim)).all(-1)
-    return replace(evidence, weight=np.where(inside, evidence.weight, 0.0))
+    weight = np.where(inside, evidence.weight, 0.0)
+    seen = evidence.seen & ((weight > 0).sum(1) >= LEFT)
+    return replace(evidence, seen=seen, weight=np.where(seen[:, None], weight, 0.0))
 
 
 def mirrored_columns(names: tuple[str, ...], parts: tuple[str, ...] | None = None) -> np.ndarray:

@@ -16,7 +16,7 @@ from stages.estimators.bodyfit import terms
 from stages.estimators.bodyfit.balance import mass_and_soles
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.estimators.bodyfit.expected_error import expected_errors
-from stages.estimators.bodyfit.gravity import camera_up, up_on_slope
+from stages.estimators.bodyfit.gravity import camera_up, trunk_up, up_on_slope
 from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
 from stages.estimators.bodyfit.snug import hidden_joints
 from stages.estimators.bodyfit.solve import Solver, State, World
@@ -186,8 +186,9 @@ def _find_scale(
     cameras, turn = inputs.cameras, solver.world.turn.double().numpy()
     with torch.no_grad():
         skin = solver.surface(state, solver.marks)[0]
-        trunk = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1].mean(0)
+        trunks = (turn.transpose(0, 2, 1) @ state.root.double().numpy())[:, :, 1]
     times = solver.world.times.double().numpy()
+    held = camera_up(cameras.viewmats[seen])[0]
     path = TimedCameras(
         cameras.viewmats[seen], cameras.Ks[seen], cameras.centers[seen], times, (cameras.width, cameras.height)
     )
@@ -197,7 +198,7 @@ def _find_scale(
         skin.double().numpy() @ turn,
         solver.soles.shape[1],
         solver.evidence.height,
-        np.stack([camera_up(path.viewmats)[0], trunk]),
+        np.stack([held, trunk_up(trunks, held)]),
     )
 
 

@@ -14,7 +14,7 @@ from stages.avatar.cameras.pinhole import project, rescale_viewmats
 from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.fit import KNOWN
 from stages.estimators.bodyfit.frames import join_frames
-from stages.estimators.bodyfit.gravity import camera_up
+from stages.estimators.bodyfit.gravity import camera_up, trunk_up
 from stages.estimators.bodyfit.person import choose_person
 from stages.estimators.bodyfit.placing import median_shape, place_in_world
 from stages.estimators.bodyfit.posed import posed_vertices
@@ -95,8 +95,8 @@ def _find_scale(
     """The scale of `poses` that were placed with 1 m per SfM unit, and how it was found."""
     vertices = np.stack(list(posed_vertices(model, poses)))
     extent = np.ptp(project(vertices, path.viewmats, path.Ks)[0], axis=1)
-    trunk = matrix_from_rotvec(torch.tensor(poses.global_orient))[:, :, 1].mean(0).numpy()
-    ups = np.stack([camera_up(path.viewmats)[0], trunk])
+    held, trunks = camera_up(path.viewmats)[0], matrix_from_rotvec(torch.tensor(poses.global_orient))[:, :, 1].numpy()
+    ups = np.stack([held, trunk_up(trunks, held)])
     soles = sole_vertices(Body(model)).numpy()
     skin = vertices[:, np.concatenate([soles.ravel(), np.arange(0, vertices.shape[1], SPARSE)])] - path.centers[:, None]
     height = np.hypot(extent[:, 0], extent[:, 1])

@@ -7,6 +7,7 @@ import numpy as np
 ROLL, PITCH = np.radians(2), np.radians(20)  # of a hand-held camera; its pitch is whatever the subject asks for
 LEAN = np.radians(8)  # of a body over its feet, in the mean of a clip; along the view landmarks lean as much
 UPRIGHT = np.cos(np.radians(30))  # between the floor's normal and somebody who stands
+UPRIGHT_LEAST = 0.5  # cosine of the angle to up, from which a trunk tells of it
 SLOPE = np.radians(6)  # up to which a floor counts as level
 APART = 0.5  # of the cameras' roll against a floor that slopes, which there may be against the bodies
 
@@ -19,6 +20,16 @@ def camera_up(viewmats: np.ndarray) -> tuple[np.ndarray, float]:
     """
     down = viewmats[:, 1, :3].mean(0)
     return _square_to(viewmats[:, 0, :3], -down / np.linalg.norm(down), PITCH)
+
+
+def trunk_up(trunks: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The mean direction [3] of trunks [F,3], unit vectors from pelvis to neck, that are upright against `held` [3], what the
+    cameras take for up; `held` itself where nobody is, as of people who lie."""
+    upright = trunks @ held > UPRIGHT_LEAST
+    if not upright.any():
+        return held
+    mean = trunks[upright].mean(0)
+    return mean / np.linalg.norm(mean)
 
 
 def up_on_slope(viewmats: np.ndarray, normal: np.ndarray, bodies: np.ndarray) -> tuple[np.ndarray, float] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -43,6 +43,7 @@ BETAS = 0.4  # weight of one squared beta against one frame's evidence: at 0.12 
 # 4.1 cm off in place of 4.4, but the twelve clips for setting stand 1 cm nearer: clothes pull. At 300 and without room for
 # clothes 14.4.
 OUTLINE_SHARE, OUTSIDE_SHARE, DIRECTION_SHARE, PRIOR_SHARE = 60.0, 100.0, 0.5, 0.5
+NEAREST = 0.05  # m before the camera, to which what is nearer or behind it is brought
 # Vertices: that flow moves and the floor holds, that masks hold, that outlines choose from
 MARKS, COARSE, DENSE = 300, 300, 2500
 SEGMENTS = (
@@ -70,9 +71,6 @@ class State:
     bias: Tensor = field(default_factory=lambda: torch.zeros(2))
     cloth: Tensor = field(default_factory=lambda: torch.full((24,), CLOTH[0]))
     scale: float = 1.0
-
-    def of(self, frames: np.ndarray) -> State:
-        return replace(self, root=self.root[frames], place=self.place[frames], pose=self.pose[frames])
 
 
 @dataclass(frozen=True)
@@ -159,8 +157,8 @@ class Solver:
         return (blend[..., :3].detach() @ normals)[..., 0] @ state.root.detach().mT
 
     def pixels(self, points: Tensor) -> Tensor:
-        """Project camera-axes points [F,M,3]; what is behind the camera is brought to 5 cm before it."""
-        z = points[..., 2:].clamp(min=0.05)
+        """Project camera-axes points [F,M,3]; what is nearer is brought to NEAREST."""
+        z = points[..., 2:].clamp(min=NEAREST)
         return (points / z) @ self.K[:, :2].mT
 
     def to_world(self, state: State, points: Tensor, scale: Tensor | float) -> Tensor:
@@ -276,7 +274,9 @@ class Solver:
     ) -> State:
         """Adam from `state` for `steps` steps; `in_world` adds feet, balance and, of a moving camera, the scale."""
         turn = torch.zeros(len(state.pose), 3, requires_grad=True)
-        ray = torch.cat([state.place[:, :2] / state.place[:, 2:], state.place[:, 2:].log()], 1).requires_grad_()
+        side = torch.where(state.place[:, 2:] < 0, -1.0, 1.0)  # behind the camera, of whom it does not see
+        depth = (side * state.place[:, 2:]).clamp(min=NEAREST)
+        ray = torch.cat([side * state.place[:, :2] / depth, depth.log()], 1).requires_grad_()
         shared = (state.pose, state.betas, state.bias, state.cloth)
         pose, betas, bias, cloth = (part.clone().requires_grad_() for part in shared)
         log_scale = torch.tensor(float(np.log(state.scale)), requires_grad=True)
@@ -292,7 +292,7 @@ class Solver:
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, rate)
         root, stands = state.root, torch.zeros(len(state.pose), 2)
         for i in range(steps):
-            z = ray[:, 2:].exp()
+            z = side * ray[:, 2:].exp()
             scale = log_scale.exp()
             now = State(matrix_from_rotvec(turn) @ root, torch.cat([ray[:, :2] * z, z], 1), pose, betas, bias, cloth)
             if i % 25 == 0 and outlines is not None:
@@ -335,7 +335,7 @@ class Solver:
             if i % 25 == 24 or i == steps - 1:
                 progress(i + 1, float(total.detach()))
         with torch.no_grad():
-            z = ray[:, 2:].exp()
+            z = side * ray[:, 2:].exp()
             place = torch.cat([ray[:, :2] * z, z], 1)
             found = {"pose": pose, "betas": betas, "bias": bias, "cloth": cloth}
             found = {name: part.detach() for name, part in found.items()} | {"place": place}

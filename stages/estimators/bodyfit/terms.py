@@ -102,6 +102,8 @@ def outlines(masks: list[np.ndarray]) -> Outlines:
         if not person.any():
             continue
         shrunk = (cv2.resize(mask, small, interpolation=cv2.INTER_AREA) > 127).astype(np.uint8)
+        if not shrunk.any():  # a speck: nothing to be outside of
+            continue
         field[i, 0] = cv2.distanceTransform(1 - shrunk, cv2.DIST_L2, 5) / ratio
         pieces, _ = cv2.findContours(person, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         pieces = [p[:, 0].astype(np.float64) for p in pieces if cv2.contourArea(p) > 0.02 * person.sum()]

@@ -85,11 +85,15 @@ def write_points(job: Job, found: Pinholes, cloud: Cloud) -> tuple[np.ndarray, d
     }
     if not keep.any():
         return keep, facts
-    spread = np.linalg.svd((cloud.xyz - np.median(cloud.xyz, 0))[keep & (cloud.errors < MAX_ERROR)], compute_uv=False)
-    flatness = float(spread[2] / spread[0])
-    if flatness < FLAT:
-        job.warn(f"the points lie on a plane (thickness {flatness:.3f} of their width): the focal length is uncertain")
-    facts["flatness"] = flatness
+    sure = cloud.xyz[keep & (cloud.errors < MAX_ERROR)]
+    if len(sure) > 3:  # three always lie on a plane
+        spread = np.linalg.svd(sure - np.median(cloud.xyz, 0), compute_uv=False)
+        flatness = float(spread[2] / max(spread[0], 1e-12))
+        if flatness < FLAT:
+            job.warn(
+                f"the points lie on a plane (thickness {flatness:.3f} of their width): the focal length is uncertain"
+            )
+        facts["flatness"] = flatness
     return keep, facts if not told else facts | {
         "reprojection_px": float(cloud.errors[keep].mean()),
         "median_track": float(np.median(cloud.lengths[keep])),

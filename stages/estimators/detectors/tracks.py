@@ -118,9 +118,11 @@ def triangulate(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tup
     """
     seen = np.isfinite(pixels[..., 0])
     rays, centers = bearings(pixels, viewmats, Ks), camera_centers(viewmats)
-    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
-    across[~seen] = 0
-    A, b = across.sum(0), np.einsum("ftij,fj->ti", across, centers)
+    A, b = np.zeros((pixels.shape[1], 3, 3)), np.zeros((pixels.shape[1], 3))
+    for there, ray, center in zip(seen, rays, centers, strict=True):  # a frame at a time: long clips have many points
+        across = np.eye(3) - ray[there, :, None] * ray[there, None, :]
+        A[there] += across
+        b[there] += across @ center
     usable = seen.sum(0) >= LEAST
     points = np.full((pixels.shape[1], 3), np.nan)
     ridge = 1e-9 * np.eye(3)

@@ -219,10 +219,14 @@ class BlazePose:
                     return other
         return pose
 
-    def sightings(self, images: Images) -> list[Sighting]:
-        """Everybody who is surely seen in a few frames spread over the clip, each frame's people from large to small."""
+    def sightings(self, images: Images, among: Sequence[int] | None = None, most: int = SEEDS) -> list[Sighting]:
+        """Everybody who is surely seen in a few frames, each frame's people from large to small.
+
+        Looked at are at most `most` frames, spread over those in `among` (None: all).
+        """
         found = []
-        for i in np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)):
+        rows = np.arange(len(images)) if among is None else np.asarray(among, int)
+        for i in rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int))]:
             image = images[i]
             here: list[Sighting] = []
             hits = self.search(image)

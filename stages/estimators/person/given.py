@@ -66,7 +66,7 @@ def import_masks(
             "leave out `--set masks.invert=always`, or choose one with `--person ID`",
             [f"{len(chosen)} objects: {', '.join(one.id for one in chosen)}"],
         )
-    inverted = polarity(job, chosen[0], invert)
+    inverted = len(chosen) == 1 and polarity(job, chosen[0], invert)
     encodings = chosen[0].masks.encodings()
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
     unused = (total if given.names is None else len(given.names)) - len(set(rows))

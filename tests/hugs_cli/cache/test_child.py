@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import signal
+import time
 
 import pytest
 
@@ -96,7 +97,27 @@ def test_a_stop_that_comes_as_the_stage_has_just_ended_loses_nothing(tmp_path, m
             os.kill(os.getpid(), signal.SIGINT)
 
     try:
-        assert launch(job, tmp_path / "log", handle, heard).kind == "done"
+        outcome = launch(job, tmp_path / "log", handle, heard)
+        assert outcome.kind == "done" and outcome.asked
+    finally:
+        os.close(handle)
+
+
+def test_a_run_whose_screen_is_gone_ends_and_its_stage_with_it(tmp_path, monkeypatch):
+    (tmp_path / "over_at_once.py").write_text(QUICK + "    import time\n    time.sleep(60)\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    job = {"module": "over_at_once", "params": {}, "inputs": {}, "out": str(tmp_path), "upstream": {}}
+    job |= {"device": "cpu", "seed": 0, "resumes": False}
+    handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
+
+    def heard(event):
+        raise BrokenPipeError("nobody reads what is printed")
+
+    began = time.monotonic()
+    try:
+        with pytest.raises(BrokenPipeError):
+            launch(job, tmp_path / "log", handle, heard)
+        assert os.waitid(os.P_ALL, 0, os.WEXITED) is not None and time.monotonic() - began < 30
     finally:
         os.close(handle)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import time
 
 import pytest
 
@@ -200,6 +201,19 @@ def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, s
     ran = flow.ran("--set", f"{stage}.delay=0.05")
     assert "one" not in ran and stage in ran
     assert flow.text("four") == WHOLE
+
+
+@pytest.mark.slow
+def test_a_stop_that_a_stage_no_longer_hears_keeps_its_result_and_ends_the_run_after_it(flow):
+    flow.edit("helper", "if job.stop_asked:", "if False:")  # as training does once its last step is taken
+    run = flow.start(*flow.hold("three"))
+    flow.wait_for(lambda: list(flow.store.glob("three-*.part/step0")))
+    run.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    flow.go()
+    _, err = run.communicate(timeout=LONGEST)
+    assert run.returncode == 130 and err.splitlines()[-1].startswith("stopped"), err
+    assert list(flow.ran()) == ["four"] and flow.text("four") == WHOLE
 
 
 @pytest.mark.slow

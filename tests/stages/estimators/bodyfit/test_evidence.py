@@ -84,6 +84,26 @@ def test_frames_that_show_somebody_else_or_a_mirror_image_are_left_out(mirrored)
     assert not kept.seen[seen].any() and (kept.weight[seen] == 0).all()
 
 
+def test_where_the_mask_is_empty_the_landmarks_are_of_somebody_else():
+    clip = make()
+    masks, gone = clip.masks(), [0, 1, 2, 3, 4]
+    for i in gone:
+        masks[i] = np.zeros_like(masks[i])
+    names, _ = model_landmarks(read_body_model())
+    found, strangers = drop_strangers(gather(clip.tracks, names), masks)
+    assert np.flatnonzero(strangers).tolist() == gone and not found.seen[gone].any()
+
+
+def test_a_frame_whose_landmarks_all_lie_at_the_border_shows_nobody():
+    names, _ = model_landmarks(read_body_model())
+    evidence = gather(make().tracks, names)
+    xy = evidence.xy.copy()
+    xy[3] = [1.0, 50.0]
+    found = drop_cut(replace(evidence, xy=xy), (bodyfit_clips.WIDTH, bodyfit_clips.HEIGHT))
+    assert evidence.seen[3] and not found.seen[3] and (found.weight[3] == 0).all()
+    assert found.seen[4] == evidence.seen[4]
+
+
 def test_somebody_who_walks_away_is_not_turned_front_to_back_in_the_last_frames(monkeypatch):
     """From behind and far away a detector takes them for somebody who looks at the camera: sides and depth are exchanged."""
     pose = bodyfit_clips.motion

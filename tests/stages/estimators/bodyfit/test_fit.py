@@ -244,6 +244,31 @@ def replace_field(result):
     return replace(result, field=result.field[:1])
 
 
+def test_a_speck_in_a_mask_has_no_outline_and_leaves_the_others_theirs():
+    masks = [np.zeros((960, 540), np.uint8) for _ in range(2)]
+    masks[0][100:900, 200:350] = 255
+    masks[1][500:502, 300:302] = 255
+    found = outlines(masks)
+    assert found.known.tolist() == [True, False]
+    assert torch.isfinite(found.outside(torch.tensor([[[10.0, 10.0]], [[10.0, 10.0]]]))).all()
+
+
+def test_frames_in_which_the_camera_looks_away_from_the_person_leave_the_fit_finite(monkeypatch):
+    for steps, count in (("FIRST", 3), ("OUTLINED", 2), ("LAST", 3)):
+        monkeypatch.setattr(fitting, steps, count)
+    clip = bodyfit_clips.make(MODEL, frames=8)
+    clip.tracks[6:] = [None, None]
+    viewmats = clip.cameras.viewmats.copy()
+    viewmats[6:] = np.diag([-1.0, 1, -1, 1]) @ viewmats[6:]
+    regressor, evidence, _ = evidence_of(clip)
+    fit = fit_body(MODEL, regressor, evidence, replace(clip.cameras, viewmats=viewmats), clip.times, None, clip.points)
+    assert np.isfinite(fit.poses.transl).all() and np.isfinite(fit.poses.betas).all()
+    places = (viewmats[:, :3, :3] @ (fit.poses.transl / fit.poses.world_from_sfm)[..., None])[..., 0] + viewmats[
+        :, :3, 3
+    ]
+    assert (places[:6, 2] > 0).all() and (places[6:, 2] < 0).all()
+
+
 def test_a_drawn_body_lies_on_its_own_mask():
     clip = bodyfit_clips.make(MODEL, frames=3)
     mask, K = clip.masks()[1], clip.cameras.Ks[1]

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at
-from stages.estimators.bodyfit.gravity import camera_up, up_on_slope
+from stages.estimators.bodyfit.gravity import camera_up, trunk_up, up_on_slope
 
 UP = np.array([0, 1.0, 0])
 
@@ -28,6 +28,12 @@ def degrees_off(views: np.ndarray) -> tuple[float, float]:
     up, spread = camera_up(views)
     assert np.linalg.norm(up) == pytest.approx(1)
     return float(np.degrees(np.arccos(min(1.0, up @ UP)))), float(np.degrees(spread))
+
+
+def test_trunks_that_lie_say_nothing_of_what_is_up():
+    lies, stands = np.array([1.0, 0.05, 0]), np.array([0, 0.98, 0.2])
+    np.testing.assert_allclose(trunk_up(np.stack([lies] * 9 + [stands]), UP), stands / np.linalg.norm(stands))
+    np.testing.assert_array_equal(trunk_up(np.stack([lies] * 10), UP), UP)
 
 
 def test_a_camera_that_goes_around_finds_up_although_it_looks_down():

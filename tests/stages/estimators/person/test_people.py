@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stages.contract import Job, StageError
-from stages.estimators.person.blazepose import NAMES, Pose, Sighting, pick_clearest, pick_masked
+from stages.estimators.person.blazepose import NAMES, BlazePose, Pose, Sighting, pick_clearest, pick_masked
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import outline
 from stages.estimators.person.people import Bystanders
@@ -89,6 +89,18 @@ def test_the_masked_person_is_followed():
     masks[2][80:120, 230:270] = 255
     assert pick_masked(TWO, masks) is TWO[2] and pick_clearest(TWO) is TWO[3]
     assert pick_masked(TWO, [np.zeros((200, 300), np.uint8)] * 6) is TWO[3], "masks that fit nobody choose nobody"
+
+
+def test_people_are_looked_for_in_a_few_frames_or_in_those_that_are_asked(monkeypatch):
+    looked: list[int] = []
+    monkeypatch.setattr(BlazePose, "__init__", lambda self: None)
+    monkeypatch.setattr(BlazePose, "search", lambda self, image: looked.append(int(image[0, 0, 0])) or [])
+    images = [np.full((4, 4, 3), i, np.uint8) for i in range(80)]
+    network = BlazePose()
+    for known, wanted in (({}, 9), ({"among": range(1, 6)}, 5), ({"most": 80}, 80), ({"among": []}, 0)):
+        looked.clear()
+        assert network.sightings(images, **known) == [] and len(looked) == wanted
+        assert not known.get("among") or looked == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.slow
