@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import json
 import os
 import platform
 import shutil
@@ -23,6 +24,7 @@ from hugs_cli.pipelines import Stage, UsageError
 from stages.contract import StageError, StageRecord
 
 FULL_DISK = 1 << 20  # bytes
+EARLIER = ".earlier.json"  # beside an unfinished result: what it has taken so far
 
 
 class Watcher(Protocol):
@@ -116,10 +118,25 @@ def make(
     watcher.started(stage.name, reasons)
     outcome = child.launch(job, part / LOG, lock, lambda event: watcher.heard(stage.name, event))
     with uninterrupted():  # a result that is there is kept, whatever comes now
+        add_earlier(part / EARLIER, outcome)
         stamp = publish(session, stage, recipe, reasons, outcome, device, watcher)
     if outcome.asked:
         raise RunStopped("", False)
     return stamp
+
+
+def add_earlier(file: Path, outcome: Outcome) -> None:
+    """Add to the outcome what earlier runs of the stage, which were stopped, have taken and said; keep it if this one was, too."""
+    if file.exists():
+        earlier = json.loads(file.read_text())
+        outcome.seconds += earlier["seconds"]
+        outcome.peak_memory_bytes = max(outcome.peak_memory_bytes, earlier["peak_memory_bytes"])
+        outcome.notes = list(dict.fromkeys([*earlier["notes"], *outcome.notes]))
+        outcome.warnings = list(dict.fromkeys([*earlier["warnings"], *outcome.warnings]))
+        file.unlink()
+    if outcome.kind == "stopped":
+        kept = ("seconds", "peak_memory_bytes", "notes", "warnings")
+        file.write_text(json.dumps({key: getattr(outcome, key) for key in kept}))
 
 
 def publish(

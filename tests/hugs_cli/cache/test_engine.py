@@ -198,8 +198,13 @@ def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, s
     _, err = run.communicate(timeout=LONGEST)
     assert run.returncode == 130
     assert err.splitlines()[-1].startswith(f"stopped in {stage}; the next run ")
+    spent = [json.loads(line)["seconds"] for line in (flow.work / "clip/runs.jsonl").read_text().splitlines()][-1]
     ran = flow.ran("--set", f"{stage}.delay=0.05")
     assert "one" not in ran and stage in ran
+    last = [json.loads(line) for line in (flow.work / "clip/runs.jsonl").read_text().splitlines()]
+    (again,) = [line["seconds"] for line in last if line["stage"] == stage and line["result"] == "done"]
+    assert again > spent if stage == "three" else again > 0, "of a training, all its time"
+    assert not list(flow.store.glob("*/.earlier.json"))
     assert flow.text("four") == WHOLE
 
 
