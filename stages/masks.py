@@ -54,7 +54,6 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     pixel. Without `mask_files` the masks of the data set are used, and without those BlazePose segments the person.
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
-    from stages.estimators.person.given import import_masks
     from stages.formats.datasets.capture import given_by
     from stages.formats.images import write_mask
     from stages.formats.people import EVERYBODY, PEOPLE
@@ -63,6 +62,8 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     names = [frame.name for frame in listing.frames]
     mask_files = mask_files or given_by(frames, "masks")
     if mask_files is not None:
+        from stages.estimators.person.given import import_masks
+
         details, masks = import_masks(job, Path(mask_files), listing, params.invert, params.person)
         source = "imported"
     else:
@@ -109,18 +110,20 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     Of one it writes landmarks.npz.
     """
     from stages.estimators.person.blazepose import BlazePose
-    from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
     from stages.estimators.person.people import Bystanders
     from stages.formats.landmarks import write_landmarks
     from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
     pictures = Pictures(paths)
-    people = everybody(sight_everybody(network, pictures)) if params.person == EVERYBODY else []
-    tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
-    if len(tracks) > 1:
-        yield from outlined(pictures, tracks)
-        return
+    if params.person == EVERYBODY:
+        from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
+
+        people = everybody(sight_everybody(network, pictures))
+        tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
+        if len(tracks) > 1:
+            yield from outlined(pictures, tracks)
+            return
     sightings = network.sightings(pictures) or network.sightings(pictures, most=len(pictures))
     bystanders = Bystanders(job, names, sightings, None if params.person == EVERYBODY else params.person)
     poses = network.track(pictures, bystanders.start)

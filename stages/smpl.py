@@ -215,7 +215,6 @@ def estimate_poses(
 def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[SeenLandmarks | None]:
     """The person's landmarks in each frame: those by which the masks were made, else BlazePose's of whom the masks show."""
     from stages.estimators.person.blazepose import BlazePose, pick_masked
-    from stages.estimators.person.identities import track_masked
     from stages.formats.landmarks import read_landmarks
 
     if (sfm / "landmarks.npz").exists():
@@ -223,6 +222,8 @@ def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[Se
         return [known[name] for name in clip.cameras.names]
     network = BlazePose()
     if clip.others:
+        from stages.estimators.person.identities import track_masked
+
         return track_masked(network, images, clip.masks, clip.others)
     masked = [i for i, mask in enumerate(clip.masks) if (mask > 127).any()]
     return network.track(images, pick_masked(network.sightings(images, masked), clip.masks))
