@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 
 
 class Params(contract.Params):
-    camera: Literal["auto", "fixed"] = "auto"
-    """auto: measure how the camera moves. fixed: it stands still; nothing is reconstructed, every frame is kept."""
+    camera: Literal["auto", "fixed", "moving"] = "auto"
+    """auto: measure how the camera moves. fixed: it stands still; nothing is reconstructed, every frame is kept.
+
+    moving: it does not stand still, though captions or a logo do.
+    """
     focal: float | None = Field(None, gt=0)
     """Focal length, if known, in px of the frames that the frames stage wrote. Default: estimated."""
     features: int = Field(2048, ge=256)
@@ -198,6 +201,7 @@ def map_cameras(
         min_share=params.min_share,
         focal=params.focal,
         told=told,
+        moves=params.camera == "moving",
     )
     if params.camera == "fixed":
         solution = solving.still(task, {})

@@ -9,6 +9,7 @@ from stages.avatar.cameras import pinhole as cameras
 from stages.contract import StageError
 from stages.estimators.cameras import solving
 from stages.estimators.cameras.sparse_model import write_ignored
+from stages.estimators.cameras.stillness import Stillness
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points
@@ -107,6 +108,17 @@ def test_a26_a_standing_camera_is_named_and_its_frames_are_left_alone(tmp_path):
     assert np.array_equal(found.viewmats, np.tile(np.eye(4), (5, 1, 1))) and found.Ks[0, 0, 0] == 1.2 * WIDTH
     source, target = (tmp_path / folder / "images/000006.png" for folder in ("frames", "out"))
     assert source.read_bytes() == target.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_said_to_move_is_mapped_although_it_seems_to_stand(tmp_path, monkeypatch):
+    write_clip(tmp_path, walk(16, 1.2))
+    captions = Stillness(stays=0.2, cells=0.2, one_way=0.2, drift_px=0.0)
+    monkeypatch.setattr(solving, "measure_stillness", lambda *args: captions)
+    facts, events = run(tmp_path)
+    warned = " ".join(event["text"] for event in events if event["event"] == "warning")
+    assert facts["verdict"] == "static camera" and "sfm.camera=moving" in warned
+    assert run(tmp_path, camera="moving")[0]["verdict"] == "moving"
 
 
 def test_a_fixed_camera_needs_no_features(tmp_path):

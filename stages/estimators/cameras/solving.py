@@ -32,7 +32,7 @@ HUMAN_ONLY = "film while walking a few steps around the person to get the scene 
 class Task:
     """Frames `names` of `size` (width, height) px in `images`, their person in `masks`; settings as in stages/sfm.py.
 
-    `told` is what the file says of its focal length.
+    `told` is what the file says of its focal length; `moves`: the user says that the camera does.
     """
 
     job: Job
@@ -47,6 +47,7 @@ class Task:
     min_share: float
     focal: float | None = None
     told: Prior | None = None
+    moves: bool = False
 
     @property
     def files(self) -> list[str]:
@@ -97,7 +98,7 @@ def solve(task: Task) -> Solution:
         write_ignored(task.names, task.masks, ignored, task.side)
     with parts.timed("still or not"):
         stillness = measure_stillness(task.images, ignored, task.files)
-    if stillness is not None and stillness.still:
+    if stillness is not None and stillness.still and not task.moves:
         measured = {"displacement_px": round(stillness.drift_px, 4), "stays": round(stillness.stays, 3)}
         return stands_still(task, stillness.drift_px, {"motion": measured})
     pairs, facts = match_frames(task, ignored, database)
@@ -112,7 +113,7 @@ def solve(task: Task) -> Solution:
         "rotation_residual_px": motion.rotation_residual_px,
         "rotation_limit_px": motion.rotation_limit_px,
     }
-    if motion.verdict == "static camera":
+    if motion.verdict == "static camera" and not task.moves:
         return stands_still(task, motion.displacement_px, facts)
     compared = None
     if motion.nearly_turns or motion.verdict == "rotation only":
@@ -140,7 +141,8 @@ def stands_still(task: Task, displacement: float, facts: dict[str, Any]) -> Solu
     """`still`, said to the user, of a clip whose background moves by `displacement` px."""
     task.job.warn(
         f"the camera stands still (the background moves {displacement:.2f} px between frames): "
-        f"its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}"
+        f"its clip shows no depth, so only the person is modelled; {HUMAN_ONLY}. If it moved, and a caption or a logo stays in "
+        "place: `--set sfm.camera=moving`"
     )
     return still(task, facts)
 
