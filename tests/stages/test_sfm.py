@@ -1,5 +1,7 @@
 """Stage sfm on drawn rooms: walks, turns, standing cameras, lenses, and what cannot be reconstructed."""
 
+import shutil
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -118,6 +120,7 @@ def test_a_camera_that_is_said_to_move_is_mapped_although_it_seems_to_stand(tmp_
     facts, events = run(tmp_path)
     warned = " ".join(event["text"] for event in events if event["event"] == "warning")
     assert facts["verdict"] == "static camera" and "sfm.camera=moving" in warned
+    shutil.rmtree(tmp_path / "out")
     assert run(tmp_path, camera="moving")[0]["verdict"] == "moving"
 
 
