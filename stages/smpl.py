@@ -161,8 +161,7 @@ def estimate_poses(
     from stages.formats.images import read_image
     from stages.formats.landmarks import write_landmarks
 
-    frames = clip.cameras.names
-    names, regressor = model_landmarks(clip.model)
+    frames, (names, regressor) = clip.cameras.names, model_landmarks(clip.model)
     job.progress(0, 100)
     images = [read_image(sfm / "images" / f"{name}.png") for name in frames]
     tracks = follow(sfm, clip, images)
@@ -218,8 +217,7 @@ def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[Se
     from stages.formats.landmarks import read_landmarks
 
     if (sfm / "landmarks.npz").exists():
-        known = read_landmarks(sfm / "landmarks.npz")
-        return [known[name] for name in clip.cameras.names]
+        return list(map(read_landmarks(sfm / "landmarks.npz").__getitem__, clip.cameras.names))
     network = BlazePose()
     if clip.others:
         from stages.estimators.person.identities import track_masked
