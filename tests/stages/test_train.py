@@ -384,7 +384,7 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     for i in (2, 7):  # held out: as evaluation draws it, and as the film has it
         shot = evaluate.Shot(clip, learned, i, None, "cpu")
         wanted = (shot.draw(shot.pose)[0].numpy() * 255).round()
-        (film,) = render._beside_truth([Member(clip, learned)], [i])
+        (film,) = render._beside_truth([Member(clip, learned)], [i], {})
         assert np.abs(film[:, WIDTH:] - wanted).max() <= 1
         still, pose = Learned(*learned[:2], FrameEffects()), pose_of(clip.body, i)
         sharp = evaluate.Shot(clip, still, i, None, "cpu").draw(pose)[0].numpy() * 255
@@ -503,7 +503,7 @@ def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
     assert json.loads((job.out / "train.json").read_text())["left_out"] == 0
     clip, learned = load_clip(inputs["sfm"], inputs["smpl"], job.out), load_learned(*read_trained(job.out))
     drawn = evaluate.Shot(clip, learned, 2, None, "cpu").draw(pose_of(clip.body, 2))[0]
-    (film,) = render._beside_truth([Member(clip, learned)], [2])
+    (film,) = render._beside_truth([Member(clip, learned)], [2], {})
     assert np.abs(film[:, WIDTH:] - (drawn.numpy() * 255).round()).max() <= 1
 
 

@@ -154,6 +154,6 @@ def test_in_a_made_motion_each_stands_where_they_were(clip):
 
 def test_the_picture_of_both_is_the_frame(clip):
     members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
-    strip = next(render._beside_truth(members, [tiny.EMPTY]))
+    strip = next(render._beside_truth(members, [tiny.EMPTY], {}))
     assert np.abs(strip[:, : tiny.WIDTH].astype(int) - strip[:, tiny.WIDTH :]).mean() < 1.5
     assert (strip[:, : tiny.WIDTH] == read_image(clip["sfm"] / "images" / f"{tiny.NAMES[tiny.EMPTY]}.png")).all()
