@@ -174,6 +174,7 @@ class Shot:
 
     def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
         """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black; others are in the scene."""
+        from stages.avatar.drawing.draw import exposed
         from stages.avatar.rasterize import Camera, Layer
         from stages.avatar.splats.gaussians import together
         from stages.filming.company import moving
@@ -192,8 +193,7 @@ class Shot:
         (drawn,) = self.learned.effects.draw(
             human, scene, motion, Camera(self.viewmat, K, *size), [Layer(background=ground)]
         )
-        bare = (1 - drawn.alpha)[..., None] * ground
-        return bare + self.gain * (drawn.image - bare)
+        return exposed(drawn.image, drawn.alpha, ground, self.gain)
 
     def draw(self, pose: Pose) -> tuple[torch.Tensor, torch.Tensor]:
         """Person and scene together, and the person alone over white; both [H,W,3] within 0..1.

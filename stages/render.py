@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from stages import contract
 from stages.contract import Job
@@ -31,11 +31,12 @@ class Params(contract.Params):
     motion_seconds: float = Field(4.0, gt=0)
     """Length of that motion."""
 
-    @model_validator(mode="after")
-    def _has_two_pictures(self) -> Self:
-        if round(self.motion_seconds * self.fps) < 2:
-            raise ValueError("motion_seconds times fps is less than two pictures")
-        return self
+    @field_validator("motion_seconds")
+    @classmethod
+    def _has_two_pictures(cls, seconds: float, known: ValidationInfo) -> float:
+        if round(seconds * known.data.get("fps", 24)) < 2:
+            raise ValueError("less than two pictures at so many frames a second")
+        return seconds
 
 
 SHORTER = {"turntable_frames": 36, "motion_seconds": 2.0}
@@ -102,7 +103,7 @@ def _beside_truth(members: list[Member], order: list[int], gains: dict[str, list
     """
     import numpy as np
 
-    from stages.avatar.drawing.draw import draw, to_uint8
+    from stages.avatar.drawing.draw import draw, exposed, to_uint8
     from stages.avatar.rasterize import Camera
     from stages.avatar.splats.gaussians import together
     from stages.filming.company import moving, present
@@ -115,10 +116,9 @@ def _beside_truth(members: list[Member], order: list[int], gains: dict[str, list
         motion = moving(members[0].motion(i), [(s, m.motion(i)) for s, m in zip(people, there, strict=True)])
         camera = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
         white = 0.0 if learned.scene else 1.0
-        drawn, alpha = draw(human, scene, camera, white, learned.effects, motion)
-        bare = white * (1 - alpha)[..., None]
-        drawn = bare + (drawn - bare) * np.array(gains.get(clip.names[i], [1.0, 1.0, 1.0]), np.float32)
-        yield np.concatenate([clip.images(i), to_uint8(drawn)], 1)
+        drawn = draw(human, scene, camera, white, learned.effects, motion)
+        gain = np.array(gains.get(clip.names[i], [1.0, 1.0, 1.0]), np.float32)
+        yield np.concatenate([clip.images(i), to_uint8(exposed(*drawn, white, gain))], 1)
 
 
 def _empty(clip: Clip, learned: Learned) -> Iterator[np.ndarray]:

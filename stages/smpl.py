@@ -217,7 +217,8 @@ def follow(sfm: Path, clip: Inputs, images: Sequence[np.ndarray]) -> Sequence[Se
     from stages.formats.landmarks import read_landmarks
 
     if (sfm / "landmarks.npz").exists():
-        return list(map(read_landmarks(sfm / "landmarks.npz").__getitem__, clip.cameras.names))
+        known = read_landmarks(sfm / "landmarks.npz")
+        return [known[name] for name in clip.cameras.names]
     network = BlazePose()
     if clip.others:
         from stages.estimators.person.identities import track_masked

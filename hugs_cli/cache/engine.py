@@ -10,13 +10,13 @@ import platform
 import shutil
 import signal
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from hugs_cli.cache import child
+from hugs_cli.cache import child, whole
 from hugs_cli.cache.child import Outcome
 from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished, Verdict, is_code
 from hugs_cli.cache.workspace import LOG, STAMP, Accepted, FileFacts, Machine, Stamp, seal
@@ -118,7 +118,8 @@ def make(
     watcher.started(stage.name, reasons)
     outcome = child.launch(job, part / LOG, lock, lambda event: watcher.heard(stage.name, event))
     with uninterrupted():  # a result that is there is kept, whatever comes now
-        add_earlier(part / EARLIER, outcome)
+        if stage.resumes:
+            add_earlier(part / EARLIER, outcome)
         stamp = publish(session, stage, recipe, reasons, outcome, device, watcher)
     if outcome.asked:
         raise RunStopped("", False)
@@ -126,17 +127,19 @@ def make(
 
 
 def add_earlier(file: Path, outcome: Outcome) -> None:
-    """Add to the outcome what earlier runs of the stage, which were stopped, have taken and said; keep it if this one was, too."""
+    """Add to the outcome what earlier runs of the stage, which did not end, have taken and said; keep it if this one did not."""
     if file.exists():
         earlier = json.loads(file.read_text())
         outcome.seconds += earlier["seconds"]
         outcome.peak_memory_bytes = max(outcome.peak_memory_bytes, earlier["peak_memory_bytes"])
         outcome.notes = list(dict.fromkeys([*earlier["notes"], *outcome.notes]))
         outcome.warnings = list(dict.fromkeys([*earlier["warnings"], *outcome.warnings]))
-        file.unlink()
-    if outcome.kind == "stopped":
-        kept = ("seconds", "peak_memory_bytes", "notes", "warnings")
-        file.write_text(json.dumps({key: getattr(outcome, key) for key in kept}))
+    if outcome.kind == "done":
+        file.unlink(missing_ok=True)
+        return
+    kept = ("seconds", "peak_memory_bytes", "notes", "warnings")
+    with suppress(OSError):  # a full disk: then the next run tells its own time alone
+        whole.replace(file, json.dumps({key: getattr(outcome, key) for key in kept}))
 
 
 def publish(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize import Camera, Layer
 from stages.avatar.splats.gaussians import Splats
 
+Pixels = TypeVar("Pixels", np.ndarray, torch.Tensor)
 Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose [69] in rad, transl [3] in m
 
 
@@ -98,6 +99,12 @@ def draw(
     with torch.no_grad():
         (drawn,) = (effects or FrameEffects()).draw(human, scene, motion, camera.to(like), [layer])
     return drawn.image.cpu().numpy(), drawn.alpha.cpu().numpy()
+
+
+def exposed(image: Pixels, alpha: Pixels, ground: Pixels | float, gain: Pixels) -> Pixels:
+    """Colours [H,W,3] of an `image` over a `ground`, covered by `alpha` [H,W]; `gain` [3] is of all but the ground."""
+    bare = (1 - alpha)[..., None] * ground
+    return bare + gain * (image - bare)
 
 
 def perform(

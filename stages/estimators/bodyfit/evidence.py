@@ -25,10 +25,7 @@ ARMS, LEGS = ("elbow", "wrist", "hand"), ("knee", "ankle", "heel", "big_toe", "f
 SWAP_EDGE, SWAP_COST = 0.45, 0.1
 STRANGER_JUMP = 0.75  # body heights from the neighbours' median; farther is a stranger
 CUT = 0.04  # of the person's height: nearer to the picture's border than that, a landmark is a guess
-LEAST, LEFT = (
-    6,
-    4,
-)  # landmarks of somebody who is seen: that are surely seen, and of those that do not lie at the border
+LEAST, LEFT = 6, 4  # landmarks of somebody who is seen: in all, and away from the picture's border
 WINDOW = 4  # neighbours on each side for that median
 # BlazePose draws people flat. Five synthetic clips: joints 4.16 cm off as it says, 3.99 with depths 1.3 times as large (3.96
 # with 1.4), and people stand 1.5 cm too far away instead of 2.3. Where there is no truth (the kitchen), outlines, motion and
@@ -111,10 +108,10 @@ def drop_strangers(evidence: LandmarkEvidence, masks: list[np.ndarray] | None) -
     somebody near by. Returns the evidence and which frames [F] were dropped.
     """
     middle = evidence.middle
-    away = np.array([not (mask > 127).any() for mask in masks]) if masks is not None else np.zeros(len(middle), bool)
-    stranger = evidence.seen & away
+    empty = np.zeros(len(middle), bool) if masks is None else np.array([not (mask > 127).any() for mask in masks])
+    stranger = evidence.seen & empty
     on_mask = np.full(len(middle), np.nan)
-    order = np.flatnonzero(evidence.seen & ~away)
+    order = np.flatnonzero(evidence.seen & ~empty)
     for rank, i in enumerate(order):
         near = np.r_[order[max(0, rank - WINDOW) : rank], order[rank + 1 : rank + 1 + WINDOW]]
         if len(near) >= 3:

@@ -274,7 +274,8 @@ class Solver:
     ) -> State:
         """Adam from `state` for `steps` steps; `in_world` adds feet, balance and, of a moving camera, the scale."""
         turn = torch.zeros(len(state.pose), 3, requires_grad=True)
-        side = torch.where(state.place[:, 2:] < 0, -1.0, 1.0)  # behind the camera, of whom it does not see
+        behind = (state.place[:, 2] < 0) & ~torch.tensor(self.evidence.seen)  # whom the camera does not see
+        side = torch.where(behind, -1.0, 1.0)[:, None]
         depth = (side * state.place[:, 2:]).clamp(min=NEAREST)
         ray = torch.cat([side * state.place[:, :2] / depth, depth.log()], 1).requires_grad_()
         shared = (state.pose, state.betas, state.bias, state.cloth)
