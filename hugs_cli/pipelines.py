@@ -47,6 +47,7 @@ class Stage:
     needs: tuple[str, ...]
     params: Params
     resumes: bool
+    loads: tuple[str, ...]
     doc: str
 
     def settings(self, speed_only: bool = False) -> dict[str, Any]:
@@ -203,7 +204,7 @@ def check_stage(name: str, entry: dict[str, Any], stages: dict[str, Any], pipeli
         facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(module.inputs)}"]
         raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "make them the same", facts)
     params = checked(module.params, entry["params"], name, where)
-    return Stage(name, entry["module"], tuple(entry["needs"]), params, module.resumes, module.doc)
+    return Stage(name, entry["module"], tuple(entry["needs"]), params, module.resumes, tuple(module.loads), module.doc)
 
 
 def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) -> Params:

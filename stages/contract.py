@@ -110,6 +110,12 @@ Cost = Callable[[Any, Mapping[str, Path]], float]
 Published = Callable[[str, str], Mapping[str, Sequence[float | None]]]
 
 
+TORCH = ("torch", "scipy.spatial", "numba")
+"""For LOADS: what stages need that compute with torch or draw."""
+ADAM = (*TORCH, "torch._dynamo")
+"""Also what torch's optimisers load."""
+
+
 @dataclass(frozen=True)
 class StageModule:
     """All that the command line knows of a stage. A module must have `Params` and `run`; the rest it may have."""
@@ -119,6 +125,8 @@ class StageModule:
     """Takes a Job, its Params, and its inputs by name; the first line of its docstring describes the stage."""
     resumes: bool = False
     """RESUMES: a run that was cut short goes on in its folder."""
+    loads: Sequence[str] = ()
+    """LOADS: libraries that take long to load; its process does so while the stage before it runs."""
     cost: Cost | None = None
     """cost(params, folders): time of the stage after the last step of training, in training steps.
     `folders` are the finished stages before training, by name."""
@@ -142,7 +150,7 @@ class StageModule:
 def load_stage(name: str) -> StageModule:
     """Import a stage's module by its dotted name. The only way from the command line to a stage."""
     module = importlib.import_module(name)
-    optional = {key: getattr(module, key, None) for key in ("RESUMES", "cost", "SHORTER", "published")}
+    optional = {key: getattr(module, key, None) for key in ("RESUMES", "LOADS", "cost", "SHORTER", "published")}
     given = {key.lower(): value for key, value in optional.items() if value is not None}
     return StageModule(module.Params, module.run, **given)
 

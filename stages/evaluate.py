@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from stages.filming.company import Member
     from stages.formats.clip import Clip
 
+LOADS = contract.TORCH
 PROTOCOL = (
     "'heldout': poses of the body fit, corrected as the neighbouring training frames were. "
     "'heldout_fitted', where there is one: the pose alone is then fitted to the held-out picture, the Gaussians stay "

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
     from stages.records import Avatar, BodyModel, BodyPoses, Ground, Rig, Scene, Take
 
+LOADS = contract.TORCH
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
 ACCOUNT = 10  # pictures of a motion between two reports
 

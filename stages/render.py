@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from stages.formats.clip import Clip
     from stages.records import Ground
 
+LOADS = contract.TORCH
+
 
 class Params(contract.Params):
     fps: int = Field(24, gt=0)

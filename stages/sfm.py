@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from stages.estimators.cameras.sparse_model import Pinholes
     from stages.formats.datasets.undistorted import Grid
 
+LOADS = ("pycolmap", "scipy.optimize", "cv2")
+
 
 class Params(contract.Params):
     camera: Literal["auto", "fixed", "moving"] = "auto"

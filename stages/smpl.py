@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from stages.estimators.bodyfit.quality import FitQuality
     from stages.records import BodyModel, BodyPoses, Ground, SeenLandmarks
 
+LOADS = contract.ADAM
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
 OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's below which it is doubtful
@@ -81,9 +82,7 @@ def check_apart(found: list[BodyPoses], smpl_fit: Path | None) -> None:
         for a, one in enumerate(found[:b]):
             if smpl_fit is not None and np.array_equal(one.transl, two.transl):
                 hint = "give a fit of each of them, or leave it out"
-                raise StageError(
-                    f"{smpl_fit.name} has one person for both person {a + 1} and person {b + 1} of the masks", hint
-                )
+                raise StageError(f"{smpl_fit.name} has one person for persons {a + 1} and {b + 1} of the masks", hint)
 
 
 def fit_person(

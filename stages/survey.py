@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from stages.formats.facts import Sfm
 
 Effect = Literal["auto", "always", "never"]
+LOADS = contract.TORCH
 OF_PERSON = ("pose_refinement", "clothing", "shading")
 """Effects that are looked for in each of several people alone."""
 

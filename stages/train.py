@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stages.contract import Job, StageError
+from stages.contract import ADAM, Job, StageError
 from stages.training.settings import Params
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from stages.training.run import Breakdown
     from stages.training.start import Task
 
-RESUMES = True
+RESUMES, LOADS = True, ADAM
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
 
 FINISH = 85.0

@@ -1,12 +1,14 @@
-"""Runs one stage in a process of its own: `launch` on this side, `main` on the other.
+"""Runs each stage in a process of its own: a `Launcher` on this side, `main` on the other.
 
 The stage's process reads its job from stdin and lives as long as that stays open, so it ends with a run that is
-killed. It reports events as JSON lines on a pipe; its stdout and stderr go to log.txt.
+killed. It reports events as JSON lines on a pipe; its stdout and stderr go to log.txt. Loading torch takes 2 s: so it is
+started while the stage before it runs, and loads its libraries until it gets its job.
 """
 
 from __future__ import annotations
 
 import errno
+import importlib
 import json
 import os
 import platform
@@ -17,7 +19,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +47,7 @@ GONE = (errno.ENOENT, errno.EIO, errno.ESTALE, errno.ENOTDIR, errno.EISDIR, errn
 PROGRESS_EVERY = 0.1  # s between progress events of one stage
 TORCH_MEMORY = ("OutOfMemoryError", "can't allocate memory")  # how torch says it, on a GPU and without
 TICK = 0.25  # s between looks at the clock
+AHEAD = 0.5  # of a stage's progress, from which on the next one's process may load
 
 
 def prepare() -> None:
@@ -88,64 +91,109 @@ class Outcome:
     """Whether it was asked to stop, also where it ended well just then."""
 
 
-def launch(job: dict[str, Any], log: Path, lock: int, heard: Callable[[dict[str, Any]], None]) -> Outcome:
-    """Run one job (see `engine.make`) to its end; `heard` gets each event and {} each tick.
+class Launcher:
+    """Runs one stage after the other, each in a process of its own that holds the handle `lock`, too."""
 
-    SIGINT and SIGTERM are passed on once as a request to stop; the second time the process is killed.
-    """
-    from stages.contract import MAXRSS
+    def __init__(self, lock: int):
+        self.lock = lock
+        self.ahead: Process | None = None
 
-    started = time.monotonic()
-    read, write = os.pipe()
-    with open(log, "ab") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-P", __file__],
+    def launch(
+        self, job: dict[str, Any], log: Path, heard: Callable[[dict[str, Any]], None], then: Sequence[str] | None = None
+    ) -> Outcome:
+        """Run one job (see `engine.make`) to its end; `heard` gets each event and {} each tick.
+
+        SIGINT and SIGTERM are passed on once as a request to stop; the second time the process is killed. `then` names the
+        libraries of the stage that comes next: its process is started ahead; None: there is none.
+        """
+        from stages.contract import MAXRSS
+
+        started = time.monotonic()
+        process = self.ahead or Process(self.lock)
+        self.ahead = None
+        asked: list[int] = []
+
+        def stop(signum: int, frame: Any) -> None:
+            asked.append(signum)
+            with suppress(ProcessLookupError):  # send_signal would reap a process that has just ended
+                os.kill(process.id, signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
+
+        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        outcome = Outcome("killed")
+        try:
+            process.give({**job, "log": str(log.absolute()), "path": sys.path})
+            for event in events(process.events, process.id, heard):
+                if event["event"] in ("note", "warning"):
+                    said = outcome.notes if event["event"] == "note" else outcome.warnings
+                    if event["text"] not in said:  # a stage may begin twice, as train does when it chooses its sizes
+                        said.append(event["text"])
+                elif event["event"] in ("done", "error", "crash", "stopped"):
+                    outcome.kind, outcome.facts = event["event"], event
+                elif then is not None and not self.ahead and event["done"] >= AHEAD * event["total"]:
+                    self.ahead = Process(self.lock, then)
+                heard(event)
+            code, usage = process.wait()
+        finally:
+            process.close()  # where this side has failed, the stage ends
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        outcome.seconds = time.monotonic() - started
+        outcome.peak_memory_bytes = max(usage.ru_maxrss * MAXRSS, outcome.facts.get("peak_memory_bytes", 0))
+        if code < 0 or (code and outcome.kind in ("done", "killed")):
+            outcome.kind = "killed"
+            outcome.facts = {"signal": -code, "exit": code}
+        outcome.asked = bool(asked)
+        if asked and outcome.kind != "done":
+            outcome.kind = "stopped"
+        return outcome
+
+    def close(self) -> None:
+        """End a process that waits for a job that never came."""
+        if self.ahead:
+            os.kill(self.ahead.id, signal.SIGKILL)
+            self.ahead.wait()
+            self.ahead.close()
+            self.ahead = None
+
+
+class Process:
+    """The process of a stage, which loads `libraries` until it is given its job; `events` is the end of a pipe to read."""
+
+    def __init__(self, lock: int, libraries: Sequence[str] = ()):
+        self.events, self.write = os.pipe()
+        self.popen = subprocess.Popen(
+            [sys.executable, "-P", __file__, *libraries],
             stdin=subprocess.PIPE,
-            stdout=output,
+            stdout=subprocess.DEVNULL,
             stderr=subprocess.STDOUT,
-            pass_fds=(write, lock),
+            pass_fds=(self.write, lock),
             start_new_session=True,
         )
-    os.close(write)
-    asked: list[int] = []
+        os.close(self.write)
 
-    def stop(signum: int, frame: Any) -> None:
-        asked.append(signum)
-        with suppress(ProcessLookupError):  # send_signal would reap a process that has just ended
-            os.kill(process.pid, signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
+    @property
+    def id(self) -> int:
+        return self.popen.pid
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    outcome = Outcome("killed")
-    assert process.stdin
-    try:
+    def give(self, job: dict[str, Any]) -> None:
+        """Tell it what to do."""
+        assert self.popen.stdin
         with suppress(BrokenPipeError):  # it died before it read its job
-            process.stdin.write(json.dumps({**job, "events": write, "path": sys.path}).encode() + b"\n")
-            process.stdin.flush()
-        for event in events(read, process.pid, heard):
-            if event["event"] in ("note", "warning"):
-                said = outcome.notes if event["event"] == "note" else outcome.warnings
-                if event["text"] not in said:  # a stage may begin twice, as train does when it chooses its sizes
-                    said.append(event["text"])
-            elif event["event"] in ("done", "error", "crash", "stopped"):
-                outcome.kind, outcome.facts = event["event"], event
-            heard(event)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    finally:
-        os.close(read)
+            self.popen.stdin.write(json.dumps({**job, "events": self.write}).encode() + b"\n")
+            self.popen.stdin.flush()
+
+    def wait(self) -> tuple[int, resource.struct_rusage]:
+        """Its exit code, negative for a signal, and what it used; once it has ended."""
+        _, status, usage = os.wait4(self.id, 0)
+        self.popen.returncode = os.waitstatus_to_exitcode(status)
+        return self.popen.returncode, usage
+
+    def close(self) -> None:
+        """Let go of it: it ends unless it has ended."""
+        assert self.popen.stdin
+        os.close(self.events)
         with suppress(BrokenPipeError):
-            process.stdin.close()  # where this side has failed, the stage ends
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    outcome.seconds = time.monotonic() - started
-    outcome.peak_memory_bytes = max(usage.ru_maxrss * MAXRSS, outcome.facts.get("peak_memory_bytes", 0))
-    if process.returncode < 0 or (process.returncode and outcome.kind in ("done", "killed")):
-        outcome.kind = "killed"
-        outcome.facts = {"signal": -process.returncode, "exit": process.returncode}
-    outcome.asked = bool(asked)
-    if asked and outcome.kind != "done":
-        outcome.kind = "stopped"
-    return outcome
+            self.popen.stdin.close()
 
 
 def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> Iterator[dict[str, Any]]:
@@ -170,11 +218,17 @@ def main() -> int:
     import faulthandler
     import threading
 
+    prepare()
+    for library in sys.argv[1:]:
+        with suppress(Exception):  # the stage will fail by it, and say so
+            importlib.import_module(library)
     job = json.loads(read_line(0))
+    with open(job["log"], "ab") as log:
+        for stream in (1, 2):
+            os.dup2(log.fileno(), stream)
     sys.path[:] = job["path"]
     os.set_inheritable(job["events"], False)
     faulthandler.enable()
-    prepare()
     watch = threading.Thread(target=end_with_parent, daemon=True)
     watch.start()
     from stages.contract import Job, StageError, StageRecord, Stopped, load_stage

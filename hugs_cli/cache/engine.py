@@ -9,15 +9,16 @@ import os
 import platform
 import shutil
 import signal
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Protocol
 
 from hugs_cli.cache import child, whole
-from hugs_cli.cache.child import Outcome
+from hugs_cli.cache.child import Launcher, Outcome
 from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished, Verdict, is_code
 from hugs_cli.cache.workspace import LOG, STAMP, Accepted, FileFacts, Machine, Stamp, seal
 from hugs_cli.pipelines import Stage, UsageError
@@ -67,19 +68,19 @@ def run(session: Session, wanted: list[str], forced: frozenset[str], device: str
     stage that does not finish. What was finished before stays."""
     done: dict[str, Verdict] = {}
     ran: list[Ran] = []
-    with session.workspace.lock(watcher.waiting) as lock:
-        for name in wanted:
-            stage = session.pipeline.stages[name]
+    stages = [session.pipeline.stages[name] for name in wanted]
+    with session.workspace.lock(watcher.waiting) as lock, closing(Launcher(lock)) as launcher:
+        for stage, after in zip_longest(stages, stages[1:]):
+            name = stage.name
             verdict = session.verdict(stage, done, name in forced)
             assert verdict.recipe and verdict.folder, "every stage before it is fresh by now"
             if verdict.stamp:
                 watcher.cached(name, verdict.stamp)
                 stamp, state = verdict.stamp, "cached"
             else:
-                stamp, state = (
-                    make(session, stage, verdict.recipe, verdict.reasons, done, device, lock, watcher),
-                    "done",
-                )
+                then = after.loads if after else None
+                stamp = make(session, stage, verdict.recipe, verdict.reasons, done, device, launcher, then, watcher)
+                state = "done"
             session.workspace.link(name, verdict.folder)
             done[name] = replace(verdict, stamp=stamp)
             ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
@@ -94,10 +95,14 @@ def make(
     reasons: tuple[Reason, ...],
     done: Mapping[str, Verdict],
     device: str,
-    lock: int,
+    launcher: Launcher,
+    then: Sequence[str] | None,
     watcher: Watcher,
 ) -> Stamp:
-    """Run one stage into its .part folder, stamp the result and give the folder its final name."""
+    """Run one stage into its .part folder, stamp the result and give the folder its final name.
+
+    `then` names the libraries that the next stage loads, None if this is the last.
+    """
     part = session.workspace.part(stage.name, recipe.key)
     if part.exists() and (not stage.resumes or Forced() in reasons):
         shutil.rmtree(part)
@@ -116,7 +121,7 @@ def make(
         "upstream": upstream_records(session, stage, done),
     }
     watcher.started(stage.name, reasons)
-    outcome = child.launch(job, part / LOG, lock, lambda event: watcher.heard(stage.name, event))
+    outcome = launcher.launch(job, part / LOG, lambda event: watcher.heard(stage.name, event), then)
     with uninterrupted():  # a result that is there is kept, whatever comes now
         if stage.resumes:
             add_earlier(part / EARLIER, outcome)

@@ -344,7 +344,7 @@ def test_a_fit_that_has_one_person_for_two_of_the_masks_is_refused(tmp_path):
     poses = BodyPoses(("0",), np.zeros(10), np.zeros((1, 3)), np.zeros((1, 69)), np.zeros((1, 3)), np.ones(1))
     smpl.check_apart([poses, replace(poses, transl=poses.transl + 1)], tmp_path / "fit.npz")
     smpl.check_apart([poses, poses], None)
-    with pytest.raises(StageError, match=r"fit\.npz has one person for both person 1 and person 2"):
+    with pytest.raises(StageError, match=r"fit\.npz has one person for persons 1 and 2"):
         smpl.check_apart([poses, poses], tmp_path / "fit.npz")
 
 

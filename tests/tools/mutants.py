@@ -301,8 +301,8 @@ MUTANTS = (
     Mutant(
         "a stage without the lock",
         "hugs_cli/cache/child.py",
-        "pass_fds=(write, lock),",
-        "pass_fds=(write,),",
+        "pass_fds=(self.write, lock),",
+        "pass_fds=(self.write,),",
         "tests/hugs_cli/cache/test_child.py::the_lock_is_handed_to_the_stage",
     ),
     Mutant(
