@@ -31,7 +31,7 @@ PARTS = {
 }
 """Effect -> where a training has it: the option, or the part of its `FrameEffects`; `transients` are its own."""
 ONLY_TAUGHT = ("transients",)  # held-out frames are drawn the same without
-TURNS = 3  # of steps with all effects and without each: the fastest of each, which nothing has disturbed, counts
+TURNS = 2  # of steps with all effects and without each: the fastest of each, which nothing has disturbed, counts
 PAUSES = 3  # `effect_gains` takes as long for an effect as so many measurements of accuracy
 
 

@@ -122,7 +122,6 @@ def surface_flow(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], time
 
     `times` [F] s: frames more than LONGEST apart are no neighbours.
     """
-    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     found = []
     there = cv2.cvtColor(images[0], cv2.COLOR_RGB2GRAY)
     for i in range(len(images) - 1):
@@ -130,16 +129,14 @@ def surface_flow(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], time
         both = [masks[i] > 127, masks[i + 1] > 127]
         crop = Crop.around(both[0] | both[1], MARGIN)
         if crop is not None and both[0].any() and both[1].any() and times[i + 1] - times[i] <= LONGEST:
-            found.append((_between(search, (here, there), both, crop), crop, i, i + 1))
+            found.append((_between((here, there), both, crop), crop, i, i + 1))
     return SurfaceFlow.of(found, OFF_SHARE)
 
 
-def _between(
-    search: cv2.DISOpticalFlow, pictures: tuple[np.ndarray, np.ndarray], masks: list[np.ndarray], crop: Crop
-) -> np.ndarray:
+def _between(pictures: tuple[np.ndarray, np.ndarray], masks: list[np.ndarray], crop: Crop) -> np.ndarray:
     """The field [3,S,S] of one crop."""
     inner = [crop.inner(mask).astype(np.float32) for mask in masks]
-    ahead, apart, to = there_and_back(search, *(crop.picture(picture) for picture in pictures))
+    ahead, apart, to = there_and_back(*(crop.picture(picture) for picture in pictures))
     agree = apart < AGREE + AGREE_SHARE * length(ahead)
     sure = inner[0] * sample(inner[1], to) * agree
     return kept(ahead * (crop.side / SIDE), sure)
@@ -151,10 +148,9 @@ def kept(way: np.ndarray, sure: np.ndarray) -> np.ndarray:
     return cv2.resize(weighted, (KEPT, KEPT), interpolation=cv2.INTER_AREA).transpose(2, 0, 1)
 
 
-def there_and_back(
-    search: cv2.DISOpticalFlow, here: np.ndarray, there: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def there_and_back(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Flow [S,S,2] from one crop to another, how far from the start the flow back ends [S,S], and where it leads [S,S,2]."""
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)  # one for each call: it cannot be shared by threads
     ahead, back = (search.calc(*pair, np.zeros((SIDE, SIDE, 2), np.float32)) for pair in ((here, there), (there, here)))
     to = PLACES + ahead
     return ahead, length(ahead + sample(back, to)), to

@@ -6,7 +6,9 @@ two pictures is left over is what the poses contradict each other by.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -50,7 +52,6 @@ class Ties:
 
     def __init__(self, images: Sequence[np.ndarray], masks: Sequence[np.ndarray], Ks: np.ndarray, faces: np.ndarray):
         self.Ks, self.faces = Ks, np.asarray(faces, np.int64)
-        self.search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         self.frames: list[_Frame | None] = []
         for i, mask in enumerate(masks):
             crop = Crop.around(mask > 127, MARGIN)
@@ -66,12 +67,13 @@ class Ties:
         Also how far the cloth is off now, as a share of the crop: the median over all that was tied, NaN if nothing was.
         """
         drawn = [self._draw(frame, self.Ks[i], points[i]) if frame else None for i, frame in enumerate(self.frames)]
+        pairs = [(i, i + gap) for gap in GAPS for i in range(len(drawn) - gap)]
         ties, off = [], []
-        for gap in GAPS:
-            for i, (one, other) in enumerate(zip(drawn, drawn[gap:])):
-                tie = self._tie(one, other) if one and other else None
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            found = pool.map(lambda pair: self._tie(*(drawn[i] for i in pair)), pairs)
+            for (i, k), one, tie in zip(pairs, (drawn[i] for i, _ in pairs), found, strict=True):
                 if one and tie:
-                    ties.append((tie[0], one.crop, i, i + gap))
+                    ties.append((tie[0], one.crop, i, k))
                     off.append(tie[1])
         return SurfaceFlow.of(ties, 0.0), float(np.median(np.concatenate(off))) / SIDE if off else float("nan")
 
@@ -82,8 +84,10 @@ class Ties:
         depth, face, weights = fill(body, self.faces, into, SIDE, SIDE)
         return _Drawn(frame.crop, frame.picture, frame.inner, depth, face, weights, pixels, body[:, 2])
 
-    def _tie(self, one: _Drawn, other: _Drawn) -> tuple[np.ndarray, np.ndarray] | None:
+    def _tie(self, one: _Drawn | None, other: _Drawn | None) -> tuple[np.ndarray, np.ndarray] | None:
         """The field [3,S,S] from one frame to the other, and how far cloth is off [N] px of the crop; None if too little agrees."""
+        if one is None or other is None:
+            return None
         rows, columns = np.nonzero((one.face >= 0) & one.inner)
         corners, weights = self.faces[one.face[rows, columns]], one.weights[rows, columns]
         at = (weights[..., None] * other.pixels[corners]).sum(1)
@@ -96,7 +100,7 @@ class Ties:
         place, known = np.full((SIDE, SIDE, 2), -1, np.float32), np.zeros((SIDE, SIDE), bool)
         place[rows, columns], known[rows, columns] = at - 0.5, True
         there = _as_bright(sample(other.picture, place), one.picture, known)
-        ahead, apart, to = there_and_back(self.search, one.picture, there)
+        ahead, apart, to = there_and_back(one.picture, there)
         whole = cv2.erode(known.astype(np.float32), np.ones((3, 3)))
         size = length(ahead)
         sure = known & (sample(whole, to) > 0.99) & (apart < AGREE) & (size < MOST)

@@ -35,7 +35,7 @@ THICK = 0.02  # metres across the skin: a haze when seen from the side. The body
 INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
 THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
-PEELS = 8  # rounds at most: what goes may have hidden more
+PEELS = 4  # rounds: what goes may have hidden more; of four more rounds it was one in fifty of all that went
 
 
 class Finished(NamedTuple):
