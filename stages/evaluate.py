@@ -65,7 +65,8 @@ def cost(params: Params, folders: Mapping[str, Path]) -> float:
     from stages.formats.people import people_of
 
     heldout = int(load_clip(folders["sfm"], folders["smpl"]).heldout.sum()) * len(people_of(folders["sfm"]))
-    return heldout * (SCORE * (1 + bool(params.fit_steps)) + POSE_STEP * params.fit_steps)
+    score = SCORE * (1 + params.masked * len(MASKED_REGIONS) / len(REGIONS))
+    return heldout * (score * (1 + bool(params.fit_steps)) + POSE_STEP * params.fit_steps)
 
 
 def published(dataset: str, sequence: str) -> Mapping[str, tuple[float | None, ...]]:

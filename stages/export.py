@@ -73,6 +73,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
             _moving(own, params, avatar, takes, soles.floor)
         _lacks_of_person(own, formats, avatar, rig)
         cast.append((avatar, rig, soles))
+        job.progress(len(cast), len(people) + 1)
     _lacks(job, formats, [avatar for avatar, *_ in cast], scene, shaded)
     if "viewer" in formats:
         _viewer(job, frames, sfm, smpl, train, cast, scene, ground)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stages.formats.page import Figure
     from stages.records import Ground
 
-LOADS = contract.TORCH
+LOADS = (*contract.TORCH, "matplotlib.figure")
 OVERLAYS = 6
 FILMS = {
     "heldout": "held-out frames: the clip on the left, ours on the right",

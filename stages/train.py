@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -125,7 +126,7 @@ def _broken_down(job: Job, broken: Breakdown, folders: dict[str, Path]) -> Stage
     file, path = io.BytesIO(), job.out / "failure.npz"
     torch.save(broken.state, file)
     facts = {"error": str(broken), "step": broken.step, "frame": broken.frame, "seed": job.seed, "device": job.device}
-    facts |= {"threads": torch.get_num_threads(), "params": broken.params.model_dump()}
+    facts |= {"threads": torch.get_num_threads(), "params": broken.params.model_dump(), "decisions": broken.decisions}
     write_failure(path, file.getvalue(), facts | {name: str(folder) for name, folder in folders.items()})
     return StageError(
         "training broke down",
@@ -152,7 +153,8 @@ def replay(path: Path) -> None:
     state, facts = read_failure(path)
     torch.set_num_threads(facts.threads)
     job, params = Job(path.parent, facts.device, facts.seed), Params(**facts.params)
-    fit = build(_task(job, params, *map(Path, (facts.sfm, facts.smpl, facts.survey))), job.note)
+    task = _task(job, params, *map(Path, (facts.sfm, facts.smpl, facts.survey)))
+    fit = build(replace(task, decisions=facts.decisions), job.note)
     try:
         fit.load(torch.load(io.BytesIO(state), map_location=job.device, weights_only=True))
     except BROKEN as error:

@@ -16,7 +16,10 @@ HINT = "give the failure.npz that the train stage wrote when it broke down"
 
 
 class Failure(Facts):
-    """The facts of the run that failed; `params` are its settings, `sfm`, `smpl` and `survey` its folders."""
+    """The facts of the run that failed; `params` are its settings, `sfm`, `smpl` and `survey` its folders.
+
+    `decisions` are those by which it trained: a training that has little time leaves out what `survey` found.
+    """
 
     error: str
     step: Whole
@@ -24,6 +27,7 @@ class Failure(Facts):
     device: str
     threads: Whole
     params: dict[str, Any]
+    decisions: dict[str, bool]
     sfm: str
     smpl: str
     survey: str

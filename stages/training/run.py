@@ -42,7 +42,8 @@ class Breakdown(Exception):
 
     def __init__(self, fit: Fit, task: Task, error: Exception):
         super().__init__(str(error))
-        self.state, self.params, self.left_out = fit.before or fit.state(), task.params, fit.guard.left_out
+        self.state, self.left_out = fit.before or fit.state(), fit.guard.left_out
+        self.params, self.decisions = task.params, task.decisions
         self.step, self.frame = self.state["progress"]["step"], task.clip.names[fit.frame]
 
 

@@ -284,6 +284,20 @@ def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_befor
 
 
 @pytest.mark.slow
+def test_h01_a_failure_is_replayed_without_the_effects_that_time_was_too_short_for(tmp_path, inputs, monkeypatch):
+    decide(inputs["survey"], motion_blur=True)
+    monkeypatch.setattr(
+        "stages.training.run.begin", lambda task, *rest, real=begin: real(task.chosen({}, ("motion_blur",)), *rest)
+    )
+    real, job = losses.photometric, fresh(tmp_path, "job")
+    monkeypatch.setattr(losses, "photometric", lambda *a: real(*a) * torch.nan)
+    with pytest.raises(StageError, match="training broke down"):
+        train.run(job, PARAMS.model_copy(update={"steps": 40}), **inputs)
+    with pytest.raises(FloatingPointError, match="20 bad steps in a row for the loss"):
+        train.replay(job.out / "failure.npz")
+
+
+@pytest.mark.slow
 def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted(tmp_path, inputs):
     said: list[str] = []
     job = fresh(tmp_path, "out")
