@@ -109,8 +109,7 @@ class Launcher:
         from stages.contract import MAXRSS
 
         started = time.monotonic()
-        process = self.ahead or Process(self.lock)
-        self.ahead = None
+        process, self.ahead = self._first(log), None
         asked: list[int] = []
 
         def stop(signum: int, frame: Any) -> None:
@@ -129,7 +128,7 @@ class Launcher:
                         said.append(event["text"])
                 elif event["event"] in ("done", "error", "crash", "stopped"):
                     outcome.kind, outcome.facts = event["event"], event
-                elif then is not None and not self.ahead and event["done"] >= AHEAD * event["total"]:
+                elif then is not None and not self.ahead and far_enough(event):
                     self.ahead = Process(self.lock, then)
                 heard(event)
             code, usage = process.wait()
@@ -147,11 +146,21 @@ class Launcher:
             outcome.kind = "stopped"
         return outcome
 
+    def _first(self, log: Path) -> Process:
+        """The process that was started ahead, unless it has died; else a new one, which writes to `log` from its start."""
+        if self.ahead and self.ahead.popen.poll() is None:
+            log.touch()
+            return self.ahead
+        if self.ahead:
+            self.ahead.close()
+        with open(log, "ab") as output:
+            return Process(self.lock, output=output.fileno())
+
     def close(self) -> None:
         """End a process that waits for a job that never came."""
         if self.ahead:
-            os.kill(self.ahead.id, signal.SIGKILL)
-            self.ahead.wait()
+            self.ahead.popen.kill()
+            self.ahead.popen.wait()
             self.ahead.close()
             self.ahead = None
 
@@ -159,12 +168,12 @@ class Launcher:
 class Process:
     """The process of a stage, which loads `libraries` until it is given its job; `events` is the end of a pipe to read."""
 
-    def __init__(self, lock: int, libraries: Sequence[str] = ()):
+    def __init__(self, lock: int, libraries: Sequence[str] = (), output: int = subprocess.DEVNULL):
         self.events, self.write = os.pipe()
         self.popen = subprocess.Popen(
             [sys.executable, "-P", __file__, *libraries],
             stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=output,
             stderr=subprocess.STDOUT,
             pass_fds=(self.write, lock),
             start_new_session=True,
@@ -194,6 +203,11 @@ class Process:
         os.close(self.events)
         with suppress(BrokenPipeError):
             self.popen.stdin.close()
+
+
+def far_enough(event: dict[str, Any]) -> bool:
+    """Whether a stage says that it has done AHEAD of its work."""
+    return bool(event["event"] == "progress" and event["done"] >= AHEAD * event["total"])
 
 
 def events(pipe: int, process: int, heard: Callable[[dict[str, Any]], None]) -> Iterator[dict[str, Any]]:

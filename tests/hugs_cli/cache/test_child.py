@@ -185,6 +185,22 @@ def test_the_next_process_is_started_ahead_and_loads_its_libraries(tmp_path, mon
         os.close(handle)
 
 
+def test_a_process_that_died_before_its_turn_is_replaced(tmp_path, monkeypatch):
+    (tmp_path / "over_at_once.py").write_text(QUICK)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    job = {"module": "over_at_once", "params": {}, "inputs": {}, "out": str(tmp_path), "upstream": {}}
+    job |= {"device": "cpu", "seed": 0, "resumes": False}
+    handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
+    launcher = Launcher(handle)
+    launcher.ahead = Process(handle)
+    os.kill(launcher.ahead.id, signal.SIGKILL)
+    os.waitid(os.P_PID, launcher.ahead.id, os.WEXITED | os.WNOWAIT)
+    try:
+        assert launcher.launch(job, tmp_path / "log", lambda event: None).kind == "done"
+    finally:
+        os.close(handle)
+
+
 def test_a_process_that_waits_for_a_job_that_never_comes_is_ended(tmp_path):
     handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
     launcher = Launcher(handle)
