@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hugs_cli.cache import child, whole
-from hugs_cli.cache.child import Launcher, Outcome
 from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished, Verdict, is_code
+from hugs_cli.cache.launcher import Launcher, Outcome
 from hugs_cli.cache.workspace import LOG, STAMP, Accepted, FileFacts, Machine, Stamp, seal
 from hugs_cli.pipelines import Stage, UsageError
 from stages.contract import StageError, StageRecord

@@ -20,6 +20,7 @@ from typing import Any
 from hugs_cli.cache import child, engine
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Reason
+from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
@@ -101,7 +102,7 @@ class Watch(Console):
             left = self.progress.left(self.clock())
             self.report.say(done=event["done"], total=event["total"], left=left)
 
-    def ended(self, stage: str, outcome: child.Outcome) -> None:
+    def ended(self, stage: str, outcome: Outcome) -> None:
         """A stage's process has ended."""
         super().ended(stage, outcome)
         facts = self.report.facts

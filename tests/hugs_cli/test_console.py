@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from hugs_cli.cache.child import Outcome
 from hugs_cli.cache.engine import StageFailed
 from hugs_cli.cache.freshness import (
     CodeChanged,
@@ -22,6 +21,7 @@ from hugs_cli.cache.freshness import (
     Upstream,
     Verdict,
 )
+from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.workspace import Stamp
 from hugs_cli.console import Console
 from hugs_cli.words import duration, number, size

@@ -300,10 +300,10 @@ MUTANTS = (
     ),
     Mutant(
         "a stage without the lock",
-        "hugs_cli/cache/child.py",
+        "hugs_cli/cache/launcher.py",
         "pass_fds=(self.write, lock),",
         "pass_fds=(self.write,),",
-        "tests/hugs_cli/cache/test_child.py::the_lock_is_handed_to_the_stage",
+        "tests/hugs_cli/cache/test_launcher.py::the_lock_is_handed_to_the_stage",
     ),
     Mutant(
         "J09 a tensor one number too long",
