@@ -146,7 +146,7 @@ def follow(seeds: list[int]) -> list[dict[str, Any]]:
                     hits = [((mask > 127) & (one.masks[i] > 127)).sum() for one in pair.views]
                     if max(hits) > 0:
                         covers[k, i] = int(np.argmax(hits))
-            first = [int(np.bincount(one[one >= 0]).argmax()) for one in covers]
+            first = [int(np.bincount(one[one >= 0], minlength=1).argmax()) for one in covers]
             for k, who in enumerate(first):
                 row[f"identity {k + 1}"] = {
                     "covers person": who + 1,

@@ -150,7 +150,7 @@ def kept(way: np.ndarray, sure: np.ndarray) -> np.ndarray:
 
 def there_and_back(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Flow [S,S,2] from one crop to another, how far from the start the flow back ends [S,S], and where it leads [S,S,2]."""
-    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)  # one for each call: it cannot be shared by threads
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)  # threads cannot share one
     ahead, back = (search.calc(*pair, np.zeros((SIDE, SIDE, 2), np.float32)) for pair in ((here, there), (there, here)))
     to = PLACES + ahead
     return ahead, length(ahead + sample(back, to)), to

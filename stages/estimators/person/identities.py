@@ -33,6 +33,9 @@ from stages.estimators.person.people import ENOUGH, describe_place
 STEP = 0.6  # of the crop's side: nobody moves farther from where they were going between two frames
 STEP_MORE = 0.1  # by which that grows with each frame in which they were not seen
 COLOUR = 0.02  # of the crop's side that a difference of one unit of colour (Lab) counts as
+SIZE = 1.0  # of the crop's side that a difference of one in the logarithm of the size counts as
+AGAIN = 0.1  # of the crop's side that it costs to be seen again: who was seen in the frame before goes on
+ASIDE = (0.25, -0.25, 0.5, -0.5)  # of a crop's side: who is not found where they were going is looked for so far beside
 LEARN = 0.1  # share that a frame adds to what is known of somebody's colours
 DOUBT = 0.15  # by so much less, at least, must the choice that was made cost than the exchange of the two
 PAINT = 128  # grey of those who are painted over
@@ -43,6 +46,7 @@ PARTS = (1.0, 0.7)  # of the shorter side: the windows in which people are looke
 LASTING = 0.1  # share of the frames in which somebody is seen who gets an avatar
 ALIKE = 0.12  # of the smaller crop's side: poses whose landmarks are that near, by the median, are one person's
 CLEAR = 0.9  # probability of the pose of somebody who gets an identity; furniture has less
+CUT = 0.1  # of a crop's side: whose hips are nearer to the left or right border is cut off there, or imagined beyond it
 PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over, from which on it is one of them
 WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
 LOST = 5  # frames after which somebody who is not seen is looked for where they were last, not where they were going
@@ -69,7 +73,8 @@ class Identity:
         away = float(np.hypot(at.x - there.x, at.y - there.y)) / at.side
         if away > STEP + STEP_MORE * self.unseen:
             return np.inf
-        return away + COLOUR * float(np.linalg.norm(self.colours - colours))
+        grown = abs(float(np.log(there.side / at.side)))
+        return away + AGAIN * bool(self.unseen) + SIZE * grown + COLOUR * float(np.linalg.norm(self.colours - colours))
 
     def meet(self, pose: Pose, colours: np.ndarray, alone: bool) -> None:
         """They are seen there; who is not `alone` shows colours that may be another's."""
@@ -103,7 +108,7 @@ def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
                 pose, logits = network.look(image, first.next_roi)
                 theirs = _outlined(logits, first.next_roi, image.shape)
                 there = min(first.presence, pose.presence) >= CLEAR and torso_share(pose, 255 * theirs) > 0.7
-                taken = torso_share(pose, covered) > PAINTED_MOST
+                taken = torso_share(pose, covered) > PAINTED_MOST or _cut_off(pose.next_roi, image.shape[1])
                 if there and not taken and not any(_same_or_within(one.pose, pose) for one in here):
                     here.append(Sighting(int(i), score, roi, pose))
                     _paint(image, covered, pose.next_roi, theirs)
@@ -220,7 +225,8 @@ def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple
         around = [Roi(roi.x, roi.y, WIDER * roi.side, 0.0) for roi in expected]
         for picture, covered in ((image, bare), _painted_over(network, image, candidates)):
             found_rois = [roi for window in (None, *around) for _, roi in network.detect(picture, window)]
-            _add(network, picture, covered, [*expected, *found_rois], candidates)
+            aside = [Roi(roi.x + part * roi.side, roi.y, roi.side, roi.angle) for roi in expected for part in ASIDE]
+            _add(network, picture, covered, [*expected, *found_rois, *aside], candidates)
     colours = [colours_of(image, pose) for pose in candidates]
     costs = np.array([[one.cost(*seen) for seen in zip(candidates, colours, strict=True)] for one in known])
     costs = costs.reshape(len(known), len(candidates))
@@ -284,6 +290,11 @@ def alike(a: Pose, b: Pose) -> bool:
 def _same_or_within(a: Pose, b: Pose) -> bool:
     """Whether the pose `b` is `a` again, or too small for another person so close to them."""
     return alike(a, b) or (a.next_roi.covers(b.next_roi) and b.next_roi.side < WITHIN * a.next_roi.side)
+
+
+def _cut_off(roi: Roi, width: int) -> bool:
+    """Whether the middle of a person's crop is beyond the left or right border of the picture, or close to it."""
+    return min(roi.x, width - roi.x) < CUT * roi.side
 
 
 def _near(a: Roi, b: Roi) -> bool:

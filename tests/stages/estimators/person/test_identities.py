@@ -12,6 +12,8 @@ from stages.estimators.person.blazepose import NAMES, TORSO, Pose, Sighting
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.identities import (
     PAINT,
+    Identity,
+    _cut_off,
     _same_or_within,
     around_mask,
     everybody,
@@ -170,3 +172,34 @@ def test_a_tiny_one_within_a_large_person_is_their_hand_or_furniture():
     tiny = replace(pose_at(85.0), next_roi=Roi(85.0, 30.0, 20.0, 0.0))
     assert _same_or_within(large, tiny) and not _same_or_within(large, beside)
     assert not _same_or_within(large, replace(pose_at(140.0), next_roi=Roi(140.0, 30.0, 20.0, 0.0)))
+
+
+def test_who_is_seen_on_is_not_taken_for_another_who_was_lost_nor_for_one_of_another_size():
+    colours = np.zeros(6)
+    here, lost = Identity(pose_at(100).roi, colours), Identity(pose_at(104).roi, colours, unseen=2)
+    there = pose_at(103)
+    assert here.cost(there, colours) < lost.cost(there, colours), "though the other is nearer"
+    small = Identity(Roi(102, 30.0, SIDE / 2, 0.0), colours)
+    assert here.cost(there, colours) + 0.5 < small.cost(there, colours)
+
+
+def test_who_is_cut_off_at_the_side_of_the_picture_is_nobody_to_begin_with():
+    assert _cut_off(Roi(WIDTH, 30.0, SIDE, 0.0), WIDTH) and _cut_off(Roi(3, 30.0, SIDE, 0.0), WIDTH)
+    assert not _cut_off(Roi(5, 30.0, SIDE, 0.0), WIDTH)
+
+
+def test_who_is_not_where_they_were_going_is_found_beside():
+    """The detector is blind, and the network sees only who is near the middle of a crop."""
+    ways = np.full(FRAMES, 40.0), np.where(np.arange(FRAMES) < 4, 120.0, 140.0)
+
+    class Blind(Eyes):
+        def detect(self, image, window=None):
+            return []
+
+        def look(self, image, roi):
+            pose, outline = super().look(image, roi)
+            return (pose if abs(pose.next_roi.x - roi.x) < SIDE / 3 else replace(pose, presence=0.0)), outline
+
+    people = [Sighting(0, 0.9, pose_at(x).roi, pose_at(x)) for x in (40, 120)]
+    _, second = follow_everybody(Job(Path()), Blind(), filmed((RED, BLUE), ways), NAMED, people)
+    assert all(one is not None for one in second) and abs(second[-1].next_roi.x - 140) < 1
