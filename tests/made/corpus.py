@@ -469,4 +469,4 @@ def write_tools(root: Path) -> None:
     camera_files.colmap(root / "colmap", cameras, truth.world_joints()[0], model="OPENCV")
     camera_files.nerfstudio(root / "transforms.json", cameras)
     facts = {"step": 3, "frame": "000001", "error": "e", "threads": 1, "device": "cpu", "seed": 0, "params": {}}
-    write_failure(root / "failure.npz", b"state", facts | {"sfm": "a", "smpl": "b", "survey": "c"})
+    write_failure(root / "failure.npz", b"state", facts | {"sfm": "a", "smpl": "b", "survey": "c", "decisions": {}})
