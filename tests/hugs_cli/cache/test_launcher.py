@@ -6,10 +6,18 @@ import json
 import os
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
 from hugs_cli.cache.launcher import Launcher, Process
+
+
+def job_of(module: str, out: Path, **params: int) -> dict[str, object]:
+    """The job of a stage without inputs."""
+    facts = {"inputs": {}, "upstream": {}, "device": "cpu", "seed": 0, "resumes": False}
+    return facts | {"module": module, "params": params, "out": str(out)}
+
 
 STAGE = """
 import os
@@ -31,8 +39,7 @@ def test_the_lock_is_handed_to_the_stage(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
     try:
-        job = {"module": "holds_the_lock", "params": {"handle": handle}, "inputs": {}, "out": str(tmp_path)}
-        job |= {"device": "cpu", "seed": 0, "resumes": False, "upstream": {}}
+        job = job_of("holds_the_lock", tmp_path, handle=handle)
         outcome = Launcher(handle).launch(job, tmp_path / "log", lambda event: None)
         assert outcome.kind == "done", (tmp_path / "log").read_text()
         assert int((tmp_path / "seen").read_text()) == os.fstat(handle).st_ino
@@ -51,8 +58,7 @@ def run(job, params):
 def test_a_stop_that_comes_as_the_stage_has_just_ended_loses_nothing(tmp_path, monkeypatch):
     (tmp_path / "over_at_once.py").write_text(QUICK)
     monkeypatch.syspath_prepend(str(tmp_path))
-    job = {"module": "over_at_once", "params": {}, "inputs": {}, "out": str(tmp_path), "upstream": {}}
-    job |= {"device": "cpu", "seed": 0, "resumes": False}
+    job = job_of("over_at_once", tmp_path)
     handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
 
     def heard(event):
@@ -90,8 +96,7 @@ def has_ended(process: int) -> bool:
 def test_a_run_whose_screen_is_gone_ends_and_its_stage_with_it(tmp_path, monkeypatch):
     (tmp_path / "lasts.py").write_text(LASTING)
     monkeypatch.syspath_prepend(str(tmp_path))
-    job = {"module": "lasts", "params": {}, "inputs": {}, "out": str(tmp_path), "upstream": {}}
-    job |= {"device": "cpu", "seed": 0, "resumes": False}
+    job = job_of("lasts", tmp_path)
     handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
 
     def heard(event):
@@ -126,8 +131,6 @@ def run(job, params):
 def test_the_next_process_is_started_ahead_and_loads_its_libraries(tmp_path, monkeypatch):
     (tmp_path / "is_half_done.py").write_text(HALF)
     monkeypatch.syspath_prepend(str(tmp_path))
-    job = {"module": "is_half_done", "params": {}, "inputs": {}, "upstream": {}}
-    job |= {"device": "cpu", "seed": 0, "resumes": False}
     handle, places = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT), [tmp_path / name for name in "abc"]
     launcher = Launcher(handle)
     try:
@@ -135,7 +138,7 @@ def test_the_next_process_is_started_ahead_and_loads_its_libraries(tmp_path, mon
         for place in places:
             place.mkdir()
             then = ("wave", "no_such_library") if place is not places[-1] else None
-            outcome = launcher.launch(job | {"out": str(place)}, place / "log", lambda event: None, then)
+            outcome = launcher.launch(job_of("is_half_done", place), place / "log", lambda event: None, then)
             assert outcome.kind == "done", (place / "log").read_text()
             assert (place / "log").read_text() == "said\n"  # where its own job says, whatever it did before
             ahead.append(launcher.ahead and launcher.ahead.id)
@@ -151,8 +154,7 @@ def test_the_next_process_is_started_ahead_and_loads_its_libraries(tmp_path, mon
 def test_a_process_that_died_before_its_turn_is_replaced(tmp_path, monkeypatch):
     (tmp_path / "over_at_once.py").write_text(QUICK)
     monkeypatch.syspath_prepend(str(tmp_path))
-    job = {"module": "over_at_once", "params": {}, "inputs": {}, "out": str(tmp_path), "upstream": {}}
-    job |= {"device": "cpu", "seed": 0, "resumes": False}
+    job = job_of("over_at_once", tmp_path)
     handle = os.open(tmp_path / ".lock", os.O_RDWR | os.O_CREAT)
     launcher = Launcher(handle)
     launcher.ahead = Process(handle)
