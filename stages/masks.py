@@ -117,7 +117,8 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
     pictures = Pictures(paths)
     if params.person == EVERYBODY:
-        from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
+        from stages.estimators.person.identities import follow_everybody
+        from stages.estimators.person.sightings import everybody, sight_everybody
 
         people = everybody(sight_everybody(network, pictures))
         tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []

@@ -121,8 +121,9 @@ def cross(work: Path, seeds: list[int], steps: int, shadow: float) -> list[dict[
 def follow(seeds: list[int]) -> list[dict[str, Any]]:
     """How often each identity covers whom, and how much of the true mask."""
     from stages.estimators.person.blazepose import BlazePose
-    from stages.estimators.person.identities import everybody, follow_everybody, sight_everybody
+    from stages.estimators.person.identities import follow_everybody
     from stages.estimators.person.outline import outline
+    from stages.estimators.person.sightings import everybody, sight_everybody
 
     network, rows = BlazePose(), []
     for seed in seeds:

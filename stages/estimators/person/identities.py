@@ -14,21 +14,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from stages.contract import Job
-from stages.estimators.person.blazepose import (
-    SEEDS,
-    SURE,
-    TORSO,
-    WIDER,
-    BlazePose,
-    Images,
-    Pose,
-    Sighting,
-    sigmoid,
-    torso_share,
-)
+from stages.estimators.person.blazepose import SURE, TORSO, WIDER, BlazePose, Images, Pose, Sighting, torso_share
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.outline import paste
-from stages.estimators.person.people import ENOUGH, describe_place
+from stages.estimators.person.people import describe_place
+from stages.estimators.person.sightings import PAINT, PAINTED_MOST, alike, outlined_in, paint_over
 
 STEP = 0.6  # of the crop's side: nobody moves farther from where they were going between two frames
 STEP_MORE = 0.1  # by which that grows with each frame in which they were not seen
@@ -38,17 +27,7 @@ AGAIN = 0.1  # of the crop's side that it costs to be seen again: who was seen i
 ASIDE = (0.25, -0.25, 0.5, -0.5)  # of a crop's side: who is not found where they were going is looked for so far beside
 LEARN = 0.1  # share that a frame adds to what is known of somebody's colours
 DOUBT = 0.15  # by so much less, at least, must the choice that was made cost than the exchange of the two
-PAINT = 128  # grey of those who are painted over
-FAINT, RIM = 0.2, 0.03  # probability, and share of the crop's side around it, from which a pixel is painted over
-MOST = 6  # people that are looked for
-HARDLY = 0.25  # probability of a detection that is looked at; many small people have no more
-PARTS = (1.0, 0.7)  # of the shorter side: the windows in which people are looked for
 LASTING = 0.1  # share of the frames in which somebody is seen who gets an avatar
-ALIKE = 0.12  # of the smaller crop's side: poses whose landmarks are that near, by the median, are one person's
-CLEAR = 0.9  # probability of the pose of somebody who gets an identity; furniture has less
-CUT = 0.1  # of a crop's side: whose hips are nearer to the left or right border is cut off there, or imagined beyond it
-PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over, from which on it is one of them
-WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
 LOST = 5  # frames after which somebody who is not seen is looked for where they were last, not where they were going
 
 
@@ -88,63 +67,6 @@ class Identity:
         self.unseen += 1
         if self.unseen > LOST:
             self.speed = np.zeros(2)
-
-
-def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
-    """As `BlazePose.sightings`, looking harder for further people: in parts of the picture, at what is hardly a detection.
-
-    Who was found is painted over by their outline: a box around one who raises an arm would hide who stands beside. Who
-    stands where an outline of their own holds their trunk is somebody.
-    """
-    found: list[Sighting] = []
-    for i in np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)):
-        image, here = images[i].copy(), list[Sighting]()
-        covered = np.zeros(image.shape[:2], np.uint8)
-        while len(here) < MOST:
-            known = len(here)
-            hits = [hit for window in _windows(*image.shape[:2]) for hit in network.detect(image, window, HARDLY)]
-            for score, roi in sorted(hits, key=lambda hit: -hit[0]):
-                first, _ = network.look(image, roi)
-                pose, logits = network.look(image, first.next_roi)
-                theirs = _outlined(logits, first.next_roi, image.shape)
-                there = min(first.presence, pose.presence) >= CLEAR and torso_share(pose, 255 * theirs) > 0.7
-                taken = torso_share(pose, covered) > PAINTED_MOST or _cut_off(pose.next_roi, image.shape[1])
-                if there and not taken and not any(_same_or_within(one.pose, pose) for one in here):
-                    here.append(Sighting(int(i), score, roi, pose))
-                    _paint(image, covered, pose.next_roi, theirs)
-            if len(here) == known:
-                break
-        found += sorted(here, key=lambda one: -one.pose.next_roi.side)
-    return found
-
-
-def _windows(height: int, width: int) -> list[Roi | None]:
-    """The whole picture, and squares that lap over each other."""
-    found: list[Roi | None] = [None]
-    for part in PARTS:
-        side = part * min(height, width)
-        across, down = (1 + int(np.ceil(1.5 * (length / side - 1))) for length in (width, height))
-        middles = [
-            np.linspace(side / 2, length - side / 2, count) for length, count in ((width, across), (height, down))
-        ]
-        found += [Roi(float(x), float(y), side, 0.0) for x in middles[0] for y in middles[1]]
-    return found
-
-
-def everybody(sightings: list[Sighting]) -> list[Sighting]:
-    """Those of the frame that shows the most people, from large to small; one frame of many that shows more is no proof.
-
-    Of several such frames it is the one whose least sure person is the surest.
-    """
-    frames: dict[int, list[Sighting]] = {}
-    for one in sightings:
-        frames.setdefault(one.frame, []).append(one)
-    ranked = sorted(map(len, frames.values()), reverse=True)
-    if not ranked:
-        return []
-    most = ranked[1] if len(ranked) >= ENOUGH else ranked[0]
-    fullest = [people for people in frames.values() if len(people) == most]
-    return max(fullest, key=lambda people: min(one.score * one.pose.presence for one in people))
 
 
 def follow_everybody(
@@ -265,36 +187,8 @@ def _painted_over(network: BlazePose, image: np.ndarray, people: Sequence[Pose])
     painted, covered = image.copy(), np.zeros(image.shape[:2], np.uint8)
     for pose in people:
         _, logits = network.look(image, pose.next_roi)
-        _paint(painted, covered, pose.next_roi, _outlined(logits, pose.next_roi, image.shape))
+        paint_over(painted, covered, pose.next_roi, outlined_in(logits, pose.next_roi, image.shape))
     return painted, covered
-
-
-def _outlined(logits: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarray:
-    """Where the outline of a crop's person may be, uint8 [H,W] of 0 and 1."""
-    return (paste(sigmoid(logits), roi, shape) > FAINT).astype(np.uint8)
-
-
-def _paint(image: np.ndarray, covered: np.ndarray, roi: Roi, theirs: np.ndarray) -> None:
-    """Paint one person over, with a rim, and mark it as covered."""
-    rim = max(3, round(RIM * roi.side)) | 1
-    there = cv2.dilate(theirs, np.ones((rim, rim), np.uint8)) > 0
-    image[there], covered[there] = PAINT, 255
-
-
-def alike(a: Pose, b: Pose) -> bool:
-    """Whether two poses in one picture are the same person's; a crop around a large one holds all of a small one."""
-    apart = float(np.median(np.linalg.norm(a.xy - b.xy, axis=1)))
-    return apart < ALIKE * min(a.next_roi.side, b.next_roi.side)
-
-
-def _same_or_within(a: Pose, b: Pose) -> bool:
-    """Whether the pose `b` is `a` again, or too small for another person so close to them."""
-    return alike(a, b) or (a.next_roi.covers(b.next_roi) and b.next_roi.side < WITHIN * a.next_roi.side)
-
-
-def _cut_off(roi: Roi, width: int) -> bool:
-    """Whether the middle of a person's crop is beyond the left or right border of the picture, or close to it."""
-    return min(roi.x, width - roi.x) < CUT * roi.side
 
 
 def _near(a: Roi, b: Roi) -> bool:

@@ -11,7 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
 from stages.avatar.splats.sh import sh_basis, spread_directions
-from stages.estimators.detectors import clothing, exposure, light, motion_blur, pose_refinement, shading, shadow, tracks
+from stages.estimators.detectors import (
+    antialias,
+    clothing,
+    exposure,
+    light,
+    motion_blur,
+    pose_refinement,
+    shading,
+    shadow,
+    tracks,
+)
 from stages.estimators.detectors.bundle import adjust_bundle
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import ClipEvidence
@@ -349,3 +359,18 @@ def test_poses_of_ours_that_err_look_like_no_cloth_and_clothes_do_not(filmed):
     assert not erring.called_for and erring.value > 0, erring
     assert erring.verdict == "cannot be told from errors of our body fit"
     assert clothing.detect(replace(filmed(clothing=0.1), fitted=True)).called_for
+
+
+@pytest.mark.parametrize(("farthest", "verdict"), [(2.4, "one size"), (6.0, "sizes differ")])
+def test_somebody_who_walks_away_from_a_camera_that_stands_still_changes_size(farthest, verdict):
+    frames, rng = 12, np.random.default_rng(0)
+    away = np.linspace(2.0, farthest, frames)
+    room = np.stack([*rng.uniform(-2, 2, (2, 100)), np.full(100, 8.0)], 1)
+    body = rng.normal(0, 0.2, (50, 3))
+    clip = SimpleNamespace(
+        names=[str(i) for i in range(frames)], points=room, Ks=np.tile(pinhole(150.0, 160, 120), (frames, 1, 1)),
+        viewmats=np.tile(np.eye(4), (frames, 1, 1)), width=160, height=120)  # fmt: skip
+    bodies = body - body.mean(0) + away[:, None, None] * [0, 0, 1]
+    found = antialias.detect(SimpleNamespace(clip=clip, bodies=bodies, sampled=list(range(frames))))
+    assert found.verdict == verdict and found.value == pytest.approx(farthest / 2, rel=1e-6)
+    assert found.frames == ("0", "1", "2")

@@ -8,70 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import Job
-from stages.estimators.person.blazepose import NAMES, TORSO, Pose, Sighting
+from stages.estimators.person.blazepose import Pose, Sighting
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.identities import (
-    PAINT,
-    Identity,
-    _cut_off,
-    _same_or_within,
-    around_mask,
-    everybody,
-    follow_everybody,
-    lasting,
-    track_masked,
-)
+from stages.estimators.person.identities import Identity, around_mask, follow_everybody, lasting, track_masked
+from tests.made.eyes import BLUE, FRAMES, HEIGHT, RED, SIDE, WIDTH, Eyes, filmed, pose_at
 
-HEIGHT, WIDTH, FRAMES, SIDE = 60, 200, 21, 40
-RED, BLUE = (200, 40, 40), (40, 40, 200)
-OUTLINE = np.full((SIDE, SIDE), -9.0)
-OUTLINE[:, 12:28] = 9  # of a patch 16 px wide in the middle of its crop
 NAMED = [f"{i:06d}" for i in range(FRAMES)]
-
-
-def pose_at(x: float) -> Pose:
-    """Somebody whose crop is SIDE wide, with a trunk and thighs around x."""
-    xy = np.full((len(NAMES), 2), [x, 30.0])
-    xy[TORSO] = [[x - 5, 20], [x - 5, 30], [x + 5, 20], [x + 5, 30]]
-    xy[[25, 26]] = [[x - 5, 42], [x + 5, 42]]
-    roi = Roi(x, 30.0, SIDE, 0.0)
-    return Pose(xy, np.ones(33), np.zeros((33, 3)), 1.0, roi, roi)
-
-
-class Eyes:
-    """In place of the network: people are patches of one colour, and in a crop it sees the one nearest to its middle."""
-
-    def places(self, image: np.ndarray) -> list[float]:
-        found = []
-        for ink in {tuple(one) for one in image[30].tolist()} - {(0, 0, 0), (PAINT, PAINT, PAINT)}:
-            columns = np.flatnonzero((image == ink).all(2).any(0))
-            parts = np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1)
-            found += [float(part.mean()) for part in parts if len(part) > 6]
-        return found
-
-    def look(self, image: np.ndarray, roi: Roi) -> tuple[Pose, np.ndarray]:
-        near = min(self.places(image), key=lambda x: abs(x - roi.x), default=np.inf)
-        there = abs(near - roi.x) < SIDE / 2
-        return (pose_at(near) if there else replace(pose_at(roi.x), presence=0.0)), OUTLINE
-
-    def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
-        pose, _ = self.look(image, roi)
-        return pose if pose.presence else None
-
-    def detect(self, image: np.ndarray, window: Roi | None = None) -> list[tuple[float, Roi]]:
-        return [(0.9, pose_at(x).next_roi) for x in self.places(image)]
-
-
-def filmed(inks: tuple, ways: tuple[np.ndarray, np.ndarray]) -> list[np.ndarray]:
-    """Frames of two people 16 px wide, the first before the second; NaN: not in the picture."""
-    images = []
-    for there in zip(*ways, strict=True):
-        image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-        for ink, x in list(zip(inks, there, strict=True))[::-1]:
-            if np.isfinite(x):
-                image[10:50, round(x) - 8 : round(x) + 8] = ink
-        images.append(image)
-    return images
 
 
 def followed(images: list[np.ndarray], starts: tuple[float, float]) -> tuple[list[list[float]], list[str]]:
@@ -130,18 +72,6 @@ def test_a_small_person_beside_a_large_one_is_somebody_else():
     assert len(tracks) == 2 and all(pose is not None for track in tracks for pose in track)
 
 
-def test_of_a_few_frames_those_with_the_most_people_count_and_one_of_many_is_no_proof():
-    def seen(frame: int, x: float) -> Sighting:
-        return Sighting(frame, 0.9, pose_at(x).roi, pose_at(x))
-
-    assert everybody([]) == []
-    two = [seen(0, 40), seen(3, 40), seen(3, 160)]
-    assert everybody(two) == two[1:], "of two frames that were looked at"
-    alone = [seen(i, 40) for i in range(5)]
-    assert everybody([*alone, seen(3, 160)]) == [alone[0]]
-    assert len(everybody([*alone, seen(3, 160), seen(4, 160)])) == 2
-
-
 def test_a_masked_person_is_followed_through_another_who_stands_before_them():
     images = filmed((RED, BLUE), CROSSING)
     own = [255 * (image == BLUE).all(2).astype(np.uint8) for image in images]
@@ -167,13 +97,6 @@ def test_who_is_hardly_seen_is_left_out_and_it_is_said(tmp_path, monkeypatch):
     assert "person 2 in 1;" in said[0] and f"of {FRAMES} frames" in said[0]
 
 
-def test_a_tiny_one_within_a_large_person_is_their_hand_or_furniture():
-    large, beside = (replace(pose_at(x), next_roi=Roi(x, 30.0, side, 0.0)) for x, side in ((60.0, 100.0), (85.0, 60.0)))
-    tiny = replace(pose_at(85.0), next_roi=Roi(85.0, 30.0, 20.0, 0.0))
-    assert _same_or_within(large, tiny) and not _same_or_within(large, beside)
-    assert not _same_or_within(large, replace(pose_at(140.0), next_roi=Roi(140.0, 30.0, 20.0, 0.0)))
-
-
 def test_who_is_seen_on_is_not_taken_for_another_who_was_lost_nor_for_one_of_another_size():
     colours = np.zeros(6)
     here, lost = Identity(pose_at(100).roi, colours), Identity(pose_at(104).roi, colours, unseen=2)
@@ -181,11 +104,6 @@ def test_who_is_seen_on_is_not_taken_for_another_who_was_lost_nor_for_one_of_ano
     assert here.cost(there, colours) < lost.cost(there, colours), "though the other is nearer"
     small = Identity(Roi(102, 30.0, SIDE / 2, 0.0), colours)
     assert here.cost(there, colours) + 0.5 < small.cost(there, colours)
-
-
-def test_who_is_cut_off_at_the_side_of_the_picture_is_nobody_to_begin_with():
-    assert _cut_off(Roi(WIDTH, 30.0, SIDE, 0.0), WIDTH) and _cut_off(Roi(3, 30.0, SIDE, 0.0), WIDTH)
-    assert not _cut_off(Roi(5, 30.0, SIDE, 0.0), WIDTH)
 
 
 def test_who_is_not_where_they_were_going_is_found_beside():
