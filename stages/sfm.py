@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -88,7 +89,7 @@ def run(
         else:
             found = import_cameras(job, Path(cameras), listing, params.min_share, params.cameras_from)
         with parts.timed("pictures"):
-            for done in write_undistorted(frames, masks, job.out, found.names, found.grids.get):
+            for done in write_undistorted(frames, masks, job.out, found.names, found.grid_of):
                 job.progress(85 + 14 * done // len(found.names), 100)
         write_cameras(job.out / "cameras.npz", Cameras(tuple(found.names), found.viewmats, found.Ks, *size))
         if found.cloud is not None:
@@ -187,6 +188,7 @@ def map_cameras(
     from stages.estimators.cameras import colmap, solving
     from stages.estimators.cameras.solving import GUESSED_FOCAL, Task
     from stages.estimators.cameras.sparse_model import Pinholes
+    from stages.formats.datasets.undistorted import HELD
 
     names, (width, height) = [frame.name for frame in listing.frames], (listing.width, listing.height)
     size = (width, height)
@@ -215,13 +217,19 @@ def map_cameras(
     shift = max(lens.max_shift(focal, k, width, height) for focal in pinholes)
     if params.undistort == "never":
         shift = 0.0  # as if there were no lens, and sfm.json says so
-    shared: dict[float, Grid | None] = dict.fromkeys(pinholes)
-    if params.undistort == "always" or shift >= lens.NO_SHIFT:
-        for focal in pinholes:
-            pinholes[focal] = lens.pinhole_focal(focal, center, k, width, height)
-            shared[focal] = lens.remap_grid(focal, center, k, pinholes[focal], width, height)
-    focals = [pinholes[focal] for focal in solution.focals.tolist()]
-    grids = dict(zip(solution.names, (shared[focal] for focal in solution.focals.tolist()), strict=True))
+    bends = params.undistort == "always" or shift >= lens.NO_SHIFT
+    if bends:
+        pinholes = {focal: lens.pinhole_focal(focal, center, k, width, height) for focal in pinholes}
+    focal_of = dict(zip(solution.names, solution.focals.tolist(), strict=True))
+    focals = [pinholes[focal] for focal in focal_of.values()]
+
+    @lru_cache(HELD)
+    def grid(focal: float) -> Grid:
+        return lens.remap_grid(focal, center, k, pinholes[focal], width, height)
+
+    def grid_of(name: str) -> Grid | None:
+        return grid(focal_of[name]) if bends else None
+
     if solution.model is not None:
         colmap.make_pinhole(solution.model, dict(zip([f"{name}.png" for name in solution.names], focals, strict=True)))
     found = float(np.median(solution.focals))
@@ -243,7 +251,7 @@ def map_cameras(
     if params.focal is None and (spread := solution.facts.get("lens", {}).get("focal_spread_px")):
         job.note(f"focal length {found:.0f} px, give or take {spread:.0f}")
     Ks = np.array([pinhole(focal, width, height) for focal in focals])
-    return Pinholes(solution.verdict, solution.names, solution.viewmats, Ks, grids, facts, solution.model)
+    return Pinholes(solution.verdict, solution.names, solution.viewmats, Ks, grid_of, facts, solution.model)
 
 
 def check_masks(names: list[str], masks: Path, width: int, height: int) -> None:

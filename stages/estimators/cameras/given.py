@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,7 @@ from stages.avatar.cameras.pinhole import camera_centers, pinhole
 from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap
 from stages.estimators.cameras.sparse_model import Pinholes
-from stages.formats.datasets.undistorted import Grid
+from stages.formats.datasets.undistorted import HELD, Grid
 from stages.formats.facts import Listing
 from stages.formats.frame_names import count_from_one, has_sources, join, number, stem
 from stages.formats.given_cameras.recognize import read_camera_files
@@ -38,7 +39,7 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
         raise StageError("the given cameras are not for these frames", hint, [fact])
     order = list(rows.values())
     made = {lens: straighten(lens, *size) for lens in {given.lenses[i] for i in order}}
-    Ks, grids, shifts = zip(*(made[given.lenses[i]] for i in order), strict=True)
+    Ks, _, shifts = zip(*(made[given.lenses[i]] for i in order), strict=True)
     missing, verdict = len(listing.frames) - len(order), motion_of(given.viewmats[order])
     job.note(f"{len(order)} cameras from a {given.source}; their lens moves pixels by up to {max(shifts):.1f} px")
     if missing:
@@ -55,7 +56,15 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
         "distortion": {"model": lens.model, "params": lens.distortion.tolist(), "max_shift_px": max(shifts)},
     }
     cloud = cloud_of(given, order, width / own.width) if len(given.points) else None
-    grid_of = dict(zip(rows, grids, strict=True))
+
+    @lru_cache(HELD)
+    def grid(lens: Lens) -> Grid:
+        return sample_grid(lens, made[lens][0], *size)
+
+    def grid_of(name: str) -> Grid | None:
+        lens = given.lenses[rows[name]]
+        return grid(lens) if made[lens][1] else None
+
     return Pinholes(verdict, list(rows), given.viewmats[order], np.stack(Ks), grid_of, facts, None, cloud)
 
 
@@ -102,16 +111,16 @@ def cloud_of(given: GivenCameras, order: list[int], scale: float) -> colmap.Clou
     )
 
 
-def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, Grid | None, float]:
-    """K [3,3] of the pinhole that replaces a lens, where to sample its picture, and its largest move in px.
+def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, bool, float]:
+    """K [3,3] of the pinhole that replaces a lens, whether its picture must be sampled anew, and its largest move in px.
 
-    K and grid are for pictures of `width` x `height`. A lens that bends is replaced by the centred pinhole with the
+    K is for pictures of `width` x `height`. A lens that bends is replaced by the centred pinhole with the
     smallest focal length that sees nothing outside its picture. StageError for a lens that folds over or sees sideways.
     """
     scale = np.array([width / lens.width, height / lens.height])
     K = np.diag([*scale, 1.0]) @ lens.K
     if lens.model in ("SIMPLE_PINHOLE", "PINHOLE"):
-        return K, None, 0.0
+        return K, False, 0.0
     camera = colmap.camera_of(lens)
     outline = lenses.border(lens.width, lens.height)
     ideal = camera.cam_from_img(outline)
@@ -123,18 +132,23 @@ def straighten(lens: Lens, width: int, height: int) -> tuple[np.ndarray, Grid | 
         raise StageError("a given lens cannot be turned into a pinhole", hint, [fact])
     shift = float(np.linalg.norm((ideal @ lens.K[:2, :2].T + lens.K[:2, 2] - outline) * scale, axis=1).max())
     if shift < lenses.NO_SHIFT:
-        return K, None, shift
+        return K, False, shift
     try:
         focal = lenses.focal_within(ideal, width, height)
     except ValueError as error:
         raise StageError(
             str(error), "undistort the pictures in the program that found the cameras, and give both"
         ) from error
-    K = pinhole(focal, width, height)
+    return pinhole(focal, width, height), True, shift
+
+
+def sample_grid(lens: Lens, K: np.ndarray, width: int, height: int) -> Grid:
+    """Where the picture of a lens is sampled for that of a pinhole `K` [3,3] of `width` x `height`; as `remap_grid`."""
+    scale = np.array([width / lens.width, height / lens.height])
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.stack([(x - width / 2) / focal, (y - height / 2) / focal, np.ones_like(x)], -1).reshape(-1, 3)
-    source = (camera.img_from_cam(rays) * scale - 0.5).astype(np.float32).reshape(height, width, 2)
-    return K, (source[..., 0], source[..., 1]), shift
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1).reshape(-1, 3)
+    source = (colmap.camera_of(lens).img_from_cam(rays) * scale - 0.5).astype(np.float32).reshape(height, width, 2)
+    return source[..., 0], source[..., 1]
 
 
 def motion_of(viewmats: np.ndarray) -> Literal["moving", "rotation only", "static camera"]:

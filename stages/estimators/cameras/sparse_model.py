@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ FLAT = 0.02  # thickness over width of the points: below it focal length and dep
 class Pinholes:
     """The cameras of `names` with their lens distortion removed, whoever found them, and facts for sfm.json.
 
-    `viewmats` [C,4,4]; `Ks` [C,3,3] px at the frames' size; `grids` say where to sample each frame, None where it stays
+    `viewmats` [C,4,4]; `Ks` [C,3,3] px at the frames' size; `grid_of` says where to sample a frame, None where it stays
     as it is; `model` has the points that COLMAP made, `cloud` those of a given file.
     """
 
@@ -36,7 +37,7 @@ class Pinholes:
     names: list[str]
     viewmats: np.ndarray
     Ks: np.ndarray
-    grids: dict[str, Grid | None]
+    grid_of: Callable[[str], Grid | None]
     facts: dict
     model: Any = None
     cloud: Cloud | None = None

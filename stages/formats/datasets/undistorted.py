@@ -18,6 +18,7 @@ from stages.formats.people import PEOPLE
 from stages.records import SeenLandmarks
 
 Grid = tuple[np.ndarray, np.ndarray]
+HELD = 4  # grids of lenses that are kept: where each frame has its own, all would fill the memory
 LANDMARKS = "landmarks.npz"
 STEPS = 30  # of the search for a point in the pinhole picture; a lens that doubles sizes takes 20 to 0.01 px
 
@@ -43,8 +44,9 @@ def write_undistorted(
     people = [folder.relative_to(masks) for folder in sorted((masks / PEOPLE).glob("*/masks"))]
     for kind in (Path("images"), Path("masks"), *people):
         (out / kind).mkdir(parents=True)
+    seen = read_landmarks(masks / LANDMARKS) if (masks / LANDMARKS).exists() else None
 
-    def write(name: str) -> None:
+    def write(name: str) -> SeenLandmarks | None:
         grid, image = grid_of(name), Path("images", f"{name}.png")
         each = [folder / image.name for folder in (Path("masks"), *people)]
         if grid is None:
@@ -57,13 +59,15 @@ def write_undistorted(
             for mask in each:
                 person = cv2.remap(read_mask(masks / mask), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
                 write_mask(out / mask, person)
+        return _moved(seen[name], grid) if seen else None
 
+    landmarks = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(write, names), 1):
+        for done, theirs in enumerate(pool.map(write, names), 1):
+            landmarks.append(theirs)
             yield done
-    if (masks / LANDMARKS).exists():
-        seen = read_landmarks(masks / LANDMARKS)
-        write_landmarks(out / LANDMARKS, names, [_moved(seen[name], grid_of(name)) for name in names])
+    if seen:
+        write_landmarks(out / LANDMARKS, names, landmarks)
 
 
 def _moved(seen: SeenLandmarks | None, grid: Grid | None) -> SeenLandmarks | None:
