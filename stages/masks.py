@@ -118,9 +118,9 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     pictures = Pictures(paths)
     if params.person == EVERYBODY:
         from stages.estimators.person.identities import follow_everybody
-        from stages.estimators.person.sightings import everybody, sight_everybody
+        from stages.estimators.person.sightings import everybody
 
-        people = everybody(sight_everybody(network, pictures))
+        people = everybody(network, pictures)
         tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
         if len(tracks) > 1:
             yield from outlined(pictures, tracks)

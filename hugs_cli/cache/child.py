@@ -48,14 +48,17 @@ def prepare() -> None:
     """Set the environment that numerical libraries read when they load.
 
     Spinning OpenMP threads made a 4.7 ms call take 37 ms on a shared machine, and threads that sleep at once cost a
-    training step 7 %: they spin a thousand times, a few microseconds. Libraries count the machine's processors, not
-    the container's; pycolmap corrupts the heap unless the system's zlib was loaded before it.
+    training step 7 %: they spin a thousand times, a few microseconds. OpenBLAS, which numpy and scipy use, spins for
+    longer: with two threads `survey` took 32 to 200 s beside one busy process in place of 7, and alone no stage is faster.
+    Libraries count the machine's processors, not the container's; pycolmap corrupts the heap unless the system's zlib
+    was loaded before it.
     """
     import zlib  # noqa: F401
 
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, str(processors()))
 
 

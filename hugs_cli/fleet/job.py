@@ -147,7 +147,7 @@ def asked_to_stop(folder: Path, owner: dict[str, Any]) -> bool:
 
 def main(folder: Path, row_id: str, step: str, threads: str) -> int:
     """The job."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = threads
     child.prepare()
     sys.stderr = io.TextIOWrapper(Log(), errors="replace", write_through=True)

@@ -123,13 +123,13 @@ def follow(seeds: list[int]) -> list[dict[str, Any]]:
     from stages.estimators.person.blazepose import BlazePose
     from stages.estimators.person.identities import follow_everybody
     from stages.estimators.person.outline import outline
-    from stages.estimators.person.sightings import everybody, sight_everybody
+    from stages.estimators.person.sightings import everybody
 
     network, rows = BlazePose(), []
     for seed in seeds:
         pair, said = make_pair(seed=seed, width=640, height=360), []
         images, names = list(pair.views[0].images), [f"{i:06d}" for i in range(len(pair.views[0]))]
-        people = everybody(sight_everybody(network, images))
+        people = everybody(network, images)
         row: dict[str, Any] = {"seed": seed, "seen": len(people), "of": len(names)}
         if len(people) > 1:
             job = Job(Path(), emit=lambda event, said=said: said.append(event.get("text", "")))

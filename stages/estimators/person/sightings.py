@@ -8,7 +8,6 @@ import numpy as np
 from stages.estimators.person.blazepose import SEEDS, BlazePose, Images, Pose, Sighting, sigmoid, torso_share
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import paste
-from stages.estimators.person.people import ENOUGH
 
 PAINT = 128  # grey of those who are painted over
 FAINT, RIM = 0.2, 0.03  # probability, and share of the crop's side around it, from which a pixel is painted over
@@ -19,26 +18,57 @@ ALIKE = 0.12  # of the smaller crop's side: poses whose landmarks are that near,
 CLEAR = 0.9  # probability of the pose of somebody who gets an identity; furniture has less
 CUT = 0.1  # of a crop's side: whose hips are nearer to the left or right border is cut off there, or imagined beyond it
 PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over, from which on it is one of them
+MOVES, GROWS = (
+    0.6,
+    0.4,
+)  # of a crop's side, and logarithm of the size: nobody changes by more to the next frame looked at
+MOSTLY, STILL = (
+    90,
+    15.0,
+)  # per cent of its pixels, and of 255: what changes by less is no person, who changes by 25 to 150
 WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
 
 
-def sight_everybody(network: BlazePose, images: Images) -> list[Sighting]:
-    """As `BlazePose.sightings`, looking harder for further people; what one frame alone shows is looked for close by.
+def everybody(network: BlazePose, images: Images) -> list[Sighting]:
+    """Everybody whom a clip (uint8 [H,W,3] in order of time) shows, in the frame that shows the most, from large to small.
 
-    Somebody may be in view only for a moment: half-way to the frames looked at before and after, they are still there, and
-    what was no person is not.
+    Who counts is seen again half-way to the frames looked at before or after, and is not part of a picture that never changes.
     """
-    looked = np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int))
-    found = {int(i): sight_in(network, images[i], int(i)) for i in looked}
-    most = max(map(len, found.values()), default=0)
-    fullest = [k for k, i in enumerate(looked) if len(found[i]) == most]
-    if most > 1 and len(fullest) == 1:
-        k = fullest[0]
-        for other in looked[max(k - 1, 0) : k + 2]:
-            between = int(looked[k] + other) // 2
-            if between not in found:
-                found[between] = sight_in(network, images[between], between)
-    return [one for i in sorted(found) for one in found[i]]
+    looked = np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)).tolist()
+    seen = {i: sight_in(network, images[i], i) for i in looked}
+    best: list[Sighting] = []
+    for k in sorted(range(len(looked)), key=lambda k: _clarity(seen[looked[k]]), reverse=True):
+        here = seen[looked[k]]
+        if len(here) <= max(len(best), 1):
+            break
+        beside = {(looked[k] + other) // 2 for other in looked[max(k - 1, 0) : k + 2]} - {looked[k]}
+        for i in beside - seen.keys():
+            seen[i] = sight_in(network, images[i], i)
+        again = [one for i in beside for one in seen[i]]
+        sure = [one for one in here if not beside or any(_seen_again(one, other) for other in again)]
+        sure = [one for one in sure if not _is_still(network, images, one, looked)]
+        best = max(best, sure, key=len)
+    return best
+
+
+def _clarity(people: list[Sighting]) -> tuple[int, float]:
+    """By which frames are ranked: more people first, then those whose least sure person is the surest."""
+    return len(people), min((one.score * one.pose.presence for one in people), default=0.0)
+
+
+def _seen_again(one: Sighting, other: Sighting) -> bool:
+    """Whether somebody in one frame may be who is in another close by."""
+    a, b = one.pose.next_roi, other.pose.next_roi
+    return bool(np.hypot(a.x - b.x, a.y - b.y) < MOVES * a.side and abs(np.log(b.side / a.side)) < GROWS)
+
+
+def _is_still(network: BlazePose, images: Images, one: Sighting, frames: list[int]) -> bool:
+    """Whether what is taken for somebody looks the same in most frames, to the pixel: a machine before a camera that stands."""
+    image = images[one.frame]
+    _, logits = network.look(image, one.pose.next_roi)
+    there = outlined_in(logits, one.pose.next_roi, image.shape) > 0
+    changes = [abs(images[i][there].astype(int) - image[there]) for i in frames if i != one.frame]
+    return bool(changes) and float(np.median([np.percentile(change, MOSTLY) for change in changes])) < STILL
 
 
 def sight_in(network: BlazePose, image: np.ndarray, i: int) -> list[Sighting]:
@@ -77,22 +107,6 @@ def _windows(height: int, width: int) -> list[Roi | None]:
         ]
         found += [Roi(float(x), float(y), side, 0.0) for x in middles[0] for y in middles[1]]
     return found
-
-
-def everybody(sightings: list[Sighting]) -> list[Sighting]:
-    """Those of the frame that shows the most people, from large to small; one frame of many that shows more is no proof.
-
-    Of several such frames it is the one whose least sure person is the surest.
-    """
-    frames: dict[int, list[Sighting]] = {}
-    for one in sightings:
-        frames.setdefault(one.frame, []).append(one)
-    ranked = sorted(map(len, frames.values()), reverse=True)
-    if not ranked:
-        return []
-    most = ranked[1] if len(ranked) >= ENOUGH else ranked[0]
-    fullest = [people for people in frames.values() if len(people) == most]
-    return max(fullest, key=lambda people: min(one.score * one.pose.presence for one in people))
 
 
 def outlined_in(logits: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarray:

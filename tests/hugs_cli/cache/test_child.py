@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -47,3 +49,13 @@ def test_a_stage_error_passes_unchanged_and_a_bug_is_one_line_with_its_traceback
 
 def test_processors_are_those_of_this_process():
     assert 1 <= processors() <= len(os.sched_getaffinity(0))
+
+
+@pytest.mark.parametrize(("given", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "4"}, "4")])
+def test_openblas_which_waits_by_spinning_has_one_thread_unless_the_user_gives_it_more(given, used):
+    command = (
+        "from hugs_cli.cache.child import prepare; prepare(); import os; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    kept = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", command], env=kept | given, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == used

@@ -6,22 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.estimators.person.blazepose import Sighting
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.sightings import _cut_off, _same_or_within, everybody, sight_everybody
+from stages.estimators.person.sightings import _cut_off, _same_or_within, everybody
 from tests.made.eyes import BLUE, RED, SIDE, WIDTH, Eyes, filmed, pose_at
-
-
-def test_of_a_few_frames_those_with_the_most_people_count_and_one_of_many_is_no_proof():
-    def seen(frame: int, x: float) -> Sighting:
-        return Sighting(frame, 0.9, pose_at(x).roi, pose_at(x))
-
-    assert everybody([]) == []
-    two = [seen(0, 40), seen(3, 40), seen(3, 160)]
-    assert everybody(two) == two[1:], "of two frames that were looked at"
-    alone = [seen(i, 40) for i in range(5)]
-    assert everybody([*alone, seen(3, 160)]) == [alone[0]]
-    assert len(everybody([*alone, seen(3, 160), seen(4, 160)])) == 2
 
 
 def test_a_tiny_one_within_a_large_person_is_their_hand_or_furniture():
@@ -36,11 +23,30 @@ def test_who_is_cut_off_at_the_side_of_the_picture_is_nobody_to_begin_with():
     assert not _cut_off(Roi(5, 30.0, SIDE, 0.0), WIDTH)
 
 
+COUNT = 81
+WALKS = np.linspace(30.0, 90.0, COUNT)
+
+
+def found(second: np.ndarray) -> list[tuple[int, float]]:
+    """Frame and place of everybody who is found beside one who walks."""
+    return [(one.frame, one.pose.next_roi.x) for one in everybody(Eyes(), filmed((RED, BLUE), (WALKS, second)))]
+
+
 def test_who_is_in_view_only_for_a_moment_is_found_half_way_to_the_frames_beside():
-    frames, there = np.arange(81), np.full(81, 50.0)
-    passing = np.where(abs(frames - 40) < 8, 150.0, np.nan)
-    sightings = sight_everybody(Eyes(), filmed((RED, BLUE), (there, passing)))
-    assert [one.frame for one in sightings if one.pose.next_roi.x > 100] == [35, 40, 45], "only 40 is one of nine"
-    assert len(everybody(sightings)) == 2
-    flicker = np.where(frames == 40, 150.0, np.nan)
-    assert len(everybody(sight_everybody(Eyes(), filmed((RED, BLUE), (there, flicker))))) == 1
+    frames, back = np.arange(COUNT), np.linspace(170.0, 130.0, COUNT)
+    assert found(np.where(abs(frames - 40) < 8, back, np.nan)) == [(40, 59.5), (40, 149.5)], "40 alone is one of nine"
+    assert found(np.where(frames == 40, back, np.nan)) == [(40, 59.5)], "what one frame alone shows is nobody"
+    assert len(found(np.where(frames % 10 == 0, back, np.nan))) == 1, (
+        "nor is what each of nine shows, but no frame between"
+    )
+
+
+def test_what_never_changes_before_a_camera_that_stands_is_no_person():
+    assert len(found(np.full(COUNT, 150.0))) == 1
+    assert len(found(150.0 + 3 * np.sin(np.arange(COUNT)))) == 2
+
+
+def test_the_frame_with_the_most_people_counts_and_who_is_alone_is_nobody_to_tell_apart():
+    assert found(np.full(COUNT, np.nan)) == []
+    leaving = np.where(np.arange(COUNT) > 60, np.linspace(240.0, 110.0, COUNT), np.nan)
+    assert {frame for frame, _ in found(leaving)} <= {70, 80}
