@@ -120,7 +120,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
         from stages.estimators.person.identities import follow_everybody
         from stages.estimators.person.sightings import everybody
 
-        people = everybody(network, pictures)
+        people = everybody(job, network, pictures)
         tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
         if len(tracks) > 1:
             yield from outlined(pictures, tracks)

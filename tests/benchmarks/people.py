@@ -129,10 +129,10 @@ def follow(seeds: list[int]) -> list[dict[str, Any]]:
     for seed in seeds:
         pair, said = make_pair(seed=seed, width=640, height=360), []
         images, names = list(pair.views[0].images), [f"{i:06d}" for i in range(len(pair.views[0]))]
-        people = everybody(network, images)
+        job = Job(Path(), emit=lambda event, said=said: said.append(event.get("text", "")))
+        people = everybody(job, network, images)
         row: dict[str, Any] = {"seed": seed, "seen": len(people), "of": len(names)}
         if len(people) > 1:
-            job = Job(Path(), emit=lambda event, said=said: said.append(event.get("text", "")))
             tracks = follow_everybody(job, network, images, names, people)
             covers = np.full((len(people), len(names)), -1)
             for i in range(len(names)):

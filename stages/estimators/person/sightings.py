@@ -5,9 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from stages.contract import Job
 from stages.estimators.person.blazepose import SEEDS, BlazePose, Images, Pose, Sighting, sigmoid, torso_share
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import paste
+from stages.estimators.person.people import describe_place
 
 PAINT = 128  # grey of those who are painted over
 FAINT, RIM = 0.2, 0.03  # probability, and share of the crop's side around it, from which a pixel is painted over
@@ -21,22 +23,23 @@ PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over,
 MOVES, GROWS = (
     0.6,
     0.4,
-)  # of a crop's side, and logarithm of the size: nobody changes by more to the next frame looked at
+)  # of a crop's side, and logarithm of the size: as much as somebody changes to the next frame looked at
 MOSTLY, STILL = (
     90,
     15.0,
-)  # per cent of its pixels, and of 255: what changes by less is no person, who changes by 25 to 150
+)  # per cent of the pixels, and of 255: of a machine so many change by less, of people by 25 to 150
 WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
 
 
-def everybody(network: BlazePose, images: Images) -> list[Sighting]:
+def everybody(job: Job, network: BlazePose, images: Images) -> list[Sighting]:
     """Everybody whom a clip (uint8 [H,W,3] in order of time) shows, in the frame that shows the most, from large to small.
 
-    Who counts is seen again half-way to the frames looked at before or after, and is not part of a picture that never changes.
+    Who counts is seen again half-way to the frames looked at before or after, and is not part of a picture that never
+    changes: a note says where somebody may be who does not.
     """
     looked = np.unique(np.linspace(0, len(images) - 1, min(len(images), SEEDS)).round().astype(int)).tolist()
     seen = {i: sight_in(network, images[i], i) for i in looked}
-    best: list[Sighting] = []
+    best, machines = list[Sighting](), list[Sighting]()
     for k in sorted(range(len(looked)), key=lambda k: _clarity(seen[looked[k]]), reverse=True):
         here = seen[looked[k]]
         if len(here) <= max(len(best), 1):
@@ -46,8 +49,12 @@ def everybody(network: BlazePose, images: Images) -> list[Sighting]:
             seen[i] = sight_in(network, images[i], i)
         again = [one for i in beside for one in seen[i]]
         sure = [one for one in here if not beside or any(_seen_again(one, other) for other in again)]
-        sure = [one for one in sure if not _is_still(network, images, one, looked)]
-        best = max(best, sure, key=len)
+        still = [_is_still(network, images, one, looked) for one in sure]
+        best = max(best, [one for one, stays in zip(sure, still) if not stays], key=len)
+        machines = machines or [one for one, stays in zip(sure, still) if stays]
+    if machines:
+        said = "; ".join(describe_place(one) for one in machines)
+        job.note(f"perhaps somebody who never moves, taken for scene: {said}")
     return best
 
 
@@ -67,7 +74,7 @@ def _is_still(network: BlazePose, images: Images, one: Sighting, frames: list[in
     image = images[one.frame]
     _, logits = network.look(image, one.pose.next_roi)
     there = outlined_in(logits, one.pose.next_roi, image.shape) > 0
-    changes = [abs(images[i][there].astype(int) - image[there]) for i in frames if i != one.frame]
+    changes = [abs(images[i][there].astype(int) - image[there]) for i in frames if i != one.frame and there.any()]
     return bool(changes) and float(np.median([np.percentile(change, MOSTLY) for change in changes])) < STILL
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from stages.contract import Job
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.sightings import _cut_off, _same_or_within, everybody
 from tests.made.eyes import BLUE, RED, SIDE, WIDTH, Eyes, filmed, pose_at
@@ -27,9 +29,10 @@ COUNT = 81
 WALKS = np.linspace(30.0, 90.0, COUNT)
 
 
-def found(second: np.ndarray) -> list[tuple[int, float]]:
-    """Frame and place of everybody who is found beside one who walks."""
-    return [(one.frame, one.pose.next_roi.x) for one in everybody(Eyes(), filmed((RED, BLUE), (WALKS, second)))]
+def found(second: np.ndarray, said: list[str] | None = None) -> list[tuple[int, float]]:
+    """Frame and place of everybody who is found beside one who walks; what the stage says is added to `said`."""
+    job = Job(Path(), emit=lambda event: (said if said is not None else []).append(event["text"]))
+    return [(one.frame, one.pose.next_roi.x) for one in everybody(job, Eyes(), filmed((RED, BLUE), (WALKS, second)))]
 
 
 def test_who_is_in_view_only_for_a_moment_is_found_half_way_to_the_frames_beside():
@@ -42,7 +45,9 @@ def test_who_is_in_view_only_for_a_moment_is_found_half_way_to_the_frames_beside
 
 
 def test_what_never_changes_before_a_camera_that_stands_is_no_person():
-    assert len(found(np.full(COUNT, 150.0))) == 1
+    said: list[str] = []
+    assert len(found(np.full(COUNT, 150.0), said)) == 1
+    assert said == ["perhaps somebody who never moves, taken for scene: at x 150, y 30 px, 40 px across"]
     assert len(found(150.0 + 3 * np.sin(np.arange(COUNT)))) == 2
 
 
