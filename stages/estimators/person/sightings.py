@@ -20,14 +20,10 @@ ALIKE = 0.12  # of the smaller crop's side: poses whose landmarks are that near,
 CLEAR = 0.9  # probability of the pose of somebody who gets an identity; furniture has less
 CUT = 0.1  # of a crop's side: whose hips are nearer to the left or right border is cut off there, or imagined beyond it
 PAINTED_MOST = 0.3  # share of shoulders and hips on those who are painted over, from which on it is one of them
-MOVES, GROWS = (
-    0.6,
-    0.4,
-)  # of a crop's side, and logarithm of the size: as much as somebody changes to the next frame looked at
-MOSTLY, STILL = (
-    90,
-    15.0,
-)  # per cent of the pixels, and of 255: of a machine so many change by less, of people by 25 to 150
+MOVES = 0.6  # of a crop's side: nobody moves farther to the next frame looked at
+GROWS = 0.4  # logarithm of the size: nobody changes by more meanwhile
+MOSTLY = 90  # per cent of a machine's pixels that change by less than STILL before a camera that stands
+STILL = 15.0  # of 255; of somebody so many pixels change by 25 to 150
 WITHIN = 0.4  # of a person's crop, so large at least is another who begins within it; hands and furniture are smaller
 
 
