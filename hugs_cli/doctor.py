@@ -60,9 +60,11 @@ def machine() -> list[Finding]:
 
 def gsplat() -> Finding:
     """The library that draws on a GPU, and the compiler it needs once."""
-    if importlib.util.find_spec("gsplat") is None:
+    found = importlib.util.find_spec("gsplat")
+    if found is None:
         return Finding("gsplat", False, hint="pip install 'hugs-avatar[gpu]'", optional=True)
-    if shutil.which("nvcc") is None:
+    built = any(list(Path(folder).glob("csrc.*")) for folder in found.submodule_search_locations or ())
+    if not built and shutil.which("nvcc") is None:
         text = "gsplat builds its kernels at the first use and needs nvcc (the CUDA toolkit)"
         return Finding("gsplat", False, hint=text, optional=True)
     return Finding("gsplat", True, importlib.metadata.version("gsplat"))

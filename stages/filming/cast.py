@@ -149,7 +149,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         rig=rig,
         baked=baked,
         soles=soles,
-        parts=_parts(model, record, rig),
+        parts=Casters(*(part.to(baked.joints) for part in _parts(model, record, rig))),
         placed=placed,
         global_orient=orient,
         body_pose=pose,

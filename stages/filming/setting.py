@@ -63,7 +63,7 @@ def load_setting(film: Film, device: str) -> Setting:
             return Setting(None, None, ground, None, None, nothing, ())
         shadow, fact = lamp_of(None, ground, film.light)
         shown = load_scene(scene, device)
-        return Setting(scene, shown, ground, shadow, None, nothing, (*lacks(None, film.scene), *fact))
+        return Setting(scene, shown, ground, _on(device, shadow), None, nothing, (*lacks(None, film.scene), *fact))
     train, sfm, smpl = (film.scene / stage for stage in ("train", "sfm", "smpl"))
     ground, clip = read_ground(smpl / "ground.json"), load_clip(sfm, smpl, train)
     times = np.array(read_facts(film.scene / "frames" / "frames.json", Listing).times(clip.names))
@@ -77,7 +77,7 @@ def load_setting(film: Film, device: str) -> Setting:
     if ground.points == 0:
         fact = (*fact, f"the floor of {film.scene} is {ground.how}")
     facts = (*lacks(None, film.gaussians), *fact)
-    return Setting(scene, load_scene(scene, device), ground, shadow, clip, times, facts, shading)
+    return Setting(scene, load_scene(scene, device), ground, _on(device, shadow), clip, times, facts, shading)
 
 
 def _floor(floor: Floor) -> Ground:
@@ -90,6 +90,10 @@ def _floor(floor: Floor) -> Ground:
         )
     up, ahead = (axis / np.linalg.norm(axis) for axis in (up, np.cross(up, across)))
     return Ground(np.array(floor.point, np.float64), up, ahead, 1.0, 0.0, 0.0, 0, "given")
+
+
+def _on(device: str, shadow: Shadow | None) -> Shadow | None:
+    return None if shadow is None else shadow.to(device)
 
 
 def lamp_of(run: Path | None, ground: Ground, light: str) -> tuple[Shadow | None, tuple[str, ...]]:

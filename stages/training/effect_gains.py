@@ -103,12 +103,18 @@ def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | Non
 
 def _seconds(fit: Fit) -> float:
     """Seconds of a group of steps, always on the same frames; processor time where the CPU draws."""
-    clock = time.process_time if fit.full.viewmats.device.type == "cpu" else time.perf_counter
+    clock = time.process_time if fit.full.viewmats.device.type == "cpu" else _all_done
     count = fit.params.views_per_decode
     fit.order, began = torch.tensor(spread_evenly(list(range(len(fit.train))), count)), clock()
     for _ in range(count):
         fit.advance()
     return clock() - began
+
+
+def _all_done() -> float:
+    """The time at which a GPU has done all that it was asked, s."""
+    torch.cuda.synchronize()
+    return time.perf_counter()
 
 
 def _less(whole: float | None, drawn: float | None) -> float | None:

@@ -20,6 +20,7 @@ from tests.benchmarks.host import all_threads, clock, machine, summary, use_thre
 from tests.benchmarks.workloads import finished
 
 SIZE = (1280, 720)
+WARM_UP = 5  # pictures
 
 
 def stretched(K: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -34,7 +35,7 @@ def measure(folder: Path, frames: int, device: str) -> list[dict]:
     Ks = [stretched(K, clip.width, clip.height) for K in clip.Ks]
     scenes = {"person and scene": learned.scene, "person": None} if learned.scene else {"person": None}
     rows = []
-    for threads in sorted({all_threads(), 1}):
+    for threads in sorted({all_threads(), 1}) if device == "cpu" else [all_threads()]:
         use_threads(threads)
         for name, scene in scenes.items():
 
@@ -43,7 +44,8 @@ def measure(folder: Path, frames: int, device: str) -> list[dict]:
                 lit = None if scene is None else learned.shade(scene, pose)
                 draw(learned.person(pose), lit, Camera.of(clip.viewmats[i], Ks[i], *SIZE))
 
-            frame(0)
+            for i in order[:WARM_UP]:
+                frame(i)
             count = len(learned.avatar.resting.means) + (len(scene.means) if scene else 0)
             times = summary([clock(lambda i=i: frame(i)) for i in order])
             rows.append({"drawn": name, "gaussians": count, "threads": threads, "ms": times})

@@ -67,7 +67,8 @@ def _draw(gaussians: Gaussians, camera: Camera, layer: Layer, near: float, grad:
         def record(g: Tensor) -> None:
             grad[rows] += g[0]
             grad_abs[rows] = at.absgrad[0]
+            handle.remove()  # tensor and hook hold each other, where Python's collector cannot see it
 
-        at.register_hook(record)
+        handle = at.register_hook(record)
     dropped = int((~finite).sum())
     return Rendering(picture[0, ..., :3], alpha[0, ..., 0], picture[0, ..., 3], where, radii, grad, grad_abs, dropped)

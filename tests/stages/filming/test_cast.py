@@ -114,3 +114,8 @@ def test_a_file_has_no_clip_to_move_as_in(run):
     with pytest.raises(StageError, match="no clip to move as in") as refused:
         cast(Person(avatar=run / "train" / "avatar.npz"), "a", SLOPE, FPS, "cpu")
     assert "motion: moves.bvh" in refused.value.hint
+
+
+def test_all_of_a_person_is_where_it_is_drawn(run):
+    actor = cast(Person(avatar=run, motion="wave"), "a", SLOPE, FPS, "meta")
+    assert {part.device.type for part in (*actor.casters(0), *actor.splats(0)[:4])} == {"meta"}

@@ -125,3 +125,8 @@ def test_over_white_y_is_up_and_a_person_only_run_has_no_scene(tiny_human):
 def test_a_film_without_people_is_none():
     with pytest.raises(ValidationError):
         Film(people=[])
+
+
+def test_scene_and_lamp_are_where_they_are_drawn(run):
+    setting = load_setting(film(run, light="above"), "meta")
+    assert {part.device.type for part in (setting.splats.means, *setting.shadow.state_dict().values())} == {"meta"}

@@ -1,7 +1,9 @@
 """gsplat behind our signature: on a GPU against the specification, and everywhere the way it is called."""
 
+import gc
 import importlib.util
 import sys
+import weakref
 from dataclasses import replace
 from types import ModuleType, SimpleNamespace
 
@@ -68,6 +70,7 @@ def stand_in(monkeypatch):
         local = means @ viewmats[0, :3, :3].T + viewmats[0, :3, 3]
         at = (local[:, :2] / local[:, 2:])[None] + 0.0
         at.absgrad = torch.full((1, n, 2), 3.0)
+        asked["at"] = weakref.ref(at)
         picture = torch.cat([drawn.image, drawn.depth[..., None]], -1) + 0 * at.sum()
         extras = {"means2d": at, "radii": torch.stack([drawn.radii, drawn.radii - 1], -1).int()[None]}
         return picture[None], drawn.alpha[None, ..., None], extras
@@ -105,3 +108,10 @@ def test_rows_that_are_not_finite_never_reach_gsplat(stand_in):
     (got,) = cuda.rasterize(Gaussians(means, axes, *parts[3:]), Camera(view, K, 61, 45), [ground])
     assert stand_in["count"] == 39 and got.dropped == 1 and len(got.radii) == 40 and got.radii[row] == 0
     assert torch.allclose(got.image, holed.image, atol=1e-4) and not torch.allclose(got.image, good.image, atol=1e-4)
+
+
+def test_nothing_of_a_picture_is_held_once_its_gradient_is_known(stand_in):
+    parts, (view, K) = gaussians(40), camera()
+    draw(SimpleNamespace(rasterize=cuda.rasterize, gaussian_axes=reference.gaussian_axes), parts, view, K)
+    gc.collect()
+    assert stand_in["at"]() is None, "the hook and the tensor that it hangs on hold each other: memory grows by each step"
