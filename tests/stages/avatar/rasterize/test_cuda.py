@@ -114,4 +114,6 @@ def test_nothing_of_a_picture_is_held_once_its_gradient_is_known(stand_in):
     parts, (view, K) = gaussians(40), camera()
     draw(SimpleNamespace(rasterize=cuda.rasterize, gaussian_axes=reference.gaussian_axes), parts, view, K)
     gc.collect()
-    assert stand_in["at"]() is None, "the hook and the tensor that it hangs on hold each other: memory grows by each step"
+    assert stand_in["at"]() is None, (
+        "the hook and the tensor that it hangs on hold each other: memory grows by each step"
+    )
