@@ -126,22 +126,18 @@ def frame_speeds(views: Views, body: Person | None) -> Speeds:
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:
     """Window (left, top, right, bottom) px of the picture around the person's mask[H,W] and points[N,3] in the world."""
     height, width = mask.shape
-    rows, columns = (mask > 0.5).any(1).nonzero()[:, 0], (mask > 0.5).any(0).nonzero()[:, 0]
-    low, high = [], []
+    marked, found = mask > 0.5, []
+    rows, columns = marked.any(1).nonzero()[:, 0], marked.any(0).nonzero()[:, 0]
     if len(rows):
-        low.append(torch.stack([columns[0], rows[0]]))
-        high.append(torch.stack([columns[-1], rows[-1]]) + 1)
+        found.append(torch.stack([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]).to(points))
     local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     local = local[local[:, 2] > NEAR]
     if len(local):
-        at = local[:, :2] / local[:, 2:] * torch.stack([K[0, 0], K[1, 1]]) + K[:2, 2]
-        low.append(at.amin(0).floor())
-        high.append(at.amax(0).ceil())
-    if not low:
+        at = local[:, :2] / local[:, 2:] * K.diagonal()[:2] + K[:2, 2]
+        found.append(torch.cat([at.amin(0).floor(), at.amax(0).ceil()]))
+    if not found:
         return 0, 0, width, height
-    size = torch.tensor([width, height])
-    start = (
-        (torch.stack([p.cpu().float() for p in low]).amin(0) - CROP).clamp(torch.zeros(2), size - 1.0).int().tolist()
-    )
-    end = (torch.stack([p.cpu().float() for p in high]).amax(0) + CROP).clamp(torch.ones(2), size * 1.0).int().tolist()
-    return start[0], start[1], max(end[0], start[0] + 1), max(end[1], start[1] + 1)
+    boxes = list(zip(*torch.stack(found).tolist()))
+    left, top = (int(min(size - 1, max(0, min(box) - CROP))) for box, size in zip(boxes[:2], (width, height)))
+    right, bottom = (int(min(size, max(1, max(box) + CROP))) for box, size in zip(boxes[2:], (width, height)))
+    return left, top, max(right, left + 1), max(bottom, top + 1)

@@ -5,6 +5,8 @@ All functions keep dtype, device and leading dimensions. NaN goes through as NaN
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor
 
@@ -12,6 +14,12 @@ SERIES_BELOW = 1e-4
 """Squared angle under which the sine quotients are series: the first dropped term is s**3/5040 < 2e-16."""
 FLOOR_6D = 1e-3
 """Length under which a 6D half counts as having no direction; bounds the gradient by its inverse."""
+
+
+@lru_cache(maxsize=64)
+def constant(dtype: torch.dtype, device: torch.device, *numbers: float) -> Tensor:
+    """Numbers that never change, on a device: a copy of each to a GPU would wait for it. Nobody may write into it."""
+    return torch.tensor(numbers, dtype=dtype, device=device)
 
 
 def matrix_from_rotvec(rotvec: Tensor) -> Tensor:
@@ -79,7 +87,9 @@ def matrix_from_quat(quat: Tensor) -> Tensor:
     overflow. The zero quaternion has zero gradient.
     """
     largest = quat.detach().abs().amax(-1, keepdim=True)
-    q = torch.where(largest == 0, torch.tensor([1.0, 0, 0, 0]).to(quat), quat / torch.where(largest == 0, 1.0, largest))
+    q = torch.where(
+        largest == 0, constant(quat.dtype, quat.device, 1, 0, 0, 0), quat / torch.where(largest == 0, 1.0, largest)
+    )
     w, v = q[..., 0, None, None], q[..., 1:]
     k = cross_matrix(v)
     double = 2 / (q * q).sum(-1)[..., None, None]
@@ -93,7 +103,7 @@ def matrix_from_6d(six: Tensor) -> Tensor:
     axis stands in without gradient, so the gradient never passes about 1/FLOOR_6D.
     """
     a, b = (_tamed(half) for half in six.unflatten(-1, (2, 3)).unbind(-2))
-    e1 = _unit_or(a, _short(a), torch.tensor([1.0, 0, 0]).to(a).expand_as(a))
+    e1 = _unit_or(a, _short(a), constant(a.dtype, a.device, 1, 0, 0).expand_as(a))
     u = b - (e1 * b).sum(-1, keepdim=True) * e1
     least = torch.nn.functional.one_hot(e1.detach().abs().argmin(-1), 3).to(e1)
     e2 = _unit_or(u, _flat(u, b), least - (e1 * least).sum(-1, keepdim=True) * e1.detach())
@@ -110,10 +120,10 @@ def rotation_z_to(normals: Tensor) -> Tensor:
     """
     largest = normals.detach().abs().amax(-1, keepdim=True)
     zero = largest == 0
-    n = torch.where(zero, torch.tensor([0.0, 0, 1]).to(normals), normals / torch.where(zero, 1.0, largest))
+    n = torch.where(zero, constant(normals.dtype, normals.device, 0, 0, 1), normals / torch.where(zero, 1.0, largest))
     n = n / n.norm(dim=-1, keepdim=True)
     down = n[..., 2:] < 0
-    half_turn = torch.tensor([1.0, -1, -1]).to(normals)
+    half_turn = constant(normals.dtype, normals.device, 1, -1, -1)
     x, y, z = torch.where(down, n * half_turn, n).unbind(-1)
     k = 1 / (1 + z)
     rows = [1 - x * x * k, -x * y * k, x, -x * y * k, 1 - y * y * k, y, -x, -y, z]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor, nn
 
 from stages import records
-from stages.avatar.body.rotations import matrix_from_rotvec
+from stages.avatar.body.rotations import constant, matrix_from_rotvec
 
 DA_POSE = torch.zeros(69)
 """The canonical pose [69] rad: all at rest but the legs apart, left hip +1 and right hip -1 about z."""
@@ -143,25 +145,23 @@ def rest_relative_transforms(joints: Tensor, rotations: Tensor, parents: list[in
     `joints` [24,3] or [...,24,3] at rest, local `rotations` [...,24,3,3], root first. The root turns about the pelvis
     joint, which stays where it is.
     """
-    joints = joints.expand(*rotations.shape[:-3], 24, 3)
-    world_r, world_t = [rotations[..., :1, :, :]], [joints[..., :1, :]]
-    order = [0]
-    for level in _levels(parents):
-        up = [order.index(parents[k]) for k in level]
-        parent_r, parent_t = torch.cat(world_r, -3)[..., up, :, :], torch.cat(world_t, -2)[..., up, :]
-        bone = joints[..., level, :] - joints[..., [parents[k] for k in level], :]
-        world_r.append(parent_r @ rotations[..., level, :, :])
-        world_t.append(parent_t + (parent_r @ bone[..., None])[..., 0])
-        order += level
-    back = [order.index(k) for k in range(24)]
-    turn, place = torch.cat(world_r, -3)[..., back, :, :], torch.cat(world_t, -2)[..., back, :]
+    count = len(parents)
+    above, *further = _ancestors(tuple(parents), joints.device)
+    joints = joints.expand(*rotations.shape[:-3], count, 3)
+    origin = joints.new_zeros(()).expand(*joints.shape[:-2], 1, 3)  # what the root hangs from
+    bones = joints - torch.cat([joints, origin], -2).index_select(-2, above[:count])
+    still = torch.eye(4).to(joints).expand(*joints.shape[:-2], 1, 4, 4)
+    world = torch.cat([affine(rotations, bones), still], -3)
+    for rows in (above, *further):  # a product of 1, 2, 4, 8 transforms with as many before it
+        world = world.index_select(-3, rows) @ world
+    turn, place = world[..., :count, :3, :3], world[..., :count, :3, 3]
     return affine(turn, place - (turn @ joints[..., None])[..., 0])
 
 
 def affine(rotation: Tensor, translation: Tensor) -> Tensor:
     """Rotations [...,3,3] and translations [...,3] to 4x4 matrices."""
     top = torch.cat([rotation, translation[..., None]], -1)
-    last = torch.tensor([0.0, 0, 0, 1]).to(top).expand(*top.shape[:-2], 1, 4)
+    last = constant(top.dtype, top.device, 0, 0, 0, 1).expand(*top.shape[:-2], 1, 4)
     return torch.cat([top, last], -2)
 
 
@@ -202,9 +202,15 @@ def edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
     return total / count.clamp_min(1)
 
 
-def _levels(parents: list[int]) -> list[list[int]]:
-    """Joints by depth below the root, so that one matrix product does a whole level."""
-    depth = [0] * len(parents)
-    for joint, parent in enumerate(parents[1:], start=1):
-        depth[joint] = depth[parent] + 1
-    return [[j for j, d in enumerate(depth) if d == level] for level in range(1, max(depth) + 1)]
+@lru_cache(maxsize=8)
+def _ancestors(parents: tuple[int, ...], device: torch.device) -> tuple[Tensor, ...]:
+    """Of each joint the row of its parent, of the one 2, 4, 8 above it and so on while there is any; the row past all joints
+    stands for none.
+    """
+    none = len(parents)
+    rows = torch.tensor([*(parent if 0 <= parent != joint else none for joint, parent in enumerate(parents)), none])
+    found = []
+    while (rows < none).any():
+        found.append(rows.to(device))
+        rows = rows[rows]
+    return tuple(found) or (rows.to(device),)

@@ -105,11 +105,14 @@ class Shadow(nn.Module):
 
     def light_shares(self, points: Tensor, body: Casters) -> Tensor:
         """Share [M] of the light that reaches points[M,3] past the posed `body`, from 1 - darkness to 1."""
-        return 1 - self.darkness.sigmoid() * (1 - (-self.thickness(points, body)).exp())
+        return self._share(self.thickness(points, body))
 
     def thickness(self, points: Tensor, body: Casters) -> Tensor:
         """Optical depth [M] of the posed `body` between the lamp and points[M,3]."""
-        turn = rotation_z_to(self.light())
+        return self._thickness(points, body, rotation_z_to(self.light()))
+
+    def _thickness(self, points: Tensor, body: Casters, turn: Tensor) -> Tensor:
+        """As `thickness`; `turn` [3,3] takes +z to the light."""
         at, middles = points @ turn, body.middles @ turn
         spread = self.size.exp() * (turn.T @ body.covariances @ turn)
         a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
@@ -122,10 +125,9 @@ class Shadow(nn.Module):
         thick = self.density.exp() * (-0.5 * distance).exp() * before
         return thick.sum(1)
 
-    def rows_in_reach(self, points: Tensor, body: Casters) -> Tensor:
-        """Rows of points[N,3] that any part of the posed `body` may shade."""
+    def _rows_in_reach(self, points: Tensor, body: Casters, turn: Tensor) -> Tensor:
+        """Rows of points[N,3] that any part of the posed `body` may shade; `turn` [3,3] takes +z to the light."""
         with torch.no_grad():
-            turn = rotation_z_to(self.light())
             at, middles = points @ turn, body.middles @ turn
             wide = (self.size.exp() * (turn.T @ body.covariances @ turn)).diagonal(dim1=1, dim2=2)[:, :2].amax()
             reach = REACH * (wide + (2 * self.softness).exp()).sqrt()
@@ -138,8 +140,10 @@ class Shadow(nn.Module):
         bodies = [self._body(stance) for stance in stances]
         if len(bodies) > 1:
             return self.light_past(points, bodies)
-        rows = self.rows_in_reach(points, bodies[0])
-        return torch.ones_like(points[:, 0]).index_put((rows,), self.light_shares(points[rows], bodies[0]))
+        turn = rotation_z_to(self.light())
+        rows = self._rows_in_reach(points, bodies[0], turn)
+        shares = self._share(self._thickness(points[rows], bodies[0], turn))
+        return torch.ones_like(points[:, 0]).index_put((rows,), shares)
 
     @torch.no_grad()
     def _body(self, stance: Stance) -> Casters:
@@ -148,10 +152,13 @@ class Shadow(nn.Module):
 
     def light_past(self, points: Tensor, bodies: Iterable[Casters]) -> Tensor:
         """Share [N] of the light that reaches points[N,3] past several posed bodies: what lies behind two is behind more."""
-        thick = torch.zeros_like(points[:, 0])
+        thick, turn = torch.zeros_like(points[:, 0]), rotation_z_to(self.light())
         for body in bodies:
-            rows = self.rows_in_reach(points, body)
-            thick = thick.index_add(0, rows, self.thickness(points[rows], body))
+            rows = self._rows_in_reach(points, body, turn)
+            thick = thick.index_add(0, rows, self._thickness(points[rows], body, turn))
+        return self._share(thick)
+
+    def _share(self, thick: Tensor) -> Tensor:
         return 1 - self.darkness.sigmoid() * (1 - (-thick).exp())
 
     def forward(self, scene: Splats, *stances: Stance) -> Splats:
