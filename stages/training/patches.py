@@ -33,9 +33,8 @@ class PatchLoss:
             target, where = image, image.new_zeros(image.shape[:2])
         else:
             target, where = losses.over_background(image, mask, background), mask
-        total = rendered.new_zeros(())
-        for _ in range(params.perceptual_patches):
-            at = losses.random_patch(where, SIDE, self.generator)
-            if min(target[at].shape[:2]) >= network.smallest:
-                total = total + network(rendered[at], target[at])
-        return params.perceptual_weight / params.perceptual_patches * total
+        patches = [losses.random_patch(where, SIDE, self.generator) for _ in range(params.perceptual_patches)]
+        if min(target[patches[0]].shape[:2]) < network.smallest:  # all are of one size
+            return 0.0
+        pairs = (torch.stack([picture[at] for at in patches]) for picture in (rendered, target))
+        return params.perceptual_weight * network(*pairs).mean()

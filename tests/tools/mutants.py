@@ -175,7 +175,7 @@ MUTANTS = (
     Mutant(
         "14-12 G06 a frame without a person",
         "stages/training/views.py",
-        "    if not low:\n        return 0, 0, width, height\n",
+        "    if not found:\n        return 0, 0, width, height\n",
         "",
         "tests/stages/training/test_fit.py::person_box_is_always_a_window_of_the_picture",
     ),

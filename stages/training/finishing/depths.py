@@ -52,5 +52,5 @@ def _sights(person: Canonical, body: Person, views: Views, frames: list[int]) ->
         # transposed, not inverted: a blend of turns is nearly a turn, and may be singular
         sight = F.normalize((splats.axes.mT @ sight[..., None])[..., 0], dim=1)
         looks += sight[:, :, None] * sight[:, None, :]
-    shares, lines = torch.linalg.eigh(looks)
+    shares, lines = (found.to(looks) for found in torch.linalg.eigh(looks.cpu()))  # a GPU would take gigabytes
     return lines[..., -1], shares[:, -1] / shares.sum(1).clamp_min(1e-12)
