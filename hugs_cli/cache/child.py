@@ -51,14 +51,13 @@ def prepare() -> None:
     training step 7 %: they spin a thousand times, a few microseconds. OpenBLAS, which numpy and scipy use, spins for
     longer: with two threads `survey` took 32 to 200 s beside one busy process in place of 7, and alone no stage is faster.
     Libraries count the machine's processors, not the container's; pycolmap corrupts the heap unless the system's zlib
-    was loaded before it. A GPU convolves with 10 bits of mantissa unless told not to: SSIM is a difference of two of these.
+    was loaded before it.
     """
     import zlib  # noqa: F401
 
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("NVIDIA_TF32_OVERRIDE", "0")
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, str(processors()))
 

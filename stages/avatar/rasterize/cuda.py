@@ -21,20 +21,26 @@ def rasterize(
     """
     if other := [layer.stop for layer in layers if layer.stop != T_STOP]:
         raise ValueError(f"gsplat ends pixels at {T_STOP:g} of the light, not at {other[0]:g}")
-    grad = torch.zeros(len(gaussians.means), 2, device=gaussians.means.device)
-    return [_draw(gaussians, camera, layer, near, grad) for layer in layers]
-
-
-def _draw(gaussians: Gaussians, camera: Camera, layer: Layer, near: float, grad: Tensor) -> Rendering:
-    from gsplat import rasterization
-
     *parts, antialias = gaussians
     means, axes, opacities, colors = parts
-    viewmat, K, width, height = camera
+    grad = torch.zeros(len(means), 2, device=means.device)
     finite = torch.stack([part.detach().isfinite()[:, None].flatten(1).all(1) for part in parts]).all(0)
+    axes = torch.where(finite[:, None, None], axes, 0)
+    seen = (means, axes @ axes.mT, opacities, colors)
+    return [_draw(seen, antialias, camera, layer, near, finite, grad) for layer in layers]
+
+
+def _draw(
+    parts: tuple[Tensor, ...], antialias: bool, camera: Camera, layer: Layer, near: float, finite: Tensor, grad: Tensor
+) -> Rendering:
+    """One layer of the `finite` [N] of N Gaussians: means, covariances, opacities and colours; adds to `grad` [N,2]."""
+    from gsplat import rasterization
+
+    means, covariances, opacities, colors = parts
+    viewmat, K, width, height = camera
     rows = (finite if layer.rows is None else finite & layer.rows).nonzero()[:, 0]
     if len(rows) < len(means):  # one NaN would spread over whole tiles
-        means, axes, opacities, colors = (part[rows] for part in parts)
+        means, covariances, opacities, colors = (part.index_select(0, rows) for part in parts)
     left, top, right, bottom = layer.window or (0, 0, width, height)
     K = K - torch.tensor([[0, 0, left], [0, 0, top], [0, 0, 0]]).to(K)
     picture, alpha, extras = rasterization(
@@ -54,7 +60,7 @@ def _draw(gaussians: Gaussians, camera: Camera, layer: Layer, near: float, grad:
         render_mode="RGB+D",
         absgrad=True,
         rasterize_mode="antialiased" if antialias else "classic",
-        covars=axes @ axes.mT,
+        covars=covariances,
     )
     at = extras["means2d"]
     where = torch.full((len(finite), 2), torch.nan, device=means.device)
