@@ -150,7 +150,7 @@ def rest_relative_transforms(joints: Tensor, rotations: Tensor, parents: list[in
     joints = joints.expand(*rotations.shape[:-3], count, 3)
     origin = joints.new_zeros(()).expand(*joints.shape[:-2], 1, 3)  # what the root hangs from
     bones = joints - torch.cat([joints, origin], -2).index_select(-2, above[:count])
-    still = torch.eye(4).to(joints).expand(*joints.shape[:-2], 1, 4, 4)
+    still = torch.eye(4, dtype=joints.dtype, device=joints.device).expand(*joints.shape[:-2], 1, 4, 4)
     world = torch.cat([affine(rotations, bones), still], -3)
     for rows in (above, *further):  # a product of 1, 2, 4, 8 transforms with as many before it
         world = world.index_select(-3, rows) @ world
@@ -210,7 +210,7 @@ def _ancestors(parents: tuple[int, ...], device: torch.device) -> tuple[Tensor, 
     none = len(parents)
     rows = torch.tensor([*(parent if 0 <= parent != joint else none for joint, parent in enumerate(parents)), none])
     found = []
-    while (rows < none).any():
+    while (rows < none).any() and len(found) < none:  # parents in a ring have no end
         found.append(rows.to(device))
         rows = rows[rows]
     return tuple(found) or (rows.to(device),)
