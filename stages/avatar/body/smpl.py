@@ -209,7 +209,7 @@ def _ancestors(parents: tuple[int, ...], device: torch.device) -> tuple[Tensor, 
     """
     none = len(parents)
     rows = torch.tensor([*(parent if 0 <= parent != joint else none for joint, parent in enumerate(parents)), none])
-    found = []
+    found: list[Tensor] = []
     while (rows < none).any() and len(found) < none:  # parents in a ring have no end
         found.append(rows.to(device))
         rows = rows[rows]
