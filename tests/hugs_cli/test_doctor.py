@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -54,3 +57,14 @@ def test_exit_code_says_whether_something_needed_is_missing(cache):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     findings = [Finding(**row) for row in json.loads(done.stdout)]
     assert done.returncode == 1 and not all(finding.ok for finding in findings)
+
+
+def test_gsplat_that_is_built_needs_no_compiler(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: SimpleNamespace(submodule_search_locations=[tmp_path])
+    )
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "1.5.3")
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert not doctor.gsplat().ok and "nvcc" in doctor.gsplat().hint
+    (tmp_path / "csrc.cpython-312-x86_64-linux-gnu.so").touch()
+    assert doctor.gsplat().ok
