@@ -13,7 +13,12 @@ from stages.contract import StageError
 from stages.formats.budget import Budget
 
 KEPT = 1 << 28  # bytes of pictures that `Kept` holds
-PNG_LEVEL = 3  # zlib level: half the time of the default 6 for 4 % larger files
+# Each byte is written as its difference to a guess from its neighbours, and only runs are packed: less than half of the
+# time of zlib's search at level 3, and photos are as small.
+PNG = [
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
+    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_PAETH),
+]
 TURNS = {3: 2, 6: -1, 8: 1}  # EXIF orientation -> quarter turns counter-clockwise that put the picture upright
 
 
@@ -127,7 +132,7 @@ def write_uint8(path: Path, pixels: np.ndarray) -> None:
     stored = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]] if pixels.shape[2] > 1 else pixels
     suffix = Path(path).suffix
     try:
-        _, data = cv2.imencode(suffix, stored, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL] if suffix == ".png" else [])
+        _, data = cv2.imencode(suffix, stored, PNG if suffix == ".png" else [])
         Path(path).write_bytes(data.tobytes())
     except (cv2.error, OSError) as error:
         raise StageError(f"cannot write {path}", "check the disk and the folder", [first_line(str(error))]) from error

@@ -6,11 +6,14 @@ a small error. So a few hundred points are asked first whether a camera that may
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from stages.contract import Job
 from stages.estimators.cameras import colmap_lens
-from stages.estimators.cameras.adjustment import Bundle, adjust
+from stages.estimators.cameras.adjustment import Adjusted, Bundle, adjust
 from stages.estimators.cameras.colmap import Model
 from stages.estimators.cameras.intrinsics import Prior, spreads
 
@@ -31,10 +34,12 @@ def model_changes(
     """
     size = (width, height)
     start, seen, _ = colmap_lens.bundle_of(model.reconstruction, size, ASKED)
-    plain, free = (
-        adjust(_with(start, knots), seen, rolls, prior.focal, prior.spread, LOOK)
-        for knots, rolls in ((1, False), (KNOTS, True))
-    )
+
+    def asked(knots: int, rolls: bool) -> Adjusted:
+        return adjust(_with(start, knots), seen, rolls, prior.focal, prior.spread, LOOK)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        plain, free = pool.map(asked, (1, KNOTS), (False, True))
     if free.cost > (1 - WORTH) * plain.cost:
         return None
     start, seen, points = colmap_lens.bundle_of(model.reconstruction, size, KEPT)

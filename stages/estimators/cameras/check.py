@@ -8,7 +8,7 @@ import numpy as np
 
 from stages.avatar.cameras.pinhole import project
 from stages.contract import Job, StageError
-from stages.estimators.cameras import colmap
+from stages.estimators.cameras import colmap, colmap_features
 from stages.estimators.cameras.colmap import Cloud
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
@@ -33,11 +33,11 @@ def triangulate(job: Job, found: Pinholes, size: tuple[int, int], features: int,
     images, shared = job.out / "images", bool((found.Ks == found.Ks[0]).all())
     write_ignored(found.names, job.out, scratch / "ignored", side)
     first = colmap.pinhole_params(found.Ks[0])
-    colmap.extract(database, images, scratch / "ignored", files, features, first, "PINHOLE", shared)
+    colmap_features.extract(database, images, scratch / "ignored", files, features, first, "PINHOLE", shared)
     if not shared:
-        colmap.set_pinholes(database, found.Ks)
-    colmap.match(database, len(files).bit_length(), growing=True, side=side)
-    pairs, _ = colmap.read_pairs(database, files)
+        colmap_features.set_pinholes(database, found.Ks)
+    colmap_features.match(database, len(files).bit_length(), growing=True, side=side)
+    pairs, _ = colmap_features.read_pairs(database, files)
     error = match_error(pairs, found.viewmats, found.Ks)
     found.facts |= {"verified_pairs": len(pairs), "epipolar_px": error}
     if error is None:

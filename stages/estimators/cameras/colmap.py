@@ -1,4 +1,4 @@
-"""COLMAP's features, matches and mappers through pycolmap: with `colmap_lens` the only module that imports it.
+"""COLMAP's mappers and models through pycolmap: with `colmap_features` and `colmap_lens` the only module that imports it.
 
 pycolmap must come after something that loads the system zlib: imported first, its own static copy answers for the
 system's and the next PNG write aborts the process.
@@ -7,29 +7,24 @@ system's and the next PNG write aborts the process.
 from __future__ import annotations
 
 import math
-import os
 import zlib  # noqa: F401  before pycolmap, see above
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pycolmap
 
 from stages.avatar.cameras import lens
-from stages.estimators.cameras.features import sift
-from stages.estimators.cameras.motion import Pair
 from stages.formats.given_cameras.record import Lens, widest_angles
-from stages.formats.images import read_image, read_mask
 
-SEED = 1  # of every random draw in COLMAP
-MATCH_ERROR, LEAST_ERROR = 0.002, 1.0  # of the longer side, and px: COLMAP's 4 px suit photographs, not 480 px frames
-TRACKS = 200  # longest tracks a frame to map with; all take four times as long and are as far off: 0.65 mm in 2.6 m
-TOLERANCE = 1e-4  # of the cost: smaller changes end the global mapper's adjustments; 1e-5 takes 10 to 20 % longer
+SEED = 1  # of every random draw of a mapper
+TRACKS = (
+    100  # longest tracks a frame to map with; with all it takes three times as long, and is as far off once refined
+)
+TOLERANCE = 3e-4  # of the cost: smaller changes end the global mapper's adjustments; 1e-4 takes 20 % longer
+STRAY, CLOSER = 0.5, 1e-4  # px; of the cost: where `refined` ends
 ADJUSTMENTS = 8  # bundle adjustments of the global mapper, of which each gets this part of its time
-TRIALS = 30, 1.5  # at least, and how many times as many as needed; COLMAP's 100 and 3 find 0.4 % more matches
 DENSE = 200  # frames; up to so many, the solver takes each pair of frames to share points: nearly all do
 CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
 
@@ -92,83 +87,6 @@ class Model:
         }
 
 
-def extract(
-    database: Path,
-    images: Path,
-    masks: Path,
-    files: list[str],
-    features: int,
-    camera: list[float],
-    model: str = "SIMPLE_RADIAL",
-    shared: bool = True,
-    extracted: Callable[[int], None] = lambda done: None,
-) -> None:
-    """SIFT features of `files` in `images` outside the person, into `database`, for one camera, or one a file.
-
-    `masks` holds a file of the same name for each image, 0 = ignore. `camera` has the numbers of its `model` (focal,
-    cx, cy, k), or none for COLMAP's guess of 1.2 times the longer side. `extracted(done)` is called after each file.
-    """
-    reader = pycolmap.ImageReaderOptions()
-    reader.camera_model = model
-    reader.camera_params = ",".join(repr(float(value)) for value in camera)
-    mode = pycolmap.CameraMode.SINGLE if shared else pycolmap.CameraMode.PER_IMAGE
-    pycolmap.Database.open(database).close()
-    pycolmap.import_images(database, images, camera_mode=mode, image_names=files, options=reader)
-
-    def found(file: str) -> tuple[str, np.ndarray, np.ndarray]:
-        grey = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY)
-        return file, *sift(grey, read_mask(masks / file), features)
-
-    with pycolmap.Database.open(database) as store, ThreadPoolExecutor(os.cpu_count()) as pool:
-        stored = {image.name: image.image_id for image in store.read_all_images()}
-        for done, (file, spots, descriptors) in enumerate(pool.map(found, files), 1):
-            store.write_keypoints(stored[file], spots)
-            kind = pycolmap.FeatureExtractorType.SIFT
-            store.write_descriptors(stored[file], pycolmap.FeatureDescriptors(kind, descriptors))
-            extracted(done)
-
-
-def match(database: Path, overlap: int, growing: bool, side: int) -> None:
-    """Match and verify each frame with the next `overlap` frames, or, if `growing`, with those 1, 2, 4, 8 ... later.
-
-    `side` is the frames' longer side in px; it scales the error that a verified match may have.
-    """
-    matching = pycolmap.FeatureMatchingOptions()
-    matching.use_gpu, matching.num_threads = False, 1  # two threads find other matches from run to run, and no faster
-    pairing = pycolmap.SequentialPairingOptions()
-    pairing.overlap, pairing.quadratic_overlap = overlap, growing
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = SEED
-    verification.ransac.min_num_trials, verification.ransac.dyn_num_trials_multiplier = TRIALS
-    verification.ransac.max_error = max(MATCH_ERROR * side, LEAST_ERROR)
-    pycolmap.match_sequential(
-        database,
-        matching_options=matching,
-        pairing_options=pairing,
-        verification_options=verification,
-        device=pycolmap.Device.cpu,
-    )
-
-
-def read_pairs(database: Path, files: list[str]) -> tuple[list[Pair], np.ndarray]:
-    """Verified pairs of frames in clip order, and the number of features of each frame [C]."""
-    with pycolmap.Database.open(database) as store:
-        ids = {image.image_id: files.index(image.name) for image in store.read_all_images()}
-        keypoints = {i: store.read_keypoints(i)[:, :2].astype(np.float64) for i in ids}
-        pairs = []
-        for pair_id, geometry in zip(*store.read_two_view_geometries(), strict=True):
-            first, second = pycolmap.pair_id_to_image_pair(pair_id)
-            a, b = (keypoints[i][geometry.inlier_matches[:, side]] for side, i in enumerate((first, second)))
-            if ids[first] > ids[second]:
-                first, second, a, b = second, first, b, a
-            if len(a):
-                pairs.append(Pair(ids[first], ids[second], a, b))
-    counts = np.zeros(len(files), dtype=int)
-    for image_id, position in ids.items():
-        counts[position] = len(keypoints[image_id])
-    return sorted(pairs, key=lambda pair: (pair.first, pair.second)), counts
-
-
 def map_incremental(
     database: Path,
     images: Path,
@@ -209,6 +127,29 @@ def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal:
     out.mkdir()
     models = pycolmap.global_mapping(database, images, out, options)
     return [Model(model) for model in models.values()]
+
+
+def robust(count: int) -> pycolmap.BundleAdjustmentOptions:
+    """Options to adjust a model of `count` frames so that matches over STRAY px off hardly pull; it must begin near the end.
+
+    Shadows and clothes give matches that move. COLMAP's loss (Huber's, 1 px) lets them pull cameras twice as far off; this one
+    (Cauchy's) has false ends, but not near the right one.
+    """
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.CAUCHY, STRAY
+    options.ceres.solver_options.num_threads = 1  # more threads sum in another order
+    if count <= DENSE:
+        options.ceres.solver_options.linear_solver_type = "DENSE_SCHUR"  # type: ignore[assignment]  # takes names
+    return options
+
+
+def refine(model: Model, fixed_focal: bool) -> None:
+    """Adjust all cameras and points of a model that a mapper made once more, by `robust`."""
+    options = robust(model.registered)
+    options.refine_focal_length = not fixed_focal
+    options.ceres.solver_options.function_tolerance = CLOSER
+    pycolmap.bundle_adjustment(model.reconstruction, options)
+    model.reconstruction.update_point_3d_errors()
 
 
 @dataclass(frozen=True)
@@ -266,14 +207,6 @@ def triangulate(
     out.mkdir()
     model = posed_model(files, viewmats, Ks, *size)
     return pycolmap.triangulate_points(model, database, images, out, options=options)
-
-
-def set_pinholes(database: Path, Ks: np.ndarray) -> None:
-    """Give each of a database's cameras, one a file in order, its own pinhole."""
-    with pycolmap.Database.open(database) as store:
-        for camera, K in zip(sorted(store.read_all_cameras(), key=lambda c: c.camera_id), Ks, strict=True):
-            camera.params = pinhole_params(K)
-            store.update_camera(camera)
 
 
 def camera_of(lens: Lens) -> pycolmap.Camera:

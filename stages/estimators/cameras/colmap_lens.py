@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 
 from stages.estimators.cameras.adjustment import Bundle, Observations, rolled
+from stages.estimators.cameras.colmap import robust
 
 HALF, SOME = 6, 800  # pictures of half a clip at least; points that its focal length is taken from
 
@@ -43,8 +44,8 @@ def half_focals(model: pycolmap.Reconstruction) -> tuple[float, float] | None:
         for i in order:
             if i not in half:
                 part.deregister_frame(part.images[i].frame_id)
-        options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-        options.ceres.solver_options.num_threads, options.ceres.solver_options.max_num_iterations = 1, 15
+        options = robust(len(half))
+        options.ceres.solver_options.max_num_iterations = 15
         pycolmap.bundle_adjustment(part, options)
         found.append(float(next(iter(part.cameras.values())).params[0]))
     return found[0], found[1]
@@ -54,9 +55,8 @@ def hold_lens(model: pycolmap.Reconstruction, focal: float, k: float) -> None:
     """Give a model's one SIMPLE_RADIAL camera this lens, and adjust poses and points to it."""
     for camera in model.cameras.values():
         camera.params = [focal, *camera.params[1:3], k]
-    options = pycolmap.BundleAdjustmentOptions()
+    options = robust(model.num_reg_images())
     options.refine_focal_length = options.refine_extra_params = False
-    options.ceres.solver_options.num_threads = 1  # more threads sum in another order
     pycolmap.bundle_adjustment(model, options)
 
 

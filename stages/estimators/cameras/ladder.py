@@ -14,7 +14,7 @@ from pathlib import Path
 from time import perf_counter
 
 from stages.contract import Job
-from stages.estimators.cameras import colmap
+from stages.estimators.cameras import colmap, colmap_features
 from stages.estimators.cameras.colmap import Model
 
 GOOD_SHARE = 0.9  # of the frames: a model with fewer is not good enough to stop
@@ -101,7 +101,7 @@ def by_incremental(matched: Matched, out: Path, placed: Callable[[], None], clos
 
 def after_matching(mapping: Mapping, matched: Matched, out: Path, placed: Callable[[], None]) -> list[Model]:
     """`mapping` after each frame is matched with more later frames; pairs matched before stay."""
-    colmap.match(matched.database, max(MORE, 2 * matched.overlap), growing=False, side=matched.side)
+    colmap_features.match(matched.database, max(MORE, 2 * matched.overlap), growing=False, side=matched.side)
     return mapping(matched, out, placed)
 
 

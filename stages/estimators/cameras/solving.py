@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from stages.contract import Job
-from stages.estimators.cameras import colmap, colmap_lens, short_walk
+from stages.estimators.cameras import colmap_features, colmap_lens, short_walk
 from stages.estimators.cameras.changing import model_changes
-from stages.estimators.cameras.colmap import Model
+from stages.estimators.cameras.colmap import Model, refine
 from stages.estimators.cameras.intrinsics import Prior, settle, spreads, usual
 from stages.estimators.cameras.ladder import Matched, best_rung, climb
 from stages.estimators.cameras.motion import CameraMotion, Pair, camera_rotations, judge_motion
@@ -156,12 +156,12 @@ def match_frames(task: Task, ignored: Path, database: Path) -> tuple[list[Pair],
         task.job.progress(30 * done // count, 100)
 
     with task.parts.timed("features"):
-        colmap.extract(database, task.images, ignored, task.files, task.features, camera, extracted=extracted)
+        colmap_features.extract(database, task.images, ignored, task.files, task.features, camera, extracted=extracted)
     with task.parts.timed("matches"):
-        colmap.match(database, count.bit_length(), growing=True, side=task.side)
+        colmap_features.match(database, count.bit_length(), growing=True, side=task.side)
         if task.overlap > 2:
-            colmap.match(database, task.overlap, growing=False, side=task.side)
-        pairs, counts = colmap.read_pairs(database, task.files)
+            colmap_features.match(database, task.overlap, growing=False, side=task.side)
+        pairs, counts = colmap_features.read_pairs(database, task.files)
     features = {"min": int(counts.min()), "median": float(np.median(counts))}
     return pairs, {"features": features, "verified_pairs": len(pairs)}
 
@@ -196,6 +196,8 @@ def solve_walk(
     facts["mapper"] = rung.how
     facts["trouble"] = footage.require(job, [model.placed_frames(names) for model in rung.models], tried)
     best = rung.models[0]
+    with task.parts.timed("refined"):
+        refine(best, matched.fixed_focal)
     if not matched.fixed_focal:
         with task.parts.timed("lens"):
             changed = model_changes(job, best, *task.size, task.prior)

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from stages.contract import Job, StageError
-from stages.estimators.cameras import colmap
+from stages.estimators.cameras import colmap_features
 from stages.estimators.cameras.ladder import GOOD_SHARE
 from stages.estimators.cameras.motion import Pair
 from stages.formats.images import read_image, read_mask, shrink
@@ -57,7 +57,7 @@ class Footage:
             job.note(f"left out, because their cameras could not be found: {name_frames(self.names, ~posed[0])}")
             return None
         files = [f"{name}.png" for name in self.names]
-        pairs, features = colmap.read_pairs(self.database, files)
+        pairs, features = colmap_features.read_pairs(self.database, files)
         verdict = judge_cameras(self.names, posed, features, sharpness(self.images, self.ignored, files), pairs)
         why = f": {verdict.name}" if verdict.name else ""
         if have >= self.need:

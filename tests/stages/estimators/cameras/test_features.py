@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.estimators.cameras import colmap
+from stages.estimators.cameras import colmap_features
 from stages.estimators.cameras.features import sift
 from stages.formats.images import write_image, write_mask
 from tests.made.rooms import texture
@@ -56,12 +56,14 @@ def test_features_are_the_same_for_any_number_of_processors(tmp_path, monkeypatc
         write_mask(tmp_path / "masks" / file, np.full((120, 160), 255, np.uint8))
     found = []
     for count in (1, 4):
-        monkeypatch.setattr(colmap.os, "cpu_count", lambda count=count: count)
+        monkeypatch.setattr(colmap_features.os, "cpu_count", lambda count=count: count)
         done: list[int] = []
         database = tmp_path / f"{count}.db"
-        colmap.extract(database, tmp_path / "images", tmp_path / "masks", files, 100, [], extracted=done.append)
+        colmap_features.extract(
+            database, tmp_path / "images", tmp_path / "masks", files, 100, [], extracted=done.append
+        )
         assert done == [1, 2, 3, 4, 5, 6]
-        with colmap.pycolmap.Database.open(database) as store:
+        with colmap_features.pycolmap.Database.open(database) as store:
             ids = {image.name: image.image_id for image in store.read_all_images()}
             found.append([(store.read_keypoints(ids[f]), store.read_descriptors(ids[f]).data) for f in files])
     assert all(len(spots) > 20 for spots, _ in found[0])

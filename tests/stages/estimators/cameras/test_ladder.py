@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from stages import report
 from stages.avatar.cameras import pinhole as cameras
 from stages.contract import Job, StageError
-from stages.estimators.cameras import colmap, ladder, short_walk
+from stages.estimators.cameras import colmap, colmap_features, ladder, short_walk
 from stages.estimators.cameras.intrinsics import FOCAL_SPREAD
 from stages.estimators.cameras.ladder import Matched, Rung, best_rung, climb
 from stages.estimators.cameras.motion import Pair
@@ -52,8 +52,10 @@ def extracted(folder, views: np.ndarray, features: int = 1024, overlap: int | No
     names, files = NAMES[: len(views)], [f"{name}.png" for name in NAMES[: len(views)]]
     write_ignored(names, folder / "masks", folder / "ignored", room.WIDTH)
     matched = matched_of(folder, len(views), len(views))
-    colmap.extract(matched.database, matched.images, folder / "ignored", files, features, [])
-    colmap.match(matched.database, overlap or len(names).bit_length(), growing=overlap is None, side=room.WIDTH)
+    colmap_features.extract(matched.database, matched.images, folder / "ignored", files, features, [])
+    colmap_features.match(
+        matched.database, overlap or len(names).bit_length(), growing=overlap is None, side=room.WIDTH
+    )
     return matched
 
 
@@ -102,7 +104,7 @@ def test_every_mapper_is_told_when_to_stop_and_a_word_comes_before_each(monkeypa
     limits, events = [], []
     monkeypatch.setattr(colmap, "map_global", lambda *args: limits.append(args[5]) or [])
     monkeypatch.setattr(colmap, "map_incremental", lambda *args: limits.append(args[5]) or [])
-    monkeypatch.setattr(colmap, "match", lambda *args, **how: None)
+    monkeypatch.setattr(colmap_features, "match", lambda *args, **how: None)
     climb(Job(tmp_path, emit=events.append), matched_of(tmp_path))
     assert limits == [ladder.SECONDS] * len(ladder.RUNGS) and ladder.SECONDS < 300 / 2
     notes = [event for event in events if event["event"] == "note"]
@@ -164,12 +166,12 @@ def test_colmap_maps_with_a_small_first_angle_what_it_cannot_by_itself(close, mo
 
 def test_more_pairs_are_matched_and_i17_the_same_clip_gives_the_same_model(close, tmp_path):
     files = [f"{name}.png" for name in NAMES[:4]]
-    assert len(colmap.read_pairs(close.database, files)[0]) == 5
+    assert len(colmap_features.read_pairs(close.database, files)[0]) == 5
     made = []
     for i in range(2):
         models = ladder.RUNGS["global mapper, more pairs"](close, tmp_path / f"{i}", lambda: None)
         made.append([(model.facts(), {name: pose.tolist() for name, pose in model.poses.items()}) for model in models])
-    assert len(colmap.read_pairs(close.database, files)[0]) == 6
+    assert len(colmap_features.read_pairs(close.database, files)[0]) == 6
     assert made[0] == made[1] and made[0][0][0]["registered"] == 4
 
 
