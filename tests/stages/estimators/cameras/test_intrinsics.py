@@ -11,7 +11,7 @@ import pytest
 from stages.avatar.cameras.pinhole import look_at
 from stages.contract import Job
 from stages.estimators.cameras import colmap_lens
-from stages.estimators.cameras.colmap import Model
+from stages.estimators.cameras.colmap import Model, refine
 from stages.estimators.cameras.colmap_lens import lens_covariance
 from stages.estimators.cameras.intrinsics import USUAL_FOCAL, Prior, settle, usual, weigh
 
@@ -124,3 +124,42 @@ def test_halves_of_a_clip_without_a_zoom_agree_and_few_pictures_have_none():
     first, second = colmap_lens.half_focals(model_of(40, 200))
     assert first == pytest.approx(FOCAL, rel=0.02) and second == pytest.approx(FOCAL, rel=0.02)
     assert colmap_lens.half_focals(model_of(40, 60, views=8)) is None
+
+
+def off_the_arc(model: pycolmap.Reconstruction, degrees: float) -> float:
+    """How far the centres of `model_of`'s cameras lie from where they were taken, after the best similarity: rms."""
+    angles = np.radians(np.linspace(-degrees / 2, degrees / 2, model.num_reg_images()))
+    true = np.stack([4 * np.sin(angles), 0.1 * np.sin(3 * np.arange(1, len(angles) + 1)), 4 * np.cos(angles)], 1)
+    found = np.array([model.images[i].projection_center() for i in range(1, len(angles) + 1)])
+    sim = pycolmap.estimate_sim3d(found, true)
+    return float(np.sqrt(((sim * found - true) ** 2).sum(1).mean()))
+
+
+def test_matches_that_move_pull_the_cameras_hardly_once_they_are_refined():
+    """One point in four goes along with a shadow, by 2 px there and back: too little to be thrown out."""
+    model = model_of(20, 160, noise=0.05)
+    alone = off_the_arc(model, 20)
+    for image in model.images.values():
+        for k in range(0, len(image.points2D), 4):
+            image.points2D[k].xy = image.points2D[k].xy + 2 * np.sin(image.image_id * np.array([0.4, 0.5]))
+    huber = pycolmap.BundleAdjustmentOptions()
+    huber.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
+    pycolmap.bundle_adjustment(model, huber)
+    pulled, twin = off_the_arc(model, 20), pycolmap.Reconstruction(model)
+    refine(Model(model), fixed_focal=False)
+    assert pulled > 5 * alone and off_the_arc(model, 20) < 0.5 * pulled
+    assert lens_of(model)[0] == pytest.approx(FOCAL, rel=0.002)
+    refine(Model(twin), fixed_focal=False)
+    assert all((pose == Model(twin).poses[name]).all() for name, pose in Model(model).poses.items()), "the same bytes"
+    assert all(point.error == twin.points3D[i].error for i, point in model.points3D.items())
+
+
+def test_a_focal_length_that_is_known_stays_when_a_model_is_refined():
+    model = model_of(20, 60)
+    before = lens_of(model)[0]
+    for image in model.images.values():
+        image.points2D[0].xy = image.points2D[0].xy + [40 * (-1) ** image.image_id, 0]
+    refine(Model(model), fixed_focal=True)
+    assert lens_of(model)[0] == before
+    worst = max(model.points3D.items(), key=lambda item: item[1].error)[0]
+    assert worst == 1 and model.points3D[1].error > 5, "errors are those of the refined model"
