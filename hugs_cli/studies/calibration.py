@@ -27,7 +27,7 @@ LEVEL_TIMES: dict[str, dict[tuple[object, ...], float]] = {
     "sh": {(0,): 0.9, (1,): 1.0, (2,): 1.1, (3,): 1.2},
     "stop": {(1e-6,): 1.1, (1e-4,): 1.0, (1e-3,): 1.0, (1e-2,): 0.95},
     "perceptual": {("alex", 0): 1.0, ("alex", 4): 1.1, ("alex", 1): 1.3, ("vgg", 4): 1.5, ("vgg", 1): 3.2},
-    "features": {(1024,): 0.5, (2048,): 1.0, (4096,): 3.0},
+    "features": {(1024,): 0.7, (1536,): 1.0, (2048,): 1.3, (4096,): 4.0},
     "overlap": {(2,): 1.0, (5,): 1.8},
 }
 """Axis of a sweep -> level -> time of its stage, relative. The phone clip, 2 cores, November 2026."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -107,6 +109,10 @@ def write_ignored(names: list[str], masks: Path, out: Path, side: int) -> None:
     out.mkdir()
     reach = max(2, round(DILATION * side))
     brush = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    for name in names:
+
+    def write(name: str) -> None:
         person = (read_mask(masks / "masks" / f"{name}.png") >= PERSON).astype(np.uint8)
         write_mask(out / f"{name}.png", 255 * (1 - cv2.dilate(person, brush)))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(write, names))

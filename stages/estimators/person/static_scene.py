@@ -25,6 +25,7 @@ REACH = 0.05  # of the person's height, around the mask, in which pixels may cha
 RING = 0.20  # of the person's height, beyond, where the flow of the scene is measured
 CELL = 6  # px; of the points in a cell the nearest counts
 BLUR = 0.7  # px, of the difference of colours
+STEP = 4  # px; at each the scene's depth is asked
 NEAREST = 5  # points that a pixel's depth is the mean of, by their distance
 FLOW_BLUR = 9.0, 30.0  # px, over which the scene's flow is carried on behind the person: the nearer where it is known
 OUTSIDE = -1e4  # px: a place in no picture, for what lies behind the other camera
@@ -106,7 +107,7 @@ def _window(mask: np.ndarray, frame: int, cameras: Cameras, points: np.ndarray) 
     x = slice(max(columns.min() - ring, 0), min(columns.max() + ring, width))
     K = cameras.Ks[frame]
     v, u = np.mgrid[y, x].astype(np.float32)
-    depth = inverse_depth(points, cameras.viewmats[frame], K, width, height)[y, x]
+    depth = inverse_depth(points, cameras.viewmats[frame], K, (width, height), (y, x))
     rays = np.dstack([(u + 0.5 - K[0, 2]) / K[0, 0], (v + 0.5 - K[1, 2]) / K[1, 1], np.ones_like(u), depth])
     return Window(y, x, asked[y, x], rays.astype(np.float32))
 
@@ -117,25 +118,34 @@ def disk(radius: float) -> np.ndarray:
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
 
-def inverse_depth(points: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Inverse depth [H,W] of the scene between its `points` [P,3]; zero, infinitely far, without points in view."""
+def inverse_depth(
+    points: np.ndarray, viewmat: np.ndarray, K: np.ndarray, size: tuple[int, int], part: tuple[slice, slice]
+) -> np.ndarray:
+    """Inverse depth [h,w] of the scene between its `points` [P,3], in `part` (rows, columns) of a picture of `size`.
+
+    Zero, infinitely far, without points in view.
+    """
+    rows, columns = part
     camera = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     camera = camera[camera[:, 2] > 1e-3]
     pixels = (camera @ K.T)[:, :2] / camera[:, 2:]
-    margin = np.array([width, height]) / 10
-    there = ((pixels > -margin) & (pixels < [width, height] + margin)).all(1)
+    margin = np.array(size) / 10
+    there = ((pixels > -margin) & (pixels < size + margin)).all(1)
     pixels, z = pixels[there], camera[there, 2]
     cells = np.floor(pixels / CELL).astype(int)
     order = np.lexsort((z, cells[:, 0], cells[:, 1]))
     _, first = np.unique(cells[order], axis=0, return_index=True)
     pixels, z = pixels[order][first], z[order][first]
     if len(z) < NEAREST:
-        return np.zeros((height, width), np.float32)
-    grid = np.stack(np.meshgrid(np.arange(2, width, 4), np.arange(2, height, 4)), -1) + 0.5
-    away, rows = KDTree(pixels).query(grid, NEAREST)
+        return np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.float32)
+    top, left = (side.start // STEP - 1 for side in part)
+    y, x = (np.arange(start, side.stop // STEP + 2) for start, side in ((top, rows), (left, columns)))
+    away, near = KDTree(pixels).query(STEP * (np.stack(np.meshgrid(x, y), -1) + 0.5), NEAREST)
     weight = 1 / (away + 1) ** 2
-    found = ((weight / z[rows]).sum(-1) / weight.sum(-1)).astype(np.float32)
-    return cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR)
+    found = ((weight / z[near]).sum(-1) / weight.sum(-1)).astype(np.float32)
+    whole = cv2.resize(found, None, fx=STEP, fy=STEP, interpolation=cv2.INTER_LINEAR)
+    top, left = STEP * top, STEP * left
+    return whole[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
 
 
 def _compared(

@@ -117,12 +117,19 @@ def test_what_no_other_frame_shows_stays_as_it_was(clip):
 
 
 def test_the_depth_of_a_wall_is_found_between_its_points():
+    size, whole = (rooms.WIDTH, rooms.HEIGHT), (slice(0, rooms.HEIGHT), slice(0, rooms.WIDTH))
     x, y = np.meshgrid(np.linspace(-4, 4, 30), np.linspace(-3, 3, 30))
     wall = np.stack([x.ravel(), y.ravel(), np.full(x.size, 5.0)], 1)
     behind = wall * [1, 1, -1]  # behind the camera: never seen
-    depth = inverse_depth(np.concatenate([wall, behind]), np.eye(4), K, rooms.WIDTH, rooms.HEIGHT)
+    depth = inverse_depth(np.concatenate([wall, behind]), np.eye(4), K, size, whole)
     assert depth.shape == (rooms.HEIGHT, rooms.WIDTH) and np.allclose(depth, 0.2, atol=1e-5)
     nearer = wall * 0.5  # the same pixels, nearer: these count
-    both = inverse_depth(np.concatenate([wall, nearer]), np.eye(4), K, rooms.WIDTH, rooms.HEIGHT)
+    both = inverse_depth(np.concatenate([wall, nearer]), np.eye(4), K, size, whole)
     assert np.median(both) == pytest.approx(0.4, abs=0.01)
-    assert not inverse_depth(np.zeros((0, 3)), np.eye(4), K, 32, 24).any()
+    part = (slice(13, 58), slice(29, 91))
+    slope = np.concatenate([wall, wall + [0, 0, 1.5]]) @ [[1, 0, 0.2], [0, 1, 0.1], [0, 0, 1]]
+    wide, narrow = (inverse_depth(slope, np.eye(4), K, size, window) for window in (whole, part))
+    np.testing.assert_array_equal(narrow, wide[part])
+    assert np.ptp(narrow) > 0.01
+    nobody = inverse_depth(np.zeros((0, 3)), np.eye(4), K, size, part)
+    assert nobody.shape == (45, 62) and not nobody.any()
