@@ -23,7 +23,9 @@ TRACKS = (
     100  # longest tracks a frame to map with; with all it takes three times as long, and is as far off once refined
 )
 TOLERANCE = 3e-4  # of the cost: smaller changes end the global mapper's adjustments; 1e-4 takes 20 % longer
-STRAY, CLOSER = 0.5, 1e-4  # px; of the cost: where `refined` ends
+STRAY = 2.03  # medians: matches farther off hardly pull. Of a normal distribution Cauchy's loss of 2.385 deviations tells 95 %
+LEAST_STRAY = 0.1  # px: finer than SIFT's places are
+CLOSER = 3e-4  # of the cost: where `refine` ends
 ADJUSTMENTS = 8  # bundle adjustments of the global mapper, of which each gets this part of its time
 DENSE = 200  # frames; up to so many, the solver takes each pair of frames to share points: nearly all do
 CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
@@ -129,23 +131,25 @@ def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal:
     return [Model(model) for model in models.values()]
 
 
-def robust(count: int) -> pycolmap.BundleAdjustmentOptions:
-    """Options to adjust a model of `count` frames so that matches over STRAY px off hardly pull; it must begin near the end.
+def robust(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentOptions:
+    """Options to adjust a model so that matches far off hardly pull, by its own errors; it must begin near the end.
 
     Shadows and clothes give matches that move. COLMAP's loss (Huber's, 1 px) lets them pull cameras twice as far off; this one
-    (Cauchy's) has false ends, but not near the right one.
+    (Cauchy's) has false ends, but not near the right one. Source: Huber and Ronchetti, Robust Statistics, 2009; Zhang 1997.
     """
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    options.ceres.loss_function_type, options.ceres.loss_function_scale = pycolmap.LossFunctionType.CAUCHY, STRAY
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    if model.num_points3D():
+        options.ceres.loss_function_scale = max(STRAY * Model(model).middle_error, LEAST_STRAY)
     options.ceres.solver_options.num_threads = 1  # more threads sum in another order
-    if count <= DENSE:
+    if model.num_reg_images() <= DENSE:
         options.ceres.solver_options.linear_solver_type = "DENSE_SCHUR"  # type: ignore[assignment]  # takes names
     return options
 
 
 def refine(model: Model, fixed_focal: bool) -> None:
     """Adjust all cameras and points of a model that a mapper made once more, by `robust`."""
-    options = robust(model.registered)
+    options = robust(model.reconstruction)
     options.refine_focal_length = not fixed_focal
     options.ceres.solver_options.function_tolerance = CLOSER
     pycolmap.bundle_adjustment(model.reconstruction, options)

@@ -44,7 +44,7 @@ def half_focals(model: pycolmap.Reconstruction) -> tuple[float, float] | None:
         for i in order:
             if i not in half:
                 part.deregister_frame(part.images[i].frame_id)
-        options = robust(len(half))
+        options = robust(model)
         options.ceres.solver_options.max_num_iterations = 15
         pycolmap.bundle_adjustment(part, options)
         found.append(float(next(iter(part.cameras.values())).params[0]))
@@ -55,7 +55,7 @@ def hold_lens(model: pycolmap.Reconstruction, focal: float, k: float) -> None:
     """Give a model's one SIMPLE_RADIAL camera this lens, and adjust poses and points to it."""
     for camera in model.cameras.values():
         camera.params = [focal, *camera.params[1:3], k]
-    options = robust(model.num_reg_images())
+    options = robust(model)
     options.refine_focal_length = options.refine_extra_params = False
     pycolmap.bundle_adjustment(model, options)
 

@@ -148,7 +148,7 @@ def test_matches_that_move_pull_the_cameras_hardly_once_they_are_refined():
     pulled, twin = off_the_arc(model, 20), pycolmap.Reconstruction(model)
     refine(Model(model), fixed_focal=False)
     assert pulled > 5 * alone and off_the_arc(model, 20) < 0.5 * pulled
-    assert lens_of(model)[0] == pytest.approx(FOCAL, rel=0.002)
+    assert lens_of(model)[0] == pytest.approx(FOCAL, rel=0.005)
     refine(Model(twin), fixed_focal=False)
     assert all((pose == Model(twin).poses[name]).all() for name, pose in Model(model).poses.items()), "the same bytes"
     assert all(point.error == twin.points3D[i].error for i, point in model.points3D.items())
