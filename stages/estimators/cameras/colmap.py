@@ -118,6 +118,7 @@ def map_global(database: Path, images: Path, out: Path, count: int, fixed_focal:
     """Every model that COLMAP's global mapper (GLOMAP) makes of `count` frames in about `limit` seconds at most."""
     options = pycolmap.GlobalPipelineOptions()
     options.random_seed, options.num_threads = SEED, 1
+    options.decompose_relative_pose = False  # the matches have them
     options.mapper.track_required_tracks_per_view = TRACKS
     options.mapper.ba_num_iterations = 1  # two more do not change a pose by a thousandth of the path
     adjustment = options.mapper.bundle_adjustment

@@ -65,7 +65,7 @@ def match(database: Path, overlap: int, growing: bool, side: int) -> None:
 
     `side` is the frames' longer side in px; it scales the error that a verified match may have.
     """
-    options = pycolmap.TwoViewGeometryOptions()
+    options = pycolmap.TwoViewGeometryOptions(compute_relative_pose=True)  # on all cores; the mapper takes one
     options.ransac.random_seed = SEED
     options.ransac.min_num_trials, options.ransac.dyn_num_trials_multiplier = TRIALS
     options.ransac.max_error = max(MATCH_ERROR * side, LEAST_ERROR)
