@@ -19,9 +19,9 @@ def sift(grey: np.ndarray, mask: np.ndarray, count: int) -> tuple[np.ndarray, np
     spots, descriptors = found.detectAndCompute(grey, mask)
     if not spots:
         return np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8)
-    shape = np.array([(*spot.pt, spot.size, spot.angle) for spot in spots], np.float32)
-    shape = (shape + [0.5, 0.5, 0, 0]) * [1, 1, 0.5, np.pi / 180]
+    seen = np.array([(*spot.pt, spot.size, spot.angle) for spot in spots])
+    shape = ((seen + [0.5, 0.5, 0, 0]) * [1, 1, 0.5, np.pi / 180]).astype(np.float32)
     largest = np.sort(np.argsort(-shape[:, 2], kind="stable")[:count])
     chosen = descriptors[largest]
     roots = np.sqrt(chosen / np.maximum(chosen.sum(1, keepdims=True), 1e-9))
-    return shape[largest].astype(np.float32), np.clip(np.round(512 * roots), 0, 255).astype(np.uint8)
+    return shape[largest], np.clip(np.round(512 * roots), 0, 255).astype(np.uint8)
