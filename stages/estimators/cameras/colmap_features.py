@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import zlib  # noqa: F401  before pycolmap, see colmap.py
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -51,13 +52,24 @@ def extract(
         grey = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY)
         return file, *sift(grey, read_mask(masks / file), features)
 
-    with pycolmap.Database.open(database) as store, ThreadPoolExecutor(os.cpu_count()) as pool:
+    with pycolmap.Database.open(database) as store, alone(), ThreadPoolExecutor(os.cpu_count()) as pool:
         stored = {image.name: image.image_id for image in store.read_all_images()}
         for done, (file, spots, descriptors) in enumerate(pool.map(found, files), 1):
             store.write_keypoints(stored[file], spots)
             kind = pycolmap.FeatureExtractorType.SIFT
             store.write_descriptors(stored[file], pycolmap.FeatureDescriptors(kind, descriptors))
             extracted(done)
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """OpenCV without threads of its own: where each picture has one already, they get into each other's way."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
 
 
 def match(database: Path, overlap: int, growing: bool, side: int) -> None:
