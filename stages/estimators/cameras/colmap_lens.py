@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 
 from stages.estimators.cameras.adjustment import Bundle, Observations, rolled
-from stages.estimators.cameras.colmap import robust
+from stages.estimators.cameras.colmap import CLOSER, robust
 
 HALF, SOME = 6, 800  # pictures of half a clip at least; points that its focal length is taken from
 
@@ -58,6 +58,17 @@ def hold_lens(model: pycolmap.Reconstruction, focal: float, k: float) -> None:
     options = robust(model)
     options.refine_focal_length = options.refine_extra_params = False
     pycolmap.bundle_adjustment(model, options)
+
+
+def straighten(model: pycolmap.Reconstruction) -> None:
+    """Take the bend out of a model's one SIMPLE_RADIAL camera, and adjust its focal length, poses and points to that."""
+    for camera in model.cameras.values():
+        camera.params = [*camera.params[:3], 0.0]
+    options = robust(model)
+    options.refine_extra_params = False
+    options.ceres.solver_options.function_tolerance = CLOSER
+    pycolmap.bundle_adjustment(model, options)
+    model.update_point_3d_errors()
 
 
 def bundle_of(

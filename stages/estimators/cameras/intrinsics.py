@@ -21,6 +21,7 @@ K_SPREAD = 0.02  # phones and cameras straighten their films; what is left is sm
 TRACK_ERROR = 0.001  # of the longer side: tracks drift together, so a lens is known no better than by points so far off
 # px of bend, and share of the focal length: lenses that differ by less take the same pictures
 CORNERS, FOCAL = 1.0, 0.01
+DOUBT = 2.0  # spreads of k: a weaker lens is taken for none
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,8 @@ def compare_halves(model: Model, likely: Intrinsics) -> dict[str, float]:
 def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None = None) -> dict[str, float]:
     """Pull a lens that the model hardly fixes toward the prior, and adjust the model; facts for sfm.json.
 
-    Without a prior it is what cameras have.
-
-    A model that fixes its lens so well that both take the same pictures is not changed.
+    Without a prior it is what cameras have. A model that fixes its lens so well that both take the same pictures is not
+    changed, but that a lens too weak to be told from none becomes none: the focal length is then known better.
     """
     camera = next(iter(model.reconstruction.cameras.values()))
     focal, _, _, k = (float(value) for value in camera.params)
@@ -114,6 +114,11 @@ def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None 
     facts = {"focal_spread_px": round(likely.focal_spread, 3), "k_spread": round(likely.k_spread, 5)}
     facts |= compare_halves(model, likely)
     if likely.same_pictures(replace(likely, focal=focal, k=k), width, height):
+        if abs(k) < DOUBT * likely.k_spread:
+            bent = lens.max_shift(focal, k, width, height)
+            colmap_lens.straighten(model.reconstruction)
+            job.note(f"no lens: one that bends the corners by {bent:.2f} px cannot be told from none")
+            return facts | {"free_focal_px": focal, "free_k": k}
         return facts
     bent = lens.max_shift(focal, k, width, height)
     colmap_lens.hold_lens(model.reconstruction, likely.focal, likely.k)
