@@ -58,10 +58,15 @@ def settled(tmp_path, model: pycolmap.Reconstruction) -> tuple[dict, list[str]]:
 
 def test_a_camera_that_travels_keeps_the_lens_it_found(tmp_path):
     model = model_of(40, 200)
+    for image in model.images.values():
+        for point in image.points2D:
+            x = (point.xy - [480, 270]) / FOCAL
+            point.xy = x * (1 + 0.02 * (x @ x)) * FOCAL + [480, 270]
+    pycolmap.bundle_adjustment(model)
     before, poses = lens_of(model), Model(model).poses
     facts, said = settled(tmp_path, model)
     assert lens_of(model) == before and not said and facts["focal_spread_px"] < 0.02 * FOCAL
-    assert before[0] == pytest.approx(FOCAL, rel=0.01)
+    assert before[0] == pytest.approx(FOCAL, rel=0.01) and before[1] == pytest.approx(0.02, abs=0.004)
     assert all((poses[name] == pose).all() for name, pose in Model(model).poses.items())
 
 
@@ -163,3 +168,12 @@ def test_a_focal_length_that_is_known_stays_when_a_model_is_refined():
     assert lens_of(model)[0] == before
     worst = max(model.points3D.items(), key=lambda item: item[1].error)[0]
     assert worst == 1 and model.points3D[1].error > 5, "errors are those of the refined model"
+
+
+def test_a_lens_that_cannot_be_told_from_none_is_none(tmp_path):
+    model = model_of(40, 200)
+    free = lens_of(model)
+    facts, said = settled(tmp_path, model)
+    focal, k = lens_of(model)
+    assert 0 < abs(free[1]) < 2 * facts["k_spread"] and k == 0 and facts["free_k"] == free[1]
+    assert abs(focal - FOCAL) < abs(free[0] - FOCAL) and len(said) == 1 and "cannot be told from none" in said[0]
