@@ -19,9 +19,7 @@ from stages.avatar.cameras import lens
 from stages.formats.given_cameras.record import Lens, widest_angles
 
 SEED = 1  # of every random draw of a mapper
-TRACKS = (
-    100  # longest tracks a frame to map with; with all it takes three times as long, and is as far off once refined
-)
+TRACKS = 100  # longest tracks a frame to map with; all take three times as long, and are as far off once refined
 TOLERANCE = 3e-4  # of the cost: smaller changes end the global mapper's adjustments; 1e-4 takes 20 % longer
 STRAY = 2.03  # medians: matches farther off hardly pull. Of a normal distribution Cauchy's loss of 2.385 deviations tells 95 %
 LEAST_STRAY = 0.1  # px: finer than SIFT's places are

@@ -1,4 +1,4 @@
-"""SIFT features of a frame, by OpenCV: 2.5 times as fast as COLMAP's own; courtyard's cameras are 1.3 mm off, not 1.0."""
+"""SIFT features of a frame, by OpenCV: 2.5 times as fast as COLMAP's own."""
 
 from __future__ import annotations
 
