@@ -24,6 +24,9 @@ STEP_MORE = 0.1  # by which that grows with each frame in which they were not se
 COLOUR = 0.02  # of the crop's side that a difference of one unit of colour (Lab) counts as
 SIZE = 1.0  # of the crop's side that a difference of one in the logarithm of the size counts as
 AGAIN = 0.1  # of the crop's side that it costs to be seen again: who was seen in the frame before goes on
+MISSED = (
+    1.0  # of the crop's side that it costs not to be seen: who fits is not given away so that everybody gets somebody
+)
 ASIDE = (0.25, -0.25, 0.5, -0.5)  # of a crop's side: who is not found where they were going is looked for so far beside
 LEARN = 0.1  # share that a frame adds to what is known of somebody's colours
 DOUBT = 0.15  # by so much less, at least, must the choice that was made cost than the exchange of the two
@@ -153,10 +156,9 @@ def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple
     costs = np.array([[one.cost(*seen) for seen in zip(candidates, colours, strict=True)] for one in known])
     costs = costs.reshape(len(known), len(candidates))
     found: list[Pose | None] = [None] * len(known)
-    finite = np.where(np.isfinite(costs), costs, 1e6)
-    rows, columns = linear_sum_assignment(finite)
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, MISSED))
     taken = {int(row): int(column) for row, column in zip(rows, columns) if np.isfinite(costs[row, column])}
-    doubtful = _doubtful(finite, taken)
+    doubtful = _doubtful(np.where(np.isfinite(costs), costs, 1e6), taken)
     for k, one in enumerate(known):
         if k not in taken:
             one.miss()

@@ -48,6 +48,14 @@ def test_of_two_in_the_same_clothes_the_doubt_is_said():
     assert any("who is who is not sure in" in text and "exchanged" in text for text in said)
 
 
+def test_who_fits_is_not_given_away_so_that_the_other_gets_somebody():
+    """The second is suddenly on the first's other side, too far to have walked: only in each other's places would both be seen."""
+    jumping = np.where(np.arange(FRAMES) < 10, 123.0, 77.0)
+    (first, second), _ = followed(filmed((RED, RED), (np.full(FRAMES, 100.0), jumping)), (100, 123))
+    np.testing.assert_allclose(first[:13], 100, atol=1)
+    assert np.isfinite(second[:10]).all() and np.isnan(second[10:13]).all()
+
+
 def test_one_who_leaves_is_gone_and_the_other_is_not_taken_for_them():
     leaving = np.where(np.arange(FRAMES) < 8, 160 + 3.0 * np.arange(FRAMES), np.nan)
     (first, second), _ = followed(filmed((RED, BLUE), (np.full(FRAMES, 60.0), leaving)), (60, 160))
