@@ -21,9 +21,11 @@ from stages.formats.given_cameras.record import Lens, widest_angles
 SEED = 1  # of every random draw of a mapper
 TRACKS = 100  # longest tracks a frame to map with; all take three times as long, and are as far off once refined
 TOLERANCE = 3e-4  # of the cost: smaller changes end the global mapper's adjustments; 1e-4 takes 20 % longer
-STRAY = 2.03  # medians: matches farther off hardly pull. Of a normal distribution Cauchy's loss of 2.385 deviations tells 95 %
+STRAY = (
+    2.03  # times the middle point's error: about Cauchy's 2.385 standard deviations. Matches farther off hardly pull
+)
 LEAST_STRAY = 0.1  # px: finer than SIFT's places are
-CLOSER = 3e-4  # of the cost: where `refine` ends
+CLOSER = 3e-4  # of the cost: where `adjust_again` ends
 ADJUSTMENTS = 8  # bundle adjustments of the global mapper, of which each gets this part of its time
 DENSE = 200  # frames; up to so many, the solver takes each pair of frames to share points: nearly all do
 CLOSE_ANGLE, CLOSE_INLIERS = 4.0, 30  # degrees, matches; COLMAP begins with 16 and 100, and halves them if no pair fits
@@ -141,18 +143,21 @@ def robust(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentOptions:
     if model.num_points3D():
         options.ceres.loss_function_scale = max(STRAY * Model(model).middle_error, LEAST_STRAY)
     options.ceres.solver_options.num_threads = 1  # more threads sum in another order
-    if model.num_reg_images() <= DENSE:
-        options.ceres.solver_options.linear_solver_type = "DENSE_SCHUR"  # type: ignore[assignment]  # takes names
     return options
+
+
+def adjust_again(model: pycolmap.Reconstruction, options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Adjust a model by `robust` options to CLOSER, its points' errors with it."""
+    options.ceres.solver_options.function_tolerance = CLOSER
+    pycolmap.bundle_adjustment(model, options)
+    model.update_point_3d_errors()
 
 
 def refine(model: Model, fixed_focal: bool) -> None:
     """Adjust all cameras and points of a model that a mapper made once more, by `robust`."""
     options = robust(model.reconstruction)
     options.refine_focal_length = not fixed_focal
-    options.ceres.solver_options.function_tolerance = CLOSER
-    pycolmap.bundle_adjustment(model.reconstruction, options)
-    model.reconstruction.update_point_3d_errors()
+    adjust_again(model.reconstruction, options)
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def extract(
         grey = cv2.cvtColor(read_image(images / file), cv2.COLOR_RGB2GRAY)
         return file, *sift(grey, read_mask(masks / file), features)
 
-    with pycolmap.Database.open(database) as store, alone(), ThreadPoolExecutor(os.cpu_count()) as pool:
+    with pycolmap.Database.open(database) as store, one_thread(), ThreadPoolExecutor(os.cpu_count()) as pool:
         stored = {image.name: image.image_id for image in store.read_all_images()}
         for done, (file, spots, descriptors) in enumerate(pool.map(found, files), 1):
             store.write_keypoints(stored[file], spots)
@@ -62,8 +62,8 @@ def extract(
 
 
 @contextmanager
-def alone() -> Iterator[None]:
-    """OpenCV without threads of its own: where each picture has one already, they get into each other's way."""
+def one_thread() -> Iterator[None]:
+    """Let OpenCV compute on one thread: where each picture has one already, they get into each other's way."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

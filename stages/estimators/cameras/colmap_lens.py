@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 
 from stages.estimators.cameras.adjustment import Bundle, Observations, rolled
-from stages.estimators.cameras.colmap import CLOSER, robust
+from stages.estimators.cameras.colmap import adjust_again, robust
 
 HALF, SOME = 6, 800  # pictures of half a clip at least; points that its focal length is taken from
 
@@ -55,9 +55,14 @@ def hold_lens(model: pycolmap.Reconstruction, focal: float, k: float) -> None:
     """Give a model's one SIMPLE_RADIAL camera this lens, and adjust poses and points to it."""
     for camera in model.cameras.values():
         camera.params = [focal, *camera.params[1:3], k]
+    plain = pycolmap.BundleAdjustmentOptions(print_summary=False)  # another lens may be far from the end
+    plain.ceres.solver_options.num_threads = 1  # more threads sum in another order
+    plain.refine_focal_length = plain.refine_extra_params = False
+    pycolmap.bundle_adjustment(model, plain)
+    model.update_point_3d_errors()
     options = robust(model)
     options.refine_focal_length = options.refine_extra_params = False
-    pycolmap.bundle_adjustment(model, options)
+    adjust_again(model, options)
 
 
 def straighten(model: pycolmap.Reconstruction) -> None:
@@ -66,9 +71,7 @@ def straighten(model: pycolmap.Reconstruction) -> None:
         camera.params = [*camera.params[:3], 0.0]
     options = robust(model)
     options.refine_extra_params = False
-    options.ceres.solver_options.function_tolerance = CLOSER
-    pycolmap.bundle_adjustment(model, options)
-    model.update_point_3d_errors()
+    adjust_again(model, options)
 
 
 def bundle_of(

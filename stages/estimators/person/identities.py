@@ -158,7 +158,7 @@ def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple
     found: list[Pose | None] = [None] * len(known)
     rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, MISSED))
     taken = {int(row): int(column) for row, column in zip(rows, columns) if np.isfinite(costs[row, column])}
-    doubtful = _doubtful(np.where(np.isfinite(costs), costs, 1e6), taken)
+    doubtful = _doubtful(costs, taken)
     for k, one in enumerate(known):
         if k not in taken:
             one.miss()
@@ -202,12 +202,12 @@ def _doubtful(costs: np.ndarray, taken: dict[int, int]) -> bool:
     """Whether exchanging two identities, or giving one's place to another who got none, costs hardly more."""
     for k, column in taken.items():
         for other in range(len(costs)):
-            if other == k or costs[other, column] >= 1e6:
+            if other == k or np.isinf(costs[other, column]):
                 continue
             theirs = taken.get(other)
             if theirs is None:
                 more = costs[other, column] - costs[k, column]
-            elif costs[k, theirs] < 1e6:
+            elif np.isfinite(costs[k, theirs]):
                 more = costs[k, theirs] + costs[other, column] - costs[k, column] - costs[other, theirs]
             else:
                 continue
