@@ -113,18 +113,18 @@ def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None 
         return {}
     facts = {"focal_spread_px": round(likely.focal_spread, 3), "k_spread": round(likely.k_spread, 5)}
     facts |= compare_halves(model, likely)
-    if likely.same_pictures(replace(likely, focal=focal, k=k), width, height):
-        if abs(k) < DOUBT * likely.k_spread:
-            bent = lens.max_shift(focal, k, width, height)
-            colmap_lens.straighten(model.reconstruction)
-            job.note(f"no lens: one that bends the corners by {bent:.2f} px cannot be told from none")
-            return facts | {"free_focal_px": focal, "free_k": k}
+    told = likely.same_pictures(replace(likely, focal=focal, k=k), width, height)
+    if told and abs(k) >= DOUBT * likely.k_spread:
         return facts
     bent = lens.max_shift(focal, k, width, height)
-    colmap_lens.hold_lens(model.reconstruction, likely.focal, likely.k)
-    job.warn(
-        f"the clip hardly tells its focal length: {likely.focal:.0f} px is likely, give or take {likely.focal_spread:.0f}; "
-        f"SfM alone gave {focal:.0f} px and a lens that bends the corners by {bent:.1f} px. "
-        "If you know it, give it with --set sfm.focal=PX"
-    )
+    if told:
+        colmap_lens.straighten(model.reconstruction)
+        job.note(f"no lens: one that bends the corners by {bent:.2f} px cannot be told from none")
+    else:
+        colmap_lens.hold_lens(model.reconstruction, likely.focal, likely.k)
+        job.warn(
+            f"the clip hardly tells its focal length: {likely.focal:.0f} px is likely, give or take {likely.focal_spread:.0f}; "
+            f"SfM alone gave {focal:.0f} px and a lens that bends the corners by {bent:.1f} px. "
+            "If you know it, give it with --set sfm.focal=PX"
+        )
     return facts | {"free_focal_px": focal, "free_k": k}
