@@ -22,11 +22,10 @@ from stages.estimators.person.sightings import PAINT, PAINTED_MOST, alike, outli
 STEP = 0.6  # of the crop's side: nobody moves farther from where they were going between two frames
 STEP_MORE = 0.1  # by which that grows with each frame in which they were not seen
 COLOUR = 0.02  # of the crop's side that a difference of one unit of colour (Lab) counts as
+COLOUR_MOST = 0.9  # of the crop's side that colours count as at most: a leg that is thrown up shows what is behind it
 SIZE = 1.0  # of the crop's side that a difference of one in the logarithm of the size counts as
 AGAIN = 0.1  # of the crop's side that it costs to be seen again: who was seen in the frame before goes on
-MISSED = (
-    1.0  # of the crop's side that it costs not to be seen: who fits is not given away so that everybody gets somebody
-)
+MISSED = 1.1  # of the crop's side that it costs not to be seen: nobody takes what fits them worse, only to be seen
 ASIDE = (0.25, -0.25, 0.5, -0.5)  # of a crop's side: who is not found where they were going is looked for so far beside
 LEARN = 0.1  # share that a frame adds to what is known of somebody's colours
 DOUBT = 0.15  # by so much less, at least, must the choice that was made cost than the exchange of the two
@@ -56,7 +55,8 @@ class Identity:
         if away > STEP + STEP_MORE * self.unseen:
             return np.inf
         grown = abs(float(np.log(there.side / at.side)))
-        return away + AGAIN * bool(self.unseen) + SIZE * grown + COLOUR * float(np.linalg.norm(self.colours - colours))
+        unlike = min(COLOUR * float(np.linalg.norm(self.colours - colours)), COLOUR_MOST)
+        return away + AGAIN * bool(self.unseen) + SIZE * grown + unlike
 
     def meet(self, pose: Pose, colours: np.ndarray, alone: bool) -> None:
         """They are seen there; who is not `alone` shows colours that may be another's."""
@@ -156,8 +156,9 @@ def _meet(network: BlazePose, image: np.ndarray, known: list[Identity]) -> tuple
     costs = np.array([[one.cost(*seen) for seen in zip(candidates, colours, strict=True)] for one in known])
     costs = costs.reshape(len(known), len(candidates))
     found: list[Pose | None] = [None] * len(known)
-    rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, MISSED))
-    taken = {int(row): int(column) for row, column in zip(rows, columns) if np.isfinite(costs[row, column])}
+    unseen = np.where(np.eye(len(known), dtype=bool), MISSED, np.inf)
+    rows, columns = linear_sum_assignment(np.hstack([costs, unseen]))
+    taken = {int(row): int(column) for row, column in zip(rows, columns) if column < len(candidates)}
     doubtful = _doubtful(costs, taken)
     for k, one in enumerate(known):
         if k not in taken:
