@@ -26,7 +26,7 @@ class Params(contract.Params):
     """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
     human_cap: int = Field(40_000, gt=0)
     """Most Gaussians the person may have in training, unless it begins with more; an opaque lining is put under the skin."""
-    scene_cap: int = Field(80_000, gt=0)
+    scene_cap: int = Field(90_000, gt=0)
     """Most Gaussians the scene may have, unless it begins with more: its budget of memory, 0.2 KB each with gradients and
     moments, 0.9 KB with colours of the 3rd degree."""
     scene_fill: int = Field(20_000, ge=0)
