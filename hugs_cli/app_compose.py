@@ -113,7 +113,7 @@ out:
 PERSON = """\
   - avatar: {avatar}
 {who}    motion: {motion}          # a .bvh or .npz; clip: as in their own clip; wave, squats, jumping_jacks, walk_in_place
-    at: [{aside:.1f}, 0.0]        # m on the floor from where the scene's person stood: to their left, ahead of them
+    # at: [1.0, 0.0]      # m on the floor from where the scene's person stood: to their left, ahead; else where it is free
     turn: 0               # degrees to the left
     # start: 1.5          # second of the film at which the motion begins; less than 0: it is under way
     # speed: 1.0          # times as fast
@@ -123,7 +123,6 @@ PERSON = """\
 WHO = """    who: {}                # which of the people of this run
 """
 OTHERS = "train/people/*/avatar.npz"  # of a run: its further people
-APART = 1.0  # m between the people of two runs
 
 
 def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
@@ -136,12 +135,11 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     names = [films.quoted(os.path.relpath(run, os.path.realpath(out.parent))) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
     people = []
-    for i, (name, run) in enumerate(zip(names, runs, strict=True)):
+    for name, run in zip(names, runs, strict=True):
         further, motion = len(list(run.glob(OTHERS))), "clip" if run.is_dir() else "wave"
-        aside = APART * (i - (len(runs) - 1) / 2)
         for number in range(1, 2 + further):
             who = WHO.format(number) if further else ""
-            people.append(PERSON.format(avatar=name, who=who, motion=motion, aside=aside))
+            people.append(PERSON.format(avatar=name, who=who, motion=motion))
     camera = "clip" if scene else "before"
     parts = {"scene": scene or "null", "people": "".join(people), "camera": camera}
     parts["command"] = words.command("compose", out.name, pipeline="default", work=Path("work"))

@@ -98,11 +98,14 @@ def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
     """The people, in the colours of the scene; says what is to be said of them and of the scene."""
     from stages.filming.cast import cast, in_colour
     from stages.filming.colours import match
+    from stages.filming.standing import free_places
 
     said = dict.fromkeys(setting.facts)
     people, looks = [], _Looks(film, setting)
-    for person, name in zip(film.people, names_of(film), strict=True):
-        actor = cast(person, name, setting.ground, film.fps, job.device)
+    for person, name, place in zip(film.people, names_of(film), free_places(film, setting), strict=True):
+        actor = cast(person.model_copy(update={"at": place}), name, setting.ground, film.fps, job.device)
+        if person.at is None and place != (0, 0):
+            said[f"{name} stands at [{place[0]:g}, {place[1]:g}], which is free; `at:` says where else"] = None
         said |= dict.fromkeys(actor.facts)
         mode = person.colour or film.colour
         if mode != "off" and setting.scene is not None and person.avatar != film.scene:

@@ -140,7 +140,8 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     angle = np.radians(person.turn)
     about = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     turn = ground.turn @ about
-    place = ground.point + ground.turn @ np.array([person.at[0], 0, person.at[1]])
+    left, forward = person.at or (0.0, 0.0)
+    place = ground.point + ground.turn @ np.array([left, 0, forward])
     orient, pose, transl = put(placed, turn, place, soles.joints[0])
     return Actor(
         name=name,

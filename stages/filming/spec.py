@@ -29,8 +29,9 @@ class Person(Keys):
     motion: str = "clip"
     """A .bvh or .npz file; clip: as they moved in their own clip; or made by formula: wave, squats, jumping_jacks,
     walk_in_place."""
-    at: tuple[float, float] = (0.0, 0.0)
-    """Where their motion begins, m on the floor from where the scene's own person stood: to the left, ahead."""
+    at: tuple[float, float] | None = None
+    """Where their motion begins, m on the floor from where the scene's own person stood: to the left, ahead. If not said, there,
+    or at the nearest place that is free, which is told."""
     turn: float = 0.0
     """Degrees to the left, seen from above."""
     start: float = 0.0

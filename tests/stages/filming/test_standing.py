@@ -1,0 +1,89 @@
+"""Where people stand whom the film puts nowhere: near by, beside each other for the camera, and in nothing of the scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stages.avatar.cameras.pinhole import look_at, pinhole
+from stages.avatar.model.scene import load_scene
+from stages.filming.setting import Setting
+from stages.filming.spec import Film, Person
+from stages.filming.standing import APART, free_places
+from stages.records import Ground, Scene
+
+LEVEL = Ground(np.zeros(3), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), 1, 0, 0, 0, "")
+ANN, BOB = Path("ann"), Path("bob")
+
+
+def setting_of(*things: tuple[float, float, float, float], seen: bool = True, ground: Ground = LEVEL) -> Setting:
+    """A level place before a camera 5 m ahead of the middle; of `things` each is an upright sheet from x to x at z, y to 1.8 m
+    (x, x, z, opacity)."""
+    means = np.concatenate([np.zeros((0, 3)), *(sheet(*thing[:3]) for thing in things)]) @ ground.turn.T + ground.point
+    opacities = np.concatenate([np.zeros(0), *(np.full(len(sheet(*thing[:3])), thing[3]) for thing in things)])
+    count = len(means)
+    quats, scales = np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), 0.06)
+    scene = Scene(means, quats, scales, opacities, np.zeros((count, 3)), np.zeros((count, 0, 3)))
+    eye, target = (ground.point + ground.turn @ np.array(one) for one in ((0, 1.0, 5.0), (0, 1.0, 0)))
+    view = look_at(eye, target, ground.up)
+    clip = SimpleNamespace(names=("a",), width=640, height=360, viewmats=view[None], Ks=pinhole(320, 640, 360)[None])
+    splats = load_scene(scene, "cpu") if count else None
+    return Setting(scene, splats, ground, None, clip if seen else None, np.zeros(1), ())
+
+
+def sheet(left: float, right: float, z: float) -> np.ndarray:
+    across, up = np.meshgrid(np.arange(left, right, 0.1), np.arange(0.05, 1.8, 0.1))
+    return np.stack([across.ravel(), up.ravel(), np.full(across.size, z)], -1)
+
+
+def placed(setting: Setting, *people: Person) -> list[tuple[float, float]]:
+    return free_places(Film(scene=ANN, people=list(people)), setting)
+
+
+def test_where_nothing_is_they_stand_side_by_side():
+    assert placed(setting_of(), Person(avatar=ANN), Person(avatar=BOB)) == [(0, 0), (1, 0)]
+    three = placed(setting_of(), *(Person(avatar=BOB, motion="wave") for _ in range(3)))
+    assert three == [(0, 0), (1, 0), (-1, 0)]
+    slope = Ground(np.array([3.0, 1, -2]), np.array([0, -1.0, 0]), np.array([0.6, 0, -0.8]), 1, 0, 0, 0, "")
+    assert placed(setting_of(ground=slope), Person(avatar=ANN), Person(avatar=BOB)) == [(0, 0), (1, 0)]
+
+
+def test_who_is_put_somewhere_stays_there_and_the_others_keep_away():
+    people = [Person(avatar=BOB), Person(avatar=ANN, at=(0.25, 0)), Person(avatar=BOB, at=(1.25, 0), motion="wave")]
+    first, *others = placed(setting_of(), *people)
+    assert others == [(0.25, 0), (1.25, 0)] and all(np.hypot(*np.subtract(first, one)) >= APART for one in others)
+
+
+def test_the_scenes_own_people_come_first_and_those_of_one_clip_stay_together():
+    people = [Person(avatar=BOB), Person(avatar=BOB, who=2), Person(avatar=ANN), Person(avatar=ANN, who=2)]
+    assert placed(setting_of(), *people) == [(1, 0), (1, 0), (0, 0), (0, 0)]
+    waving = [Person(avatar=BOB, who=2, motion="wave"), Person(avatar=ANN), Person(avatar=BOB)]
+    assert len(set(placed(setting_of(), *waving))) == 3
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_nobody_is_put_into_something_of_the_scene(seen):
+    wall = (0.5, 2.4, 0.0, 0.9)
+    assert placed(setting_of(wall, seen=seen), Person(avatar=ANN), Person(avatar=BOB))[1] == (-1, 0)
+    faint = (0.5, 2.4, 0.0, 0.02)
+    assert placed(setting_of(faint, seen=seen), Person(avatar=ANN), Person(avatar=BOB))[1] == (1, 0)
+
+
+def test_nobody_is_put_behind_something_nor_before_or_behind_another():
+    curtain = (0.2, 2.0, 1.5, 0.9)
+    assert placed(setting_of(curtain), Person(avatar=ANN), Person(avatar=BOB))[1] == (-1, 0)
+    assert placed(setting_of(curtain, seen=False), Person(avatar=ANN), Person(avatar=BOB))[1] == (1, 0)
+    walls = ((0.45, 2.4, 0.0, 0.9), (-2.4, -0.45, 0.0, 0.9))
+    x, _ = placed(setting_of(*walls), Person(avatar=ANN), Person(avatar=BOB))[1]
+    assert abs(x) > 0.3, "between the walls, one would hide the other"
+
+
+def test_where_everything_is_full_it_is_the_place_with_least_in_the_way():
+    full = [(-3.0, 3.0, z, 0.9) for z in np.arange(-2.4, 2.5, 0.2)] + [
+        (-3.0, -0.4, z, 0.9) for z in np.arange(-2.3, 2.4, 0.2)
+    ]
+    x, _ = placed(setting_of(*full, seen=False), Person(avatar=ANN), Person(avatar=BOB))[1]
+    assert x > 0
