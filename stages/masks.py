@@ -110,16 +110,15 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     Of one it writes landmarks.npz.
     """
     from stages.estimators.person.blazepose import BlazePose
+    from stages.estimators.person.identities import follow_among, follow_everybody
     from stages.estimators.person.people import Bystanders
+    from stages.estimators.person.sightings import everybody
     from stages.formats.landmarks import write_landmarks
     from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
     pictures = Pictures(paths)
     if params.person == EVERYBODY:
-        from stages.estimators.person.identities import follow_everybody
-        from stages.estimators.person.sightings import everybody
-
         people = everybody(job, network, pictures)
         tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
         if len(tracks) > 1:
@@ -127,7 +126,11 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
             return
     sightings = network.sightings(pictures) or network.sightings(pictures, most=len(pictures))
     bystanders = Bystanders(job, names, sightings, None if params.person == EVERYBODY else params.person)
-    poses = network.track(pictures, bystanders.start)
+    poses, start = None, bystanders.start
+    if bystanders.several and start is not None:
+        people = everybody(job, network, pictures)
+        poses = follow_among(job, network, pictures, names, people, start) if len(people) > 1 else None
+    poses = poses or network.track(pictures, start)
     write_landmarks(job.out / "landmarks.npz", names, poses)
     bystanders.warn_of_jumps(poses)
     for i, (pose, masks) in enumerate(zip(poses, outlined(pictures, [poses]), strict=True)):

@@ -27,6 +27,7 @@ SIZE = 1.0  # of the crop's side that a difference of one in the logarithm of th
 AGAIN = 0.1  # of the crop's side that it costs to be seen again: who was seen in the frame before goes on
 MISSED = 1.1  # of the crop's side that it costs not to be seen: nobody takes what fits them worse, only to be seen
 ASIDE = (0.25, -0.25, 0.5, -0.5)  # of a crop's side: who is not found where they were going is looked for so far beside
+SAME = 0.3  # of the crop's side: so near are two sightings of one person in one frame
 LEARN = 0.1  # share that a frame adds to what is known of somebody's colours
 DOUBT = 0.15  # by so much less, at least, must the choice that was made cost than the exchange of the two
 LASTING = 0.1  # share of the frames in which somebody is seen who gets an avatar
@@ -79,9 +80,27 @@ def follow_everybody(
 
     A warning names frames after which two may have been exchanged, and who is left out: those hardly seen have no poses to fit.
     """
-    fullest = people[0].frame
     said = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1))
-    job.note(f"{len(people)} people in frame {names[fullest]}: {said}")
+    job.note(f"{len(people)} people in frame {names[people[0].frame]}: {said}")
+    return lasting(job, _follow_each(job, network, images, names, people))
+
+
+def follow_among(
+    job: Job, network: BlazePose, images: Images, names: Sequence[str], people: list[Sighting], start: Sighting
+) -> list[Pose | None] | None:
+    """The poses of the one of `people` who is `start`, never another's, in all frames; None if it is none of them."""
+    tracks = _follow_each(job, network, images, names, people)
+    wanted, here = start.pose.next_roi, [track[start.frame] for track in tracks]
+    away = [np.inf if one is None else np.hypot(one.next_roi.x - wanted.x, one.next_roi.y - wanted.y) for one in here]
+    nearest = int(np.argmin(away))
+    return tracks[nearest] if away[nearest] < SAME * wanted.side else None
+
+
+def _follow_each(
+    job: Job, network: BlazePose, images: Images, names: Sequence[str], people: list[Sighting]
+) -> list[list[Pose | None]]:
+    """The poses of each of `people` in all frames; a warning names frames after which two may have been exchanged."""
+    fullest = people[0].frame
     poses: list[list[Pose | None]] = [[None] * len(names) for _ in people]
     doubts: set[int] = set()
     for order in (range(fullest, len(names)), range(fullest - 1, -1, -1)):
@@ -97,7 +116,7 @@ def follow_everybody(
             f"who is who is not sure in {len(doubts)} of {len(names)} frames, first {first}: look whether two people were "
             "exchanged there; masks with an id for each person (SAM 2) keep them apart"
         )
-    return lasting(job, poses)
+    return poses
 
 
 def lasting(job: Job, poses: list[list[Pose | None]]) -> list[list[Pose | None]]:

@@ -21,6 +21,7 @@ class Bystanders:
         fullest = max(count, key=lambda frame: (count[frame], -frame), default=None)
         people = [one for one in sightings if one.frame == fullest]
         self.start = pick_clearest(sightings) if person is None else pick_person(people, person, names)
+        self.several = len(people) > 1
         if fullest is not None and len(people) > 1:
             people_list = "; ".join(f"{i} {describe_place(one)}" for i, one in enumerate(people, 1))
             frames = sum(n > 1 for n in count.values())
@@ -30,7 +31,10 @@ class Bystanders:
                 return
             job.note(f"{where}, several in {frames} of {len(count)} frames checked: {people_list}")
             whom = "the largest" if person is None else f"person {person}"
-            job.warn(f"{len(people)} people are in view: following {whom}; `--person N` picks another from the list")
+            job.warn(
+                f"{len(people)} people are in view: following {whom}; `--person N` picks another from the list, `--person all` "
+                "each of them"
+            )
 
     def look(self, i: int, pose: Pose, mask: np.ndarray) -> None:
         """Remember whether the mask of frame `i` also covers somebody else than `pose`."""

@@ -10,7 +10,14 @@ import numpy as np
 from stages.contract import Job
 from stages.estimators.person.blazepose import Pose, Sighting
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.identities import Identity, around_mask, follow_everybody, lasting, track_masked
+from stages.estimators.person.identities import (
+    Identity,
+    around_mask,
+    follow_among,
+    follow_everybody,
+    lasting,
+    track_masked,
+)
 from tests.made.eyes import BLUE, FRAMES, HEIGHT, RED, SIDE, WIDTH, Eyes, filmed, pose_at
 
 NAMED = [f"{i:06d}" for i in range(FRAMES)]
@@ -68,6 +75,18 @@ def test_one_who_leaves_is_gone_and_the_other_is_not_taken_for_them():
     leaving = np.where(np.arange(FRAMES) < 8, 160 + 3.0 * np.arange(FRAMES), np.nan)
     (first, second), _ = followed(filmed((RED, BLUE), (np.full(FRAMES, 60.0), leaving)), (60, 160))
     assert np.isfinite(first).all() and np.isfinite(second[:8]).all() and np.isnan(second[8:]).all()
+
+
+def test_one_of_two_is_followed_and_never_the_other():
+    leaving = np.where(np.arange(FRAMES) < 8, 160 + 3.0 * np.arange(FRAMES), np.nan)
+    images = filmed((RED, BLUE), (np.full(FRAMES, 60.0), leaving))
+    people = [Sighting(0, 0.9, pose_at(x).roi, pose_at(x)) for x in (60, 160)]
+    job = Job(Path(), emit=lambda event: None)
+    for start, seen in ((pose_at(60), FRAMES), (pose_at(160), 8)):
+        track = follow_among(job, Eyes(), images, NAMED, people, Sighting(3, 0.9, start.roi, start))
+        assert track is not None and sum(pose is not None for pose in track) == seen
+    aside = pose_at(110)
+    assert follow_among(job, Eyes(), images, NAMED, people, Sighting(3, 0.9, aside.roi, aside)) is None
 
 
 def test_a_small_person_beside_a_large_one_is_somebody_else():
