@@ -21,8 +21,8 @@ STAND_INS = {
 """Model landmarks that BlazePose knows under another name, or as the middle of two (the knuckles)."""
 ARMS, LEGS = ("elbow", "wrist", "hand"), ("knee", "ankle", "heel", "big_toe", "foot")
 # Cost of exchanging sides, in body heights moved by the landmarks that swap: at either end of a run of exchanged frames, and
-# for each of its frames. With 1 a frame, a third of a clip that is exchanged in one piece stays so.
-SWAP_EDGE, SWAP_COST = 0.45, 0.1
+# for all frames together; each costs its share, or a third of a clip of many frames would stay exchanged.
+SWAP_EDGE, SWAP_ALL = 0.45, 3.0
 STRANGER_JUMP = 0.75  # body heights from the neighbours' median; farther is a stranger
 CUT = 0.04  # of the person's height: nearer to the picture's border than that, a landmark is a guess
 LEAST, LEFT = 6, 4  # landmarks of somebody who is seen: in all, and away from the picture's border
@@ -159,7 +159,7 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
 
     Somebody seen from behind who is taken for somebody seen from the front has both left and right exchanged and near and
     far. A shortest path over the seen frames (Viterbi): a step costs how far the landmarks move, in picture and space; a run of
-    exchanged frames costs SWAP_EDGE at either end and SWAP_COST for each frame, so the sides that BlazePose gives most often
+    exchanged frames costs SWAP_EDGE at either end and its share of SWAP_ALL, so the sides that BlazePose gives most often
     win. Returns which frames [F] were changed.
     """
     orders = [mirrored_columns(evidence.names, parts) for parts in ((), None, ARMS, LEGS, None)]
@@ -175,8 +175,8 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
     views[..., 2:] *= near_far[:, None, None]
     weights = np.stack([evidence.weight[:, order] for order in orders])
     states = len(orders)
-    cost = np.zeros(states)
-    cost[1:] += SWAP_EDGE + SWAP_COST
+    cost, each = np.zeros(states), SWAP_ALL / len(frames)
+    cost[1:] += SWAP_EDGE + each
     back = np.zeros((len(frames), states), int)
     for step in range(1, len(frames)):
         a, b = frames[step - 1], frames[step]
@@ -185,7 +185,7 @@ def vote_sides(evidence: LandmarkEvidence) -> tuple[LandmarkEvidence, np.ndarray
         step_cost = (trust * np.minimum(moved, 0.5)).sum(-1)
         total = cost[:, None] + step_cost + SWAP_EDGE * (1 - np.eye(states))
         back[step] = total.argmin(0)
-        cost = total.min(0) + SWAP_COST * (np.arange(states) > 0)
+        cost = total.min(0) + each * (np.arange(states) > 0)
     state = np.zeros(len(frames), int)
     state[-1] = (cost + SWAP_EDGE * (np.arange(states) > 0)).argmin()
     for step in range(len(frames) - 1, 0, -1):

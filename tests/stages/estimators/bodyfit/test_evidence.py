@@ -67,6 +67,22 @@ def test_sides_that_are_exchanged_are_set_right(run, share):
     np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
 
 
+def test_a_third_of_a_clip_of_many_frames_is_set_right_as_one_of_few_is():
+    """Each frame twelve times, as a camera of twelve times the rate sees them."""
+    model = read_body_model()
+    names, _ = model_landmarks(model)
+    few = gather(bodyfit_clips.make(model, frames=30).tracks, names)
+    parts = {key: getattr(few, key).repeat(12, 0) for key in ("xy", "weight", "world", "seen", "height")}
+    evidence, _ = vote_sides(replace(few, **parts))
+    run = slice(144, 264)
+    exchanged = replace(evidence, xy=evidence.xy.copy(), world=evidence.world.copy(), weight=evidence.weight.copy())
+    for values in (exchanged.xy, exchanged.world, exchanged.weight):
+        values[run] = values[run][:, mirrored_columns(names)]
+    voted, changed = vote_sides(exchanged)
+    assert np.flatnonzero(changed).tolist() == [i for i in range(360)[run] if evidence.seen[i]]
+    np.testing.assert_array_equal(voted.xy[evidence.seen], evidence.xy[evidence.seen])
+
+
 @pytest.mark.parametrize("mirrored", [False, True], ids=["somebody else", "a mirror"])
 def test_frames_that_show_somebody_else_or_a_mirror_image_are_left_out(mirrored):
     clip, beside = make(), make(carried(lambda times: np.tile([1.1, 0, -0.4], (len(times), 1))))
