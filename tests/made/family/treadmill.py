@@ -93,7 +93,8 @@ def make_treadmill(folder: Path, clip: Path) -> None:
 def triangulated(folder: Path, clip: Path) -> tuple[np.ndarray, np.ndarray]:
     """JOINTS [F,12,3] m in the frame of cam01 from the landmarks in all views, and by how many px they miss on average [F,12].
 
-    Where one view has left and right of a pair of GROUPS the other way around than the two others, it is turned back.
+    Where one view has left and right of a pair of GROUPS the other way around than the two others, it is turned back; where
+    all of them have in a frame, against most frames, all are.
     """
     lenses = read_calibration(clip / "Calib.qca.txt")
     first = np.linalg.inv(lenses[VIEWS[0]].viewmat)
@@ -118,7 +119,20 @@ def triangulated(folder: Path, clip: Path) -> tuple[np.ndarray, np.ndarray]:
             best = np.where(better, off[:, at].mean(1), best)
             rows = np.ix_(better, at)
             points[rows], missed[rows] = found[rows], off[rows]
+        turned = _turned(points[:, at], points[:, other])
+        for values in (points, missed):
+            values[np.ix_(turned, at)] = values[np.ix_(turned, other)]
     return points, missed
+
+
+def _turned(points: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The frames [F] in which `points` [F,J,3] are the `other` side's: going from frame to frame, against most of them."""
+    both, side = np.stack([points, other], 1), [0]
+    for i in range(1, len(points)):
+        away = np.linalg.norm(both[i] - both[i - 1, side[-1]], axis=-1)
+        side.append(int(np.nansum(away, 1).argmin()))
+    found = np.array(side) == 1
+    return found if found.mean() <= 0.5 else ~found
 
 
 def _meet(P: np.ndarray, xy: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
