@@ -10,7 +10,7 @@ from stages import contract
 
 
 class Params(contract.Params):
-    steps: int = Field(1300, gt=0)
+    steps: int = Field(1400, gt=0)
     """Training frames looked at. Time grows linearly."""
     seconds: float = Field(0, ge=0)
     """Time to spend, on this machine: `steps` and the sizes are then chosen by timing a few steps; 0 = not limited."""
