@@ -105,7 +105,9 @@ def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
     for person, name, place in zip(film.people, names_of(film), free_places(film, setting), strict=True):
         actor = cast(person.model_copy(update={"at": place}), name, setting.ground, film.fps, job.device)
         if person.at is None and place != (0, 0):
-            said[f"{name} stands at [{place[0]:g}, {place[1]:g}], which is free; `at:` says where else"] = None
+            said[f"{name} stands at [{place[0]:g}, {place[1]:g}], where least is in the way; `at:` says where else"] = (
+                None
+            )
         said |= dict.fromkeys(actor.facts)
         mode = person.colour or film.colour
         if mode != "off" and setting.scene is not None and person.avatar != film.scene:

@@ -117,7 +117,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
-    pictures = Pictures(paths)
+    pictures, people = Pictures(paths), []
     if params.person == EVERYBODY:
         people = everybody(job, network, pictures)
         tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
@@ -128,7 +128,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     bystanders = Bystanders(job, names, sightings, None if params.person == EVERYBODY else params.person)
     poses, start = None, bystanders.start
     if bystanders.several and start is not None:
-        people = everybody(job, network, pictures)
+        people = people or everybody(job, network, pictures)
         poses = follow_among(job, network, pictures, names, people, start) if len(people) > 1 else None
     poses = poses or network.track(pictures, start)
     write_landmarks(job.out / "landmarks.npz", names, poses)
