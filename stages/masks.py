@@ -126,17 +126,18 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
             return
     sightings = network.sightings(pictures) or network.sightings(pictures, most=len(pictures))
     bystanders = Bystanders(job, names, sightings, None if params.person == EVERYBODY else params.person)
-    poses, start = None, bystanders.start
+    tracks, start = [], bystanders.start
     if bystanders.several and start is not None:
         people = people or everybody(job, network, pictures)
-        poses = follow_among(job, network, pictures, names, people, start) if len(people) > 1 else None
-    poses = poses or network.track(pictures, start)
-    write_landmarks(job.out / "landmarks.npz", names, poses)
-    bystanders.warn_of_jumps(poses)
-    for i, (pose, masks) in enumerate(zip(poses, outlined(pictures, [poses]), strict=True)):
+        tracks = follow_among(job, network, pictures, names, people, start) if len(people) > 1 else []
+    tracks = tracks or [network.track(pictures, start)]
+    write_landmarks(job.out / "landmarks.npz", names, tracks[0])
+    bystanders.warn_of_jumps(tracks[0])
+    for i, (pose, masks) in enumerate(zip(tracks[0], outlined(pictures, tracks), strict=True)):
+        _, own = apart(masks)
         if pose is not None:
-            bystanders.look(i, pose, masks[0])
-        yield masks
+            bystanders.look(i, pose, own[0])
+        yield own[:1]
     bystanders.close()
 
 

@@ -87,13 +87,15 @@ def follow_everybody(
 
 def follow_among(
     job: Job, network: BlazePose, images: Images, names: Sequence[str], people: list[Sighting], start: Sighting
-) -> list[Pose | None] | None:
-    """The poses of the one of `people` who is `start`, never another's, in all frames; None if it is none of them."""
+) -> list[list[Pose | None]]:
+    """The poses of each of `people` in all frames, first of the one who is `start`; nothing if it is none of them."""
     tracks = _follow_each(job, network, images, names, people)
     wanted, here = start.pose.next_roi, [track[start.frame] for track in tracks]
     away = [np.inf if one is None else np.hypot(one.next_roi.x - wanted.x, one.next_roi.y - wanted.y) for one in here]
     nearest = int(np.argmin(away))
-    return tracks[nearest] if away[nearest] < SAME * wanted.side else None
+    if away[nearest] >= SAME * wanted.side:
+        return []
+    return [tracks[nearest], *tracks[:nearest], *tracks[nearest + 1 :]]
 
 
 def _follow_each(
