@@ -96,23 +96,29 @@ def _check_endings(film: Film) -> None:
 
 def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
     """The people, in the colours of the scene; says what is to be said of them and of the scene."""
-    from stages.filming.cast import cast, in_colour
+    import numpy as np
+
+    from stages.filming.cast import cast, in_colour, moved
     from stages.filming.colours import match
     from stages.filming.standing import free_places
 
     said = dict.fromkeys(setting.facts)
     people, looks = [], _Looks(film, setting)
-    for person, name, place in zip(film.people, names_of(film), free_places(film, setting), strict=True):
-        actor = cast(person.model_copy(update={"at": place}), name, setting.ground, film.fps, job.device)
+    actors = [
+        cast(person, name, setting.ground, film.fps, job.device)
+        for person, name in zip(film.people, names_of(film), strict=True)
+    ]
+    places = free_places(film, [actor.start(setting.ground) for actor in actors], setting)
+    for person, actor, place in zip(film.people, actors, places, strict=True):
         if person.at is None and place != (0, 0):
-            said[f"{name} stands at [{place[0]:g}, {place[1]:g}], where least is in the way; `at:` says where else"] = (
-                None
-            )
+            where = f"[{place[0]:g}, {place[1]:g}]"
+            said[f"{actor.name} stands at {where}, where least is in the way; `at:` says where else"] = None
+            actor = moved(actor, setting.ground.turn @ np.array([place[0], 0, place[1]]))
         said |= dict.fromkeys(actor.facts)
         mode = person.colour or film.colour
         if mode != "off" and setting.scene is not None and person.avatar != film.scene:
             gain, done = match(looks.of(person.avatar), looks.of_scene(), mode == "always")
-            said[f"{name}'s {done}"] = None
+            said[f"{actor.name}'s {done}"] = None
             actor = in_colour(actor, gain) if (gain != 1).any() else actor
         people.append(actor)
     flags = {actor.baked.antialias for actor in people} | ({setting.scene.antialias} if setting.scene else set())

@@ -117,27 +117,29 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
-    pictures, people = Pictures(paths), []
-    if params.person == EVERYBODY:
+    pictures, all_of_them = Pictures(paths), params.person == EVERYBODY
+    tracks: list[list[Pose | None]] = []
+    if all_of_them:
         people = everybody(job, network, pictures)
         tracks = follow_everybody(job, network, pictures, names, people) if len(people) > 1 else []
         if len(tracks) > 1:
             yield from outlined(pictures, tracks)
             return
     sightings = network.sightings(pictures) or network.sightings(pictures, most=len(pictures))
-    bystanders = Bystanders(job, names, sightings, None if params.person == EVERYBODY else params.person)
-    tracks, start = [], bystanders.start
-    if bystanders.several and start is not None:
-        people = people or everybody(job, network, pictures)
-        tracks = follow_among(job, network, pictures, names, people, start) if len(people) > 1 else []
+    bystanders = Bystanders(job, names, sightings, None if all_of_them else params.person)
+    start = bystanders.start
+    if bystanders.several and start is not None and not all_of_them:
+        people, wanted = everybody(job, network, pictures), params.person is not None
+        if len(people) > 1:
+            tracks = follow_among(job, network, pictures, names, people, start, wanted)
     tracks = tracks or [network.track(pictures, start)]
     write_landmarks(job.out / "landmarks.npz", names, tracks[0])
     bystanders.warn_of_jumps(tracks[0])
     for i, (pose, masks) in enumerate(zip(tracks[0], outlined(pictures, tracks), strict=True)):
-        _, own = apart(masks)
+        mask = own(masks)
         if pose is not None:
-            bystanders.look(i, pose, own[0])
-        yield own[:1]
+            bystanders.look(i, pose, mask)
+        yield [mask]
     bystanders.close()
 
 
@@ -189,6 +191,13 @@ def apart(masks: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
     each = np.stack(masks)
     twice = (each > 127).sum(0) > 1
     return each.max(0), list(np.where(twice, 0, each).astype(np.uint8))
+
+
+def own(masks: Sequence[np.ndarray]) -> np.ndarray:
+    """The first of the masks uint8 [H,W] of people, without the pixels that another is surer of."""
+    import numpy as np
+
+    return np.where(masks[0] >= np.max(masks, axis=0), masks[0], 0).astype(np.uint8)
 
 
 def has_second_part(mask: np.ndarray) -> bool:

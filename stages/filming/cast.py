@@ -105,6 +105,11 @@ class Actor:
         _, joints = self.soles.at(self.global_orient[rows], self.body_pose[rows], self.transl[rows])
         return self.place + self.scale * (joints - self.place)
 
+    def start(self, ground: records.Ground) -> tuple[float, float]:
+        """Where their motion begins, m on the floor to the left and ahead of their place."""
+        left, _, forward = (self.joints([self.first])[0, 0] - self.place) @ ground.turn
+        return float(left), float(forward)
+
     @cached_property
     def bones(self) -> torch.Tensor:
         """All bones [P,J,4,4] at each pose of the motion, of the skeleton and of clothes."""
@@ -163,6 +168,11 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         loop=person.loop,
         facts=(*facts, *(() if run else lacks(person.avatar, None))),
     )
+
+
+def moved(actor: Actor, way: np.ndarray) -> Actor:
+    """The same person, `way` [3] m from where they were."""
+    return replace(actor, place=actor.place + way, transl=actor.transl + way)
 
 
 def in_colour(actor: Actor, gain: np.ndarray) -> Actor:

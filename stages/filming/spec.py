@@ -30,8 +30,8 @@ class Person(Keys):
     """A .bvh or .npz file; clip: as they moved in their own clip; or made by formula: wave, squats, jumping_jacks,
     walk_in_place."""
     at: tuple[float, float] | None = None
-    """Where their motion begins, m on the floor from where the scene's own person stood: to the left, ahead. If not said, there,
-    or at the nearest place that is free, which is told."""
+    """Where their motion begins, m on the floor from where the scene's own person stood: to the left, ahead. If not said, the
+    scene's own people are where they were, and others at the nearest place that is free, which is told."""
     turn: float = 0.0
     """Degrees to the left, seen from above."""
     start: float = 0.0

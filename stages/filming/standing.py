@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -24,43 +24,56 @@ HIDDEN, SHOWN, SHARED = 0.05, 0.8, 0.3  # shares of somebody's room: hidden by t
 SMALL = 160  # px of the longer side of the picture in which that is measured
 
 
-def free_places(film: Film, setting: Setting) -> list[Place]:
+def free_places(film: Film, starts: Sequence[Place], setting: Setting) -> list[Place]:
     """Where each person of the film stands, m on the floor to the left and ahead: as said, or the nearest place that is free.
 
-    Free is where few of the scene's Gaussians are, where the camera of the clip's middle sees all of somebody, and nobody
-    else stands, before or behind them either; if no place is, that where least is in the way. The scene's own people come
-    first. Those of one clip who move as they did there stay together.
+    `starts`: how far from there their motion begins. Free is where few of the scene's Gaussians are, where the camera of the
+    clip's middle sees all of somebody, and nobody else stands, before or behind them either; if no place is, that where
+    least is in the way. The scene's own people are where they were. Those of one clip who move as they did there stay together.
     """
     found = {i: person.at for i, person in enumerate(film.people) if person.at is not None}
-    for i, person in sorted(enumerate(film.people), key=lambda one: one[1].avatar != film.scene):
+    own = [i for i, person in enumerate(film.people) if person.avatar == film.scene and i not in found]
+    found |= {i: (0.0, 0.0) for i in own if film.people[i].motion == "clip" or i == own[0]}
+    for i, person in enumerate(film.people):
         if i not in found:
-            beside = next((found[k] for k in found if _together(film.people[k], person)), None)
-            found[i] = beside or _freest(set(found.values()), setting)
+            taken = {_sum(place, starts[k]) for k, place in found.items()}
+            found[i] = _beside(person, film, found) or _freest(taken, starts[i], setting)
     return [found[i] for i in range(len(film.people))]
 
 
-def _together(one: Person, other: Person) -> bool:
-    """Whether they are two of one clip who move as they did there."""
-    return one.avatar == other.avatar and one.who != other.who and one.motion == other.motion == "clip"
+def _sum(one: Place, other: Place) -> Place:
+    return one[0] + other[0], one[1] + other[1]
 
 
-def _freest(taken: Collection[Place], setting: Setting) -> Place:
-    """The first place that is free, or the one with least in the way."""
+def _beside(person: Person, film: Film, found: Mapping[int, Place]) -> Place | None:
+    """The place of another of the same clip, if both move as they did there, and nobody is there in the person's stead."""
+    there = {k: (film.people[k], place) for k, place in found.items() if film.people[k].avatar == person.avatar}
+    moving = {k: (one, place) for k, (one, place) in there.items() if one.motion == person.motion == "clip"}
+    held = {place for one, place in moving.values() if one.who == person.who}
+    return next((place for _, place in moving.values() if place not in held), None)
+
+
+def _freest(taken: Collection[Place], start: Place, setting: Setting) -> Place:
+    """The first place from which somebody who begins at `start` from there is free, or the one with least in the way."""
     way = STEP * np.arange(-round(FAR / STEP), round(FAR / STEP) + 1)
-    spots = [(float(x), float(z)) for x in way for z in way if all(np.hypot(x - a, z - b) >= APART for a, b in taken)]
+    spots = [(float(x), float(z)) for x in way for z in way]
     spots.sort(key=lambda spot: (round(float(np.hypot(spot[0], DEEP * spot[1])), 6), -spot[0], -spot[1]))
-    if not taken or not spots:
-        return 0.0, 0.0  # where the scene's own person stood, whatever training left there
-    found: dict[Place, float] = {}
+    if not taken:
+        return spots[0]  # where the scene's own person stood, whatever training left there
+    least, best = np.inf, spots[0]
     for spot in spots:
-        found[spot] = in_the_way = _in_the_way(spot, taken, setting)
-        if in_the_way <= 1:
+        x, z = _sum(spot, start)
+        if all(np.hypot(x - a, z - b) >= APART for a, b in taken):
+            in_the_way = _in_the_way((x, z), taken, setting, least)
+            if in_the_way < least:
+                least, best = in_the_way, spot
+        if least <= 1:
             break
-    return min(found, key=found.__getitem__)
+    return best
 
 
-def _in_the_way(spot: Place, taken: Collection[Place], setting: Setting) -> float:
-    """How much is where somebody would stand, or between them and the camera: 1 is just free."""
+def _in_the_way(spot: Place, taken: Collection[Place], setting: Setting, least: float) -> float:
+    """How much is where somebody would stand, or between them and the camera: 1 is just free; from `least` on any number."""
     solid = 0.0
     if setting.scene is not None:
         x, y, z = ((setting.scene.means - setting.ground.point) @ setting.ground.turn).T
@@ -74,9 +87,10 @@ def _in_the_way(spot: Place, taken: Collection[Place], setting: Setting) -> floa
     shown = float(np.prod(inside[1] - inside[0]) / np.prod(high - low))
     if near < RADIUS or shown == 0:
         return np.inf
-    shared = max(_overlap(box[0], _box(other, view, K, setting)[0]) for other in taken)
-    hidden = _hidden(inside, near, view, K, size, setting)
-    return max(solid, (1 - shown) / (1 - SHOWN), shared / SHARED, hidden / HIDDEN)
+    others = [other for other, nearest in (_box(one, view, K, setting) for one in taken) if nearest >= RADIUS]
+    shared = max((_overlap(box[0], other) for other in others), default=0.0)
+    found = max(solid, (1 - shown) / (1 - SHOWN), shared / SHARED)
+    return found if found >= least else max(found, _hidden(inside, near, view, K, size, setting) / HIDDEN)
 
 
 def _camera(clip: Clip) -> tuple[np.ndarray, np.ndarray, list[int]]:

@@ -86,16 +86,33 @@ def follow_everybody(
 
 
 def follow_among(
-    job: Job, network: BlazePose, images: Images, names: Sequence[str], people: list[Sighting], start: Sighting
+    job: Job,
+    network: BlazePose,
+    images: Images,
+    names: Sequence[str],
+    people: list[Sighting],
+    start: Sighting,
+    wanted: bool,
 ) -> list[list[Pose | None]]:
-    """The poses of each of `people` in all frames, first of the one who is `start`; nothing if it is none of them."""
+    """The poses of each of `people` in all frames, first of the one who is `start`; nothing if it is none of them.
+
+    Unless they are `wanted`, somebody goes before them who is seen more than twice as often: a note says whom.
+    """
     tracks = _follow_each(job, network, images, names, people)
-    wanted, here = start.pose.next_roi, [track[start.frame] for track in tracks]
-    away = [np.inf if one is None else np.hypot(one.next_roi.x - wanted.x, one.next_roi.y - wanted.y) for one in here]
-    nearest = int(np.argmin(away))
-    if away[nearest] >= SAME * wanted.side:
+    roi, here = start.pose.next_roi, [track[start.frame] for track in tracks]
+    away = [np.inf if one is None else np.hypot(one.next_roi.x - roi.x, one.next_roi.y - roi.y) for one in here]
+    chosen = int(np.argmin(away))
+    if away[chosen] >= SAME * roi.side:
         return []
-    return [tracks[nearest], *tracks[:nearest], *tracks[nearest + 1 :]]
+    seen = [sum(pose is not None for pose in track) for track in tracks]
+    if not wanted and max(seen) > 2 * seen[chosen]:
+        most = int(np.argmax(seen))
+        job.note(
+            f"the largest is seen in {seen[chosen]} of {len(names)} frames; followed is who is seen in {seen[most]}: in frame "
+            f"{names[people[most].frame]} {describe_place(people[most])}"
+        )
+        chosen = most
+    return [tracks[chosen], *tracks[:chosen], *tracks[chosen + 1 :]]
 
 
 def _follow_each(

@@ -127,10 +127,11 @@ def triangulated(folder: Path, clip: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def _turned(points: np.ndarray, other: np.ndarray) -> np.ndarray:
     """The frames [F] in which `points` [F,J,3] are the `other` side's: going from frame to frame, against most of them."""
-    both, side = np.stack([points, other], 1), [0]
+    both, side, last = np.stack([points, other], 1), [0], points[0]
     for i in range(1, len(points)):
-        away = np.linalg.norm(both[i] - both[i - 1, side[-1]], axis=-1)
+        away = np.linalg.norm(both[i] - last, axis=-1)
         side.append(int(np.nansum(away, 1).argmin()))
+        last = np.where(np.isfinite(both[i, side[-1]]), both[i, side[-1]], last)
     found = np.array(side) == 1
     return found if found.mean() <= 0.5 else ~found
 

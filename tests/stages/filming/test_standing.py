@@ -39,8 +39,8 @@ def sheet(left: float, right: float, z: float) -> np.ndarray:
     return np.stack([across.ravel(), up.ravel(), np.full(across.size, z)], -1)
 
 
-def placed(setting: Setting, *people: Person) -> list[tuple[float, float]]:
-    return free_places(Film(scene=ANN, people=list(people)), setting)
+def placed(setting: Setting, *people: Person, starts: list | None = None) -> list[tuple[float, float]]:
+    return free_places(Film(scene=ANN, people=list(people)), starts or [(0, 0)] * len(people), setting)
 
 
 def test_where_nothing_is_they_stand_side_by_side():
@@ -57,11 +57,25 @@ def test_who_is_put_somewhere_stays_there_and_the_others_keep_away():
     assert others == [(0.25, 0), (1.25, 0)] and all(np.hypot(*np.subtract(first, one)) >= APART for one in others)
 
 
-def test_the_scenes_own_people_come_first_and_those_of_one_clip_stay_together():
-    people = [Person(avatar=BOB), Person(avatar=BOB, who=2), Person(avatar=ANN), Person(avatar=ANN, who=2)]
-    assert placed(setting_of(), *people) == [(1, 0), (1, 0), (0, 0), (0, 0)]
+def test_the_scenes_own_people_are_where_they_were():
+    wall = (-0.4, 0.4, 0.0, 0.9)
+    assert placed(setting_of(wall), Person(avatar=BOB, at=(0.5, 0)), Person(avatar=ANN))[1] == (0, 0)
+    people = [Person(avatar=BOB), Person(avatar=ANN, motion="wave"), Person(avatar=ANN, who=2)]
+    assert placed(setting_of(), *people) == [(1, 0), (0, 0), (0, 0)]
+
+
+def test_those_of_one_clip_stay_together_and_their_copies_do_not_coincide():
+    pair = [Person(avatar=BOB), Person(avatar=BOB, who=2)]
+    assert placed(setting_of(), Person(avatar=ANN), *pair) == [(0, 0), (1, 0), (1, 0)]
+    assert placed(setting_of(), Person(avatar=ANN), *pair, *pair) == [(0, 0), (1, 0), (1, 0), (-1, 0), (-1, 0)]
     waving = [Person(avatar=BOB, who=2, motion="wave"), Person(avatar=ANN), Person(avatar=BOB)]
     assert len(set(placed(setting_of(), *waving))) == 3
+
+
+def test_a_motion_that_begins_elsewhere_is_kept_apart_from_where_it_begins():
+    people = Person(avatar=ANN), Person(avatar=BOB)
+    assert placed(setting_of(), *people, starts=[(0, 0), (-0.9, 0)])[1] == (0, 0), "he begins 0.9 m to the right of it"
+    assert placed(setting_of(), *people, starts=[(0.5, 0), (0, 0)])[1] == (-0.5, 0), "she begins 0.5 m to the left"
 
 
 @pytest.mark.parametrize("seen", [True, False])
