@@ -47,10 +47,10 @@ def _sum(one: Place, other: Place) -> Place:
 
 def _beside(person: Person, film: Film, found: Mapping[int, Place]) -> Place | None:
     """The place of another of the same clip, if both move as they did there, and nobody is there in the person's stead."""
-    there = {k: (film.people[k], place) for k, place in found.items() if film.people[k].avatar == person.avatar}
-    moving = {k: (one, place) for k, (one, place) in there.items() if one.motion == person.motion == "clip"}
-    held = {place for one, place in moving.values() if one.who == person.who}
-    return next((place for _, place in moving.values() if place not in held), None)
+    others = [(film.people[k], place) for k, place in found.items() if film.people[k].avatar == person.avatar]
+    moving = [(one, place) for one, place in others if one.motion == person.motion == "clip"]
+    held = {place for one, place in moving if one.who == person.who}
+    return next((place for _, place in moving if place not in held), None)
 
 
 def _freest(taken: Collection[Place], start: Place, setting: Setting) -> Place:
