@@ -21,6 +21,7 @@ STEP, FAR = 0.25, 2.0  # m: the places that are looked at, and how far away
 DEEP = 1.5  # times as far counts a step toward the camera or away as one aside
 SOLID, HOLDS = 0.5, 10  # opacity of a Gaussian that is something, and how many there may be where nobody is in the way
 HIDDEN, SHOWN, SHARED = 0.05, 0.8, 0.3  # shares of somebody's room: hidden by the scene, in the picture, also another's
+CLOSE = 1.4  # times as near to the camera as somebody else, at most: who is much nearer fills the picture
 SMALL = 160  # px of the longer side of the picture in which that is measured
 
 
@@ -87,9 +88,10 @@ def _in_the_way(spot: Place, taken: Collection[Place], setting: Setting, least: 
     shown = float(np.prod(inside[1] - inside[0]) / np.prod(high - low))
     if near < RADIUS or shown == 0:
         return np.inf
-    others = [other for other, nearest in (_box(one, view, K, setting) for one in taken) if nearest >= RADIUS]
-    shared = max((_overlap(box[0], other) for other in others), default=0.0)
-    found = max(solid, (1 - shown) / (1 - SHOWN), shared / SHARED)
+    others = [one for one in (_box(place, view, K, setting) for place in taken) if one[1] >= RADIUS]
+    shared = max((_overlap(box[0], other) for other, _ in others), default=0.0)
+    nearer = min((away for _, away in others), default=near) / near
+    found = max(solid, (1 - shown) / (1 - SHOWN), shared / SHARED, nearer / CLOSE)
     return found if found >= least else max(found, _hidden(inside, near, view, K, size, setting) / HIDDEN)
 
 

@@ -95,6 +95,12 @@ def test_nobody_is_put_behind_something_nor_before_or_behind_another():
     assert abs(x) > 0.3, "between the walls, one would hide the other"
 
 
+def test_nobody_is_put_close_before_the_camera():
+    walls = [(-2.4, 2.4, z, 0.9) for z in np.arange(-2.4, 0.9, 0.2)]
+    _, z = placed(setting_of(*walls), Person(avatar=ANN), Person(avatar=BOB))[1]
+    assert z < 1.3, "1.4 times as near as she is, whose nearest point is 4.7 m away"
+
+
 def test_where_everything_is_full_it_is_the_place_with_least_in_the_way():
     full = [(-3.0, 3.0, z, 0.9) for z in np.arange(-2.4, 2.5, 0.2)] + [
         (-3.0, -0.4, z, 0.9) for z in np.arange(-2.3, 2.4, 0.2)
