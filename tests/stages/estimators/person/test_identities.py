@@ -71,6 +71,14 @@ def test_who_is_seen_goes_on_when_in_the_other_place_is_somebody_else():
     assert np.isfinite(first).all() and np.isfinite(second[:10]).all() and np.isnan(second[10:]).all()
 
 
+def test_who_is_where_they_were_is_themselves_in_other_colours():
+    """A leg that is thrown up shows what is behind it, and a cloud changes all colours."""
+    still = np.full(FRAMES, 60.0), np.full(FRAMES, 160.0)
+    images = filmed((RED, BLUE), still)[:10] + filmed((RED, (40, 200, 40)), still)[10:]
+    (first, second), _ = followed(images, (60, 160))
+    assert np.isfinite(first).all() and np.isfinite(second).all()
+
+
 def test_one_who_leaves_is_gone_and_the_other_is_not_taken_for_them():
     leaving = np.where(np.arange(FRAMES) < 8, 160 + 3.0 * np.arange(FRAMES), np.nan)
     (first, second), _ = followed(filmed((RED, BLUE), (np.full(FRAMES, 60.0), leaving)), (60, 160))
