@@ -136,7 +136,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     write_landmarks(job.out / "landmarks.npz", names, tracks[0])
     bystanders.warn_of_jumps(tracks[0])
     for i, (pose, masks) in enumerate(zip(tracks[0], outlined(pictures, tracks), strict=True)):
-        mask = own(masks)
+        mask = own_mask(masks)
         if pose is not None:
             bystanders.look(i, pose, mask)
         yield [mask]
@@ -193,7 +193,7 @@ def apart(masks: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
     return each.max(0), list(np.where(twice, 0, each).astype(np.uint8))
 
 
-def own(masks: Sequence[np.ndarray]) -> np.ndarray:
+def own_mask(masks: Sequence[np.ndarray]) -> np.ndarray:
     """The first of the masks uint8 [H,W] of people, without the pixels that another is surer of."""
     import numpy as np
 

@@ -218,8 +218,8 @@ def test_all_of_one_person_is_that_person(tmp_path, frames):
 
 def test_of_one_person_among_others_a_pixel_is_theirs_unless_another_is_surer_of_it():
     theirs, other = np.array([[255, 200, 255, 90]], np.uint8), np.array([[0, 255, 255, 60]], np.uint8)
-    np.testing.assert_array_equal(masks.own([theirs, other]), [[255, 0, 255, 90]])
-    np.testing.assert_array_equal(masks.own([theirs]), theirs)
+    np.testing.assert_array_equal(masks.own_mask([theirs, other]), [[255, 0, 255, 90]])
+    np.testing.assert_array_equal(masks.own_mask([theirs]), theirs)
 
 
 def test_a_pixel_that_two_claim_is_nobodys_but_no_scene():
