@@ -45,6 +45,8 @@ class Params(contract.Params):
     """Swap person and background of given masks. auto: if they mark most of the picture and of its border."""
     person: Annotated[str, Field(coerce_numbers_to_str=True)] | None = None
     """Person to follow if several are visible: an id that the stage lists when it runs; all: each of them. Default: the largest."""
+    outlines: Literal["auto", "always", "never"] = "auto"
+    """Whether outlines are corrected where other frames show what is behind them. auto: ours are, imported masks are kept."""
 
 
 def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = None) -> None:
@@ -69,6 +71,9 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     else:
         source, details, masks = "blazepose", {}, segment(job, params, frames, names)
         job.note("outlines by BlazePose, a small network; `--masks DIR` takes better ones")
+    steps = len(names)
+    if params.outlines == "always" or (params.outlines == "auto" and source == "blazepose"):
+        masks, steps = at_the_scene(job, frames, names, masks), 2 * steps
     (job.out / "masks").mkdir(exist_ok=True)
     found: dict[str, FrameMask] = {}
     parts, shared, seen = [], [], []
@@ -85,7 +90,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
                 write_mask(folder / f"{name}.png", one)
             seen.append([bool((one > 127).mean() >= PERSON_SHARE) for one in own])
             shared += [name] if sum(int((one > 127).sum()) for one in each) > (1 + SHARED) * (mask > 127).sum() else []
-        job.progress(i + 1, len(names))
+        job.progress(steps - len(names) + i + 1, steps)
     nobody = [name for name, frame in found.items() if frame["coverage"] < PERSON_SHARE]
     report(job, found, nobody, given=source == "imported")
     if params.person == EVERYBODY and not seen:
@@ -141,6 +146,27 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
             bystanders.look(i, pose, mask)
         yield [mask]
     bystanders.close()
+
+
+def at_the_scene(
+    job: Job, frames: Path, names: list[str], masks: Iterator[list[np.ndarray]]
+) -> Iterator[list[np.ndarray]]:
+    """The `masks` of each frame, as `segment` yields them, their outlines moved to where the static scene ends."""
+    from stages.estimators.person.static_scene import corrected, with_outline
+
+    each = []
+    for own in masks:
+        each.append(own)
+        job.progress(len(each), 2 * len(names))
+    everybody = [apart(own)[0] for own in each]
+    changed, person = 0, 0
+    pictures = Pictures([frames / "images" / f"{name}.png" for name in names])
+    for own, before, after in zip(each, everybody, corrected(everybody, pictures), strict=True):
+        changed += int(((before > 127) != (after > 127)).sum())
+        person += int((before > 127).sum())
+        yield with_outline(own, before, after)
+    share = changed / max(person, 1)
+    job.note(f"outlines corrected by what other frames show behind them: {share:.1%} of the person's pixels")
 
 
 def outlined(pictures: Pictures, tracks: Sequence[Sequence[Pose | None]]) -> Iterator[list[np.ndarray]]:

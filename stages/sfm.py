@@ -12,11 +12,9 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
-from stages.formats.facts import Listing, MaskFacts, read_facts
+from stages.formats.facts import Listing, read_facts
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from stages.estimators.cameras.intrinsics import Prior
     from stages.estimators.cameras.parts import Parts
     from stages.estimators.cameras.sparse_model import Pinholes
@@ -49,8 +47,6 @@ class Params(contract.Params):
     """Share of the frames that must get a pose."""
     cameras_from: Literal["auto", 0, 1] = "auto"
     """Number of the video's first frame in the names of `--cameras`. auto: read from the names where they tell."""
-    outlines: Literal["auto", "always", "never"] = "auto"
-    """Whether outlines are corrected where the static scene shows behind them. auto: ours are, imported masks are kept."""
 
 
 def run(
@@ -106,52 +102,9 @@ def run(
         **found.facts,
         **model,
     }
-    own = read_facts(masks / "masks.json", MaskFacts).source == "blazepose"
-    if params.outlines == "always" or (own and params.outlines == "auto"):
-        with parts.timed("outlines"):
-            facts["outlines_moved"] = correct_outlines(job)
     (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
     # Not in sfm.json: the same clip gives the same bytes, and the stages after it stay fresh.
     job.note(f"what took how long: {parts}")
-
-
-def correct_outlines(job: Job) -> float:
-    """Move the outlines of job.out/masks to where the static scene ends; returns the share of the person that changed."""
-    from stages.estimators.person.static_scene import corrected
-    from stages.formats.cameras import read_cameras
-    from stages.formats.images import read_image, read_mask, write_mask
-    from stages.formats.people import masks_of, people_of
-    from stages.formats.points import read_points
-
-    cameras, points = read_cameras(job.out / "cameras.npz"), read_points(job.out / "points.ply")[0]
-    files = {kind: [job.out / kind / f"{name}.png" for name in cameras.names] for kind in ("images", "masks")}
-    masks, images = [read_mask(path) for path in files["masks"]], [read_image(path) for path in files["images"]]
-    changed, person, people = 0, 0, people_of(job.out)
-    for path, before, after in zip(files["masks"], masks, corrected(masks, images, cameras, points), strict=True):
-        owners = [masks_of(job.out, k) / path.name for k in people] if len(people) > 1 else []
-        own = with_outline([read_mask(one) for one in owners], before, after)
-        for file, mask in zip([path, *owners], [after, *own], strict=True):
-            file.unlink()  # it may be a link to the mask of the masks stage
-            write_mask(file, mask)
-        changed += int(((before > 127) != (after > 127)).sum())
-        person += int((before > 127).sum())
-    share = round(changed / max(person, 1), 4)
-    job.note(f"outlines corrected by what the scene shows behind them: {share:.1%} of the person's pixels")
-    return share
-
-
-def with_outline(own: list[np.ndarray], before: np.ndarray, after: np.ndarray) -> list[np.ndarray]:
-    """Each person's own mask uint8 [H,W] once everybody's has changed from `before` to `after`: what is new is the nearest's."""
-    import cv2
-    import numpy as np
-
-    if not own:
-        return []
-    kept = [np.minimum(one, after) for one in own]
-    new = (after > 127) & (before < 128)
-    away = [cv2.distanceTransform((one < 128).astype(np.uint8), cv2.DIST_L2, 5) for one in own]
-    nearest = np.argmin(away, 0)
-    return [np.where(new & (nearest == k), after, one) for k, one in enumerate(kept)]
 
 
 def what_is_told(job: Job, listing: Listing, smpl_fit: Path | None) -> Prior | None:

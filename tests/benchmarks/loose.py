@@ -40,7 +40,6 @@ from stages.formats.cameras import read_cameras
 from stages.formats.clip import Clip, load_clip
 from stages.formats.facts import Sfm, read_facts
 from stages.formats.images import read_image, read_mask, write_image, write_mask
-from stages.formats.points import read_points
 from stages.formats.splats import write_splats
 from stages.records import Effects
 from stages.training.accuracy import heldout_accuracy
@@ -84,11 +83,10 @@ def inputs(work: Path, garment: str, seed: int, own: bool) -> Path:
 
 
 def correct_masks(sfm: Path) -> None:
-    """Correct the masks by the scene, as the stage sfm does."""
-    cameras, points = read_cameras(sfm / "cameras.npz"), read_points(sfm / "points.ply")[0].astype(np.float64)
-    paths = [sfm / "masks" / f"{name}.png" for name in cameras.names]
-    images = [read_image(sfm / "images" / f"{name}.png") for name in cameras.names]
-    for path, mask in zip(paths, corrected([read_mask(path) for path in paths], images, cameras, points), strict=True):
+    """Correct the masks by the scene, as the stage masks does."""
+    paths = sorted((sfm / "masks").glob("*.png"))
+    images = [read_image(sfm / "images" / path.name) for path in paths]
+    for path, mask in zip(paths, corrected([read_mask(path) for path in paths], images), strict=True):
         write_mask(path, mask)
 
 

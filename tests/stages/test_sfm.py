@@ -188,16 +188,3 @@ def test_a_still_camera_has_the_focal_length_of_the_tool_that_fitted_the_person(
     assert facts["focal_source"] == source
     assert facts["focal_px"] == pytest.approx(truth.focal if source == "file" else 1.2 * WIDTH, rel=1e-4)
     assert any(tool in event.get("text", "") for event in events) == (source == "file")
-
-
-def test_what_an_outline_wins_is_the_nearest_persons_and_what_it_loses_is_nobodys():
-    one, other, before = np.zeros((3, 20, 40), np.uint8)
-    one[5:15, 5:15], other[5:15, 25:35] = 255, 255
-    before[:] = np.maximum(one, other)
-    after = before.copy()
-    after[5:15, 15:17], after[5:15, 23:25], after[5:7, 5:15] = 255, 255, 0
-    first, second = sfm.with_outline([one, other], before, after)
-    assert (first[7:15, 5:17] == 255).all() and not first[5:7, 5:15].any() and not first[:, 20:].any()
-    assert (second[5:15, 23:35] == 255).all() and not second[:, :20].any()
-    assert np.array_equal(np.maximum(first, second), after)
-    assert sfm.with_outline([], before, after) == []

@@ -1,20 +1,16 @@
-"""Points of the background followed through the clip, and where they are in the world.
-
-Kanade-Lucas-Tomasi: corners of one frame are found again in the next, and back; one that misses its start is dropped.
-Source: Shi and Tomasi 1994; Bouguet 2000 for the pyramid.
-"""
+"""Points of the background followed through the clip, and where they are in the world."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from stages.avatar.cameras.pinhole import camera_centers
+from stages.estimators.corners import Choice
+from stages.estimators.corners import follow as follow_corners
 
 if TYPE_CHECKING:
     from stages.formats.clip import Clip
@@ -22,12 +18,9 @@ if TYPE_CHECKING:
 SIDE = 640  # px of the longer side; larger frames are followed at this size
 ALIVE = 500  # points followed at a time
 RETURN_PX = 0.3  # how far from its start a point may come back
-BORDER = 3.0  # px: corners nearer to the frame's edge are half outside the window
-WINDOW, LEVELS = 13, 4
 PERSON = 20  # mask value from which a pixel may be the person's
 LEAST = 6  # frames in which a point must be seen before it is placed
 ROUNDS = 4  # of Gauss-Newton
-Flow = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -64,51 +57,21 @@ def follow(clip: Clip) -> Tracks:
 
 def _follow(clip: Clip) -> np.ndarray:
     """Pixels [F,T,2] of corners outside the masks, NaN where they are lost."""
-    frames, shrink = len(clip.names), min(1.0, SIDE / max(clip.width, clip.height))
+    shrink = min(1.0, SIDE / max(clip.width, clip.height))
     size = round(clip.width * shrink), round(clip.height * shrink)
-    found, alive, rows, count, before = [], np.zeros((0, 2), np.float32), np.zeros(0, int), 0, None
-    for i in range(frames):
+
+    def frame(i: int) -> tuple[np.ndarray, np.ndarray]:
         grey = cv2.resize(cv2.cvtColor(clip.images(i), cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
         mask = cv2.dilate(cv2.resize(clip.mask(i), size, interpolation=cv2.INTER_AREA), np.ones((9, 9), np.uint8))
-        if before is not None:
-            alive, kept = _step(before, grey, alive, mask < PERSON)
-            rows = rows[kept]
-        fresh = _corners(grey, mask < PERSON, alive)
-        rows, alive = np.concatenate([rows, count + np.arange(len(fresh))]), np.concatenate([alive, fresh])
-        found.append((rows, alive.astype(np.float64)))
-        count, before = count + len(fresh), grey
-    pixels = np.full((frames, count, 2), np.nan)
+        return grey, mask < PERSON
+
+    choice = Choice(most=ALIVE, apart=max(4, max(size) // 60), quality=0.01, returns=RETURN_PX)
+    found = follow_corners(map(frame, range(len(clip.names))), choice)
+    count = 1 + max((int(rows.max()) for rows, _ in found if len(rows)), default=-1)
+    pixels = np.full((len(found), count, 2), np.nan)
     for i, (rows, places) in enumerate(found):
-        pixels[i, rows] = (places + 0.5) * [clip.width / size[0], clip.height / size[1]]
+        pixels[i, rows] = (places.astype(np.float64) + 0.5) * [clip.width / size[0], clip.height / size[1]]
     return pixels
-
-
-def _step(
-    before: np.ndarray, after: np.ndarray, places: np.ndarray, allowed: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where `places` [N,2] of one frame are in the next, and which of them are believed [N]."""
-    if not len(places):
-        return places, np.zeros(0, bool)
-    flow: Flow = partial(cv2.calcOpticalFlowPyrLK, winSize=(WINDOW, WINDOW), maxLevel=LEVELS)
-    there, ok, _ = flow(before, after, places, None)
-    home, back, _ = flow(after, before, there, None)
-    far = np.array(allowed.shape[::-1]) - 1 - BORDER
-    inside = np.asarray(((there > BORDER) & (there < far)).all(1))
-    x, y = np.where(inside[:, None], np.rint(there), 0).astype(int).T
-    kept = (ok[:, 0] & back[:, 0]).astype(bool) & inside & (np.linalg.norm(home - places, axis=1) < RETURN_PX)
-    kept &= allowed[y, x]
-    return there[kept], kept
-
-
-def _corners(grey: np.ndarray, allowed: np.ndarray, alive: np.ndarray) -> np.ndarray:
-    """New corners [N,2], away from the points that are followed already."""
-    room, apart = allowed.astype(np.uint8), max(4, max(grey.shape) // 60)
-    for x, y in np.rint(alive).astype(int):
-        cv2.circle(room, (int(x), int(y)), apart, 0, -1)
-    if len(alive) >= ALIVE:
-        return np.zeros((0, 2), np.float32)
-    found = cv2.goodFeaturesToTrack(grey, ALIVE - len(alive), 0.01, apart, mask=room)
-    return np.zeros((0, 2), np.float32) if found is None else found[:, 0]
 
 
 def triangulate(pixels: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

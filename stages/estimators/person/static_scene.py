@@ -1,8 +1,8 @@
-"""What the static scene explains is not the person: masks seen again once cameras and points are known.
+"""What the static scene explains is not the person: the outlines of masks, seen again in the light of the other frames.
 
-Each frame is compared with the same piece of the scene in other frames, where the person does not hide it: warped over the
-depth of the sparse points, brought on the pixel by optical flow, and looked up within a pixel. Where they agree there is
-background, where nothing agrees there is somebody.
+Each frame is compared with the same piece of the scene in other frames, where the person does not hide it: found by how
+the scene moves around the person, brought on the pixel by optical flow, and looked up within a pixel. Where they agree there
+is background, where nothing agrees there is somebody.
 """
 
 from __future__ import annotations
@@ -10,26 +10,22 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import cv2
 import numpy as np
-from scipy.spatial import KDTree
 
-from stages.records import Cameras
+from stages.estimators.person.blazepose import Images
+from stages.estimators.person.scene_motion import HIDDEN, SceneMotion
 
-GAPS = (3, 7, 14, 28)  # frames before and after that a frame is compared with
+GAPS = (2, 4, 7, 11, 16, 22, 28)  # frames before and after that a frame is compared with
 TALL = 240  # px: a person who is taller is compared in smaller pictures, in half of them with a fourth of the work
 REACH = 0.05  # of the person's height, around the mask, in which pixels may change sides
 RING = 0.20  # of the person's height, beyond, where the flow of the scene is measured
-CELL = 6  # px; of the points in a cell the nearest counts
 BLUR = 0.7  # px, of the difference of colours
-STEP = 4  # px; at each the scene's depth is asked
-NEAREST = 5  # points that a pixel's depth is the mean of, by their distance
 FLOW_BLUR = 9.0, 30.0  # px, over which the scene's flow is carried on behind the person: the nearer where it is known
-OUTSIDE = -1e4  # px: a place in no picture, for what lies behind the other camera
-FLOW_MOST = 10.0  # px that the points' depth may be off
+FLOW_MOST = 10.0  # px that the scene's motion may be off
 WORTH = 0.05  # share of the pixels in question that another frame must show
 DIFFERENT = 5.0  # times the difference that background shows, from which on a pixel is rather the person
 USUAL_LEAST = 4.0  # of that difference, summed over the three colours of 0..255
@@ -44,38 +40,42 @@ GUIDE_RADIUS, GUIDE_EPS = 2, 2e-4 * 255**2
 
 @dataclass(frozen=True)
 class Window:
-    """The part of a frame around its mask: rows and columns, the pixels in question, and for each pixel its ray and the
-    scene's inverse depth per SfM unit, [h,w,4] in one."""
+    """The part of a frame around its mask: rows and columns, and which of its pixels [h,w] are in question."""
 
     rows: slice
     columns: slice
     asked: np.ndarray
-    rays: np.ndarray
 
 
-def corrected(
-    masks: Sequence[np.ndarray], images: Sequence[np.ndarray], cameras: Cameras, points: np.ndarray
-) -> Iterator[np.ndarray]:
-    """The masks uint8 [H,W] of all frames, 255 = person, their edges moved to where the static scene ends.
-
-    `images` uint8 [H,W,3]; `points` [P,3] of the scene, SfM units; without any the camera may only turn.
-    """
+def corrected(masks: Sequence[np.ndarray], images: Images) -> Iterator[np.ndarray]:
+    """The masks uint8 [H,W] of all frames, 255 = person, their edges moved to where the static scene ends."""
     heights = [np.ptp(rows) + 1 for mask in masks if len(rows := np.flatnonzero((mask > 127).any(1)))]
     scale = min(TALL / np.median(heights), 1.0) if heights else 1.0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        small = list(pool.map(partial(_resized, scale=scale), images))
+        small = list(pool.map(lambda i: _resized(images[i], scale), range(len(images))))
         asked = list(pool.map(partial(_resized, scale=scale), masks))
-        scaled = _scaled(cameras, small[0].shape) if small else cameras
         hidden = [cv2.dilate(mask, disk(2)) for mask in asked]
+        scene = SceneMotion([cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in small], hidden)
 
         def one(frame: int) -> np.ndarray:
-            window = _window(asked[frame], frame, scaled, points)
+            window = _window(asked[frame])
             if window is None:
                 return masks[frame]
-            evidence = _compared(frame, asked[frame], window, hidden, small, scaled)
+            evidence = _compared(frame, asked[frame], window, hidden, small, scene)
             return masks[frame] if evidence is None else _decided(masks[frame], images[frame], evidence)
 
         yield from pool.map(one, range(len(masks)))
+
+
+def with_outline(own: Sequence[np.ndarray], before: np.ndarray, after: np.ndarray) -> list[np.ndarray]:
+    """Each person's own mask uint8 [H,W] once everybody's has changed from `before` to `after`: what is new is the nearest's."""
+    if len(own) == 1:
+        return [after]
+    kept = [np.minimum(one, after) for one in own]
+    new = (after > 127) & (before < 128)
+    away = [cv2.distanceTransform((one < 128).astype(np.uint8), cv2.DIST_L2, 5) for one in own]
+    nearest = np.argmin(away, 0)
+    return [np.where(new & (nearest == k), after, one) for k, one in enumerate(kept)]
 
 
 def _resized(picture: np.ndarray, scale: float) -> np.ndarray:
@@ -86,14 +86,7 @@ def _resized(picture: np.ndarray, scale: float) -> np.ndarray:
     return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _scaled(cameras: Cameras, shape: tuple[int, ...]) -> Cameras:
-    """Cameras of pictures with this shape [h,w,...]."""
-    height, width = shape[:2]
-    factors = np.array([[width / cameras.width], [height / cameras.height], [1.0]])
-    return replace(cameras, Ks=cameras.Ks * factors, width=width, height=height)
-
-
-def _window(mask: np.ndarray, frame: int, cameras: Cameras, points: np.ndarray) -> Window | None:
+def _window(mask: np.ndarray) -> Window | None:
     """None for an empty mask."""
     rows, columns = np.nonzero(mask > 127)
     if len(rows) == 0:
@@ -105,11 +98,7 @@ def _window(mask: np.ndarray, frame: int, cameras: Cameras, points: np.ndarray) 
     height, width = mask.shape
     y = slice(max(rows.min() - ring, 0), min(rows.max() + ring, height))
     x = slice(max(columns.min() - ring, 0), min(columns.max() + ring, width))
-    K = cameras.Ks[frame]
-    v, u = np.mgrid[y, x].astype(np.float32)
-    depth = inverse_depth(points, cameras.viewmats[frame], K, (width, height), (y, x))
-    rays = np.dstack([(u + 0.5 - K[0, 2]) / K[0, 0], (v + 0.5 - K[1, 2]) / K[1, 1], np.ones_like(u), depth])
-    return Window(y, x, asked[y, x], rays.astype(np.float32))
+    return Window(y, x, asked[y, x])
 
 
 def disk(radius: float) -> np.ndarray:
@@ -118,43 +107,13 @@ def disk(radius: float) -> np.ndarray:
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
 
-def inverse_depth(
-    points: np.ndarray, viewmat: np.ndarray, K: np.ndarray, size: tuple[int, int], part: tuple[slice, slice]
-) -> np.ndarray:
-    """Inverse depth [h,w] of the scene between its `points` [P,3], in `part` (rows, columns) of a picture of `size`.
-
-    Zero, infinitely far, without points in view.
-    """
-    rows, columns = part
-    camera = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-    camera = camera[camera[:, 2] > 1e-3]
-    pixels = (camera @ K.T)[:, :2] / camera[:, 2:]
-    margin = np.array(size) / 10
-    there = ((pixels > -margin) & (pixels < size + margin)).all(1)
-    pixels, z = pixels[there], camera[there, 2]
-    cells = np.floor(pixels / CELL).astype(int)
-    order = np.lexsort((z, cells[:, 0], cells[:, 1]))
-    _, first = np.unique(cells[order], axis=0, return_index=True)
-    pixels, z = pixels[order][first], z[order][first]
-    if len(z) < NEAREST:
-        return np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.float32)
-    top, left = (side.start // STEP - 1 for side in part)
-    y, x = (np.arange(start, side.stop // STEP + 2) for start, side in ((top, rows), (left, columns)))
-    away, near = KDTree(pixels).query(STEP * (np.stack(np.meshgrid(x, y), -1) + 0.5), NEAREST)
-    weight = 1 / (away + 1) ** 2
-    found = ((weight / z[near]).sum(-1) / weight.sum(-1)).astype(np.float32)
-    whole = cv2.resize(found, None, fx=STEP, fy=STEP, interpolation=cv2.INTER_LINEAR)
-    top, left = STEP * top, STEP * left
-    return whole[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
-
-
 def _compared(
     frame: int,
     mask: np.ndarray,
     window: Window,
     hidden: Sequence[np.ndarray],
     images: Sequence[np.ndarray],
-    cameras: Cameras,
+    motion: SceneMotion,
 ) -> np.ndarray | None:
     """What other frames say of a frame's mask: log-odds [H,W] that a pixel is the person, NaN where it is not in question.
 
@@ -163,25 +122,16 @@ def _compared(
     image = np.ascontiguousarray(images[frame][window.rows, window.columns])
     least = np.full(image.shape[:2], np.inf, np.float32)
     for other in sorted({frame + sign * gap for gap in GAPS for sign in (-1, 1)} & set(range(len(images)))):
-        u, v = _lookup(window, frame, other, cameras)
-        scene = cv2.remap(images[other], u, v, cv2.INTER_LINEAR)
-        shown = cv2.remap(hidden[other], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255) < 60
+        places = motion.places(frame, other, window.rows, window.columns)
+        if places is None:
+            continue
+        scene = cv2.remap(images[other], *places, cv2.INTER_LINEAR)
+        theirs = cv2.remap(hidden[other], *places, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 255)
+        shown = theirs < HIDDEN
         if (shown & window.asked).sum() >= WORTH * window.asked.sum():
             gap = _difference(image, scene, shown & ~window.asked)
             least = np.where(shown, np.minimum(least, gap), least)
     return _evidence(mask, window, least)
-
-
-def _lookup(window: Window, frame: int, other: int, cameras: Cameras) -> tuple[np.ndarray, np.ndarray]:
-    """Where the window's pixels lie in another frame, by the scene's depth: columns and rows [h,w]."""
-    here, there, K = cameras.viewmats[frame], cameras.viewmats[other], cameras.Ks[other]
-    turn = there[:3, :3] @ here[:3, :3].T
-    shift = there[:3, 3] - turn @ here[:3, 3]
-    rays = cv2.transform(window.rays, np.column_stack([turn, shift]))
-    ahead = rays[..., 2] > 0.01
-    z = np.where(ahead, rays[..., 2], 1)
-    u, v = (np.where(ahead, rays[..., i] / z * K[i, i] + K[i, 2] - 0.5, OUTSIDE) for i in (0, 1))
-    return u.astype(np.float32), v.astype(np.float32)
 
 
 def _difference(image: np.ndarray, scene: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """What the body fit is given of a clip, on disk: made once, by what the stages masks and smpl call.
 
 A clip's folder:
-  images/%06d.png, masks/%06d.png   pictures, and our own masks of them, corrected by the scene as sfm does
+  images/%06d.png, masks/%06d.png   pictures, and our own masks of them, as the stage masks makes them
   cameras.npz, points.ply           as the sfm stage has them
   landmarks.npz                     BlazePose's landmarks of the masked person
   facts.json                        fps, moving, half
@@ -88,7 +88,7 @@ def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
     write_points(folder / "points.ply", made.points, made.colors)
     find_person(folder, list(names))
     masks = [read_mask(folder / "masks" / f"{name}.png") for name in names]
-    for name, mask in zip(names, corrected(masks, made.images, made.placed, made.points), strict=True):
+    for name, mask in zip(names, corrected(masks, made.images), strict=True):
         write_mask(folder / "masks" / f"{name}.png", mask)
     (folder / "facts.json").write_text(json.dumps({"fps": FPS, "moving": made.moving, "half": shot.half}) + "\n")
 
