@@ -29,7 +29,6 @@ from stages.estimators.bodyfit.evidence import (
     vote_sides,
 )
 from stages.estimators.bodyfit.fit import BodyFit, fit_body
-from stages.estimators.person.static_scene import corrected
 from stages.formats.arrays import read_npz
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import read_cameras, write_cameras
@@ -87,18 +86,15 @@ def make_take(folder: Path, shot: Shot, captures: Path | None) -> None:
     write_cameras(folder / "cameras.npz", made.placed)
     write_points(folder / "points.ply", made.points, made.colors)
     find_person(folder, list(names))
-    masks = [read_mask(folder / "masks" / f"{name}.png") for name in names]
-    for name, mask in zip(names, corrected(masks, made.images), strict=True):
-        write_mask(folder / "masks" / f"{name}.png", mask)
     (folder / "facts.json").write_text(json.dumps({"fps": FPS, "moving": made.moving, "half": shot.half}) + "\n")
 
 
 def find_person(folder: Path, names: list[str]) -> None:
     """Write masks/ and landmarks.npz from images/, as the stage masks finds them."""
     job = Job(out=folder, emit=lambda event: None)
-    masks = [mask for (mask,) in masks_stage.segment(job, masks_stage.Params(), folder, names)]
+    found = masks_stage.segment(job, masks_stage.Params(), folder, names)
     (folder / "masks").mkdir(exist_ok=True)
-    for name, mask in zip(names, masks, strict=True):
+    for name, (mask,) in zip(names, masks_stage.at_the_scene(job, folder, names, found), strict=True):
         write_mask(folder / "masks" / f"{name}.png", mask)
 
 
