@@ -39,7 +39,7 @@ class FrameMask(TypedDict):
 
 
 class Params(contract.Params):
-    """How to read given masks, and which person to follow."""
+    """How to read given masks, which person to follow, and whether outlines are corrected."""
 
     invert: Literal["auto", "always", "never"] = "auto"
     """Swap person and background of given masks. auto: if they mark most of the picture and of its border."""
@@ -53,7 +53,8 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     """Write masks.json, masks/%06d.png (0..255, 255 = person) for every frame, and the landmarks of the one BlazePose followed.
 
     Of several people these are everybody's, and people/1/masks, people/2/masks ... are each one's own, none of which share a
-    pixel. Without `mask_files` the masks of the data set are used, and without those BlazePose segments the person.
+    pixel. Without `mask_files` the masks of the data set are used, and without those BlazePose segments the person, and other
+    frames, which show what is behind them, correct the outlines.
     Raises StageError if given masks do not fit the frames, or if no frame shows a person.
     """
     from stages.formats.datasets.capture import given_by
@@ -73,7 +74,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         job.note("outlines by BlazePose, a small network; `--masks DIR` takes better ones")
     steps = len(names)
     if params.outlines == "always" or (params.outlines == "auto" and source == "blazepose"):
-        masks, steps = at_the_scene(job, frames, names, masks), 2 * steps
+        masks, steps = outlined_by_scene(job, frames, names, masks), 2 * steps
     (job.out / "masks").mkdir(exist_ok=True)
     found: dict[str, FrameMask] = {}
     parts, shared, seen = [], [], []
@@ -148,7 +149,7 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     bystanders.close()
 
 
-def at_the_scene(
+def outlined_by_scene(
     job: Job, frames: Path, names: list[str], masks: Iterator[list[np.ndarray]]
 ) -> Iterator[list[np.ndarray]]:
     """The `masks` of each frame, as `segment` yields them, their outlines moved to where the static scene ends."""
@@ -164,9 +165,12 @@ def at_the_scene(
     for own, before, after in zip(each, everybody, corrected(everybody, pictures), strict=True):
         changed += int(((before > 127) != (after > 127)).sum())
         person += int((before > 127).sum())
-        yield with_outline(own, before, after)
-    share = changed / max(person, 1)
-    job.note(f"outlines corrected by what other frames show behind them: {share:.1%} of the person's pixels")
+        yield with_outline(own, after)
+    if changed:
+        share = changed / max(person, 1)
+        job.note(f"outlines corrected by what other frames show behind them: {share:.1%} of the person's pixels")
+    else:
+        job.note("outlines stay as they are: no other frame shows what is behind them")
 
 
 def outlined(pictures: Pictures, tracks: Sequence[Sequence[Pose | None]]) -> Iterator[list[np.ndarray]]:

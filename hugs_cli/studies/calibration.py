@@ -6,7 +6,7 @@ Stages give their own cost after training, see `cost` in stages/train.py, stages
 STAGE_START = 2.5
 """Seconds from the end of a stage to the start of the next, libraries loaded. The kitchen clip, 2 cores, November 2026."""
 
-STAGES = {"frames": 0.06, "masks": 0.4, "sfm": 0.8, "smpl": 0.5, "survey": 0.25}
+STAGES = {"frames": 0.06, "masks": 0.5, "sfm": 0.7, "smpl": 0.5, "survey": 0.25}
 """Seconds a frame of the stages before training. The phone clip, 2 cores, November 2026."""
 
 LEAST = 400

@@ -66,10 +66,10 @@ def _step(
 
 def _fresh(grey: np.ndarray, allowed: np.ndarray, alive: np.ndarray, choice: Choice) -> np.ndarray:
     """New corners [N,2], away from the points that are followed already."""
+    if len(alive) >= choice.most:
+        return np.zeros((0, 2), np.float32)
     room = allowed.astype(np.uint8)
     for x, y in np.rint(alive).astype(int):
         cv2.circle(room, (int(x), int(y)), choice.apart, 0, -1)
-    if len(alive) >= choice.most:
-        return np.zeros((0, 2), np.float32)
     found = cv2.goodFeaturesToTrack(grey, choice.most - len(alive), choice.quality, choice.apart, mask=room)
     return np.zeros((0, 2), np.float32) if found is None else np.asarray(found)[:, 0]

@@ -144,12 +144,6 @@ class Rung(Facts):
     models: tuple[SparseModel, ...]
 
 
-class MaskFacts(Facts):
-    """masks.json; `source` is blazepose or imported."""
-
-    source: str
-
-
 class Sfm(GivenSfm):
     """sfm.json of the stages sfm and calibrated; `rungs`, `of` and `mapper` only where COLMAP mapped."""
 

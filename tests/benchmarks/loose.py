@@ -34,12 +34,11 @@ from stages.contract import Job
 from stages.estimators.assets import fetch
 from stages.estimators.detectors.clothing import detect
 from stages.estimators.detectors.evidence import ClipEvidence
-from stages.estimators.person.static_scene import corrected
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras
 from stages.formats.clip import Clip, load_clip
 from stages.formats.facts import Sfm, read_facts
-from stages.formats.images import read_image, read_mask, write_image, write_mask
+from stages.formats.images import read_image, read_mask, write_image
 from stages.formats.splats import write_splats
 from stages.records import Effects
 from stages.training.accuracy import heldout_accuracy
@@ -76,18 +75,8 @@ def inputs(work: Path, garment: str, seed: int, own: bool) -> Path:
         (frames / "given" / "smpl_fit.npz").unlink()
     masks.run(jobs["masks"], masks.Params(), frames=frames)
     calibrated.run(jobs["sfm"], calibrated.Params(), frames=frames, masks=folders["masks"])
-    if own:
-        correct_masks(sfm)
     smpl.run(jobs["smpl"], smpl.Params(), frames=frames, sfm=sfm)
     return place
-
-
-def correct_masks(sfm: Path) -> None:
-    """Correct the masks by the scene, as the stage masks does."""
-    paths = sorted((sfm / "masks").glob("*.png"))
-    images = [read_image(sfm / "images" / path.name) for path in paths]
-    for path, mask in zip(paths, corrected([read_mask(path) for path in paths], images), strict=True):
-        write_mask(path, mask)
 
 
 def trained(place: Path, steps: int, own: bool, clothing: bool | None) -> tuple[Fit, dict[str, Any]]:

@@ -15,8 +15,8 @@ from stages.estimators.corners import Choice, follow
 
 CORNERS = Choice(most=3000, apart=5, quality=0.005, returns=1.0)
 HIDDEN = 60  # of 255, from which on a pixel may be the person
-BESIDE = 2  # px around them, in which a corner may be the outline, which moves with the person
-FEW = 12  # corners in both frames: fewer tell no homography
+BESIDE = 2  # px around the hidden ones, in which a corner may be the outline, which moves with the person
+FEW = 12  # corners in both frames that move by one homography: fewer do not tell it
 OFF = 2.0  # px that a corner may be off a homography that it tells
 NEIGHBOURS, STRAY = 20, 3.0  # a corner that moves this many px otherwise than the middle one of these is left out
 NEAREST = 5  # corners that a pixel's motion is the mean of, by their distance
@@ -37,10 +37,14 @@ class SceneMotion:
 
         None if the two frames share too few corners.
         """
-        _, i, j = np.intersect1d(self.corners[frame][0], self.corners[other][0], return_indices=True)
-        here, there = self.corners[frame][1][i], self.corners[other][1][j]
-        way = cv2.findHomography(here, there, cv2.USAC_MAGSAC, OFF)[0] if len(here) >= FEW else None
-        if way is None:
+        (mine, here), (theirs, there) = self.corners[frame], self.corners[other]
+        _, i, j = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
+        here, there = here[i], there[j]
+        if len(here) < FEW:
+            return None
+        way, sure = cv2.findHomography(here, there, cv2.USAC_MAGSAC, OFF)
+        ends = [[x, y, 1] for x in (columns.start, columns.stop) for y in (rows.start, rows.stop)]
+        if way is None or sure.sum() < FEW or (np.array(ends) @ way[2] <= 0).any():  # behind the camera
             return None
         low = np.array([columns.start, rows.start]) - AROUND
         high = np.array([columns.stop, rows.stop]) + AROUND

@@ -12,14 +12,19 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from stages.estimators.person.blazepose import Images
 from stages.estimators.person.scene_motion import HIDDEN, SceneMotion
 
+if TYPE_CHECKING:
+    from stages.estimators.person.blazepose import Images
+
 GAPS = (2, 4, 7, 11, 16, 22, 28)  # frames before and after that a frame is compared with
+GONE = 5  # frames after somebody is seen, and before: in an empty mask within them they are rather missed than gone
+AHEAD = 8  # frames whose masks wait for their turn
 TALL = 240  # px: a person who is taller is compared in smaller pictures, in half of them with a fourth of the work
 REACH = 0.05  # of the person's height, around the mask, in which pixels may change sides
 RING = 0.20  # of the person's height, beyond, where the flow of the scene is measured
@@ -49,33 +54,38 @@ class Window:
 
 def corrected(masks: Sequence[np.ndarray], images: Images) -> Iterator[np.ndarray]:
     """The masks uint8 [H,W] of all frames, 255 = person, their edges moved to where the static scene ends."""
-    heights = [np.ptp(rows) + 1 for mask in masks if len(rows := np.flatnonzero((mask > 127).any(1)))]
-    scale = min(TALL / np.median(heights), 1.0) if heights else 1.0
+    rows = [np.flatnonzero((mask > 127).any(1)) for mask in masks]
+    seen = np.array([len(one) > 0 for one in rows], bool)
+    if not seen.any():
+        yield from masks
+        return
+    scale = min(TALL / np.median([np.ptp(one) + 1 for one in rows if len(one)]), 1.0)
+    lost = {i for i in np.flatnonzero(~seen) if seen[max(i - GONE, 0) : i + GONE + 1].any()}
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         small = list(pool.map(lambda i: _resized(images[i], scale), range(len(images))))
         asked = list(pool.map(partial(_resized, scale=scale), masks))
         hidden = [cv2.dilate(mask, disk(2)) for mask in asked]
-        scene = SceneMotion([cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in small], hidden)
+        motion = SceneMotion([cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in small], hidden)
 
         def one(frame: int) -> np.ndarray:
             window = _window(asked[frame])
             if window is None:
                 return masks[frame]
-            evidence = _compared(frame, asked[frame], window, hidden, small, scene)
+            others = {frame + sign * gap for gap in GAPS for sign in (-1, 1)} & set(range(len(images)))
+            evidence = _compared(frame, sorted(others - lost), asked[frame], window, hidden, small, motion)
             return masks[frame] if evidence is None else _decided(masks[frame], images[frame], evidence)
 
-        yield from pool.map(one, range(len(masks)))
+        for first in range(0, len(masks), AHEAD):
+            yield from pool.map(one, range(first, min(first + AHEAD, len(masks))))
 
 
-def with_outline(own: Sequence[np.ndarray], before: np.ndarray, after: np.ndarray) -> list[np.ndarray]:
-    """Each person's own mask uint8 [H,W] once everybody's has changed from `before` to `after`: what is new is the nearest's."""
+def with_outline(own: Sequence[np.ndarray], after: np.ndarray) -> list[np.ndarray]:
+    """Each person's own mask uint8 [H,W] once everybody's together has become `after`: what is new is the nearest's."""
     if len(own) == 1:
         return [after]
-    kept = [np.minimum(one, after) for one in own]
-    new = (after > 127) & (before < 128)
     away = [cv2.distanceTransform((one < 128).astype(np.uint8), cv2.DIST_L2, 5) for one in own]
     nearest = np.argmin(away, 0)
-    return [np.where(new & (nearest == k), after, one) for k, one in enumerate(kept)]
+    return [np.where(nearest == k, after, np.minimum(one, after)) for k, one in enumerate(own)]
 
 
 def _resized(picture: np.ndarray, scale: float) -> np.ndarray:
@@ -109,19 +119,20 @@ def disk(radius: float) -> np.ndarray:
 
 def _compared(
     frame: int,
+    others: Sequence[int],
     mask: np.ndarray,
     window: Window,
     hidden: Sequence[np.ndarray],
     images: Sequence[np.ndarray],
     motion: SceneMotion,
 ) -> np.ndarray | None:
-    """What other frames say of a frame's mask: log-odds [H,W] that a pixel is the person, NaN where it is not in question.
+    """What `others` say of a frame's mask: log-odds [H,W] that a pixel is the person, NaN where it is not in question.
 
     Their own person hides what `hidden` [H,W] marks. None where nothing is known.
     """
     image = np.ascontiguousarray(images[frame][window.rows, window.columns])
     least = np.full(image.shape[:2], np.inf, np.float32)
-    for other in sorted({frame + sign * gap for gap in GAPS for sign in (-1, 1)} & set(range(len(images)))):
+    for other in others:
         places = motion.places(frame, other, window.rows, window.columns)
         if places is None:
             continue

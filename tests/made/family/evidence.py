@@ -94,7 +94,7 @@ def find_person(folder: Path, names: list[str]) -> None:
     job = Job(out=folder, emit=lambda event: None)
     found = masks_stage.segment(job, masks_stage.Params(), folder, names)
     (folder / "masks").mkdir(exist_ok=True)
-    for name, (mask,) in zip(names, masks_stage.at_the_scene(job, folder, names, found), strict=True):
+    for name, (mask,) in zip(names, masks_stage.outlined_by_scene(job, folder, names, found), strict=True):
         write_mask(folder / "masks" / f"{name}.png", mask)
 
 

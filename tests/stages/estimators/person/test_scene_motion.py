@@ -1,5 +1,7 @@
 """How the static scene moves, against what the cameras of a drawn room say."""
 
+import copy
+
 import cv2
 import numpy as np
 import pytest
@@ -38,7 +40,7 @@ def true_places(views, frame, other):
 @pytest.mark.slow
 @pytest.mark.parametrize(("frame", "other", "most"), [(2, 4, 0.4), (4, 2, 1.0), (1, 8, 5.0)])
 def test_the_scene_is_found_in_another_frame_also_behind_who_stays_in_the_picture(walk, frame, other, most):
-    """Without a look at many neighbours corners at the outline, which stay, too, make it 28, 29 and 110 px."""
+    """Corners at the outline stay, too: where only eight neighbours judge a corner, the scene is 28, 29 and 110 px off there."""
     views, motion = walk
     truth, found = true_places(views, frame, other), motion.places(frame, other, *WINDOW)
     off = np.linalg.norm(np.stack(found, -1) - truth, axis=-1)
@@ -51,6 +53,15 @@ def test_frames_that_share_no_corners_tell_nothing():
     grey = [rng.integers(0, 256, (80, 80)).astype(np.uint8) for _ in range(2)]
     nobody = [np.zeros((80, 80), np.uint8)] * 2
     assert SceneMotion(grey, nobody).places(0, 1, slice(0, 80), slice(0, 80)) is None
+
+
+def test_corners_that_move_by_no_common_way_tell_nothing(walk):
+    motion, rng = copy.copy(walk[1]), np.random.default_rng(1)
+    here, window = rng.uniform(0, 200, (14, 2)).astype(np.float32), (slice(0, 200), slice(0, 200))
+    there = here + rng.normal(0, 12, here.shape).astype(np.float32)
+    motion.corners = [(np.arange(14), here), (np.arange(14), there), (np.arange(14), here + np.float32(3))]
+    assert motion.places(0, 1, *window) is None
+    np.testing.assert_allclose(motion.places(0, 2, *window)[0][50], np.arange(200) + 3, atol=1e-2)
 
 
 def test_motion_is_carried_to_every_pixel_and_a_stray_corner_is_left_out():

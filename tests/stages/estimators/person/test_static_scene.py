@@ -47,7 +47,7 @@ def test_somebody_tall_is_compared_in_smaller_pictures_and_outlined_in_their_own
     images, truth, guessed = clip
     sizes: list[tuple[int, int]] = []
     compared = static_scene._compared
-    monkeypatch.setattr(static_scene, "_compared", lambda *given: sizes.append(given[1].shape) or compared(*given))
+    monkeypatch.setattr(static_scene, "_compared", lambda *given: sizes.append(given[2].shape) or compared(*given))
     monkeypatch.setattr(static_scene, "TALL", 70)  # of 140 px
     found = list(corrected(guessed, images))
     assert set(sizes) == {(rooms.HEIGHT // 2, rooms.WIDTH // 2)} and found[0].shape == (rooms.HEIGHT, rooms.WIDTH)
@@ -75,7 +75,8 @@ def test_what_no_other_frame_shows_stays_as_it_was(clip):
     images, _, guessed = clip
     empty = np.zeros_like(guessed[0])
     assert next(corrected(guessed[:1], images[:1])) is guessed[0]
-    assert list(corrected([guessed[0], empty], images[:2]))[1] is empty  # nobody there
+    assert list(corrected([guessed[0], guessed[1], empty], images[:3]))[2] is empty  # nobody there
+    assert list(corrected([empty] * 3, images[:3])) == [empty] * 3
 
 
 def test_where_nothing_can_be_followed_masks_stay_as_they_were(clip):
@@ -84,14 +85,28 @@ def test_where_nothing_can_be_followed_masks_stay_as_they_were(clip):
     assert all(found is mask for found, mask in zip(corrected(guessed, plain), guessed, strict=True))
 
 
+@pytest.mark.slow
+def test_a_frame_in_which_the_person_is_missed_is_no_proof_that_nobody_is_there(clip):
+    images, truth, _ = clip
+    room = images[0].copy()
+    room[truth[0] > 0] = images[-1][truth[0] > 0]
+    stands, still = cv2.GaussianBlur(truth[4], (0, 0), 1.0) // 5 * 4, room.copy()
+    still[truth[4] > 0] = images[4][truth[4] > 0]
+    unsure = [stands] * 4 + [np.zeros_like(stands)] + [stands] * 4
+    found = list(corrected(unsure, [still] * 9))
+    assert min(overlap(mask, truth[4]) for i, mask in enumerate(found) if i != 4) > 0.9
+    gone = [stands] * 3 + [np.zeros_like(stands)] * 8
+    empty = list(corrected(gone, [still] * 3 + [room] * 8))  # and one who has left for good shows the room
+    assert overlap(empty[1], truth[4]) > 0.9
+
+
 def test_what_an_outline_wins_is_the_nearest_persons_and_what_it_loses_is_nobodys():
-    one, other, before = np.zeros((3, 20, 40), np.uint8)
-    one[5:15, 5:15], other[5:15, 25:35] = 255, 255
-    before[:] = np.maximum(one, other)
-    after = before.copy()
-    after[5:15, 15:17], after[5:15, 23:25], after[5:7, 5:15] = 255, 255, 0
-    first, second = with_outline([one, other], before, after)
+    one, other = np.zeros((2, 20, 40), np.uint8)
+    one[5:15, 5:15], other[5:15, 25:35] = 200, 255
+    after = np.maximum(one, other)
+    after[5:15, 5:15], after[5:15, 15:17], after[5:15, 23:25], after[5:7, 5:15] = 255, 255, 90, 0
+    first, second = with_outline([one, other], after)
     assert (first[7:15, 5:17] == 255).all() and not first[5:7, 5:15].any() and not first[:, 20:].any()
-    assert (second[5:15, 23:35] == 255).all() and not second[:, :20].any()
+    assert (second[5:15, 25:35] == 255).all() and (second[5:15, 23:25] == 90).all() and not second[:, :20].any()
     assert np.array_equal(np.maximum(first, second), after)
-    assert with_outline([one], before, after)[0] is after
+    assert with_outline([one], after)[0] is after
