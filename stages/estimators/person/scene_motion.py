@@ -25,11 +25,10 @@ AROUND = 40  # px beyond the window, in which corners count
 
 
 class SceneMotion:
-    """The motion of a clip's scene: `grey` and `hidden` F of uint8 [h,w], 255 where somebody hides the scene."""
+    """The motion of a clip's scene: `grey` and `hidden` F of uint8 [h,w] in order of time, 255 where somebody hides the scene."""
 
     def __init__(self, grey: Sequence[np.ndarray], hidden: Sequence[np.ndarray]):
-        brush = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BESIDE + 1, 2 * BESIDE + 1))
-        free = (cv2.dilate(mask, brush) < HIDDEN for mask in hidden)
+        free = (cv2.dilate(mask, disk(BESIDE)) < HIDDEN for mask in hidden)
         self.corners = follow(zip(grey, free, strict=True), CORNERS)
 
     def places(self, frame: int, other: int, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray] | None:
@@ -56,6 +55,12 @@ class SceneMotion:
             left = there - cv2.perspectiveTransform(here[:, None], way)[:, 0]
             pixels = pixels + spread(*without_strays(here, left), rows, columns)
         return pixels[..., 0], pixels[..., 1]
+
+
+def disk(radius: float) -> np.ndarray:
+    """A structuring element of this radius in px."""
+    side = 2 * round(radius) + 1
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
 
 def without_strays(points: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from stages.estimators.person.scene_motion import HIDDEN, SceneMotion
+from stages.estimators.person.scene_motion import HIDDEN, SceneMotion, disk
 
 if TYPE_CHECKING:
     from stages.estimators.person.blazepose import Images
@@ -109,12 +109,6 @@ def _window(mask: np.ndarray) -> Window | None:
     y = slice(max(rows.min() - ring, 0), min(rows.max() + ring, height))
     x = slice(max(columns.min() - ring, 0), min(columns.max() + ring, width))
     return Window(y, x, asked[y, x])
-
-
-def disk(radius: float) -> np.ndarray:
-    """A structuring element of this radius in px."""
-    side = 2 * round(radius) + 1
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
 
 def _compared(
