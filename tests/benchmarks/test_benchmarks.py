@@ -16,6 +16,7 @@ from stages.synthetic.garments import MAKERS
 from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, loose, train_step
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
+from tests.benchmarks.real_views import Hips, angle_between
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
 from tests.made.training import fit_of, make_clip, run
@@ -113,3 +114,10 @@ def test_a_training_without_the_hooks_of_effects_has_none_of_them_and_learns_the
     with torch.no_grad():
         bare.scene.sh0[0, 0] += 1e-6
     assert not effects_off.alike(off, bare)
+
+
+def test_a_world_is_scaled_by_hips_on_which_all_cameras_agree():
+    true = np.array([[0, 0, 4.0], [0.5, 0, 4], [0, 9, 9]])
+    hips = Hips(true, true / np.array([[1.1], [1.1], [7]]), np.array([True, True, False]))
+    assert hips.scale == pytest.approx(1.1)
+    assert angle_between(np.array([0, 0, 2.0]), np.array([-3.0, 0, -3])) == pytest.approx(135)
