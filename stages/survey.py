@@ -19,8 +19,6 @@ Effect = Literal["auto", "always", "never"]
 LOADS = contract.TORCH
 OF_PERSON = ("pose_refinement", "clothing", "shading")
 """Effects that are looked for in each of several people alone."""
-OF_SCENE = ("view_dependence", "shadow", "sky", "transients")
-"""Effects that change the scene alone, or what is learned of it: off where there is none."""
 
 # Limits at which a measure changes a decision or causes a warning.
 MIN_PARALLAX_DEG = 1.0  # below this SfM depth is mostly noise
@@ -86,8 +84,6 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     job.progress(len(DETECTORS), len(DETECTORS))
     effects = {name: decide(getattr(params, name, "auto"), finding) for name, finding in findings.items()}
     scene, why = decide_scene(params.scene, facts.verdict, len(clip.points))
-    if not scene:
-        effects |= {name: effects[name] | {"on": False, "why": "no scene is modelled"} for name in OF_SCENE}
     for text in [f"scene {'on' if scene else 'off'} ({why})", *reasons(effects)]:
         job.note(text)
     for name in ("camera_parallax", "reprojection", "coverage"):

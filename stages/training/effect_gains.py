@@ -36,9 +36,14 @@ PAUSES = 3  # `effect_gains` takes as long for an effect as so many measurements
 
 
 def effects_of(fit: Fit) -> list[str]:
-    """The effects that a training can do without: not the lens, which is sfm's, nor a sky, which nothing replaces."""
+    """The effects that a training can do without: not the lens, which is sfm's, nor a sky, which nothing replaces.
+
+    Without a scene a shadow falls on nothing: it is kept as `survey` saw it, for films.
+    """
     found = [name for name, option in OPTIONS.items() if getattr(fit.options, option)]
     found += [name for name, part in PARTS.items() if getattr(_owner(fit, name), part) is not None]
+    if fit.scene is None and "shadow" in found:
+        found.remove("shadow")
     return found + ["view_dependence"] * (fit.scene is not None and fit.scene.shN.shape[1] > 0)
 
 

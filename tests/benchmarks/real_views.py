@@ -4,7 +4,8 @@
 
 The folder is that of `tests.benchmarks.fit --treadmill`, made if it is missing. `human_only` is run on the pictures and the
 calibration of cam01; then the person is drawn over white as each calibrated camera sees them, in the poses that training
-left, and compared with that camera's picture, cut out by our own mask of it. One camera does not tell how large the person
+left, and compared with that camera's picture, cut out by our own mask of it, in the frames in
+which all cameras agree on the hips; every fifth is held out of training. One camera does not tell how large the person
 is: the world is scaled about cam01 so that the hips are as far away as those that all cameras triangulate to. Printed for
 each camera: the angle from cam01 at the hips; IoU of drawn person and mask; PSNR and LPIPS in the box around both, and PSNR of
 what lies in both. Lines "at the hips": with the hips moved to the triangulated ones, which leaves shape, pose and colours.
@@ -34,11 +35,25 @@ from stages.estimators.bodyfit.posed import posed_vertices
 from stages.filming.company import Member, load_company
 from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, write_image
-from tests.made.family.treadmill import FAR, HIPS, JOINTS, SIZE, VIEWS, make_treadmill, read_calibration, triangulated
+from stages.formats.video import write_video
+from tests.made.family.treadmill import (
+    EVERY,
+    FAR,
+    HIPS,
+    JOINTS,
+    RATE,
+    SIZE,
+    VIEWS,
+    make_treadmill,
+    read_calibration,
+    triangulated,
+)
 
 OPENGL = np.diag([1.0, -1, -1, 1])
 SHOWN = 5
 """Every so many of the pictures are shown."""
+CRF = 8
+"""Of the clip that is made of camera 1's undistorted pictures: hardly seen."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +77,15 @@ def trained(folder: Path, more: list[str]) -> Path:
     cameras = read_cameras(at / "cameras.npz")
     K = cameras.Ks[0]
     lens = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "w": cameras.width, "h": cameras.height}
-    frames = [{"file_path": f"images/{name}.png", "transform_matrix": OPENGL.tolist()} for name in cameras.names]
+    frames = [{"file_path": f"{i:06d}.png", "transform_matrix": OPENGL.tolist()} for i in range(len(cameras))]
     (at / "transforms.json").write_text(json.dumps(lens | {"frames": frames}))
-    hugs = [sys.executable, "-c", "from hugs_cli import main; main()", "run", str(at / "images")]
+    pictures = (read_image(at / "images" / f"{name}.png") for name in cameras.names)
+    write_video(at / "clip.mp4", pictures, RATE / EVERY, crf=CRF)
+    hugs = [sys.executable, "-c", "from hugs_cli import main; main()", "run", str(at / "clip.mp4")]
     work = folder / "work"
     options = ["--pipeline", "human_only", "--cameras", str(at / "transforms.json"), "--work", str(work)]
     subprocess.run([*hugs, "train", *options, *more], check=True)
-    return work / "images" / "human_only"
+    return work / "clip" / "human_only"
 
 
 def hips_of(folder: Path, clip: Path, member: Member) -> Hips:
@@ -90,7 +107,7 @@ def seen_from(
     viewmat[:3, 3] /= hips.scale
     found, shown = [], []
     for i, name in enumerate(cameras.names):
-        if moved and not hips.known[i]:
+        if not hips.known[i]:
             continue
         pose: Pose = pose_of(member.clip.body, i)
         if moved:
@@ -106,7 +123,7 @@ def seen_from(
         a, b = (torch.tensor(one[box].copy()).clamp(0, 1) for one in (drawn, picture))
         inside = (torch.tensor(one[both]) for one in (drawn.clip(0, 1), picture))
         found.append([both.sum() / either.sum(), psnr(a, b), psnr(*inside), float(lpips(a, b))])
-        if i % SHOWN == 0:
+        if len(found) % SHOWN == 1:
             shown.append(np.concatenate([picture, drawn.clip(0, 1)], 1))
     return np.mean(found, 0).tolist(), shown
 
@@ -130,7 +147,11 @@ def main() -> None:
     with np.load(fetch("lpips_alex.npz")) as weights:
         lpips = Lpips(weights)
     hips, lenses = hips_of(args.folder, clip, member), read_calibration(clip / "Calib.qca.txt")
-    print(f"hips: {hips.known.sum()} of {len(hips.known)} frames; the world is {1 / hips.scale - 1:+.1%} too large")
+    if len(member.clip.names) != len(hips.known):
+        parser.error(f"{len(member.clip.names)} of {len(hips.known)} frames were kept: clip.mp4 is another one")
+    print(
+        f"all agree in {hips.known.sum()} of {len(hips.known)} frames; the world is made {hips.scale:.3f} times as large"
+    )
     middle = np.linalg.inv(lenses[VIEWS[0]].viewmat) @ [*np.median(hips.true[hips.known], 0), 1]
     sights = {view: lens.viewmat[:3, :3].T @ (lens.viewmat @ middle)[:3] for view, lens in lenses.items()}
     for moved in (False, True):

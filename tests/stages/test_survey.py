@@ -132,11 +132,6 @@ def test_the_stage_on_a_static_clip(body_clip, tmp_path):
     assert all(again[part] == found[part] for part in ("decisions", "starts")), (
         "all that training reads: quiet is never"
     )
-    always = survey.Params(**dict.fromkeys(survey.OF_SCENE, "always"))
-    survey.run(Job(out), always, frames=tmp_path, masks=tmp_path, sfm=sfm, smpl=smpl)
-    there = json.loads((out / "survey.json").read_text())
-    assert there["decisions"] == found["decisions"], "no shadow falls where no scene is modelled"
-    assert {there["effects"][name]["why"] for name in survey.OF_SCENE} == {"no scene is modelled"}
 
 
 @pytest.mark.slow

@@ -91,6 +91,11 @@ def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
     fit = fit_of(clip, scene=False, refine_pose=False, exposure=False)
     monkeypatch.setattr(fit, "advance", lambda: pytest.fail("a step was taken"))
     assert effects_of(fit) == [] and effect_gains(fit, HELD_OUT) == {}
+    body, times = fit.person.body, {"motion_blur": False, "rolling_shutter": False}
+    lit = torch.tensor([0.0, 0, -1]), casters(body.vertices, body.weights[:, :24])
+    fit.effects = FrameEffects.starting(*lit, 0.5, **times)
+    assert fit.effects.shadow is not None
+    assert effects_of(fit) == [], "where there is no scene no shadow falls"
 
 
 @pytest.mark.slow
