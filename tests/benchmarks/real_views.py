@@ -3,13 +3,13 @@
     HUGS_CLIPS=../shared/data python -m tests.benchmarks.real_views build/family/treadmill [hugs run options]
 
 The folder is that of `tests.benchmarks.fit --treadmill`, made if it is missing. `human_only` is run on the pictures and the
-calibration of cam01; then the person is drawn over white as each calibrated camera sees them, in the poses that training
-left, and compared with that camera's picture, cut out by our own mask of it, in the frames in
-which all cameras agree on the hips; every fifth is held out of training. One camera does not tell how large the person
-is: the world is scaled about cam01 so that the hips are as far away as those that all cameras triangulate to. Printed for
-each camera: the angle from cam01 at the hips; IoU of drawn person and mask; PSNR and LPIPS in the box around both, and PSNR of
-what lies in both. Lines "at the hips": with the hips moved to the triangulated ones, which leaves shape, pose and colours.
-cam01.png, cam02.png and cam03.png show pictures beside the drawn ones.
+calibration of cam01; every fifth picture is held out. Then the person is drawn over white as each calibrated camera sees
+them, in the poses that training left, and compared with that camera's picture, cut out by our own mask of it. Frames count
+in which all cameras agree on the hips. One camera does not tell how large the person is: the world is scaled about cam01
+so that the hips are as far away as those that all cameras triangulate to. Printed for each camera: the angle from cam01 at
+the hips; IoU of drawn person and mask; PSNR and LPIPS in the box around both, and PSNR of what lies in both. Lines "at the
+hips": with the hips moved to the triangulated ones, which leaves shape, pose and colours. cam01.png, cam02.png and cam03.png
+show pictures beside the drawn ones.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def main() -> None:
         lpips = Lpips(weights)
     hips, lenses = hips_of(args.folder, clip, member), read_calibration(clip / "Calib.qca.txt")
     if len(member.clip.names) != len(hips.known):
-        parser.error(f"{len(member.clip.names)} of {len(hips.known)} frames were kept: clip.mp4 is another one")
+        raise SystemExit(f"the run kept {len(member.clip.names)} of the {len(hips.known)} frames that are compared")
     print(
         f"all agree in {hips.known.sum()} of {len(hips.known)} frames; the world is made {hips.scale:.3f} times as large"
     )
