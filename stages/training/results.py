@@ -12,6 +12,7 @@ from torch import Tensor
 
 from stages.avatar.body.rotations import quat_from_matrix
 from stages.avatar.effects.clothing import Clothing
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import bone_transforms
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import finite_rows
@@ -51,6 +52,12 @@ class Result:
     others: Sequence[tuple[Avatar, BodyPoses]] = ()
 
 
+def learned_numbers(effects: FrameEffects, scene: SceneModel | None) -> dict[str, float]:
+    """What training learned of lamp and camera, by name; a shadow that falls on no scene stays as it was measured."""
+    kept = {} if scene is not None or effects.shadow is None else effects.shadow.known()
+    return {name: value for name, value in effects.known().items() if isinstance(value, float) and name not in kept}
+
+
 def result_of(
     fit: Fit,
     clip: Clip,
@@ -74,9 +81,9 @@ def result_of(
     if broken:
         say.warn(f"{broken} Gaussians left out of the result because they are not finite")
     known, cameras = fit.effects.known(), None
-    if known:
-        numbers = (f"{name} {value:.2f}" for name, value in known.items() if isinstance(value, float))
-        say.note(f"learned of how the clip was taken: {', '.join(numbers)}")
+    if numbers := learned_numbers(fit.effects, fit.scene):
+        told = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
+        say.note(f"learned of how the clip was taken: {told}")
     if fit.options.refine_camera:
         viewmats = _array(fit.cameras()).astype(np.float64)
         viewmats[:, :3, 3] /= clip.body.world_from_sfm

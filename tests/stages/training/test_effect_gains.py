@@ -10,6 +10,7 @@ from stages.estimators.detectors.every import DETECTORS
 from stages.training.accuracy import heldout_accuracy
 from stages.training.effect_gains import ONLY_TAUGHT, OPTIONS, PARTS, effect_gains, effects_of, without
 from stages.training.optimizers import optimizers
+from stages.training.results import learned_numbers
 from stages.training.views import frame_speeds
 from tests.made.training import everything, fit_of, make_clip, run, same
 
@@ -96,6 +97,8 @@ def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
     fit.effects = FrameEffects.starting(*lit, 0.5, **times)
     assert fit.effects.shadow is not None
     assert effects_of(fit) == [], "where there is no scene no shadow falls"
+    assert learned_numbers(fit.effects, fit.scene) == {}, "and nothing is learned of it"
+    assert set(learned_numbers(fit.effects, everything(clip).scene)) == {"darkness", "softness", "density", "size"}
 
 
 @pytest.mark.slow
