@@ -188,8 +188,6 @@ class Fit(Company):
                 rendered = losses.outside_person(rendered, image, mask)
             if self.transients is not None:
                 rendered = self.transients.replace(rendered, drawn["all"], image, shot.frame, self.progress.done)
-            if self.params.perceptual_whole:
-                terms.append(self.patches(self.progress.step, rendered, image))
             whole = losses.photometric(rendered, image)
             terms.append(whole)
             numbers["image"] = whole.item()

@@ -1,4 +1,8 @@
-"""The perceptual term of a training: LPIPS on patches of the person, and of the whole picture where the settings ask for it."""
+"""The perceptual term of a training: LPIPS on patches of the person.
+
+Not of the whole picture, as the paper has it: four patches anywhere cost a scene 2.4 dB, and its own LPIPS
+(`docs/benchmarks/accuracy.md`).
+"""
 
 from __future__ import annotations
 
@@ -18,22 +22,17 @@ class PatchLoss:
     def __init__(self, network: Lpips | None, params: Params, generator: torch.Generator):
         self.network, self.params, self.generator = network, params, generator
 
-    def __call__(
-        self, step: int, rendered: Tensor, image: Tensor, mask: Tensor | None = None, background: Tensor | None = None
-    ) -> Tensor | float:
+    def __call__(self, step: int, rendered: Tensor, image: Tensor, mask: Tensor, background: Tensor) -> Tensor | float:
         """The term for rendered and image [H,W,3] at a step, 0 where it is not due.
 
-        With a mask[H,W] in 0..1, patches lie around pixels of the person, and the target is the person over
-        `background`[3]. A patch that is too small for the network counts as 0.
+        Patches lie around pixels of the person, mask[H,W] in 0..1; the target is the person over `background`[3]. A patch
+        that is too small for the network counts as 0.
         """
         network, params = self.network, self.params
         if network is None or step % params.perceptual_every:
             return 0.0
-        if mask is None or background is None:
-            target, where = image, image.new_zeros(image.shape[:2])
-        else:
-            target, where = losses.over_background(image, mask, background), mask
-        patches = [losses.random_patch(where, SIDE, self.generator) for _ in range(params.perceptual_patches)]
+        target = losses.over_background(image, mask, background)
+        patches = [losses.random_patch(mask, SIDE, self.generator) for _ in range(params.perceptual_patches)]
         if min(target[patches[0]].shape[:2]) < network.smallest:  # all are of one size
             return 0.0
         pairs = (torch.stack([picture[at] for at in patches]) for picture in (rendered, target))

@@ -46,11 +46,9 @@ class Params(contract.Params):
     perceptual_every: int = Field(0, ge=0)
     """A perceptual (LPIPS) term on the person every so many steps; 0 = never. Slow without a GPU."""
     perceptual_weight: float = Field(0.2, ge=0)
-    """Weight of that term; 1 in the paper."""
+    """Weight of that term; 1 in the paper, which is less sharp here."""
     perceptual_patches: int = Field(1, ge=1)
     """Patches of 128 px that it looks at, each around a random pixel of the person; 4 in the paper."""
-    perceptual_whole: bool = False
-    """It also looks at as many patches anywhere in the whole picture, as in the paper."""
     perceptual_net: Literal["alex", "vgg"] = "alex"
     """The network of that term: AlexNet, or VGG16 as in the paper, which takes seven times as long."""
     curve_points: int = Field(8, gt=0)
