@@ -19,8 +19,10 @@ from stages.records import BodyModel, BodyPoses, Cameras
 from stages.synthetic import clip as synthetic
 from stages.synthetic import room as rooms
 from stages.synthetic.effects import ClipEffects
+from stages.synthetic.garments import make_garments
 from tests.made.family.legs import perform
 from tests.made.family.motions import MOTIONS, Plan
+from tests.made.family.shoes import shoes
 from tests.made.family.table import FPS, FRAMES, LONG, SHORT, Box, Shot
 from tests.made.truth import Similarity
 
@@ -67,13 +69,14 @@ def film(shot: Shot, captures: Path | None) -> Film:
     model, betas = person(shot, rng)
     body = Body(model, dtype=torch.float64)
     orient, pose, transl = moved(shot, body, model, betas, captures)
+    worn = make_garments(shot.wears, model, betas, np.random.default_rng([*shot.name.encode(), 1]))
+    worn += [shoes(model, betas, shot.sole)] if shot.sole else []
     width, height = (LONG, SHORT) if shot.wide else (SHORT, LONG)
     K = pinhole(shot.lens / 36 * LONG, width, height)
     viewmats = path(shot, transl, rng)
-    renderer = synthetic._Renderer(
-        model, hall(rng, shot.boxes, np.radians(shot.facing)), betas, K, ClipEffects(clothing=shot.clothing), 1
-    )
-    views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl)
+    room, swings = hall(rng, shot.boxes, np.radians(shot.facing)), ClipEffects(clothing=shot.clothing)
+    renderer = synthetic._Renderer(model, room, betas, K, swings, 1, worn)
+    views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl, fps=FPS)
     names = tuple(f"{i:06d}" for i in range(FRAMES))
     cameras = Cameras(names, viewmats, views.Ks, width, height)
     poses = BodyPoses(names, betas, orient, pose, transl, np.ones(FRAMES))
@@ -129,7 +132,8 @@ def moved(
     orient, pose, transl = motion
     turn = Rotation.from_rotvec([0, np.radians(shot.facing), 0])
     ridden = shot.ride * (t - t.mean())
-    return (turn * Rotation.from_rotvec(orient)).as_rotvec(), pose, turn.apply(transl) + ridden[:, None] * [1, 0, 0]
+    place = turn.apply(transl) + ridden[:, None] * [1, 0, 0] + [0, shot.sole, 0]
+    return (turn * Rotation.from_rotvec(orient)).as_rotvec(), pose, place
 
 
 def on_slope(plan: Plan, slope: float) -> Plan:

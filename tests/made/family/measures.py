@@ -18,7 +18,7 @@ from tests.made.worlds import umeyama
 STANDS = 0.02
 """m that a true sole may move between two frames and still stand."""
 LOW = 0.015
-"""m over the floor up to which a true sole stands on it."""
+"""m over its lowest place up to which a true sole, bare or in a shoe, stands on the floor."""
 HEAD, NECK = JOINT_NAMES.index("head"), JOINT_NAMES.index("neck")
 TOES_AND_ANKLES = [*FEET, *ANKLES]
 UPRIGHT = 0.25
@@ -110,10 +110,10 @@ def soles_of(model: BodyModel, poses: BodyPoses) -> np.ndarray:
 def sliding(found: np.ndarray, true: np.ndarray) -> float:
     """How far in m the soles [F,2,S,3] of a standing foot move from a frame to the next beyond the true ones, on average.
 
-    NaN if none stands. A foot stands where its true sole moves less than STANDS and is on the floor, y = 0, in both frames.
+    NaN if none stands. A foot stands where its true sole moves less than STANDS and is on the floor in both frames.
     """
     moved, truly = (np.diff(feet.mean(2), axis=0) for feet in (found, true))
-    low = true[..., 1].min(2) < LOW
+    low = true[..., 1].min(2) < true[..., 1].min() + LOW
     stands = low[1:] & low[:-1] & (np.linalg.norm(truly, axis=-1) < STANDS)
     return float(np.linalg.norm(moved - truly, axis=-1)[stands].mean()) if stands.any() else np.nan
 

@@ -48,6 +48,10 @@ class Shot:
     follow: float = 0.0
     """Share of the person's own way that the camera goes along with, and always looks along."""
     clothing: float = 0.0
+    wears: tuple[str, ...] = ()
+    """Garments that swing, rows of `stages.synthetic.garments.MAKERS`."""
+    sole: float = 0.0
+    """m of the soles of shoes; 0: bare feet."""
     boxes: tuple[Box, ...] = ()
     """Middle and half sizes, where the person looks along +z."""
     start: float = 0.0
@@ -93,6 +97,20 @@ FAMILY = (
          heavy=0.5),
     Shot("dance_still", "asked", "jesse_dance.bvh", 2.0, 4.2, 0.9, 35, "still", wide=True, roll=-8, stature=1.78,
          start=0.6),
+    Shot("skirt_toward", "setting", "walk_toward", 1.5, 4.2, 0.85, 45, "arc", 40, stature=1.66, sole=0.02,
+         wears=("skirt", "ponytail")),
+    Shot("coat_turn", "setting", "turn", 1.7, 2.4, 0.9, 26, "arc", -50, stature=1.80, heavy=0.5, sole=0.03,
+         wears=("coat",)),
+    Shot("bag_squat", "setting", "squat", 1.3, 2.6, 0.75, 30, "sideways", 1.0, facing=40, stature=1.74, sole=0.035,
+         wears=("bag",)),
+    Shot("shod_reach", "setting", "reach", 0.9, 2.8, 0.9, 28, "arc", 45, facing=-25, stature=1.77, heavy=-1, sole=0.025),
+    Shot("skirt_turn", "asked", "turn_back", 1.4, 2.4, 0.85, 26, "sideways", 1.1, stature=1.70, heavy=-0.5, sole=0.015,
+         wears=("skirt", "ponytail")),
+    Shot("coat_across", "asked", "walk_across", 1.6, 3.8, 0.85, 32, "arc", 40, wide=True, stature=1.84, sole=0.035,
+         wears=("coat",)),
+    Shot("bag_bend", "asked", "bend", 1.9, 2.7, 0.75, 30, "jitter", facing=-30, stature=1.64, heavy=1, sole=0.025,
+         wears=("bag", "ponytail")),
+    Shot("shod_away", "asked", "walk_away", 1.0, 4.5, 0.9, 50, "arc", -35, stature=1.73, sole=0.03),
 )  # fmt: skip
 
 
