@@ -15,10 +15,12 @@ from stages.avatar.cameras.pinhole import camera_centers, pinhole, project
 from stages.estimators.bodyfit.balance import mass_and_soles
 from stages.formats.body_model import read_body_model
 from stages.records import BodyPoses, Cameras
+from stages.synthetic.cloth import worn
 from tests.made.family import film
 from tests.made.family.evidence import Truth
 from tests.made.family.measures import measured, soles_of, stature
 from tests.made.family.motions import MOTIONS
+from tests.made.family.shoes import shoes
 from tests.made.family.table import FAMILY, FPS, FRAMES, LONG, SHORT, shots
 from tests.made.truth import joints_of
 
@@ -84,6 +86,7 @@ def test_a_shot_shows_a_person_on_the_floor_whose_standing_feet_stand(shot):
     assert abs(poses.betas).max() < 2.5
     soles = soles_of(model, poses)
     low = soles[..., 1].min((1, 2)) - shot.sole
+    assert low.min() > -1e-3, "nothing sinks into the floor"
     if shot.motion == "jump":
         assert low.max() > 0.1, "flies"
         assert np.median(low) < 0.03
@@ -103,6 +106,23 @@ def test_a_shot_shows_a_person_on_the_floor_whose_standing_feet_stand(shot):
         assert not inside[:, ANKLES].all() and inside[:, HEAD].mean() > 0.5
     else:
         assert inside.mean() > 0.99
+
+
+@pytest.mark.slow
+def test_shoes_stand_on_the_floor_with_both_feet_as_thick_as_their_soles():
+    (shot,) = shots(names=("shod_reach",))
+    model, poses, _ = made(shot)
+    garment = shoes(model, poses.betas, shot.sole)
+    moved = poses.global_orient, poses.body_pose, poses.transl
+    (places,) = worn(
+        [garment.cloth], Body(model, dtype=torch.float64), model.faces.astype(np.int64), poses.betas, moved, FPS
+    )
+    for side in (places[:, garment.cloth.places[:, 0] > 0], places[:, garment.cloth.places[:, 0] < 0]):
+        assert side.shape[1] > 100
+        assert side[0, :, 1].min() == pytest.approx(0, abs=1e-3), "before heels rise"
+    np.testing.assert_allclose(places[..., 1].min(1), 0, atol=1e-3)
+    assert soles_of(model, poses)[0, ..., 1].min() == pytest.approx(shot.sole, abs=1e-3)
+    assert len(garment.faces) > 200 and garment.paint(garment.chart[:, 0]).shape == (len(garment.faces), 3)
 
 
 @pytest.mark.slow

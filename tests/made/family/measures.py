@@ -110,7 +110,8 @@ def soles_of(model: BodyModel, poses: BodyPoses) -> np.ndarray:
 def sliding(found: np.ndarray, true: np.ndarray) -> float:
     """How far in m the soles [F,2,S,3] of a standing foot move from a frame to the next beyond the true ones, on average.
 
-    NaN if none stands. A foot stands where its true sole moves less than STANDS and is on the floor in both frames.
+    NaN if none stands. A foot stands where its true sole moves less than STANDS and, in both frames, is within LOW of
+    the lowest that true soles are in the clip.
     """
     moved, truly = (np.diff(feet.mean(2), axis=0) for feet in (found, true))
     low = true[..., 1].min(2) < true[..., 1].min() + LOW

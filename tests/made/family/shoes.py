@@ -15,13 +15,18 @@ UPPER = 0.004
 """m that the leather is off the skin."""
 TALL = 0.07
 """m over the bare sole up to which a shoe reaches."""
+EDGE = 0.004
+"""m over the bare sole up to which rubber is seen."""
+DOWN = (0.2, 0.8)
+"""How far down the skin faces, from -1 to 1, where the sole begins and where it is all of it."""
 LEATHER, RUBBER = (0.12, 0.12, 0.16), (0.9, 0.9, 0.88)
+"""RGB, 0..1."""
 
 
 def shoes(model: BodyModel, betas: np.ndarray, sole: float) -> Garment:
-    """Both shoes, whose soles are `sole` m thick: the skin of the feet, pushed outwards, its underside down to the floor.
+    """Both shoes, whose soles are `sole` m thick: the skin of the feet, pushed outwards, its underside down by `sole`.
 
-    They go with the skin they come from; every point of them is pinned.
+    They keep the arch and go with the skin they come from; every point of them is pinned.
     """
     rest = (model.v_template + model.shapedirs @ betas).astype(np.float64)
     ground = rest[:, 1].min()
@@ -30,7 +35,7 @@ def shoes(model: BodyModel, betas: np.ndarray, sole: float) -> Garment:
     rows, faces = np.unique(faces, return_inverse=True)
     normals = vertex_normals(torch.from_numpy(rest), torch.from_numpy(model.faces.astype(np.int64))).numpy()[rows]
     places = rest[rows] + UPPER * normals
-    under = np.clip(-normals[:, 1] - 0.2, 0, 0.6) / 0.6
+    under = np.interp(-normals[:, 1], DOWN, (0, 1))
     places[:, 1] -= under * (sole - UPPER)
     places[:, 1] = np.maximum(places[:, 1], ground - sole)
     weights = np.asarray(model.lbs_weights, np.float64)[rows]
@@ -41,6 +46,6 @@ def shoes(model: BodyModel, betas: np.ndarray, sole: float) -> Garment:
     chart = np.stack([np.zeros(len(rows)), places[:, 1] - ground], 1)[faces]
 
     def paint(at: np.ndarray) -> np.ndarray:
-        return np.where(at[:, 1:] < 0.004, RUBBER, LEATHER)
+        return np.where(at[:, 1:] < EDGE, RUBBER, LEATHER)
 
     return Garment(worn, faces, chart, paint)
