@@ -21,9 +21,10 @@ from stages.training.views import Person, Views, person_frames
 OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
 SEEN = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
-EDGE_DOUBT = 0.05  # weight of neighbours per pixel at an outline; 1 loses twice the accuracy and looks the same
-DOUBT = 0.02  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
+EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; 1 loses twice the accuracy and looks the same
+DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
+FAIR = (0.95, 0.9)  # of the own share that this quantile of a limb reaches: such are asked where few sure ones are near
 NEIGHBOURS = 24  # that are asked
 FAR = 0.05  # metres to the nearest: beyond, a median of so few is chance, and a pale collar became a stripe
 SPOTS = 200  # spread over what is seen, each the median of its neighbours; Gaussians beyond FAR ask these
@@ -117,13 +118,30 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
         return person, torch.ones_like(inside)
-    means = person.means
-    away, rows = nearest(means[sure], means, NEIGHBOURS)
-    around, far = person.sh[sure][rows].median(1).values, away[:, 0] > FAR
-    spots = sure.nonzero()[:, 0][farthest_points(means[sure], SPOTS)]
+    means, own = person.means, inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
+    fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
+    around, away = _ask(person, sure, means)
+    few = away[:, away.shape[1] // 2] > FAR  # of the sure ones are near
+    around[few], away = _ask(person, fair, means[few])
+    far = few.nonzero()[:, 0][away[:, 0] > FAR]
+    spots = fair.nonzero()[:, 0]
+    spots = spots[farthest_points(means[spots], SPOTS)]
     around[far] = median_near(around[spots], means[spots], means[far], ASKED)
-    own = inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     return person._replace(sh=torch.lerp(around, person.sh, own[:, None, None])), own
+
+
+def _ask(person: Canonical, asked: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
+    """The median colour [M,K,3] of those of the rows asked[N] that are nearest to at[M,3], and how far they are [M,NEIGHBOURS]."""
+    away, rows = nearest(person.means[asked], at, NEIGHBOURS)
+    return person.sh[asked][rows].median(1).values, away
+
+
+def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:
+    """What the best of the own[N] shares reach in each one's part of the body: that of the bone with most of its weights[N,J]."""
+    best, part = torch.zeros_like(own), weights.argmax(1)
+    for bone in part.unique():
+        best[part == bone] = own[part == bone].quantile(FAIR[1])
+    return best
 
 
 def add_lining(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:

@@ -168,6 +168,19 @@ def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(s
     assert striped().sum() > 10, "the test can fail"
 
 
+def test_hands_that_are_hardly_more_than_outline_ask_hands(standing, monkeypatch):
+    """In small pictures no colour of a hand is sure; it took those of sleeves and became purple."""
+    person, where = standing
+    hands = where.weights[:, 20:24].sum(1) > 0.5
+    bare = person._replace(sh=torch.where(hands[:, None, None], 2.0, person.sh))
+    monkeypatch.setattr(bake, "EDGE", 0.022)
+    cameras = views(silhouettes(person, where))
+    off = lambda: (bake.recolor(bare, where, cameras, [0])[0].sh - bare.sh)[hands].abs().mean()  # noqa: E731
+    assert off() < 0.05
+    monkeypatch.setattr(bake, "FAIR", (1e9, 0.9))
+    assert off() > 0.5, "the test can fail"
+
+
 def test_frames_are_asked_among_those_that_show_the_person(standing):
     _, where = standing
     masks = torch.zeros(200, 8, 8)
