@@ -19,7 +19,8 @@ PNG = [
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
     *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_PAETH),
 ]
-TURNS = {3: 2, 6: -1, 8: 1}  # EXIF orientation -> quarter turns counter-clockwise that put the picture upright
+# EXIF orientation -> quarter turns counter-clockwise that put the picture upright, and those that then are still mirrored
+TURNS, MIRRORED = {3: 2, 4: 2, 5: -1, 6: -1, 7: 1, 8: 1}, (2, 4, 5, 7)
 
 
 def read_pixels(path: Path) -> np.ndarray:
@@ -46,7 +47,9 @@ def read_pixels(path: Path) -> np.ndarray:
     if pixels is None or trouble:
         raise StageError(f"{path} is damaged or cut short", "make or copy the file again", [first_line(trouble)])
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
-    return np.ascontiguousarray(np.rot90(pixels, TURNS.get(spec.get_int_attribute("Orientation", 1), 0)))
+    stored = spec.get_int_attribute("Orientation", 1)
+    upright = np.rot90(pixels, TURNS.get(stored, 0))
+    return np.ascontiguousarray(upright[:, ::-1] if stored in MIRRORED else upright)
 
 
 class Kept:
