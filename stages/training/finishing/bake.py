@@ -24,7 +24,7 @@ EDGE = 0.006  # of the longer side: the width inside an outline where colours ar
 EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; 1 loses twice the accuracy and looks the same
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
-FAIR = (0.95, 0.9)  # of the own share that this quantile of a limb reaches: such are asked where few sure ones are near
+FAIR = (0.95, 0.9)  # of the best (this quantile) of their part of the body: such are asked where few sure ones are near
 NEIGHBOURS = 24  # that are asked
 FAR = 0.05  # metres to the nearest: beyond, a median of so few is chance, and a pale collar became a stripe
 SPOTS = 200  # spread over what is seen, each the median of its neighbours; Gaussians beyond FAR ask these
@@ -110,7 +110,8 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     """Blend colours that frames do not show well with the median of the nearest that they do; far ones over a larger patch.
 
     At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
-    show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay.
+    show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay. Small
+    hands and feet are nearly all outline: there the best of the same part of the body are asked.
     Also returns how far each colour is its own[N], from 0 to 1; the rest is its neighbours'.
     """
     inside, edge, _ = _count_pixels(person, body, views, frames)[0].unbind(1)
@@ -131,13 +132,13 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
 
 
 def _ask(person: Canonical, asked: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
-    """The median colour [M,K,3] of those of the rows asked[N] that are nearest to at[M,3], and how far they are [M,NEIGHBOURS]."""
+    """The median colour [M,K,3] of the rows asked[N] nearest to each of at[M,3] m, and how far they are [M,NEIGHBOURS] m."""
     away, rows = nearest(person.means[asked], at, NEIGHBOURS)
     return person.sh[asked][rows].median(1).values, away
 
 
 def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:
-    """What the best of the own[N] shares reach in each one's part of the body: that of the bone with most of its weights[N,J]."""
+    """How sure the best in each one's part of the body are [N], by shares own[N]; the largest of weights[N,J] is the part."""
     best, part = torch.zeros_like(own), weights.argmax(1)
     for bone in part.unique():
         best[part == bone] = own[part == bone].quantile(FAIR[1])
