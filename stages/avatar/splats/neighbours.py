@@ -19,9 +19,10 @@ def nearest(those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
     return distances, rows
 
 
-def median_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> Tensor:
-    """For each of points[N,3] the median [N,...] of values[M,...] of the k of `those`[M,3] nearest to it."""
-    return values[nearest(those, points, k)[1]].median(1).values
+def median_near(values: Tensor, those: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
+    """For each of points[N,3] the median [N,...] of values[M,...] of the k of `those`[M,3] nearest, and how far they are [N,k]."""
+    away, rows = nearest(those, points, k)
+    return values[rows].median(1).values, away
 
 
 def spread_evenly(rows: list[int], most: int) -> list[int]:

@@ -21,12 +21,12 @@ from stages.training.views import Person, Views, person_frames
 OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
 SEEN = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
-EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; 1 loses twice the accuracy and looks the same
+EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; with 0.05, and DOUBT 0.02, it looks the same
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 FAIR = (0.95, 0.9)  # of the best (this quantile) of their part of the body: such are asked where few sure ones are near
 NEIGHBOURS = 24  # that are asked
-FAR = 0.05  # metres to the nearest: beyond, a median of so few is chance, and a pale collar became a stripe
+FAR = 0.05  # metres: who is beyond is not near; where all are, a median of so few is chance, and a pale collar became a stripe
 SPOTS = 200  # spread over what is seen, each the median of its neighbours; Gaussians beyond FAR ask these
 ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
 COMPANY = 8  # neighbours of a Gaussian of a surface
@@ -121,20 +121,13 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
         return person, torch.ones_like(inside)
     means, own = person.means, inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
-    around, away = _ask(person, sure, means)
-    few = away[:, away.shape[1] // 2] > FAR  # of the sure ones are near
-    around[few], away = _ask(person, fair, means[few])
+    around, away = median_near(person.sh[sure], means[sure], means, NEIGHBOURS)
+    few = away[:, away.shape[1] // 2] > FAR
+    around[few], away = median_near(person.sh[fair], means[fair], means[few], NEIGHBOURS)
     far = few.nonzero()[:, 0][away[:, 0] > FAR]
-    spots = fair.nonzero()[:, 0]
-    spots = spots[farthest_points(means[spots], SPOTS)]
-    around[far] = median_near(around[spots], means[spots], means[far], ASKED)
+    spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
+    around[far], _ = median_near(around[spots], means[spots], means[far], ASKED)
     return person._replace(sh=torch.lerp(around, person.sh, own[:, None, None])), own
-
-
-def _ask(person: Canonical, asked: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
-    """The median colour [M,K,3] of the rows asked[N] nearest to each of at[M,3] m, and how far they are [M,NEIGHBOURS] m."""
-    away, rows = nearest(person.means[asked], at, NEIGHBOURS)
-    return person.sh[asked][rows].median(1).values, away
 
 
 def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:
@@ -176,7 +169,7 @@ def _lining(person: Canonical, body: Person) -> Canonical:
         rotations=rotation_z_to(normals),
         scales=torch.stack([1.2 * half, 1.2 * half, 0.25 * half], 1),
         opacities=torch.full_like(half, 0.99),
-        sh=median_near(person.sh[opaque], person.means[opaque], means, 8),
+        sh=median_near(person.sh[opaque], person.means[opaque], means, 8)[0],
         weights=body.weights,
     )
 

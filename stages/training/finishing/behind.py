@@ -43,5 +43,5 @@ def inpaint_occluded(
         return torch.zeros_like(hidden)
     with torch.no_grad():
         for colors in scene.colors():
-            colors[hidden] = median_near(colors[sure], scene.means[sure], scene.means[hidden], NEIGHBOURS)
+            colors[hidden] = median_near(colors[sure], scene.means[sure], scene.means[hidden], NEIGHBOURS)[0]
     return hidden
