@@ -107,6 +107,7 @@ def result_of(
         "extent_m": fit.options.extent,
         "gaussians": fit.sizes() | {"human": len(avatar) + sum(len(one[0]) for one in rest)},
         "broken": broken,
+        "reskinned": sum(kept.reskinned for _, _, kept, _ in people),
         "strays": sum(kept.strays for _, _, kept, _ in people),
         "evened": sum(kept.snapped for _, _, kept, _ in people),
         "leant": sum(kept.recolored for _, _, kept, _ in people),
@@ -176,11 +177,13 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     seen = who.masked(fit.full)._replace(viewmats=fit.cameras())
     dressed = body._replace(antialias=fit.options.antialias)
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
-    kept = finish(baked, who.human.skinning_outliers(baked.weights), dressed, seen, frames)
+    kept = finish(baked, who.human.initial().weights, dressed, seen, frames)
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
     kept = kept._replace(person=settle_colors(fit, who, kept.person, kept.own, clear))
+    if kept.reskinned:
+        say.note(f"{kept.reskinned:,} Gaussians that moved with other bones than the body there move with it now")
     if kept.strays:
-        say.note(f"{kept.strays} Gaussians left out that strayed from the body, float beside it or do not move with it")
+        say.note(f"{kept.strays:,} Gaussians left out that strayed from the body or float beside it")
     if kept.recolored:
         say.note(f"{kept.recolored:,} Gaussians that no frame shows well take the colours seen around them")
     if kept.snapped:

@@ -17,7 +17,6 @@ from stages.avatar.splats.sh import bases
 MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
-DEFECT = 0.5  # sum of |differences|; kitchen clip: 2 % of Gaussians go, and his specks with them; +0.2 dB over white
 OFFSET = 0.05  # metres; a usual thickness of clothes
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
@@ -129,7 +128,3 @@ class HumanModel(nn.Module):
         weights = torch.softmax(self.skin_logits / TEMPERATURE, 1)
         opacities = torch.sigmoid(self.logits)
         return Canonical(self.homes, self.rotations, self.log_sizes.exp(), opacities, sh, weights)
-
-    def skinning_outliers(self, weights: Tensor) -> Tensor:
-        """Which Gaussians [N] have learned skinning `weights` [N,J] far from the body's: in a new pose they fly off as specks."""
-        return (weights - self.initial().weights).abs().sum(1) > DEFECT

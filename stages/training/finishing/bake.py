@@ -15,6 +15,7 @@ from stages.avatar.splats.compose import painted_pixels
 from stages.avatar.splats.gaussians import finite_rows
 from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
 from stages.training.finishing.depths import snap_to_surface
+from stages.training.finishing.reskin import reskin
 from stages.training.losses import dilated
 from stages.training.views import Person, Views, person_frames
 
@@ -45,6 +46,7 @@ class Finished(NamedTuple):
     """
 
     person: Canonical
+    reskinned: int
     broken: int
     strays: int
     snapped: int
@@ -53,14 +55,15 @@ class Finished(NamedTuple):
     own: Tensor
 
 
-def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
-    """Remove invalid, stray and floating Gaussians and outliers[N] of skinning; then snap, recolour and add the lining.
+def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
+    """Bring skinning that left the `usual`[N,J] back; remove invalid, stray and floating Gaussians; snap, recolour, line.
 
     `frames` of `views` are those that the person was trained on.
     """
+    person, reskinned = reskin(person, usual, body, views, frames)
     whole = finite_rows(person)
     kept = Canonical(*(part[whole] for part in person))
-    stray = far_from_surface(kept.means, body.surface()[0]) | outliers[whole]
+    stray = far_from_surface(kept.means, body.surface()[0])
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
     kept, own = recolor(kept, body, views, frames)
@@ -69,7 +72,8 @@ def finish(person: Canonical, outliers: Tensor, body: Person, views: Views, fram
         done = done._replace(weights=of_few_bones(done.weights))
     lining = len(done.means) - len(kept.means)
     own = torch.cat([own, own.new_zeros(lining)])
-    return Finished(done, int((~whole).sum()), int(stray.sum()), snapped, int((own < 0.5).sum()) - lining, lining, own)
+    leant = int((own < 0.5).sum()) - lining
+    return Finished(done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, leant, lining, own)
 
 
 def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:

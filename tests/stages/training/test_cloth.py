@@ -73,7 +73,6 @@ def test_its_gaussians_begin_there_and_the_first_picture_is_of_a_skirt(filmed):
     assert len(human) == len(bare.vertices) + len(found.cloth.means)
     torch.testing.assert_close(canonical.means[len(bare.vertices) :], found.cloth.means)
     torch.testing.assert_close(canonical.weights[len(bare.vertices) :], found.cloth.weights, atol=6e-3, rtol=0)
-    assert not human.skinning_outliers(canonical.weights).any()
 
 
 @pytest.mark.slow
