@@ -34,7 +34,7 @@ def clothed(person: Person, views: Views, frames: list[int], spacing: float) -> 
     found = surface(space, body, carved, spacing)
     points, normals, weights, away = (torch.as_tensor(part).to(person.vertices) for part in found[:4])
     hung, weights = bones_for(points, away, weights)
-    clothing = Clothing.start(hung, person.body_pose[frames])
+    clothing = Clothing.start(hung, person.joints, person.body_pose[frames])
     sizes = 0.5 * found.spacing * torch.tensor([1, 1, 0.5]).to(points).expand_as(points)
     cloth = Surfels(points, rotation_z_to(normals), sizes, weights)
     own = torch.zeros(len(person.weights), len(clothing)).to(person.weights)

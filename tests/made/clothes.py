@@ -50,5 +50,5 @@ def dressed(person: Person, frames: list[int]) -> Person:
     normals = torch.nn.functional.normalize(points, dim=1)
     cloth = Surfels(points, rotation_z_to(normals), torch.full_like(points, 0.02), spread)
     padded = torch.cat([person.weights, person.weights.new_zeros(len(person.weights), len(hung.centres))], 1)
-    clothing = Clothing.start(hung, person.body_pose[frames])
+    clothing = Clothing.start(hung, person.joints, person.body_pose[frames])
     return person._replace(weights=padded, clothing=clothing, cloth=cloth)

@@ -37,7 +37,7 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
     person = Canonical(to(avatar.means), rotations, scales, opacities, sh, to(avatar.lbs_weights))
     joints, parents = to(avatar.joints), [int(p) for p in avatar.parents]
     bones = bone_transforms(joints, parents, torch.zeros(3, device=device), to(avatar.canonical_pose))
-    clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes).to(joints)
+    clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes, avatar.joints).to(joints)
     bones = bones if clothing is None else clothing.hang(bones)
     return Baked(rest(person, bones), joints, parents, avatar.antialias, clothing)
 

@@ -1,7 +1,8 @@
 """Bones of their own for cloth and hair: the skeleton carries them, and they swing beyond it.
 
 Game characters have such bones for skirts and hair; ReLoo (https://arxiv.org/abs/2409.15269) learns them from video. A bone
-is carried by a blend of the skeleton's, so without a swing it moves like the skin around. Its swing, a turn and a shift
+is carried by a blend of the skeleton's. A leg pushes cloth that it moves towards and does not pull what it moves away from:
+that hangs below the pelvis, so the back of a coat does not go up with the knees. Its swing, a turn and a shift
 in the rest pose, is linear in features of the pose, principal components of the training poses, which are held within
 what training saw, so that nothing new makes clothes explode. Posing stays skinning.
 """
@@ -10,10 +11,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from stages import records
+from stages.avatar.body.joints import ANKLES, FEET, HIPS, KNEES, SPINE
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import affine
 from stages.avatar.splats.neighbours import farthest_points
@@ -25,6 +29,11 @@ LOOSE = (0.02, 0.06)  # m off the skin between which cloth changes from the skel
 FEATURES = 6
 PRIOR = 0.1  # weight of the mean squared swing
 UNITS = (0.3, 0.3, 0.3, 0.05, 0.05, 0.05)  # rad, m: a usual swing
+LEGS = tuple(zip(HIPS, KNEES, ANKLES, FEET))
+BALANCE = 0, SPINE[2], *ANKLES
+PUSHED = 0.2  # of its length that a thigh moves towards cloth: from there on the cloth goes with it all the way
+OVER = 1e-3  # 1 + cosine between how a pelvis points and what is up: less would turn it to any side
+FOLDED = 0.3  # m from the ankles to the trunk, below which they tell less of what is up
 
 
 class Hung(NamedTuple):
@@ -35,7 +44,7 @@ class Hung(NamedTuple):
 
 
 class Clothing(nn.Module):
-    """K bones at `centres` [K,3] m at rest, carried by `carriers` [K,24] of the skeleton's.
+    """K bones at `centres` [K,3] m at rest, carried by `carriers` [K,24] of the skeleton's, whose `joints` [24,3] m are at rest.
 
     Their swing in UNITS is swings[K,6,1+Q] @ features. Features [1+Q] of a body pose are 1 and (pose - mean[69]) @
     axes[69,Q], within low and high[Q].
@@ -43,22 +52,40 @@ class Clothing(nn.Module):
 
     centres: Tensor
     carriers: Tensor
+    joints: Tensor
     mean: Tensor
     axes: Tensor
     low: Tensor
     high: Tensor
     units: Tensor
+    legs: Tensor  # [2,24], 1 where a bone is of that leg
+    thighs: Tensor  # [2,3,1] where each thigh points at rest
+    ways: Tensor  # [2,K,3] level directions from each hip to the bones
+    above: Tensor  # [3,1] from between the ankles to the trunk at rest, of length 1
+    marks: Tensor  # [4,4,1] the joints of BALANCE at rest, as (x, y, z, 1)
 
     def __init__(self, swings: Tensor, **fixed: Tensor):
         super().__init__()
         for name, value in fixed.items():
             self.register_buffer(name, value)
-        self.register_buffer("units", torch.tensor(UNITS).to(swings), persistent=False)
         self.swings = nn.Parameter(swings)
+        joints, found = (
+            self.joints,
+            {"units": torch.tensor(UNITS).to(swings), "legs": swings.new_zeros(2, len(self.joints))},
+        )
+        for side, leg in enumerate(LEGS):
+            found["legs"][side, list(leg)] = 1
+        found["thighs"] = F.normalize(joints[list(KNEES)] - joints[list(HIPS)], dim=1)[..., None]
+        found["ways"] = F.normalize((self.centres - joints[list(HIPS), None]) * joints.new_tensor([1, 0, 1]), dim=2)
+        marks = joints[list(BALANCE)]
+        found["above"] = F.normalize(_above_ankles(marks), dim=0)[:, None]
+        found["marks"] = F.pad(marks, (0, 1), value=1)[..., None]
+        for name, value in found.items():
+            self.register_buffer(name, value, persistent=False)
 
     @classmethod
-    def start(cls, hung: Hung, poses: Tensor) -> Clothing:
-        """Bones that follow the skeleton, and the features of the training frames' body poses[F,69] in rad."""
+    def start(cls, hung: Hung, joints: Tensor, poses: Tensor) -> Clothing:
+        """Bones that follow the skeleton of joints[24,3], and the features of the training frames' body poses[F,69] in rad."""
         mean = poses.mean(0)
         _, spread, axes = torch.linalg.svd((poses - mean).double(), full_matrices=False)
         kept = (spread[:FEATURES] > 1e-3 * len(poses) ** 0.5).sum()
@@ -68,6 +95,7 @@ class Clothing(nn.Module):
         return cls(
             poses.new_zeros(count, 6, 1 + int(kept)),
             **hung._asdict(),
+            joints=joints,
             mean=mean,
             axes=axes,
             low=features.amin(0),
@@ -75,10 +103,12 @@ class Clothing(nn.Module):
         )
 
     @classmethod
-    def of(cls, clothes: records.Clothes) -> Clothing:
-        """Trained clothes, float32, as constants."""
-        arrays = {name: torch.as_tensor(array, dtype=torch.float32) for name, array in vars(clothes).items()}
-        return cls(**arrays).requires_grad_(False)
+    def of(cls, clothes: records.Clothes, joints: np.ndarray) -> Clothing:
+        """Trained clothes of an avatar with these joints[24,3], float32, as constants."""
+        arrays = vars(clothes) | {"joints": joints}
+        return cls(
+            **{name: torch.as_tensor(array, dtype=torch.float32) for name, array in arrays.items()}
+        ).requires_grad_(False)
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -93,8 +123,38 @@ class Clothing(nn.Module):
         return self.swings @ self.features(body_pose)
 
     def carried(self, bones: Tensor) -> Tensor:
-        """Transforms [...,K,4,4] by which the skeleton's bones[...,24,4,4] carry those here."""
-        return (self.carriers @ bones.flatten(-2)).unflatten(-1, (4, 4))
+        """Transforms [...,K,4,4] by which the skeleton's bones[...,24,4,4] carry those here.
+
+        Of a leg's share what does not push the cloth hangs from the `upright` pelvis.
+        """
+        shares = self.carriers * self.pushed(bones)
+        hanging = (self.carriers.sum(1) - shares.sum(-1))[..., None]
+        bones = torch.cat([bones, self.upright(bones)[..., None, :, :]], -3)
+        return (torch.cat([shares, hanging], -1) @ bones.flatten(-2)).unflatten(-1, (4, 4))
+
+    def pushed(self, bones: Tensor) -> Tensor:
+        """How far the bones here go with each of the skeleton's bones[...,24,4,4]: [...,K,24] from 0 to 1.
+
+        With a leg it is as far as its thigh has moved towards them from where it is at rest, seen from the pelvis; else 1.
+        """
+        moved = bones[..., :1, :3, :3].mT @ bones[..., HIPS[0] : HIPS[1] + 1, :3, :3] @ self.thighs - self.thighs
+        away = 1 - ((self.ways @ moved)[..., 0] / PUSHED).clamp(0, 1)  # [...,2,K]
+        return 1 - away.mT @ self.legs
+
+    def upright(self, bones: Tensor) -> Tensor:
+        """The transform [...,4,4] of the pelvis of the skeleton's bones[...,24,4,4], turned by the least so that it is upright.
+
+        No pose says where down is, but who stands is balanced above the feet: up is from between the ankles to the trunk.
+        """
+        at = (bones[..., list(BALANCE), :3, :] @ self.marks)[..., 0]
+        linear, above = bones[..., 0, :3, :3], _above_ankles(at)
+        points, far = (linear @ self.above)[..., 0], above.norm(dim=-1, keepdim=True)
+        up = F.normalize(points * (1 - far / FOLDED).clamp_min(0) + above / far.clamp_min(FOLDED), dim=-1)
+        axis = torch.linalg.cross(points, up)[..., None]
+        near = (1 + (points * up).sum(-1)).clamp_min(OVER)[..., None, None]
+        side = torch.linalg.cross(axis, linear, dim=-2)
+        turned = linear + side + torch.linalg.cross(axis, side, dim=-2) / near
+        return affine(turned, at[..., 0, :] - (turned @ self.marks[0, :3])[..., 0])
 
     def hang(self, bones: Tensor, swing: Tensor | None = None) -> Tensor:
         """All transforms [24+K,4,4] from rest: those of the skeleton's `bones`[24,4,4], then of those here, with a swing [K,6]."""
@@ -109,6 +169,12 @@ class Clothing(nn.Module):
     def prior(self) -> Tensor:
         """The regularizer PRIOR x mean squared swing for a feature of one: it lets clothes follow the body."""
         return PRIOR * self.swings.square().sum() / max(1, self.swings.numel())
+
+
+def _above_ankles(at: Tensor) -> Tensor:
+    """From between the ankles to the trunk [...,3] m, of where the joints of BALANCE are [...,4,3]."""
+    pelvis, chest, left, right = at.unbind(-2)
+    return 0.5 * (pelvis + chest - left - right)
 
 
 def bones_for(points: Tensor, away: Tensor, weights: Tensor) -> tuple[Hung, Tensor]:

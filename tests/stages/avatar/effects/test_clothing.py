@@ -1,15 +1,22 @@
-"""Bones of clothes: at rest they follow the skin, they swing with the pose within limits, and a file keeps them."""
+"""Bones of clothes: legs push them and else they hang, they swing with the pose within limits, and a file keeps them."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from stages.avatar.body.joints import HIPS, KNEES
+from stages.avatar.body.smpl import Body
 from stages.avatar.effects.clothing import APART, BONES, FEATURES, Clothing, Hung, bones_for
 from stages.avatar.model.person import bone_transforms
 from stages.contract import StageError
+from stages.formats.body_model import read_body_model
 from stages.formats.clothes import clothes_of
 from tests.made.clothes import some_clothes
 from tests.made.skeleton import PARENTS
+
+LEFT_HIP, LEFT_KNEE = HIPS[0], KNEES[0]
 
 
 def poses(frames: int = 20) -> torch.Tensor:
@@ -30,15 +37,36 @@ def tube(count: int = 600) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     return points, torch.where(height > 0.5, 0.02, 0.1), weights
 
 
+JOINTS = torch.rand(24, 3, generator=torch.Generator().manual_seed(1))
+FRONT, BACK = 0, 1
+
+
 @pytest.fixture
 def clothing() -> Clothing:
     points, away, weights = tube()
-    return Clothing.start(bones_for(points, away, weights)[0], poses())
+    return Clothing.start(bones_for(points, away, weights)[0], JOINTS, poses())
 
 
-def skeleton(pose: torch.Tensor) -> torch.Tensor:
-    joints = torch.rand(24, 3, generator=torch.Generator().manual_seed(1)).to(pose)
-    return bone_transforms(joints, PARENTS, pose.new_tensor([0.1, 0.2, 0.3]), pose)
+@pytest.fixture(scope="module")
+def coat() -> Clothing:
+    """A bone before the left knee and one behind it, which the left thigh carries, on the free body."""
+    joints = Body(read_body_model(None)).rest(torch.zeros(10))[1]
+    carriers = torch.zeros(2, 24)
+    carriers[:, LEFT_HIP] = 1
+    knee = joints[LEFT_KNEE]
+    centres = torch.stack([knee + torch.tensor([0, 0, 0.15]), knee - torch.tensor([0, 0, 0.15])])
+    return Clothing.start(Hung(centres, carriers), joints, poses()).requires_grad_(False)
+
+
+def skeleton(pose: torch.Tensor, orient=(0.1, 0.2, 0.3), joints=JOINTS) -> torch.Tensor:
+    return bone_transforms(joints.to(pose), PARENTS, pose.new_tensor(orient), pose)
+
+
+def bent(hip: float, knee: float = 0.0, **more) -> torch.Tensor:
+    """A pose [69] whose hips and knees are bent by so many radians; forward is negative for hips, back positive for knees."""
+    pose = torch.zeros(23, 3, **more)
+    pose[[0, 1], 0], pose[[3, 4], 0] = hip, knee
+    return pose.flatten()
 
 
 def test_bones_are_few_apart_and_share_the_cloth_that_is_loose():
@@ -55,17 +83,64 @@ def test_cloth_on_the_skin_has_no_bones():
     points, _, weights = tube()
     hung, spread = bones_for(points, torch.full_like(points[:, 0], 0.01), weights)
     assert len(hung.centres) == 0 and torch.equal(spread, weights)
-    nothing = Clothing.start(hung, poses())
+    nothing = Clothing.start(hung, JOINTS, poses())
     assert torch.equal(nothing.hang(skeleton(poses()[3]), nothing.swing(poses()[3])), skeleton(poses()[3]))
 
 
 def test_without_a_swing_a_bone_is_carried_by_its_blend(clothing):
+    clothing.carriers[:, [9, 16]], clothing.carriers[:, :9] = 0.5, 0.0  # no leg
     bones = skeleton(poses()[4])
     for swing in (None, clothing.swing(poses()[4])):
         hung = clothing.hang(bones, swing)
         assert torch.equal(hung[:24], bones)
         torch.testing.assert_close(hung[24:], torch.einsum("kj,jab->kab", clothing.carriers, bones))
     assert clothing.prior().item() == 0
+
+
+def test_who_stands_as_at_rest_carries_clothes_as_at_rest(clothing):
+    bones = skeleton(torch.zeros(69), orient=(0.5, -1.0, 0.8))
+    torch.testing.assert_close(clothing.carried(bones), bones[:1].expand(len(clothing), -1, -1))
+
+
+def test_a_thigh_pushes_the_cloth_before_it_and_does_not_pull_that_behind(coat):
+    for hip, pushed in ((-1.2, FRONT), (0.6, BACK)):
+        bones = skeleton(bent(hip), (0.0, 0.4, 0.0), coat.joints)
+        carried = coat.carried(bones)
+        torch.testing.assert_close(carried[pushed], bones[LEFT_HIP])
+        torch.testing.assert_close(carried[1 - pushed], coat.upright(bones))
+
+
+def test_cloth_goes_over_from_hanging_to_the_leg_without_a_jump(coat):
+    bends = torch.linspace(-0.5, 0.5, 201)
+    carried = torch.stack([coat.carried(skeleton(bent(hip), joints=coat.joints)) for hip in bends.tolist()])
+    at = (carried[..., :3, :3] @ coat.centres[..., None])[..., 0] + carried[..., :3, 3]
+    assert at.diff(dim=0).norm(dim=-1).max() < 0.012, (
+        "a step is 0.005 rad, half a metre below the hip, and the push grows"
+    )
+
+
+def test_who_squats_has_clothes_that_hang_down(coat):
+    """The pelvis leans forward by 40 degrees, the knees are bent, and the ankles are below the trunk."""
+    bones = skeleton(bent(-1.7, 1.6), (0.7, 0.0, 0.0), coat.joints)
+    turned = coat.upright(bones)[:3, :3]
+    torch.testing.assert_close(turned @ turned.T, torch.eye(3), atol=1e-5, rtol=0)
+    down = coat.carried(bones)[BACK, :3, :3] @ torch.tensor([0.0, -1, 0])
+    leaning = bones[0, :3, :3] @ torch.tensor([0.0, -1, 0])
+    assert down[1] < -0.999 and leaning[1] > -0.8
+
+
+def test_who_is_folded_or_upside_down_has_clothes_that_are_finite(coat):
+    ankles = coat.joints[[7, 8]].mean(0)
+    curled = torch.eye(4).repeat(24, 1, 1)
+    curled[[7, 8], :3, 3] = coat.joints[[0, 9]].mean(0) - ankles  # between the ankles is where the trunk is
+    torch.testing.assert_close(coat.upright(curled), curled[0])
+    over = torch.eye(4).repeat(24, 1, 1)
+    over[[7, 8], :3, 3] = 2 * (coat.joints[[0, 9]].mean(0) - ankles)  # the ankles are above
+    for bones in (curled, over):
+        bones = bones.clone().requires_grad_()
+        carried = coat.carried(bones)
+        (grad,) = torch.autograd.grad(carried.square().sum(), bones)
+        assert grad.isfinite().all() and carried.isfinite().all() and carried.abs().max() < 4
 
 
 def test_a_swing_turns_about_the_centre_and_shifts_it(clothing):
@@ -77,7 +152,8 @@ def test_a_swing_turns_about_the_centre_and_shifts_it(clothing):
     moved = (hung @ centre[..., None])[..., 0][:, :3] - clothing.centres
     torch.testing.assert_close(moved[0], torch.zeros(3), atol=1e-6, rtol=0)
     torch.testing.assert_close(moved[1], torch.tensor([0.05, 0, 0]))
-    assert hung[0, 0, 0] == pytest.approx(np.cos(0.6)) and torch.equal(hung[2], torch.eye(4))
+    assert hung[0, 0, 0] == pytest.approx(np.cos(0.6))
+    torch.testing.assert_close(hung[2], torch.eye(4))
 
 
 def test_no_pose_makes_clothes_explode(clothing):
@@ -92,24 +168,32 @@ def test_no_pose_makes_clothes_explode(clothing):
 
 def test_gradients_are_right_at_rest_and_in_a_swing():
     hung = Hung(torch.rand(2, 3), torch.rand(2, 24).softmax(1))
-    clothing = Clothing.start(hung, poses()).double()
+    clothing = Clothing.start(hung, JOINTS, poses()).double()
     bones, zero = skeleton(poses()[7]).double(), torch.zeros(len(clothing), 6, dtype=torch.float64)
     for swing in (zero, zero + 0.4):
         torch.autograd.gradcheck(lambda s: clothing.hang(bones, s), swing.requires_grad_(), atol=1e-6)
 
 
+def test_gradients_of_a_pose_are_right_where_a_leg_pushes_a_little_and_where_all_the_way(coat):
+    clothing = Clothing.of(replace(some_clothes(2), centres=coat.centres), coat.joints).double()
+    for hip in (-0.1, -0.8, 0.4):
+        pose = bent(hip, 0.3, dtype=torch.float64) + 0.01
+        held = pose.requires_grad_()
+        torch.autograd.gradcheck(lambda p: clothing.carried(skeleton(p, joints=clothing.joints)), held, atol=1e-6)
+
+
 def test_poses_that_hardly_change_teach_no_feature():
     hung = Hung(torch.rand(3, 3), torch.full((3, 24), 1 / 24))
     for still in (torch.zeros(5, 69), poses()[:1], 1e-7 * torch.randn(6, 69)):
-        clothing = Clothing.start(hung, still)
+        clothing = Clothing.start(hung, JOINTS, still)
         assert clothing.swings.shape == (3, 6, 1) and clothing.swing(poses()[3]).shape == (3, 6)
-    assert Clothing.start(hung, torch.randn(40, 69)).swings.shape == (3, 6, 1 + FEATURES)
+    assert Clothing.start(hung, JOINTS, torch.randn(40, 69)).swings.shape == (3, 6, 1 + FEATURES)
 
 
 def test_a_file_gives_the_same_clothes_back():
     written = some_clothes()
-    back = Clothing.of(clothes_of(written.arrays(), "avatar.npz", ""))
-    one, other = Clothing.of(written), poses()[4]
+    back = Clothing.of(clothes_of(written.arrays(), "avatar.npz", ""), JOINTS)
+    one, other = Clothing.of(written, JOINTS), poses()[4]
     assert torch.equal(back.swing(other), one.swing(other)) and len(back) == len(written) == 5
     assert not any(p.requires_grad for p in back.parameters())
 

@@ -65,7 +65,7 @@ def test_cloth_is_kept_with_as_many_bones_as_gltf_carries_and_skin_with_all(stan
     assert (bare > 0).sum(1).max() == 24
     hung = Hung(torch.tensor([[0.2, -0.6, 0.1], [-0.2, -0.6, 0.1]]), everywhere[:2])
     pad = torch.nn.functional.pad
-    clothed = where._replace(clothing=Clothing.start(hung, where.body_pose), weights=pad(few, (0, 2)))
+    clothed = where._replace(clothing=Clothing.start(hung, where.joints, where.body_pose), weights=pad(few, (0, 2)))
     worn = person._replace(weights=torch.cat([0.5 * person.weights, torch.full((len(few), 2), 0.25)], 1))
     kept = bake.finish(worn, worn.weights, clothed, *seen).person.weights
     assert (kept > 0).sum(1).max() == 8 and (kept[: len(few), 24:] > 0.25).any()
