@@ -20,11 +20,8 @@ def reskin(person: Canonical, usual: Tensor, body: Person, views: Views, frames:
     weights bring them closest to where the old ones did, the median over `frames` of `views`.
     """
     other = (person.weights - usual).abs().sum(1) > OTHER
-    mine, weights, shown = (
-        Canonical(*(part[other] for part in person)),
-        usual[other],
-        person_frames(body, views, frames),
-    )
+    mine, weights = Canonical(*(part[other] for part in person)), usual[other]
+    shown = person_frames(body, views, frames)
     resting, means = rest(mine, body.canonical_bones()), person.means.clone()
     if shown and other.any():
         places = []
