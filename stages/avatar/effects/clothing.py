@@ -69,10 +69,8 @@ class Clothing(nn.Module):
         for name, value in fixed.items():
             self.register_buffer(name, value)
         self.swings = nn.Parameter(swings)
-        joints, found = (
-            self.joints,
-            {"units": torch.tensor(UNITS).to(swings), "legs": swings.new_zeros(2, len(self.joints))},
-        )
+        joints, found = self.joints, {"units": torch.tensor(UNITS).to(swings)}
+        found["legs"] = swings.new_zeros(2, len(joints))
         for side, leg in enumerate(LEGS):
             found["legs"][side, list(leg)] = 1
         found["thighs"] = F.normalize(joints[list(KNEES)] - joints[list(HIPS)], dim=1)[..., None]
@@ -106,9 +104,8 @@ class Clothing(nn.Module):
     def of(cls, clothes: records.Clothes, joints: np.ndarray) -> Clothing:
         """Trained clothes of an avatar with these joints[24,3], float32, as constants."""
         arrays = vars(clothes) | {"joints": joints}
-        return cls(
-            **{name: torch.as_tensor(array, dtype=torch.float32) for name, array in arrays.items()}
-        ).requires_grad_(False)
+        tensors = {name: torch.as_tensor(array, dtype=torch.float32) for name, array in arrays.items()}
+        return cls(**tensors).requires_grad_(False)
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -137,7 +134,7 @@ class Clothing(nn.Module):
 
         With a leg it is as far as its thigh has moved towards them from where it is at rest, seen from the pelvis; else 1.
         """
-        moved = bones[..., :1, :3, :3].mT @ bones[..., HIPS[0] : HIPS[1] + 1, :3, :3] @ self.thighs - self.thighs
+        moved = bones[..., :1, :3, :3].mT @ bones[..., list(HIPS), :3, :3] @ self.thighs - self.thighs
         away = 1 - ((self.ways @ moved)[..., 0] / PUSHED).clamp(0, 1)  # [...,2,K]
         return 1 - away.mT @ self.legs
 

@@ -56,9 +56,9 @@ class Finished(NamedTuple):
 
 
 def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
-    """Bring skinning that left the `usual`[N,J] back; remove invalid, stray and floating Gaussians; snap, recolour, line.
+    """Remove invalid, stray and floating Gaussians; then snap, recolour and add the lining.
 
-    `frames` of `views` are those that the person was trained on.
+    Skinning that left the body's, `usual`[N,J], comes back first. `frames` of `views` are those that the person was trained on.
     """
     person, reskinned = reskin(person, usual, body, views, frames)
     whole = finite_rows(person)

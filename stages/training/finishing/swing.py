@@ -42,9 +42,8 @@ def _carry_anew(clothing: Clothing, bones: Tensor, swing: Tensor) -> Tensor:
     wanted = torch.einsum("fkab,kpb->kfpa", moved[..., :3, :3], points) + moved.permute(1, 0, 2, 3)[:, :, None, :3, 3]
     pushed, hanging = clothing.pushed(bones)[..., None, None], clothing.upright(bones)[:, None, None]
     parts = torch.lerp(hanging, bones[:, None], pushed)  # [F,K,24,4,4]
-    found = (
-        torch.einsum("fkjab,kpb->kfpaj", parts[..., :3, :3], points) + parts[..., :3, 3].permute(1, 0, 3, 2)[:, :, None]
-    )
+    shifts = parts[..., :3, 3].permute(1, 0, 3, 2)[:, :, None]
+    found = torch.einsum("fkjab,kpb->kfpaj", parts[..., :3, :3], points) + shifts
     count, pull = len(moved), (STAY * len(moved)) ** 0.5
     for k in range(len(clothing)):
         before = clothing.carriers[k]
