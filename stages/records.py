@@ -113,8 +113,8 @@ class Clothes:
 
     centres[K,3] m at rest; carriers[K,24]: the share of each of the skeleton's bones that carries it, where a leg pushes it;
     what no leg pushes hangs from the upright pelvis. Before it is carried it swings: swings[K,6,1+Q], for 1 and Q features
-    of the pose = (body_pose - mean[69]) @ axes[69,Q], held within low[Q] and high[Q]. Of the six of a swing three are a turn
-    in 0.3 rad, three a shift in 0.05 m.
+    of the pose = (body_pose - mean[69]) @ axes[69,Q], held within low[Q] and high[Q]; where one is beyond, all fade, to 0 at
+    half of high - low. Of the six of a swing three are a turn in 0.3 rad, three a shift in 0.05 m.
     """
 
     swings: np.ndarray

@@ -3,8 +3,8 @@
 Game characters have such bones for skirts and hair; ReLoo (https://arxiv.org/abs/2409.15269) learns them from video. A bone
 is carried by a blend of the skeleton's. A leg pushes cloth that it moves towards and does not pull what it moves away from:
 that hangs below the pelvis, so the back of a coat does not go up with the knees. Its swing, a turn and a shift
-in the rest pose, is linear in features of the pose, principal components of the training poses, which are held within
-what training saw, so that nothing new makes clothes explode. Posing stays skinning.
+in the rest pose, is linear in features of the pose, principal components of the training poses. A pose that is unlike
+all that training saw tells nothing of a swing: there clothes have the mean one. Posing stays skinning.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ APART = 0.1  # m between bones, at least
 BELL = 0.9  # of the distance between bones: sigma of a bone's share
 LOOSE = (0.02, 0.06)  # m off the skin between which cloth changes from the skeleton's bones to its own
 FEATURES = 6
+UNLIKE = 0.5  # of what training saw of a feature: a pose that is so far beyond is like none of the training
 PRIOR = 0.1  # weight of the mean squared swing
 UNITS = (0.3, 0.3, 0.3, 0.05, 0.05, 0.05)  # rad, m: a usual swing
 LEGS = tuple(zip(HIPS, KNEES, ANKLES, FEET))
@@ -47,7 +48,7 @@ class Clothing(nn.Module):
     """K bones at `centres` [K,3] m at rest, carried by `carriers` [K,24] of the skeleton's, whose `joints` [24,3] m are at rest.
 
     Their swing in UNITS is swings[K,6,1+Q] @ features. Features [1+Q] of a body pose are 1 and (pose - mean[69]) @
-    axes[69,Q], within low and high[Q].
+    axes[69,Q], held within low and high[Q], and fading to 0 where the pose is `UNLIKE` those of training.
     """
 
     centres: Tensor
@@ -111,9 +112,12 @@ class Clothing(nn.Module):
         return len(self.centres)
 
     def features(self, body_pose: Tensor) -> Tensor:
-        """Features [...,1+Q] of poses [...,69] in rad, clamped to the limits of training."""
-        principal = ((body_pose - self.mean) @ self.axes).clamp(self.low, self.high)
-        return torch.cat([torch.ones_like(body_pose[..., :1]), principal], -1)
+        """Features [...,1+Q] of poses [...,69] in rad: 1, then those that fade where one is beyond the limits of training."""
+        principal = (body_pose - self.mean) @ self.axes
+        held = principal.clamp(self.low, self.high)
+        beyond = (principal - held).abs() / (UNLIKE * (self.high - self.low)).clamp_min(1e-9)
+        like = 1 - F.pad(beyond, (0, 1)).amax(-1, keepdim=True).clamp_max(1)
+        return torch.cat([torch.ones_like(like), held * like], -1)
 
     def swing(self, body_pose: Tensor) -> Tensor:
         """The bones' swing [K,6] in UNITS in one pose [69]."""

@@ -4,7 +4,7 @@ import { add, apply, cross, dot, IDENTITY, length, matrixOfRotvec, middle, mul, 
 
 const UNITS = [0.3, 0.3, 0.3, 0.05, 0.05, 0.05];
 const LEGS = [0, 1].map((side) => [HIPS, KNEES, ANKLES, FEET].map((pair) => pair[side]));
-const PUSHED = 0.2, OVER = 1e-3, FOLDED = 0.3;
+const UNLIKE = 0.5, PUSHED = 0.2, OVER = 1e-3, FOLDED = 0.3;
 
 const directionOf = (v) => scale(v, 1 / Math.max(length(v), 1e-12)); // 0 has none
 
@@ -19,13 +19,18 @@ export class Clothes {
     this.centres = Array.from({ length: this.count }, (_, k) => row(centres, k));
   }
 
-  /** Features of a body pose, rotation vectors [69]: 1, then those held within what training saw. */
+  /** Features of a body pose, rotation vectors [69]: 1, then those that fade where one is beyond the limits of training. */
   features(pose) {
-    return [1, ...Array.from({ length: this.kinds }, (_, k) => {
+    let like = 1;
+    const held = Array.from({ length: this.kinds }, (_, k) => {
       let sum = 0;
       for (let i = 0; i < 69; i++) sum += (pose[i] - this.mean[i]) * this.axes[i * this.kinds + k];
-      return Math.min(this.high[k], Math.max(this.low[k], sum));
-    })];
+      const within = Math.min(this.high[k], Math.max(this.low[k], sum));
+      const far = Math.max(1e-9, UNLIKE * (this.high[k] - this.low[k]));
+      like = Math.min(like, Math.max(0, 1 - Math.abs(sum - within) / far));
+      return within;
+    });
+    return [1, ...held.map((feature) => feature * like)];
   }
 
   /** How far each leg moves towards the bone at a centre, from 0 to 1: cloth does not go where a leg goes away. */

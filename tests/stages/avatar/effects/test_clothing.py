@@ -1,4 +1,4 @@
-"""Bones of clothes: legs push them and else they hang, they swing with the pose within limits, and a file keeps them."""
+"""Bones of clothes: legs push them and else they hang, they swing with poses like those of training, and a file keeps them."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import torch
 
 from stages.avatar.body.joints import HIPS, KNEES
 from stages.avatar.body.smpl import Body
-from stages.avatar.effects.clothing import APART, BONES, FEATURES, Clothing, Hung, bones_for
+from stages.avatar.effects.clothing import APART, BONES, FEATURES, UNLIKE, Clothing, Hung, bones_for
 from stages.avatar.model.person import bone_transforms
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model
@@ -156,14 +156,37 @@ def test_a_swing_turns_about_the_centre_and_shifts_it(clothing):
     torch.testing.assert_close(hung[2], torch.eye(4))
 
 
-def test_no_pose_makes_clothes_explode(clothing):
+def beyond(clothing: Clothing, share: float) -> torch.Tensor:
+    """A pose whose first feature is beyond what training saw, by so much of it; the others are as on the mean."""
+    feature = clothing.high[0] + share * (clothing.high[0] - clothing.low[0])
+    return clothing.mean + feature * torch.linalg.pinv(clothing.axes)[0]
+
+
+def test_a_pose_unlike_those_of_training_has_the_mean_swing(clothing):
     torch.nn.init.normal_(clothing.swings, std=0.3)
-    wild = torch.full((69,), 40.0)
-    most = torch.cat([torch.ones(1), torch.maximum(clothing.low.abs(), clothing.high.abs())])
-    assert (clothing.swing(wild).abs() <= clothing.swings.detach().abs() @ most + 1e-5).all()
-    held = wild.clone().requires_grad_()
-    clothing.features(held).sum().backward()
-    assert (held.grad == 0).all(), "beyond what was seen a pose changes nothing more"
+    mean = clothing.swings.detach()[..., 0]
+    for pose in (beyond(clothing, UNLIKE + 0.01), torch.full((69,), 40.0)):
+        held = pose.clone().requires_grad_()
+        assert torch.equal(clothing.swing(held), mean)
+        clothing.features(held).sum().backward()
+        assert (held.grad == 0).all(), "from there on a pose changes nothing more"
+
+
+def test_a_swing_fades_to_the_mean_one_without_a_jump(clothing):
+    torch.nn.init.normal_(clothing.swings, std=0.3)
+    swing = torch.stack([clothing.swing(beyond(clothing, share)) for share in torch.linspace(-1, 1, 401).tolist()])
+    assert swing.diff(dim=0).abs().max() < 0.06 * (swing - clothing.swings[..., 0]).abs().max()
+    edge, half = clothing.features(beyond(clothing, 0.0)), clothing.features(beyond(clothing, UNLIKE / 2))
+    torch.testing.assert_close(half[1:], edge[1:] / 2)
+    assert edge[1] == pytest.approx(clothing.high[0].item(), rel=1e-5)
+
+
+def test_limits_of_a_file_that_meet_leave_the_mean_swing(clothing):
+    clothing.high.copy_(clothing.low)
+    pose = poses()[4].clone().requires_grad_()
+    features = clothing.features(pose)
+    (grad,) = torch.autograd.grad(features.sum(), pose)
+    assert features[0] == 1 and (features[1:] == 0).all() and grad.isfinite().all()
 
 
 def test_gradients_are_right_at_rest_and_in_a_swing():
@@ -180,6 +203,12 @@ def test_gradients_of_a_pose_are_right_where_a_leg_pushes_a_little_and_where_all
         pose = bent(hip, 0.3, dtype=torch.float64) + 0.01
         held = pose.requires_grad_()
         torch.autograd.gradcheck(lambda p: clothing.carried(skeleton(p, joints=clothing.joints)), held, atol=1e-6)
+
+
+def test_gradients_of_features_are_right_within_beyond_and_far_beyond_what_training_saw(clothing):
+    clothing = clothing.double()
+    for share in (-0.4, 0.2 * UNLIKE, 0.8 * UNLIKE, 2 * UNLIKE):
+        torch.autograd.gradcheck(clothing.features, beyond(clothing, share).requires_grad_(), atol=1e-6)
 
 
 def test_poses_that_hardly_change_teach_no_feature():
