@@ -7,21 +7,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.body.skinning import of_few_bones
-from stages.avatar.body.smpl import edge_lengths, vertex_normals
-from stages.avatar.model.person import Canonical, rest
-from stages.avatar.splats.compose import painted_pixels
+from stages.avatar.model.person import Canonical
 from stages.avatar.splats.gaussians import finite_rows
 from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
 from stages.training.finishing.depths import snap_to_surface
+from stages.training.finishing.lining import add_lining
+from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
-from stages.training.losses import dilated
-from stages.training.views import Person, Views, person_frames
+from stages.training.views import Person, Views
 
 OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
 SEEN = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
-EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
 EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; with 0.05, and DOUBT 0.02, it looks the same
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
@@ -34,10 +31,6 @@ COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
 THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
-INSET = 0.02  # metres under the skin: deep enough not to show at an outline, near enough to close a hole
-THIN = 0.7  # of the inset: a point nearer than this to the skin of another side goes half as deep
-LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person is left out
-PEELS = 4  # rounds: what goes may have hidden more; of four more rounds it was one in fifty of all that went
 
 
 class Finished(NamedTuple):
@@ -118,7 +111,7 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     hands and feet are nearly all outline: there the best of the same part of the body are asked.
     Also returns how far each colour is its own[N], from 0 to 1; the rest is its neighbours'.
     """
-    inside, edge, _ = _count_pixels(person, body, views, frames)[0].unbind(1)
+    inside, edge, _ = count_pixels(person, body, views, frames)[0].unbind(1)
     mean = inside.mean()
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
@@ -140,61 +133,3 @@ def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:
     for bone in part.unique():
         best[part == bone] = own[part == bone].quantile(FAIR[1])
     return best
-
-
-def add_lining(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
-    """The person and, after its rows, an opaque lining under the skin, which shows in holes that new poses tear open.
-
-    The lining is the body's own vertices moved inwards, in the colours above them. Where it would show beside the
-    person's masks in `frames` of `views`, it is left out: there the person is thinner than the body.
-    """
-    inner = _lining(person, body)
-    for _ in range(PEELS):
-        both = Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
-        counts, pixels = _count_pixels(both, body, views, frames)
-        leaks = counts[len(person.means) :, 2] > LEAK * pixels
-        if not leaks.any():
-            break
-        inner = Canonical(*(part[~leaks] for part in inner))
-    return Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
-
-
-def _lining(person: Canonical, body: Person) -> Canonical:
-    normals = vertex_normals(body.vertices, body.faces)
-    depth = torch.full_like(normals[:, :1], INSET)
-    for _ in range(6):
-        distance, _ = nearest(body.vertices, body.vertices - depth * normals, 1)
-        depth[distance < THIN * depth] *= 0.5
-    means = body.vertices - depth * normals
-    half = 0.5 * edge_lengths(body.vertices, body.faces)
-    opaque = person.opacities >= person.opacities.max().clamp(max=0.5)
-    return Canonical(
-        means=means,
-        rotations=rotation_z_to(normals),
-        scales=torch.stack([1.2 * half, 1.2 * half, 0.25 * half], 1),
-        opacities=torch.full_like(half, 0.99),
-        sh=median_near(person.sh[opaque], person.means[opaque], means, 8)[0],
-        weights=body.weights,
-    )
-
-
-def _count_pixels(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
-    """How many pixels each Gaussian paints [N,3]: well inside the person's masks, elsewhere, and beside them; and how
-    many the masks have: sums over the `person_frames`.
-
-    The first two count only where the skin under a Gaussian faces the camera: the far side shines through the near one.
-    """
-    bones = body.canonical_bones()
-    surface, normals, _ = body.surface()
-    outwards = normals[nearest(surface, person.means, 1)[1][:, 0]]
-    resting, skin = rest(person, bones), rest(person._replace(rotations=rotation_z_to(outwards)), bones)
-    counts, pixels = torch.zeros_like(person.means), 0.0
-    for i in person_frames(body, views, frames):
-        mask = views.masks[i].float() / 255
-        splats, inside = body.posed(resting, i), -dilated(-mask, EDGE)
-        paints = painted_pixels(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
-        sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
-        facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
-        counts += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
-        pixels += mask.sum().item()
-    return counts, pixels

@@ -10,7 +10,7 @@ from torch import Tensor
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.compose import painted_pixels
 from stages.avatar.splats.neighbours import median_near, spread_evenly
-from stages.training.finishing.bake import EDGE
+from stages.training.finishing.painted import EDGE
 from stages.training.losses import dilated
 from stages.training.views import LOOKS, Views
 

@@ -11,7 +11,7 @@ from stages.avatar.model.person import Canonical, rest
 from stages.avatar.rasterize import Camera, Layer
 from stages.training import losses
 from stages.training.company import Company
-from stages.training.finishing.bake import EDGE
+from stages.training.finishing.painted import EDGE
 from stages.training.person import PersonLearner
 from stages.training.schedule import LR_OWN
 from stages.training.views import person_box, person_frames

@@ -9,7 +9,10 @@ from stages.avatar.model.person import Canonical, bone_transforms, pose, rest
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.neighbours import nearest
-from stages.training.finishing import bake
+from stages.training.finishing import bake, lining, painted
+from stages.training.finishing.lining import PLACES, _lining, add_lining
+from stages.training.finishing.painted import count_pixels
+from stages.training.losses import dilated
 from stages.training.views import Person, Views, person_frames
 from tests.made.standing import around, stand
 
@@ -51,7 +54,7 @@ def torn(standing):
     hole = (person.means[:, 0].abs() > 0.02) & (person.means[:, 0].abs() < 0.11)
     hole &= where.weights[:, [3, 6, 9]].sum(1) > 0.5
     left = Canonical(*(part[~hole] for part in person))
-    kept = bake.add_lining(left, where, views(silhouettes(person, where)), [0, 1, 2])
+    kept = add_lining(left, where, views(silhouettes(person, where)), [0, 1, 2])
     return left, kept, hole
 
 
@@ -98,16 +101,28 @@ def test_the_lining_never_shows_beside_the_masks(standing, torn):
     out = masks < 0.05
     assert (silhouettes(kept, where)[out] - silhouettes(left, where)[out]).max() < 0.02
     armless = Canonical(*(part[person.means[:, 0] < 0.3] for part in person))
-    kept = bake.add_lining(armless, where, views(silhouettes(armless, where)), [0, 1, 2])
+    kept = add_lining(armless, where, views(silhouettes(armless, where)), [0, 1, 2])
     inner = kept.means[len(armless.means) :]
     assert len(inner) > 3000 and inner[:, 0].min() < -0.5 and inner[:, 0].max() < 0.4, "an arm that is not there"
 
 
+def test_what_shows_beside_a_thinner_person_goes_deeper(standing, monkeypatch):
+    person, where = standing
+    masks = torch.stack([-dilated(-mask, 0.012) for mask in silhouettes(person, where)])
+    thin = person._replace(opacities=torch.full_like(person.opacities, 0.3))
+    kept = add_lining(thin, where, views(masks), [0, 1, 2]).means[len(person.means) :]
+    deep = nearest(where.vertices, kept, 1)[0] > 1.2 * PLACES[0][0]
+    monkeypatch.setattr(lining, "PLACES", PLACES[:1])
+    without = add_lining(thin, where, views(masks), [0, 1, 2]).means[len(person.means) :]
+    assert deep.sum() > 100 and len(kept) > 1.1 * len(without)
+
+
 def test_the_lining_stays_inside_thin_parts(standing):
     person, where = standing
-    inner = bake._lining(person, where)
+    everywhere, inset = torch.arange(len(where.vertices)), PLACES[0][0]
+    inner = _lining(person, where, everywhere, torch.zeros_like(everywhere))
     depth = (inner.means - where.vertices).norm(dim=1)
-    assert depth.max() <= bake.INSET * 1.001 and (depth < 0.5 * bake.INSET).any(), "fingers are thinner than the inset"
+    assert depth.max() <= inset * 1.001 and (depth < 0.5 * inset).any(), "fingers are thinner than the inset"
     apart = torch.cdist(inner.means, where.vertices).amin(1)
     assert (apart > 0.6 * depth).all()
 
@@ -115,13 +130,13 @@ def test_the_lining_stays_inside_thin_parts(standing):
 def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
     person, where = standing
     empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    assert len(bake.add_lining(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
+    assert len(add_lining(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
 
 
 def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
     person, where = standing
     cameras = views(silhouettes(person, where))
-    painted, pixels = bake._count_pixels(person, where, cameras, [0, 1, 2])
+    painted, pixels = count_pixels(person, where, cameras, [0, 1, 2])
     assert (painted >= 0).all() and painted[:, :2].sum().item() > 0.9 * pixels
     flank = painted[:, 0] < 0.3 * painted[:, 1]
     front = (painted[:, 0] > bake.SURE * painted[:, 0].mean()) & (painted[:, 0] > 20 * painted[:, 1])
@@ -157,7 +172,7 @@ def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(s
     person, where = standing
     cameras = views(silhouettes(person, where))
     back = (person.rotations[:, 2, 2] < -0.8) & (where.weights[:, [3, 6, 9]].sum(1) > 0.5)
-    inside, edge, _ = bake._count_pixels(person, where, cameras, [0])[0].unbind(1)
+    inside, edge, _ = count_pixels(person, where, cameras, [0])[0].unbind(1)
     front = ((inside > bake.SURE * inside.mean()) & (inside > 2 * edge)).nonzero()[:, 0]
     asked = nearest(person.means[front], person.means[back], bake.NEIGHBOURS)[1].flatten()
     collar = front[asked.bincount().argsort(descending=True)[:40]]  # nearest to most of the back
@@ -173,7 +188,7 @@ def test_hands_that_are_hardly_more_than_outline_ask_hands(standing, monkeypatch
     person, where = standing
     hands = where.weights[:, 20:24].sum(1) > 0.5
     bare = person._replace(sh=torch.where(hands[:, None, None], 2.0, person.sh))
-    monkeypatch.setattr(bake, "EDGE", 0.022)
+    monkeypatch.setattr(painted, "EDGE", 0.022)
     cameras = views(silhouettes(person, where))
     off = lambda: (bake.recolor(bare, where, cameras, [0])[0].sh - bare.sh)[hands].abs().mean()  # noqa: E731
     assert off() < 0.05
