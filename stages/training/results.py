@@ -190,8 +190,8 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
         say.note(
             f"{kept.snapped:,} Gaussians put back that stood out of the surface where no frame looks from the side"
         )
-    share = 100 * kept.lining / len(body.vertices)
-    say.note(f"{kept.lining:,} Gaussians put under {share:.0f} % of the skin, so that new poses tear no holes there")
+    share = 100 * kept.lining / len(body.surface()[0])
+    say.note(f"{kept.lining:,} Gaussians put under {share:.0f} % of the surface, so that new poses tear no holes there")
     return kept
 
 

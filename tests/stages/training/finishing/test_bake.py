@@ -5,12 +5,12 @@ import torch
 
 from stages.avatar.body.smpl import DA_POSE
 from stages.avatar.effects.clothing import Clothing, Hung
-from stages.avatar.model.person import Canonical, bone_transforms, pose, rest
+from stages.avatar.model.person import Canonical, Surfels, bone_transforms, pose, rest
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import bake, lining, painted
-from stages.training.finishing.lining import PLACES, _lining, add_lining
+from stages.training.finishing.lining import OUT, UNDER_CLOTH, UNDER_SKIN, _lining, add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.losses import dilated
 from stages.training.views import Person, Views, person_frames
@@ -111,16 +111,17 @@ def test_what_shows_beside_a_thinner_person_goes_deeper(standing, monkeypatch):
     masks = torch.stack([-dilated(-mask, 0.012) for mask in silhouettes(person, where)])
     thin = person._replace(opacities=torch.full_like(person.opacities, 0.3))
     kept = add_lining(thin, where, views(masks), [0, 1, 2]).means[len(person.means) :]
-    deep = nearest(where.vertices, kept, 1)[0] > 1.2 * PLACES[0][0]
-    monkeypatch.setattr(lining, "PLACES", PLACES[:1])
+    deep = nearest(where.vertices, kept, 1)[0] > 1.2 * UNDER_SKIN[0][0]
+    monkeypatch.setattr(lining, "UNDER_SKIN", OUT * UNDER_SKIN[:1])
     without = add_lining(thin, where, views(masks), [0, 1, 2]).means[len(person.means) :]
     assert deep.sum() > 100 and len(kept) > 1.1 * len(without)
 
 
 def test_the_lining_stays_inside_thin_parts(standing):
     person, where = standing
-    everywhere, inset = torch.arange(len(where.vertices)), PLACES[0][0]
-    inner = _lining(person, where, everywhere, torch.zeros_like(everywhere))
+    inset = UNDER_SKIN[0][0]
+    inner, rows = _lining(person, where, torch.zeros(len(where.vertices), dtype=torch.long))
+    assert len(rows) == len(where.vertices)
     depth = (inner.means - where.vertices).norm(dim=1)
     assert depth.max() <= inset * 1.001 and (depth < 0.5 * inset).any(), "fingers are thinner than the inset"
     apart = torch.cdist(inner.means, where.vertices).amin(1)
@@ -131,6 +132,34 @@ def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
     person, where = standing
     empty = views(torch.zeros(len(EYES), SIZE, SIZE))
     assert len(add_lining(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
+
+
+def test_cloth_has_a_lining_of_its_own_where_there_is_any(standing):
+    """Half of a sheet before the shins is sheer, as the hull over the opening of a coat."""
+    person, where = standing
+    across, down = torch.meshgrid(torch.linspace(-0.3, 0.3, 25), torch.linspace(-1.0, -0.5, 21), indexing="ij")
+    means = torch.stack([across, down, torch.full_like(across, 0.4)], -1).flatten(0, 1)
+    count, weights = len(means), where.weights[:1].expand(means[:, 0].numel(), -1)
+    sheet = Surfels(
+        means, torch.eye(3).expand(count, 3, 3), torch.tensor([0.0125, 0.0125, 0.006]).expand(count, 3), weights
+    )
+    opaque = means[:, 0] > 0.01
+    blue = torch.tensor([-1.0, -1, 1]).expand(count, 1, 3)
+    worn = person._replace(
+        **{
+            name: torch.cat([getattr(person, name), part])
+            for name, part in [*sheet._asdict().items(), ("opacities", torch.where(opaque, 0.9, 0.02)), ("sh", blue)]
+            if name in person._fields
+        }
+    )
+    empty = views(torch.zeros(len(EYES), SIZE, SIZE))
+    kept = add_lining(worn, where._replace(cloth=sheet), empty, [0, 1, 2])
+    added = kept.means[len(worn.means) + len(where.vertices) :]
+    depth, wide = UNDER_CLOTH[0]
+    assert len(added) == pytest.approx(opaque.sum().item(), abs=25), "a column more or less"
+    torch.testing.assert_close(added[:, 2], torch.full_like(added[:, 2], 0.4 - depth))
+    torch.testing.assert_close(kept.scales[-len(added) :, 0], torch.full_like(added[:, 0], wide * 0.0125))
+    assert torch.equal(kept.sh[-len(added) :], blue[: len(added)]) and added[:, 0].min() > -0.03
 
 
 def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
