@@ -13,23 +13,25 @@ from stages.training.finishing.painted import count_pixels
 from stages.training.views import Person, Views
 
 UNDER_SKIN = (0.02, 1.2), (0.034, 1.2), (0.058, 1.2), (0.058, 0.7)
-UNDER_CLOTH = (0.02, 1.4), (0.03, 1.4), (0.04, 1.2), (0.04, 0.8)  # wider: a kick makes a skirt twice as wide
-"""m under the surface, and sigma in halves of the distance between its points: what shows beside the person takes the next."""
-OUT = len(UNDER_SKIN)  # comes after them
+"""m under the skin, and sigma in halves of an edge: a lining Gaussian that shows beside the person takes the next place."""
+UNDER_CLOTH = (0.02, 1.4), (0.03, 1.4), (0.04, 1.2), (0.04, 0.8)
+"""The same under cloth, by the distance between its points. It is wider: a kick makes a skirt twice as wide."""
+OUT = len(UNDER_SKIN)
+"""The place after the last: it is left out."""
 THIN = 0.7  # of its depth: a point nearer than this to the skin of another side goes half as deep
 FLAT = 0.2  # of its width: how thick a lining Gaussian is
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person shows there
-OPAQUE = 0.5
-NEIGHBOURS = 8  # that tell the colour above, and whether there is anything
 MUCH = 30.0  # times as much: at last those go that show so much, now that others are gone which hid them
+NEIGHBOURS = 8  # that tell the colour above a lining Gaussian, and whether there is cloth
+OPAQUE = 0.5  # opacity from which they do
 
 
 def add_lining(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
     """The person and, after its rows, the points of the body's skin and cloth moved inwards and opaque, in the colours above.
 
     Where one would show beside the person's masks in `frames` of `views`, it goes deeper, then becomes smaller, and is left
-    out at last: there the person is thinner than the body, or the body is beside the person. Cloth that nobody sees, as
-    before the opening of a coat, has none.
+    out at last: there the person is thinner than the body, or the body is beside the person. Cloth where the person did not
+    become opaque, as the hull over the opening of a coat, has none.
     """
     place = OUT * _sheer(person, body).long()
     for leak, step in [*[(LEAK, 1)] * (OUT - 1), (LEAK, OUT), (MUCH * LEAK, OUT)]:
@@ -42,7 +44,7 @@ def add_lining(person: Canonical, body: Person, views: Views, frames: list[int])
 
 
 def _sheer(person: Canonical, body: Person) -> Tensor:
-    """Which points of skin and cloth [S] are cloth that the person did not become opaque at."""
+    """Which points of skin and cloth [S] are of cloth where the person did not become opaque."""
     sheer = torch.zeros(len(body.surface()[0]), dtype=torch.bool, device=person.means.device)
     if body.cloth is not None:
         around, _ = median_near(person.opacities[:, None], person.means, body.cloth.means, NEIGHBOURS)
