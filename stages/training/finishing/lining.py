@@ -18,7 +18,7 @@ UNDER_CLOTH = (0.02, 1.4), (0.03, 1.4), (0.04, 1.2), (0.04, 0.8)
 """The same under cloth, by the distance between its points. It is wider: a kick makes a skirt twice as wide."""
 OUT = len(UNDER_SKIN)
 """The place after the last: it is left out."""
-THIN = 0.7  # of its depth: a point nearer than this to the skin of another side goes half as deep
+THIN = 0.7  # of its depth: a point nearer than this to skin or cloth of another side goes half as deep
 FLAT = 0.2  # of its width: how thick a lining Gaussian is
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person shows there
 MUCH = 30.0  # times as much: at last those go that show so much, now that others are gone which hid them
