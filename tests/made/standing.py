@@ -6,8 +6,15 @@ import torch
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.cameras.pinhole import look_at
 from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import Canonical, bone_transforms, pose, rest
+from stages.avatar.rasterize import Camera
+from stages.avatar.splats.compose import compose
 from stages.formats.body_model import read_body_model
-from stages.training.views import Person
+from stages.training.views import Person, Views
+
+SIZE, STILL = 192, torch.zeros(3)
+EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))
+"""Three square cameras, m: `views`, `drawn` and `silhouettes` are theirs."""
 
 
 def stand(frames: int) -> tuple[HumanModel, Person]:
@@ -29,3 +36,30 @@ def around(eyes: tuple[tuple[float, float, float], ...], focal: float, side: int
     viewmats = torch.tensor(np.stack([look_at(np.array(eye, float), np.zeros(3), up) for eye in eyes])).float()
     K = torch.tensor([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
     return viewmats, K.expand(len(eyes), 3, 3)
+
+
+def stand_red() -> tuple[Canonical, Person]:
+    """A red person as the free body has it, opaque, and where it stands in three frames."""
+    human, where = stand(len(EYES))
+    red = torch.tensor([1.0, -1, -1]).expand(len(human), 1, 3)
+    person = human.initial()
+    person = person._replace(sh=red, opacities=torch.full_like(person.opacities, 0.99), scales=1.5 * person.scales)
+    return person, where
+
+
+def drawn(person: Canonical, where: Person, frame: int, body_pose=DA_POSE):
+    """What the camera of a frame sees of a canonical person in a pose [69]."""
+    resting = rest(person, where.canonical_bones())
+    splats = pose(resting, bone_transforms(where.joints, where.parents, STILL, body_pose), STILL)
+    cameras = views(torch.zeros(len(EYES), SIZE, SIZE))
+    return compose(splats, None, Camera(cameras.viewmats[frame], cameras.Ks[frame], SIZE, SIZE))[0]
+
+
+def views(masks) -> Views:
+    """Black pictures with masks [3,SIZE,SIZE] in 0..1."""
+    return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), (255 * masks).round().byte(), *around(EYES, 270.0, SIZE))
+
+
+def silhouettes(person: Canonical, where: Person, body_pose=DA_POSE) -> torch.Tensor:
+    """How opaque a canonical person is [3,SIZE,SIZE] in a pose [69]."""
+    return torch.stack([drawn(person, where, frame, body_pose).alpha for frame in range(len(EYES))])

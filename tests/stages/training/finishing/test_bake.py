@@ -1,61 +1,23 @@
-"""What is kept of a person: unseen rows as the body says, colours that lean on sure ones, a lining under the skin."""
+"""What is kept of a person: unseen rows as the body says, colours that lean on sure ones."""
 
 import pytest
 import torch
 
-from stages.avatar.body.smpl import DA_POSE
 from stages.avatar.effects.clothing import Clothing, Hung
-from stages.avatar.model.person import Canonical, Surfels, bone_transforms, pose, rest
+from stages.avatar.model.person import Canonical, rest
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.neighbours import nearest
-from stages.training.finishing import bake, lining, painted
-from stages.training.finishing.lining import OUT, UNDER_CLOTH, UNDER_SKIN, _lining, add_lining
+from stages.training.finishing import bake, painted
 from stages.training.finishing.painted import count_pixels
-from stages.training.losses import dilated
 from stages.training.views import Person, Views, person_frames
-from tests.made.standing import around, stand
-
-SIZE, STILL = 192, torch.zeros(3)
-EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))
-ARMS_UP = DA_POSE.clone().view(23, 3)
-ARMS_UP[15, 2], ARMS_UP[16, 2] = 1.0, -1.0  # shoulders, far above the da-pose
+from tests.made.standing import EYES, SIZE, drawn, silhouettes, stand_red, views
 
 
 @pytest.fixture(scope="module")
-def standing():
-    """A red person as the free body has it, opaque, and where it stands: at the origin, in the da-pose."""
-    human, where = stand(len(EYES))
-    red = torch.tensor([1.0, -1, -1]).expand(len(human), 1, 3)
-    person = human.initial()
-    person = person._replace(sh=red, opacities=torch.full_like(person.opacities, 0.99), scales=1.5 * person.scales)
-    return person, where
-
-
-def drawn(person: Canonical, where: Person, frame: int, body_pose=DA_POSE):
-    resting = rest(person, where.canonical_bones())
-    splats = pose(resting, bone_transforms(where.joints, where.parents, STILL, body_pose), STILL)
-    cameras = views(torch.zeros(len(EYES), SIZE, SIZE))
-    return compose(splats, None, Camera(cameras.viewmats[frame], cameras.Ks[frame], SIZE, SIZE))[0]
-
-
-def views(masks) -> Views:
-    return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), (255 * masks).round().byte(), *around(EYES, 270.0, SIZE))
-
-
-def silhouettes(person, where, body_pose=DA_POSE):
-    return torch.stack([drawn(person, where, frame, body_pose).alpha for frame in range(len(EYES))])
-
-
-@pytest.fixture(scope="module")
-def torn(standing):
-    """The same with a hole on each side of the chest, and what is kept of it; and which rows the holes took."""
-    person, where = standing
-    hole = (person.means[:, 0].abs() > 0.02) & (person.means[:, 0].abs() < 0.11)
-    hole &= where.weights[:, [3, 6, 9]].sum(1) > 0.5
-    left = Canonical(*(part[~hole] for part in person))
-    kept = add_lining(left, where, views(silhouettes(person, where)), [0, 1, 2])
-    return left, kept, hole
+def standing() -> tuple[Canonical, Person]:
+    """A red person, opaque, and where it stands."""
+    return stand_red()
 
 
 @pytest.mark.slow
@@ -73,93 +35,6 @@ def test_cloth_is_kept_with_as_many_bones_as_gltf_carries_and_skin_with_all(stan
     kept = bake.finish(worn, worn.weights, clothed, *seen).person.weights
     assert (kept > 0).sum(1).max() == 8 and (kept[: len(few), 24:] > 0.25).any()
     torch.testing.assert_close(kept.sum(1), torch.ones(len(kept)))
-
-
-def test_nobody_is_seen_through_in_any_pose(standing, torn):
-    (person, where), (left, kept, hole) = standing, torn
-    assert hole.sum() > 50 and len(left.means) < len(kept.means)
-    for body_pose in (DA_POSE, ARMS_UP.flatten()):
-        whole, open_, closed = (silhouettes(p, where, body_pose)[0] for p in (person, left, kept))
-        seen = (whole > 0.98) & (open_ < 0.6)
-        assert seen.sum() > 40, "the hole is there"
-        assert closed[seen].quantile(0.02) > 0.9
-
-
-def test_the_lining_has_the_colour_of_the_skin_above_it(standing, torn):
-    (person, where), (left, kept, _) = standing, torn
-    assert torch.equal(kept.means[: len(left.means)], left.means), "the person's own rows stay as they are"
-    assert torch.allclose(kept.sh[len(left.means) :], person.sh[:1], atol=1e-6)
-    image = drawn(kept, where, 0).image
-    opaque = drawn(kept, where, 0).alpha > 0.98
-    red = 0.5 + 0.28209479 * person.sh[0, 0]
-    assert (image[opaque] - red).abs().max() < 0.03
-
-
-def test_the_lining_never_shows_beside_the_masks(standing, torn):
-    (person, where), (left, kept, _) = standing, torn
-    masks = silhouettes(person, where)
-    out = masks < 0.05
-    assert (silhouettes(kept, where)[out] - silhouettes(left, where)[out]).max() < 0.02
-    armless = Canonical(*(part[person.means[:, 0] < 0.3] for part in person))
-    kept = add_lining(armless, where, views(silhouettes(armless, where)), [0, 1, 2])
-    inner = kept.means[len(armless.means) :]
-    assert len(inner) > 3000 and inner[:, 0].min() < -0.5 and inner[:, 0].max() < 0.4, "an arm that is not there"
-
-
-def test_what_shows_beside_a_thinner_person_goes_deeper(standing, monkeypatch):
-    person, where = standing
-    masks = torch.stack([-dilated(-mask, 0.012) for mask in silhouettes(person, where)])
-    thin = person._replace(opacities=torch.full_like(person.opacities, 0.3))
-    kept = add_lining(thin, where, views(masks), [0, 1, 2]).means[len(person.means) :]
-    deep = nearest(where.vertices, kept, 1)[0] > 1.2 * UNDER_SKIN[0][0]
-    monkeypatch.setattr(lining, "UNDER_SKIN", OUT * UNDER_SKIN[:1])
-    without = add_lining(thin, where, views(masks), [0, 1, 2]).means[len(person.means) :]
-    assert deep.sum() > 100 and len(kept) > 1.1 * len(without)
-
-
-def test_the_lining_stays_inside_thin_parts(standing):
-    person, where = standing
-    inset = UNDER_SKIN[0][0]
-    inner, rows = _lining(person, where, torch.zeros(len(where.vertices), dtype=torch.long))
-    assert len(rows) == len(where.vertices)
-    depth = (inner.means - where.vertices).norm(dim=1)
-    assert depth.max() <= inset * 1.001 and (depth < 0.5 * inset).any(), "fingers are thinner than the inset"
-    apart = torch.cdist(inner.means, where.vertices).amin(1)
-    assert (apart > 0.6 * depth).all()
-
-
-def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
-    person, where = standing
-    empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    assert len(add_lining(person, where, empty, [0, 1, 2]).means) == len(person.means) + len(where.vertices)
-
-
-def test_cloth_has_a_lining_of_its_own_where_there_is_any(standing):
-    """Half of a sheet before the shins is sheer, as the hull over the opening of a coat."""
-    person, where = standing
-    across, down = torch.meshgrid(torch.linspace(-0.3, 0.3, 25), torch.linspace(-1.0, -0.5, 21), indexing="ij")
-    means = torch.stack([across, down, torch.full_like(across, 0.4)], -1).flatten(0, 1)
-    count, weights = len(means), where.weights[:1].expand(means[:, 0].numel(), -1)
-    sheet = Surfels(
-        means, torch.eye(3).expand(count, 3, 3), torch.tensor([0.0125, 0.0125, 0.006]).expand(count, 3), weights
-    )
-    opaque = means[:, 0] > 0.01
-    blue = torch.tensor([-1.0, -1, 1]).expand(count, 1, 3)
-    worn = person._replace(
-        **{
-            name: torch.cat([getattr(person, name), part])
-            for name, part in [*sheet._asdict().items(), ("opacities", torch.where(opaque, 0.9, 0.02)), ("sh", blue)]
-            if name in person._fields
-        }
-    )
-    empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    kept = add_lining(worn, where._replace(cloth=sheet), empty, [0, 1, 2])
-    added = kept.means[len(worn.means) + len(where.vertices) :]
-    depth, wide = UNDER_CLOTH[0]
-    assert len(added) == pytest.approx(opaque.sum().item(), abs=25), "a column more or less"
-    torch.testing.assert_close(added[:, 2], torch.full_like(added[:, 2], 0.4 - depth))
-    torch.testing.assert_close(kept.scales[-len(added) :, 0], torch.full_like(added[:, 0], wide * 0.0125))
-    assert torch.equal(kept.sh[-len(added) :], blue[: len(added)]) and added[:, 0].min() > -0.03
 
 
 def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
