@@ -14,7 +14,7 @@ from stages.avatar.effects.motion_blur import START, BlurredRendering, expose
 from stages.avatar.effects.rolling_shutter import roll_shutter
 from stages.avatar.effects.shading import Shading
 from stages.avatar.effects.shadow import Casters, Shadow, Stance
-from stages.avatar.effects.speeds import FrameMotion, move
+from stages.avatar.effects.speeds import FrameMotion, move, px_a_moment
 from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
@@ -96,16 +96,19 @@ class FrameEffects(nn.Module):
         """As `compose`, with motion blur and rolling shutter; without a `motion` everything is drawn at one moment."""
         if motion is None or not self.takes_time:
             return compose(human, scene, camera, layers)
-        both = ((human, motion.person), (scene, None))
+        both = [None if s is None else (s, motion.of(s, own)) for s, own in ((human, motion.person), (scene, None))]
 
         def at(time: Tensor) -> list[Rendering]:
-            person, rest = (None if s is None else self._at(s, own, motion, time, camera.viewmat) for s, own in both)
+            person, rest = (None if one is None else self._at(*one, motion, time, camera.viewmat) for one in both)
             return compose(person, rest, camera, layers)
 
-        return at(motion.field.new_zeros(1)) if self.shutter is None else expose(at, self.shutter)
+        if self.shutter is None:
+            return at(motion.field.new_zeros(1))
+        means, speeds = (torch.cat(parts) for parts in zip(*((s.means, by) for s, by in filter(None, both))))
+        return expose(at, self.shutter, px_a_moment(means, speeds, camera))
 
-    def _at(self, splats: Splats, own: Tensor | None, motion: FrameMotion, time: Tensor, viewmat: Tensor) -> Splats:
-        speeds, spin = motion.of(splats, own), motion.field[:, :3]
+    def _at(self, splats: Splats, speeds: Tensor, motion: FrameMotion, time: Tensor, viewmat: Tensor) -> Splats:
+        spin = motion.field[:, :3]
         if self.readout is None:
             return move(splats, speeds, spin, time)
         return roll_shutter(splats, speeds, spin, viewmat, motion.K, motion.height, self.readout, time)

@@ -1,16 +1,25 @@
-"""Motion blur: a picture is the mean, in linear light, of several pictures taken while the shutter is open."""
+"""Motion blur: a picture is the mean, in linear light, of as many pictures as it needs, taken while the shutter is open."""
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
+from stages.avatar.body.rotations import constant
 from stages.avatar.rasterize import Rendering
 
-MOMENTS = 3  # pictures while the shutter is open: at 7 px of motion 50 dB from a mean of 16; with 2 only 42 dB
+MOMENTS = (0.0,), (-(1 / 12**0.5), 1 / 12**0.5), (-(1 / 8**0.5), 0.0, 1 / 8**0.5)
+"""When one, two or three pictures are taken, in shares of the open shutter: Chebyshev's points, whose mean is that of all
+moments up to the third power of time."""
+LENGTHS = 1.0, 4.0
+"""px of blur up to which one picture is enough, and two: 61 and 56 dB from a mean of 24 in the worst of five frames."""
 START = 0.5  # of the time between frames: the usual shutter of films (180 degrees)
+OPEN = (
+    0.1  # of the time between frames: a shutter that is open for less gets as many pictures, to be able to open again
+)
 
 
 class BlurredRendering:
@@ -30,10 +39,14 @@ class BlurredRendering:
         return torch.stack([one.screen_grad_abs for one in self.draws]).sum(0)
 
 
-def expose(draw: Callable[[Tensor], list[Rendering]], shutter: Tensor) -> list[BlurredRendering]:
-    """The layers that `draw` returns for a time, averaged over the share `shutter` of a moment around time 0."""
-    times = (torch.arange(MOMENTS, device=shutter.device) + 0.5) / MOMENTS - 0.5
-    return [BlurredRendering(list(draws)) for draws in zip(*(draw(time) for time in times * shutter), strict=True)]
+def expose(draw: Callable[[Tensor], list[Rendering]], shutter: Tensor, speed: float) -> list[BlurredRendering]:
+    """The layers that `draw` returns for a time, averaged over the share `shutter` [1] of a moment around time 0.
+
+    `speed`, px a moment, is how fast the picture moves; it says how many are drawn.
+    """
+    count = bisect(LENGTHS, speed * max(float(shutter.detach()), OPEN))
+    times = constant(shutter.dtype, shutter.device, *MOMENTS[count])[:, None] * shutter
+    return [BlurredRendering(list(draws)) for draws in zip(*(draw(time) for time in times), strict=True)]
 
 
 def to_linear(value: Tensor) -> Tensor:

@@ -10,7 +10,11 @@ import torch
 from scipy.linalg import logm
 from torch import Tensor
 
+from stages.avatar.cameras.pinhole import project
+from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
+
+SWIFT = 0.95  # quantile: a twentieth of what a picture shows is faster
 
 
 class Around(NamedTuple):
@@ -87,3 +91,20 @@ def move(splats: Splats, speeds: Tensor, spin: Tensor, times: Tensor) -> Splats:
     at = times.expand(len(splats.means))
     axes = splats.axes + at[:, None, None] * (spin @ splats.axes)
     return splats._replace(means=splats.means + at[:, None] * speeds, axes=axes)
+
+
+@torch.no_grad()
+def px_a_moment(means: Tensor, speeds: Tensor, camera: Camera) -> float:
+    """How fast, px a moment, all but the swiftest twentieth of points move across the picture; 0 if it shows none.
+
+    Of means[N,3] m in the world, which move by speeds[N,3] m a moment past the camera, those in the picture count.
+    """
+    pixels, depths = project(means, camera.viewmat, camera.K)
+    size = pixels.new_tensor([camera.width, camera.height])
+    shown = (depths > 0) & (pixels > 0).all(1) & (pixels < size).all(1)
+    if not shown.any():
+        return 0.0
+    moving, focal = speeds[shown] @ camera.viewmat[:3, :3].T, camera.K.diagonal()[:2]
+    ray = (pixels[shown] - camera.K[:2, 2]) / focal
+    across = focal * (moving[:, :2] - ray * moving[:, 2:]) / depths[shown, None]
+    return float(across.norm(dim=1).quantile(SWIFT))

@@ -5,9 +5,9 @@ import pytest
 import torch
 from scipy.linalg import expm
 
-from stages.avatar.effects.motion_blur import MOMENTS, expose, from_linear, to_linear
+from stages.avatar.effects.motion_blur import LENGTHS, MOMENTS, OPEN, BlurredRendering, expose, from_linear, to_linear
 from stages.avatar.effects.rolling_shutter import roll_shutter
-from stages.avatar.effects.speeds import Speeds, around, drift, move
+from stages.avatar.effects.speeds import SWIFT, Speeds, around, drift, move, px_a_moment
 from stages.avatar.rasterize import Camera, Gaussians, rasterize
 from stages.avatar.splats.gaussians import Splats
 
@@ -141,29 +141,67 @@ def draw(splats: Splats, view: np.ndarray, bend=lambda s, t: s):
     return at
 
 
-@pytest.mark.slow
-def test_blur_is_the_mean_light_of_what_passes(held):
+def blurred(shutter: torch.Tensor, speed: float) -> tuple[Splats, BlurredRendering]:
+    """A cloud that passes, as an open shutter sees it, drawn as often as a picture of that `speed` px a moment needs."""
     splats, field = cloud(60), field_of()
     view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
+    splats.means.requires_grad_()
+    return splats, expose(draw(splats, view, lambda s, t: move(s, speeds, field[:, :3], t)), shutter, speed)[0]
+
+
+def mean_of(times: np.ndarray) -> torch.Tensor:
+    """The mean light of the same cloud at `times` moments from when its picture is taken."""
+    light = [to_linear(draw(cloud(60), screw([2 + t])[0])(None)[0].image) for t in times]
+    return from_linear(torch.stack(light).mean(0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "bound"), [(2, 0.25), (3, 0.1)])
+def test_blur_is_the_mean_light_of_what_passes(count, bound, held):
     shutter = torch.tensor([0.8], dtype=torch.float64)
-    found = expose(draw(splats, view, lambda s, t: move(s, speeds, field[:, :3], t)), shutter)[0].image
-    times = 2 + 0.8 * ((np.arange(40) + 0.5) / 40 - 0.5)
-    light = [to_linear(draw(splats, expm(t * TWIST) @ START)(None)[0].image) for t in times]
-    truth, sharp = from_linear(torch.stack(light).mean(0)), draw(splats, view)(None)[0].image
+    found = blurred(shutter, LENGTHS[count - 2] / 0.8 * 1.01)[1]
+    assert len(found.draws) == count
+    truth, sharp = mean_of(0.8 * ((np.arange(40) + 0.5) / 40 - 0.5)), mean_of(np.zeros(1))
     assert (sharp - truth).abs().mean() > 0.01
-    held((found - truth).abs().mean() / (sharp - truth).abs().mean(), 0.2)
+    held((found.image.detach() - truth).abs().mean() / (sharp - truth).abs().mean(), bound)
+
+
+def test_as_many_pictures_are_drawn_as_the_blur_is_long():
+    """One where it is under a pixel: a clip in which four frames are blurred costs little more than a sharp one."""
+    shutter = torch.tensor([0.5], dtype=torch.float64)
+    for speed, count in ((0.0, 1), (1.9, 1), (2.1, 2), (7.9, 2), (8.1, 3), (1e6, 3)):
+        assert len(blurred(shutter, speed)[1].draws) == count, speed
+
+
+@pytest.mark.parametrize("times", MOMENTS)
+def test_moments_have_the_mean_of_all_up_to_the_third_power(times, held):
+    powers = range(4) if len(times) > 1 else range(2)
+    for power in powers:
+        found, truth = np.mean(np.power(times, power)), 0.5**power / (power + 1) * (power % 2 == 0)
+        held(abs(found - truth), 1e-12, f"power {power}")
+
+
+def test_speeds_in_the_picture_are_those_that_pixels_have(held):
+    points, field, view = cloud().means, field_of(), screw([2.0])[0]
+    camera, speeds = Camera(torch.tensor(view), K, *SIZE), points @ field[:, :3].T + field[:, 3]
+    inside = ((seen(points, view) > 0) & (seen(points, view) < torch.tensor(SIZE))).all(1)
+    step = 1e-6
+    moved = (seen(points + step * speeds, view) - seen(points, view)).norm(dim=1) / step
+    assert 0 < inside.sum() < len(points)
+    truth = moved[inside].quantile(SWIFT)
+    held(abs(px_a_moment(points, speeds, camera) / truth - 1), 1e-5)
+    behind = points - torch.tensor(view[2, :3]) * 10
+    assert px_a_moment(behind, speeds, camera) == 0, "nothing is in the picture"
+    assert px_a_moment(points[:0], speeds[:0], camera) == 0
 
 
 def test_a_shutter_of_zero_is_sharp_and_can_open():
-    splats, field = cloud(60), field_of()
-    view, speeds = screw([2.0])[0], splats.means @ field[:, :3].T + field[:, 3]
     shutter = torch.zeros(1, dtype=torch.float64, requires_grad=True)
-    splats.means.requires_grad_()
-    (one,) = expose(draw(splats, view, lambda s, t: move(s, speeds, field[:, :3], t)), shutter)
-    torch.testing.assert_close(one.image, draw(splats, view)(None)[0].image, atol=1e-12, rtol=0)
+    splats, one = blurred(shutter, 5 / OPEN)
+    torch.testing.assert_close(one.image, mean_of(np.zeros(1)), atol=1e-12, rtol=0)
     one.image.square().mean().backward()
     assert shutter.grad.isfinite().all() and splats.means.grad.isfinite().all()
-    assert len(one.draws) == MOMENTS and one.screen_grad_abs.sum() > one.draws[0].screen_grad_abs.sum() > 0
+    assert len(one.draws) == 3 and one.screen_grad_abs.sum() > one.draws[0].screen_grad_abs.sum() > 0
 
 
 def test_light_and_values_are_inverse_and_smooth_at_black(held):
