@@ -40,10 +40,10 @@ from stages.formats.clip import Clip, load_clip
 from stages.formats.facts import Sfm, read_facts
 from stages.formats.images import read_image, read_mask, write_image
 from stages.formats.splats import write_splats
-from stages.records import Effects
+from stages.records import BodyPoses, Effects
 from stages.training.accuracy import heldout_accuracy
 from stages.training.fit import Fit
-from stages.training.results import Result, result_of
+from stages.training.results import result_of
 from stages.training.start import Task, build
 from tests.made import datasets
 from tests.made.truth import align, in_result_world
@@ -96,7 +96,7 @@ class Shown(NamedTuple):
     """The finished avatar of a clip, and how it is compared."""
 
     clip: Clip
-    result: Result
+    body: BodyPoses
     learned: Learned
     lpips: Lpips | None
 
@@ -110,7 +110,7 @@ class Shown(NamedTuple):
 
 def novel(place: Path, shown: Shown) -> tuple[dict[str, float], np.ndarray]:
     """Mean scores of new poses and cameras, clothes at rest, and a picture: truth above result."""
-    clip, truth, body = shown.clip, place.parent / "truth", shown.result.body
+    clip, truth, body = shown.clip, place.parent / "truth", shown.body
     similarity = align(clip.cameras, read_cameras(truth / "cameras.npz"), clip.body.world_from_sfm)
     cameras, poses = in_result_world(truth / "novel", similarity, body, clip.body_model, read_body_model())
     found, tiles = [], []
@@ -128,7 +128,7 @@ def finished(shown: Shown, fit: Fit, others: list[int]) -> dict[str, float]:
     """Mean scores of the finished avatar in the frames `others`."""
     viewmats, views, found = fit.cameras(), fit.full, []
     for i in others:
-        mask, pose = views.masks[i].numpy(), pose_of(shown.result.body, i)
+        mask, pose = views.masks[i].numpy(), pose_of(shown.body, i)
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
         found.append(shown.score(shown.learned.person(pose), pose, camera, views.images[i].numpy(), mask)[0])
     return means(found)
@@ -148,7 +148,7 @@ def rate(work: Path, garment: str, seed: int, args: argparse.Namespace, lpips: L
     clip, quiet = load_clip(place / "sfm", place / "smpl"), SimpleNamespace(note=lambda *_: None, warn=lambda *_: None)
     result = result_of(fit, clip, [{"seconds": 0.0}], {}, quiet)
     write_splats(place / f"avatar{args.tag}.npz", result.avatar)
-    shown = Shown(clip, result, load_learned(result.avatar, result.scene, result.effects or Effects()), lpips)
+    shown = Shown(clip, result.body, load_learned(result.avatar, result.scene, result.effects or Effects()), lpips)
     scored, picture = novel(place, shown)
     write_image(place / f"novel{args.tag}.png", picture)
     row |= {"clip": f"{garment}{seed}", "own": args.own, "novel": scored, "finished": finished(shown, fit, others)}
