@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +41,8 @@ class Params(contract.Params):
     """Frames to pick. More frames cost time in every later stage."""
     max_side: int = Field(960, ge=64)
     """Longer side of the pictures in px; larger videos are shrunk, smaller ones left as they are."""
+    folder_fps: float = Field(10.0, gt=0)
+    """Pictures a second where a folder of pictures stands in for a video: it does not say."""
 
 
 def run(job: Job, params: Params, *, video: Path) -> None:
@@ -54,7 +56,8 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     from stages.formats.told_focal import told_focal
     from stages.formats.video import decode, probe
 
-    info = probe(video)
+    info, pace = probe(video), params.folder_fps if video.is_dir() else 1.0
+    info = replace(info, fps=info.fps * pace, duration_s=info.duration_s / pace)
     check_video(job, info)
     folder = job.out / "images"
     folder.mkdir(exist_ok=True)
@@ -63,7 +66,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     for index, time, pixels in decode(video):
         decoded += 1
         small = shrink(pixels, params.max_side)
-        for picked in picker.offer(index, time, small):
+        for picked in picker.offer(index, time / pace, small):
             write_image(folder / f"{picked.name}.png", picked.pixels)
         if decoded % 10 == 0:
             job.progress(decoded, max(info.frames, decoded))
@@ -102,6 +105,8 @@ def run(job: Job, params: Params, *, video: Path) -> None:
         facts["focal"] = asdict(told)
     (job.out / "frames.json").write_text(json.dumps(facts, indent=1) + "\n")
     job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
+    if video.is_dir():
+        job.note(f"a folder does not say how fast: {pace:g} pictures a second taken (`--set frames.folder_fps=30`)")
     if picker.copies or blurred:
         job.note(f"dropped {picker.copies} copies and {len(blurred)} blurred frames")
 

@@ -150,3 +150,14 @@ def test_i22_a_folder_of_pictures_keeps_their_names(tmp_path):
     facts, out, _ = run(tmp_path, folder)
     assert [f["source"] for f in facts["frames"]] == [f"IMG_{i}" for i in range(95, 105)]
     assert np.array_equal(read_image(out / "images" / "000009.png"), panned(10)[9])
+
+
+@pytest.mark.parametrize(("settings", "fps"), [({}, 10), ({"folder_fps": 30}, 30)])
+def test_a_folder_of_pictures_is_as_fast_as_is_said(tmp_path, settings, fps):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for i, picture in enumerate(panned(10)):
+        write_image(folder / f"{i}.png", picture)
+    facts, _, _ = run(tmp_path, folder, **settings)
+    assert facts["video"]["fps"] == fps and facts["video"]["duration_s"] == pytest.approx(10 / fps, abs=1e-4)
+    assert [f["time_s"] for f in facts["frames"]] == pytest.approx(np.arange(10) / fps, abs=1e-4)
