@@ -12,14 +12,12 @@ from stages.avatar.body.rotations import constant
 from stages.avatar.rasterize import Rendering
 
 MOMENTS = (0.0,), (-(1 / 12**0.5), 1 / 12**0.5), (-(1 / 8**0.5), 0.0, 1 / 8**0.5)
-"""When one, two or three pictures are taken, in shares of the open shutter: Chebyshev's points, whose mean is that of all
-moments up to the third power of time."""
+"""When one, two or three pictures are taken, in shares of the open shutter. Two and three are at Chebyshev's points: their mean
+is that of all moments up to the third power of time."""
 LENGTHS = 1.0, 4.0
 """px of blur up to which one picture is enough, and two: 61 and 56 dB from a mean of 24 in the worst of five frames."""
 START = 0.5  # of the time between frames: the usual shutter of films (180 degrees)
-OPEN = (
-    0.1  # of the time between frames: a shutter that is open for less gets as many pictures, to be able to open again
-)
+OPEN = 0.1  # of the time between frames: one that is open for less gets as many pictures, so that it can open again
 
 
 class BlurredRendering:
