@@ -167,7 +167,7 @@ def test_blur_is_the_mean_light_of_what_passes(count, bound, held):
 
 
 def test_as_many_pictures_are_drawn_as_the_blur_is_long():
-    """One where it is under a pixel: a clip in which four frames are blurred costs little more than a sharp one."""
+    """One where it is under a pixel, and never more than three."""
     shutter = torch.tensor([0.5], dtype=torch.float64)
     for speed, count in ((0.0, 1), (1.9, 1), (2.1, 2), (7.9, 2), (8.1, 3), (1e6, 3)):
         assert len(blurred(shutter, speed)[1].draws) == count, speed

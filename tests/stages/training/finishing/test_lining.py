@@ -97,7 +97,7 @@ def test_cloth_has_a_lining_of_its_own_where_there_is_any(standing):
     person, where = standing
     across, down = torch.meshgrid(torch.linspace(-0.3, 0.3, 25), torch.linspace(-1.0, -0.5, 21), indexing="ij")
     means = torch.stack([across, down, torch.full_like(across, 0.4)], -1).flatten(0, 1)
-    count, weights = len(means), where.weights[:1].expand(means[:, 0].numel(), -1)
+    count, weights = len(means), where.weights[:1].expand(len(means), -1)
     sheet = Surfels(
         means, torch.eye(3).expand(count, 3, 3), torch.tensor([0.0125, 0.0125, 0.006]).expand(count, 3), weights
     )
