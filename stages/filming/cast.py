@@ -12,11 +12,10 @@ import torch
 
 from stages import records
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.avatar import Baked, bones_of, load_avatar
+from stages.avatar.drawing.avatar import Baked, bones_of, load_avatar, posed_by
 from stages.avatar.drawing.draw import Pose
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.shadow import Casters, casters
-from stages.avatar.model import person as skinned
 from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.moves import by_formula
 from stages.avatar.motion.placing import SOLID, Placed, Soles, put
@@ -85,8 +84,7 @@ class Actor:
     def splats(self, picture: int) -> Splats:
         """Their Gaussians in the film's world."""
         transl = torch.as_tensor(self.transl[self.row(picture)]).to(self.baked.joints)
-        posed = skinned.pose(self.baked.resting, self.bones[self.row(picture)], transl)
-        shown = posed._replace(antialias=self.baked.antialias)
+        shown = posed_by(self.baked, self.bones[self.row(picture)], transl)
         if self.scale == 1:
             return shown
         about = torch.as_tensor(self.place).to(shown.means)
@@ -113,9 +111,8 @@ class Actor:
     @cached_property
     def bones(self) -> torch.Tensor:
         """All bones [P,J,4,4] at each pose of the motion, of the skeleton and of clothes."""
-        poses = zip(*(torch.as_tensor(part).to(self.baked.joints) for part in (self.global_orient, self.body_pose)))
-        with torch.no_grad():
-            return torch.stack([bones_of(self.baked, *pose) for pose in poses])
+        orient, pose = (torch.as_tensor(part).to(self.baked.joints) for part in (self.global_orient, self.body_pose))
+        return bones_of(self.baked, orient, pose)
 
 
 def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from stages import records
 from stages.avatar.body.rotations import matrix_from_quat
+from stages.avatar.body.skinning import FewBones, without_zeros
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
 from stages.avatar.splats.gaussians import Splats
@@ -23,6 +25,7 @@ class Baked(NamedTuple):
     parents: list[int]
     antialias: bool = False
     clothing: Clothing | None = None
+    few: FewBones | None = None
 
 
 def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> Baked:
@@ -39,7 +42,9 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
     bones = bone_transforms(joints, parents, torch.zeros(3, device=device), to(avatar.canonical_pose))
     clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes, avatar.joints).to(joints)
     bones = bones if clothing is None else clothing.hang(bones)
-    return Baked(rest(person, bones), joints, parents, avatar.antialias, clothing)
+    few = without_zeros(torch.as_tensor(avatar.lbs_weights, dtype=torch.float32))
+    few = few and FewBones(*(part.to(device) for part in few))
+    return Baked(rest(person, bones), joints, parents, avatar.antialias, clothing, few)
 
 
 Pose = tuple[Tensor, Tensor, Tensor]
@@ -48,12 +53,22 @@ Pose = tuple[Tensor, Tensor, Tensor]
 
 def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
     """The avatar in the world at one pose: global_orient[3], body_pose[69] axis-angle, transl[3] m. No network runs."""
-    bones = bones_of(avatar, global_orient, body_pose)
-    return pose(avatar.resting, bones, transl)._replace(antialias=avatar.antialias)
+    return posed_by(avatar, bones_of(avatar, global_orient, body_pose), transl)
+
+
+def posed_by(avatar: Baked, bones: Tensor, transl: Tensor) -> Splats:
+    """The avatar in the world where `bones`[J,4,4], see `bones_of`, and `transl`[3] m take it."""
+    return pose(avatar.resting, bones, transl, avatar.few)._replace(antialias=avatar.antialias)
+
+
+def moving(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Iterator[Splats]:
+    """The avatar in each of P poses, global_orient[P,3], body_pose[P,69], transl[P,3], whose bones are found at once."""
+    for bones, there in zip(bones_of(avatar, global_orient, body_pose), transl, strict=True):
+        yield posed_by(avatar, bones, there)
 
 
 def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
-    """All bones [J,4,4] from rest to a pose, the skeleton's and those of the clothes, as they swing in it."""
+    """All bones [...,J,4,4] from rest to poses [...,3] and [...,69], the skeleton's and those of the clothes, as they swing."""
     bones = bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose)
     clothing = avatar.clothing
     return bones if clothing is None else clothing.hang(bones, clothing.swing(body_pose))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from stages import records
-from stages.avatar.drawing.avatar import Baked, load_avatar, pose_avatar
+from stages.avatar.drawing.avatar import Baked, load_avatar, moving, pose_avatar
 from stages.avatar.effects.frames import FrameEffects, load_effects
 from stages.avatar.effects.shadow import Casters, Stance
 from stages.avatar.effects.speeds import FrameMotion, Speeds
@@ -114,9 +114,10 @@ def perform(
     cameras: Iterable[Camera],
 ) -> Iterator[np.ndarray]:
     """Pictures of the person in each of `poses`: global_orient [F,3], body_pose [F,69], transl [F,3]; a camera each."""
-    for there, camera in zip(zip(*poses, strict=True), cameras, strict=True):
-        human, ground = learned.person(there), learned.shade(scene, there)
-        yield to_uint8(draw(human, ground, camera, background=0.0 if scene else 1.0)[0])
+    people = moving(learned.avatar, *(torch.as_tensor(part).to(learned.avatar.joints) for part in poses))
+    for human, there, camera in zip(people, zip(*poses, strict=True), cameras, strict=True):
+        drawn = draw(learned.effects.lit(human), learned.shade(scene, there), camera, background=0.0 if scene else 1.0)
+        yield to_uint8(drawn[0])
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:

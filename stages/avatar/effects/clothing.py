@@ -120,8 +120,8 @@ class Clothing(nn.Module):
         return torch.cat([torch.ones_like(like), held * like], -1)
 
     def swing(self, body_pose: Tensor) -> Tensor:
-        """The bones' swing [K,6] in UNITS in one pose [69]."""
-        return self.swings @ self.features(body_pose)
+        """The bones' swing [...,K,6] in UNITS in poses [...,69]."""
+        return (self.swings @ self.features(body_pose)[..., None, :, None])[..., 0]
 
     def carried(self, bones: Tensor) -> Tensor:
         """Transforms [...,K,4,4] by which the skeleton's bones[...,24,4,4] carry those here.
@@ -158,14 +158,16 @@ class Clothing(nn.Module):
         return affine(turned, at[..., 0, :] - (turned @ self.marks[0, :3])[..., 0])
 
     def hang(self, bones: Tensor, swing: Tensor | None = None) -> Tensor:
-        """All transforms [24+K,4,4] from rest: those of the skeleton's `bones`[24,4,4], then of those here, with a swing [K,6]."""
+        """All transforms [...,24+K,4,4] from rest: of the skeleton's `bones`[...,24,4,4], then of those here, with a swing
+        [...,K,6].
+        """
         carried = self.carried(bones)
         if swing is not None:
             moved = swing * self.units
-            turn = matrix_from_rotvec(moved[:, :3])
-            shift = self.centres - (turn @ self.centres[..., None])[..., 0] + moved[:, 3:]
+            turn = matrix_from_rotvec(moved[..., :3])
+            shift = self.centres - (turn @ self.centres[..., None])[..., 0] + moved[..., 3:]
             carried = carried @ affine(turn, shift)
-        return torch.cat([bones, carried])
+        return torch.cat([bones, carried], -3)
 
     def prior(self) -> Tensor:
         """The regularizer PRIOR x mean squared swing for a feature of one: it lets clothes follow the body."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.skinning import skin
+from stages.avatar.body.skinning import FewBones, skin
 from stages.avatar.body.smpl import rest_relative_transforms
 from stages.avatar.splats.gaussians import Splats
 
@@ -52,8 +52,8 @@ class Resting(NamedTuple):
 
 
 def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, body_pose: Tensor) -> Tensor:
-    """Transforms [J,4,4] of each bone from the rest pose to (global_orient[3], body_pose[69]), axis-angle, metres."""
-    rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose]).unflatten(-1, (-1, 3)))
+    """Transforms [...,J,4,4] of each bone from the rest pose to (global_orient[...,3], body_pose[...,69]), axis-angle, metres."""
+    rotations = matrix_from_rotvec(torch.cat([global_orient, body_pose], -1).unflatten(-1, (-1, 3)))
     return rest_relative_transforms(joints, rotations, parents)
 
 
@@ -77,11 +77,12 @@ def _inverse(matrices: Tensor) -> Tensor:
     return rows / (a * rows[..., 0, :]).sum(-1)[..., None, None]
 
 
-def pose(person: Resting, bones: Tensor, transl: Tensor) -> Splats:
+def pose(person: Resting, bones: Tensor, transl: Tensor, few: FewBones | None = None) -> Splats:
     """Move the person by `bones`[J,4,4] (rest to posed) and `transl`[3] m into the world; covariances follow.
 
-    The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9).
+    The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9). `few` are
+    the person's weights without zeros, if there are such.
     """
-    means, blend = skin(person.means, person.weights, bones)
+    means, blend = skin(person.means, person.weights if few is None else few, bones)
     rotations = blend @ person.rotations if person.sh.shape[1] > 1 else None
     return Splats(means + transl, blend @ person.axes, person.opacities, person.sh, rotations)

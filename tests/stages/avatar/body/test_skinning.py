@@ -8,7 +8,17 @@ import pytest
 import torch
 
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.skinning import MOST, WEIGHT_GAP, WORDS, all_bones, heaviest, knn_weights, of_few_bones, skin
+from stages.avatar.body.skinning import (
+    MOST,
+    WEIGHT_GAP,
+    WORDS,
+    all_bones,
+    heaviest,
+    knn_weights,
+    of_few_bones,
+    skin,
+    without_zeros,
+)
 from stages.avatar.body.smpl import DA_POSE, Body
 from stages.avatar.model.person import bone_transforms
 
@@ -227,3 +237,36 @@ def test_bytes_of_weights_add_up_and_are_nearest():
     words = heaviest(weights, 8, WORDS)[1]
     assert words.dtype == np.uint16 and (words.astype(int).sum(1) == 65535).all()
     assert back[0, 7] == 1, "a bone without weight is bone 0, and takes nothing from it"
+
+
+@pytest.fixture
+def many_bones():
+    """30 bones, of which each of 40 points has 1 to MOST."""
+    g = torch.Generator().manual_seed(5)
+    weights = of_few_bones(torch.rand(40, 30, generator=g, dtype=F64).pow(4).softmax(1))
+    weights[0], weights[1, weights[1].argsort()[:-3]] = torch.eye(30)[17], 0
+    weights = weights / weights.sum(1, keepdim=True)
+    return torch.rand(40, 3, generator=g, dtype=F64), weights, torch.randn(30, 4, 4, generator=g, dtype=F64)
+
+
+def test_without_zeros_weights_skin_the_same(many_bones, held):
+    points, weights, bones = many_bones
+    few = without_zeros(weights)
+    assert few.which.shape == few.shares.shape == (40, MOST)
+    found = []
+    for given in (weights, few):
+        leaf, at = bones.clone().requires_grad_(), points.clone().requires_grad_()
+        moved, linear = skin(at, given, leaf)
+        (moved.sin().sum() + (linear * torch.arange(9.0).view(3, 3)).sin().sum()).backward()
+        found.append((moved.detach(), linear.detach(), leaf.grad, at.grad))
+    for dense, sparse in zip(*found):
+        assert dense.abs().max() > 0.1
+        held((dense - sparse).abs().max() / dense.abs().max(), 2e-15)
+    assert torch.autograd.gradcheck(lambda b: skin(points, few, b), bones.requires_grad_(), atol=1e-7)
+
+
+def test_weights_of_more_bones_or_of_nobody_stay_as_they_are(many_bones):
+    _, weights, _ = many_bones
+    weights[7, :9] = 0.1
+    assert (weights[7] != 0).sum() > MOST and without_zeros(weights) is None
+    assert without_zeros(weights[:0]) is None and without_zeros(torch.zeros(3, 24)) is None

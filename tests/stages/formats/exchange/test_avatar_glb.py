@@ -142,7 +142,7 @@ def test_bones_of_clothes_are_joints_that_motions_swing_and_hugs_reads_them_back
         turn, place = world[node]
         for child in nodes[node].get("children", ()):
             world[child] = (turn @ local[child][0], turn @ local[child][1] + place)
-    poses = list(_poses(baked, take))
+    poses = list(zip(*_poses(baked, take)))
     bones = bones_of(baked, *poses[pose][:2])[24:].numpy()
     step = take.pelvis[pose] - rig.joints[0]
     for node, bone, centre in zip(skin["joints"][24:], bones, dressed.clothes.centres):
