@@ -201,6 +201,19 @@ class Avatar(Scene):
 
 
 @dataclass(frozen=True)
+class Slopes:
+    """How the skinning weights of C Gaussians of cloth change over it, by which they grow where bones draw it wide.
+
+    `rows` [C] of theirs among all; `bones` [C,M] uint8 are those whose weight changes most, the steepest first; `slopes`
+    [C,M,3] in 1/m, in the T-pose: a bone that takes the Gaussian elsewhere than the others do draws it by that times its slope.
+    """
+
+    rows: np.ndarray
+    bones: np.ndarray
+    slopes: np.ndarray
+
+
+@dataclass(frozen=True)
 class Rig(Scene):
     """An avatar as engines skin it: N Gaussians in the T-pose, metres, y up, facing +z, four bones each, or eight.
 
@@ -208,7 +221,8 @@ class Rig(Scene):
     bone k turns about joints[k]. joints[24,3] m, named by JOINT_NAMES; parents[24] (root -1); bones[N,4] uint8,
     the heaviest first; weights[N,4] uint8, a row adds up to 255; kept[N]: the share of all its weights that the four
     have; bones8[N,8] and words8[N,8] uint16, rows adding up to 65535, for who skins with eight; facing[N,3] unit, the
-    direction in which each is lit; betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's.
+    direction in which each is lit; betas[10]. From 24 on bones are those of `clothes`, if any, as an Avatar's; of what is
+    cloth there are `slopes`.
     """
 
     joints: np.ndarray
@@ -221,6 +235,7 @@ class Rig(Scene):
     facing: np.ndarray
     betas: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
+    slopes: Slopes | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)

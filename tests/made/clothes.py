@@ -14,6 +14,9 @@ from stages.avatar.model.person import Surfels
 from stages.records import JOINTS, Avatar, Clothes
 from stages.training.views import Person
 
+WIDE = 0.2  # m: how far a bone reaches
+MOSTLY = 0.7  # of the weight
+
 
 def some_clothes(count: int = 5, seed: int = 5) -> Clothes:
     """Bones down the body that swing by some 10 cm, each its own way, with the shoulders and one knee."""
@@ -32,11 +35,10 @@ def some_clothes(count: int = 5, seed: int = 5) -> Clothes:
 
 
 def dress(avatar: Avatar, clothes: Clothes) -> Avatar:
-    """The avatar with half of each Gaussian's weight on two bones of the clothes; feet wear none."""
-    rng, n = np.random.default_rng(0), len(avatar)
-    own = np.zeros((n, len(clothes)))
-    for _ in range(2):
-        own[np.arange(n), rng.integers(0, len(clothes), n)] += 0.25
+    """The avatar with most of each Gaussian's weight on bones of the clothes near it; feet wear none."""
+    away = np.linalg.norm(avatar.means[:, None] - clothes.centres, axis=2)
+    bells = np.exp(-0.5 * ((away - away.min(1, keepdims=True)) / WIDE) ** 2)
+    own = MOSTLY * bells / bells.sum(1, keepdims=True)
     own[np.isin(avatar.lbs_weights.argmax(1), [*ANKLES, *FEET])] = 0
     skin = avatar.lbs_weights * (1 - own.sum(1, keepdims=True))
     return replace(avatar, lbs_weights=np.concatenate([skin, own], 1), clothes=clothes)

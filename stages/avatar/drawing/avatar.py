@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from torch import Tensor
 from stages import records
 from stages.avatar.body.rotations import matrix_from_quat
 from stages.avatar.body.skinning import FewBones, without_zeros
+from stages.avatar.body.stretch import Stretch, cloth_of, stretch_of
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
 from stages.avatar.splats.gaussians import Splats
@@ -26,25 +27,35 @@ class Baked(NamedTuple):
     antialias: bool = False
     clothing: Clothing | None = None
     few: FewBones | None = None
+    stretch: Stretch | None = None
 
 
 def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> Baked:
     """The avatar's tensors, float32 on `device`, its Gaussians taken back to the rest pose."""
 
     def to(array: np.ndarray) -> Tensor:
-        return torch.as_tensor(array, dtype=torch.float32, device=device)
+        return torch.as_tensor(array, dtype=torch.float32)
+
+    def there(parts: Iterable[Tensor]) -> Iterator[Tensor]:
+        return (part.to(device) for part in parts)
 
     sh = torch.cat([to(avatar.sh0)[:, None], to(avatar.shN)], 1)
-    rotations = matrix_from_quat(to(avatar.quats))
-    scales, opacities = to(avatar.scales), to(avatar.opacities)
-    person = Canonical(to(avatar.means), rotations, scales, opacities, sh, to(avatar.lbs_weights))
+    rotations, weights = matrix_from_quat(to(avatar.quats)), to(avatar.lbs_weights)
+    person = Canonical(to(avatar.means), rotations, to(avatar.scales), to(avatar.opacities), sh, weights)
     joints, parents = to(avatar.joints), [int(p) for p in avatar.parents]
-    bones = bone_transforms(joints, parents, torch.zeros(3, device=device), to(avatar.canonical_pose))
-    clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes, avatar.joints).to(joints)
-    bones = bones if clothing is None else clothing.hang(bones)
-    few = without_zeros(torch.as_tensor(avatar.lbs_weights, dtype=torch.float32))
-    few = few and FewBones(*(part.to(device) for part in few))
-    return Baked(rest(person, bones), joints, parents, avatar.antialias, clothing, few)
+    bones = bone_transforms(joints, parents, torch.zeros(3), to(avatar.canonical_pose))
+    clothing = None if avatar.clothes is None else Clothing.of(avatar.clothes, avatar.joints)
+    resting = rest(person, bones if clothing is None else clothing.hang(bones))
+    few, cloth = without_zeros(weights), cloth_of(resting.means, weights, len(parents))
+    return Baked(
+        resting=Resting(*there(resting)),
+        joints=joints.to(device),
+        parents=parents,
+        antialias=avatar.antialias,
+        clothing=None if clothing is None else clothing.to(device),
+        few=few and FewBones(*there(few)),
+        stretch=cloth and Stretch(*there(stretch_of(cloth, resting.means, resting.axes))),
+    )
 
 
 Pose = tuple[Tensor, Tensor, Tensor]
@@ -58,7 +69,7 @@ def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl:
 
 def posed_by(avatar: Baked, bones: Tensor, transl: Tensor) -> Splats:
     """The avatar in the world where `bones`[J,4,4], see `bones_of`, and `transl`[3] m take it."""
-    return pose(avatar.resting, bones, transl, avatar.few)._replace(antialias=avatar.antialias)
+    return pose(avatar.resting, bones, transl, avatar.few, avatar.stretch)._replace(antialias=avatar.antialias)
 
 
 def moving(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Iterator[Splats]:

@@ -10,6 +10,7 @@ from torch import Tensor
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.skinning import FewBones, skin
 from stages.avatar.body.smpl import rest_relative_transforms
+from stages.avatar.body.stretch import Stretch
 from stages.avatar.splats.gaussians import Splats
 
 
@@ -77,12 +78,15 @@ def _inverse(matrices: Tensor) -> Tensor:
     return rows / (a * rows[..., 0, :]).sum(-1)[..., None, None]
 
 
-def pose(person: Resting, bones: Tensor, transl: Tensor, few: FewBones | None = None) -> Splats:
+def pose(
+    person: Resting, bones: Tensor, transl: Tensor, few: FewBones | None = None, stretch: Stretch | None = None
+) -> Splats:
     """Move the person by `bones`[J,4,4] (rest to posed) and `transl`[3] m into the world; covariances follow.
 
     The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9). `few` are
-    the person's weights without zeros, if there are such.
+    the person's weights without zeros, if there are such; cloth grows by `stretch`, if any.
     """
     means, blend = skin(person.means, person.weights if few is None else few, bones)
     rotations = blend @ person.rotations if person.sh.shape[1] > 1 else None
-    return Splats(means + transl, blend @ person.axes, person.opacities, person.sh, rotations)
+    axes = blend @ person.axes if stretch is None else stretch.grown(means, blend)
+    return Splats(means + transl, axes, person.opacities, person.sh, rotations)

@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from stages.formats.images import shrink
 from stages.formats.viewer.libraries import licences, packed
-from stages.formats.viewer.packing import Packer
+from stages.formats.viewer.packing import Packer, slopes_in_words
 from stages.records import Cameras, Effects, Move, Rig, Scene
 
 ROOM = Path(__file__).parent / "page"
@@ -121,6 +121,9 @@ def _pack_figure(packer: Packer, figure: Figure, number: int) -> None:
     packer.gaussians(f"person{number}", rig, 16)
     packer.whole(f"person{number}/weights", np.rint(np.sqrt(np.asarray(figure.weights, np.float64)) * TEN_BITS), 16)
     packer.exact(f"person{number}/joints", rig.joints)
+    if rig.slopes is not None:
+        packer.whole(f"person{number}/cloth", rig.slopes.rows[:, None], 32)
+        packer.whole(f"person{number}/slopes", slopes_in_words(rig.slopes), 32)
     if rig.clothes is not None:
         for name, values in vars(rig.clothes).items():
             packer.exact(f"person{number}/{name}", values)

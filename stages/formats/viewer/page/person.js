@@ -16,7 +16,7 @@ export class Person {
     this.body = new Splats(arrays);
     this.clothes = arrays.centres ? new Clothes(arrays) : null;
     const bones = parents.length + (this.clothes ? this.clothes.count : 0);
-    this.skin = new Skin(this.mesh, arrays.weights, bones, this.body.splats.textures[0].image, arrays.facing, bands);
+    this.skin = new Skin(this.mesh, arrays, bones, this.body.splats.textures[0].image, bands);
     this.mesh.skinning = this.skin;
     this.mesh.updateGenerator();
     const heights = arrays.means.filter((_, i) => i % 3 === 1).sort();

@@ -5,16 +5,29 @@ import { glslOf } from "hugs/shading";
 
 const PER_WORD = 3, PER_TEXEL = 12, BITS = 10; // the roots of weights in 10 bits each, three in each of a texel's four words
 const SKIN = { type: "HugsSkin" };
+const SLOPES = 12, PER_SLOPE = 4; // bones at most that draw a Gaussian of cloth, and how many of them lie in a texel
+const STEEPEST = 8; // 1/m: no part of a slope is larger; stages/formats/viewer/packing.py has it, too
+const GROWTH = `
+  ivec3 further = ivec3(0, 0, textureSize(slopes, 0).z / ${SLOPES / PER_SLOPE});
+  for (int m = 0; m < ${SLOPES}; m++) {
+    uint word = texelFetch(slopes, at + further * (m / ${PER_SLOPE}), 0)[m % ${PER_SLOPE}];
+    if (word == 0u) break;
+    vec3 slope = (vec3((uvec3(word) >> uvec3(8u, 16u, 24u)) & 255u) - 128.0) * ${(STEEPEST / 127).toFixed(8)};
+    int k = int(word & 255u);
+    vec4 x = texelFetch(bones, ivec2(0, k), 0), y = texelFetch(bones, ivec2(1, k), 0), z = texelFetch(bones, ivec2(2, k), 0);
+    blend += outerProduct(vec3(dot(x, from), dot(y, from), dot(z, from)) - center, slope);
+  }`;
 const LIT = "  color *= hugsLight(normalize(blend * (vec3(texelFetch(facing, at, 0).xyz) / 127.5 - 1.0)));";
-const glsl = (bones, names, bands) => `${bands ? glslOf(bands) : ""}
+const glsl = (bones, names, bands, grows) => `${bands ? glslOf(bands) : ""}
 struct HugsSkin {
   ${names.map((name) => `usampler2DArray ${name};`).join("\n  ")}
+  ${grows ? "usampler2DArray slopes;" : ""}
   ${bands ? "usampler2DArray facing;" : ""}
   sampler2D bones;
 };
 
 void hugsSkin(
-  ${names.map((name) => `usampler2DArray ${name}`).join(", ")}, ${bands ? "usampler2DArray facing, " : ""}sampler2D bones,
+  ${names.map((name) => `usampler2DArray ${name}`).join(", ")}, ${grows ? "usampler2DArray slopes, " : ""}${bands ? "usampler2DArray facing, " : ""}sampler2D bones,
   int index, inout vec3 center, inout vec3 xxyyzz, inout vec3 xyxzyz, inout vec3 color
 ) {
   ivec3 at = splatTexCoord(index);
@@ -36,6 +49,7 @@ void hugsSkin(
   vec4 from = vec4(center, 1.0);
   center = vec3(dot(x, from), dot(y, from), dot(z, from)) / total;
   mat3 blend = transpose(mat3(x.xyz, y.xyz, z.xyz)) / total;
+${grows ? GROWTH : ""}
 ${bands ? LIT : ""}
   mat3 cov = mat3(xxyyzz.x, xyxzyz.x, xyxzyz.y, xyxzyz.x, xxyyzz.y, xyxzyz.z, xyxzyz.y, xyxzyz.z, xxyyzz.z);
   cov = blend * cov * transpose(blend);
@@ -45,9 +59,10 @@ ${bands ? LIT : ""}
 
 /** What Spark asks of a mesh's skinning: `weights` [`bones` a Gaussian], their roots in 10 bits, in the order of the mesh's texture.
  *
- * In a light of `bands` [8][3], if any: `facing` [3 a Gaussian] is where each faces at rest, 0 to 255. */
+ * The Gaussians `cloth`, if any, grow by `slopes` [SLOPES each]: a bone, and three parts of its slope. In a light of `bands` [8][3],
+ * if any: `facing` [3 a Gaussian] is where each faces at rest, 0 to 255. */
 export class Skin {
-  constructor(mesh, weights, bones, { width, height, depth }, facing, bands) {
+  constructor(mesh, { weights, cloth, slopes, facing }, bones, { width, height, depth }, bands) {
     this.mesh = mesh;
     const size = 4 * width * height * depth;
     const parts = Array.from({ length: Math.ceil(bones / PER_TEXEL) }, () => new Uint32Array(size));
@@ -55,8 +70,8 @@ export class Skin {
       const row = Math.floor(i / bones), k = i % bones, word = Math.floor((k % PER_TEXEL) / PER_WORD);
       parts[Math.floor(k / PER_TEXEL)][4 * row + word] |= weights[i] << (BITS * (k % PER_WORD));
     }
-    const texture = (values, type, internalFormat) => Object.assign(
-      new DataArrayTexture(values, width, height, depth),
+    const texture = (values, type, internalFormat, layers = depth) => Object.assign(
+      new DataArrayTexture(values, width, height, layers),
       { format: RGBAIntegerFormat, type, internalFormat, needsUpdate: true },
     );
     const textures = parts.map((part) => texture(part, UnsignedIntType, "RGBA32UI"));
@@ -64,8 +79,17 @@ export class Skin {
     this.bones = new DataTexture(this.rows, 3, bones, RGBAFormat, FloatType);
     this.bones.needsUpdate = true;
     this.names = textures.map((_, i) => `weights${i}`);
-    this.code = glsl(bones, this.names, bands);
+    this.code = glsl(bones, this.names, bands, slopes);
     const value = { ...Object.fromEntries(textures.map((texture, i) => [this.names[i], texture])), bones: this.bones };
+    if (slopes) {
+      const words = new Uint32Array(SLOPES / PER_SLOPE * size), each = slopes.length / cloth.length;
+      for (let i = 0; i < slopes.length; i++) {
+        const m = i % each;
+        words[Math.floor(m / PER_SLOPE) * size + 4 * cloth[Math.floor(i / each)] + (m % PER_SLOPE)] = slopes[i];
+      }
+      value.slopes = texture(words, UnsignedIntType, "RGBA32UI", SLOPES / PER_SLOPE * depth);
+      this.names = [...this.names, "slopes"];
+    }
     if (bands) {
       const faced = new Uint8Array(size);
       for (let i = 0; i < facing.length; i++) faced[4 * Math.floor(i / 3) + (i % 3)] = facing[i];

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.formats.viewer.packing import HALF, Packer, smallest_three
+from stages.formats.viewer.packing import HALF, STEEPEST, Packer, slopes_in_words, smallest_three
+from stages.records import Slopes
 
 WIDTHS = {"u8": 1, "u16": 2, "u24": 3, "u32": 4}
 
@@ -69,3 +70,19 @@ def test_rotations_are_off_by_a_quarter_of_a_degree_at_most():
     found = quaternions(smallest_three(quats))
     true, read = (Rotation.from_quat(q, scalar_first=True) for q in (quats, found))
     assert np.degrees((true.inv() * read).magnitude()).max() < 0.25
+
+
+def test_slopes_come_back_within_a_step_and_flat_ones_end_a_row():
+    rng, step = np.random.default_rng(3), STEEPEST / 127
+    slopes = rng.uniform(-STEEPEST, STEEPEST, (40, 5, 3))
+    slopes[:, 3:] = 0.4 * step
+    slopes[0, 0] = [STEEPEST, -STEEPEST, 0]
+    packer = Packer()
+    packer.whole(
+        "slopes", slopes_in_words(Slopes(np.arange(40), rng.integers(0, 48, (40, 5)).astype(np.uint8), slopes)), 32
+    )
+    words = unpack(packer, "slopes")
+    assert (words[:, 3:] == 0).all() and (words[:, :3] != 0).all()
+    back = np.stack([(words >> shift & 255) - 128 for shift in (8, 16, 24)], 2) * step
+    np.testing.assert_allclose(back[:, :3], slopes[:, :3], atol=0.5 * step + 1e-9)
+    assert (words[:, :3] & 255 < 48).all()
