@@ -18,10 +18,8 @@ from stages.avatar.splats.neighbours import nearest
 CLOTH = 0.5  # of a Gaussian's weight on bones of clothes, from which on it grows
 NEIGHBOURS = 6
 BELL = 1.5  # of the median distance to them: sigma of what a neighbour counts
-STIFF = 0.6  # of that distance squared: where neighbours do not differ by so much, as across cloth, nothing grows
-STEEPEST = (
-    15.0  # shares of bones a metre: what is steeper is a piece of cloth beside another, and grows no more than that
-)
+STIFF = 0.6  # of that distance squared: where neighbours differ by less, as across cloth, they tell little
+STEEPEST = 15.0  # shares of bones a metre: what is steeper is one piece of cloth beside another
 
 
 class Cloth(NamedTuple):

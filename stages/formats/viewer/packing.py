@@ -12,7 +12,7 @@ from stages.records import Scene, Slopes
 
 SH_C0 = 0.28209479177387814
 HALF = 0.5**0.5
-STEEPEST = 8.0  # 1/m: no part of a slope is larger; `page/skin.js` has it, too
+LARGEST_SLOPE = 8.0  # 1/m: no part of a slope is larger; `page/skin.js` has it, too
 
 
 class Packer:
@@ -82,9 +82,9 @@ def smallest_three(quats: np.ndarray) -> np.ndarray:
 def slopes_in_words(found: Slopes) -> np.ndarray:
     """Of C Gaussians of cloth a word [C,M] for each bone: its number, then three parts of its slope with 8 bits each.
 
-    A part is a step of STEEPEST / 127 beside 128. A slope of no step is the word 0, which ends a row: rows are the steepest first.
+    A part is a step of LARGEST_SLOPE / 127 beside 128. A slope of no step is the word 0, which ends a row: the steepest come first.
     """
-    steps = np.rint(np.asarray(found.slopes, np.float64) / STEEPEST * 127).clip(-127, 127).astype(np.int64)
+    steps = np.rint(np.asarray(found.slopes, np.float64) / LARGEST_SLOPE * 127).clip(-127, 127).astype(np.int64)
     parts = (steps + 128).astype(np.uint32)
     words = found.bones.astype(np.uint32) | parts[..., 0] << 8 | parts[..., 1] << 16 | parts[..., 2] << 24
     return np.where(steps.any(2), words, 0).astype(np.uint32)

@@ -6,13 +6,13 @@ import { glslOf } from "hugs/shading";
 const PER_WORD = 3, PER_TEXEL = 12, BITS = 10; // the roots of weights in 10 bits each, three in each of a texel's four words
 const SKIN = { type: "HugsSkin" };
 const SLOPES = 12, PER_SLOPE = 4; // bones at most that draw a Gaussian of cloth, and how many of them lie in a texel
-const STEEPEST = 8; // 1/m: no part of a slope is larger; stages/formats/viewer/packing.py has it, too
+const LARGEST_SLOPE = 8; // 1/m: no part of a slope is larger; stages/formats/viewer/packing.py has it, too
 const GROWTH = `
   ivec3 further = ivec3(0, 0, textureSize(slopes, 0).z / ${SLOPES / PER_SLOPE});
   for (int m = 0; m < ${SLOPES}; m++) {
     uint word = texelFetch(slopes, at + further * (m / ${PER_SLOPE}), 0)[m % ${PER_SLOPE}];
     if (word == 0u) break;
-    vec3 slope = (vec3((uvec3(word) >> uvec3(8u, 16u, 24u)) & 255u) - 128.0) * ${(STEEPEST / 127).toFixed(8)};
+    vec3 slope = (vec3((uvec3(word) >> uvec3(8u, 16u, 24u)) & 255u) - 128.0) * ${(LARGEST_SLOPE / 127).toFixed(8)};
     int k = int(word & 255u);
     vec4 x = texelFetch(bones, ivec2(0, k), 0), y = texelFetch(bones, ivec2(1, k), 0), z = texelFetch(bones, ivec2(2, k), 0);
     blend += outerProduct(vec3(dot(x, from), dot(y, from), dot(z, from)) - center, slope);

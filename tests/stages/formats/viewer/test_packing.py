@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.formats.viewer.packing import HALF, STEEPEST, Packer, slopes_in_words, smallest_three
+from stages.formats.viewer.packing import HALF, LARGEST_SLOPE, Packer, slopes_in_words, smallest_three
 from stages.records import Slopes
 
 WIDTHS = {"u8": 1, "u16": 2, "u24": 3, "u32": 4}
@@ -73,10 +73,10 @@ def test_rotations_are_off_by_a_quarter_of_a_degree_at_most():
 
 
 def test_slopes_come_back_within_a_step_and_flat_ones_end_a_row():
-    rng, step = np.random.default_rng(3), STEEPEST / 127
-    slopes = rng.uniform(-STEEPEST, STEEPEST, (40, 5, 3))
+    rng, step = np.random.default_rng(3), LARGEST_SLOPE / 127
+    slopes = rng.uniform(-LARGEST_SLOPE, LARGEST_SLOPE, (40, 5, 3))
     slopes[:, 3:] = 0.4 * step
-    slopes[0, 0] = [STEEPEST, -STEEPEST, 0]
+    slopes[0, 0] = [LARGEST_SLOPE, -LARGEST_SLOPE, 0]
     packer = Packer()
     packer.whole(
         "slopes", slopes_in_words(Slopes(np.arange(40), rng.integers(0, 48, (40, 5)).astype(np.uint8), slopes)), 32
