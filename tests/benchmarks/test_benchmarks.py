@@ -11,14 +11,18 @@ import torch
 from stages import train
 from stages.avatar import rasterize
 from stages.estimators.detectors.every import DETECTORS
+from stages.formats.body_model import read_body_model
 from stages.records import Scene
 from stages.synthetic.garments import MAKERS
-from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, loose, train_step
+from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, loose, posing, train_step
+from tests.benchmarks.host import all_threads, use_threads
 from tests.benchmarks.naive import Naive, project
 from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.real_views import Hips, angle_between
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
+from tests.made.clothes import dress, some_clothes
+from tests.made.tiny import make_avatar
 from tests.made.training import fit_of, make_clip, run
 
 clip = pytest.fixture(scope="module")(make_clip)
@@ -121,3 +125,13 @@ def test_a_world_is_scaled_by_hips_on_which_all_cameras_agree():
     hips = Hips(true, true / np.array([[1.1], [1.1], [7]]), np.array([True, True, False]))
     assert hips.scale == pytest.approx(1.1)
     assert angle_between(np.array([0, 0, 2.0]), np.array([-3.0, 0, -3])) == pytest.approx(135)
+
+
+def test_who_is_undressed_to_be_posed_goes_with_the_bones_that_carried_the_clothes():
+    dressed = dress(make_avatar(read_body_model(), every=40), some_clothes())
+    bare = posing.undressed(dressed)
+    assert bare.clothes is None and bare.lbs_weights.shape == (len(dressed), 24)
+    np.testing.assert_allclose(bare.lbs_weights.sum(1), 1)
+    found = posing.measure(dressed, 3)
+    use_threads(all_threads())
+    assert found["bones"] == 5 and all(found[kind]["ratio"] > 0 for kind in ("a pose by itself", "a motion"))
