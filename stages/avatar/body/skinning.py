@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,7 +33,11 @@ def skin(points: Tensor, weights: Tensor | FewBones, bones: Tensor) -> tuple[Ten
     be made orthonormal: covariance T M M^T T^T, valid for singular and mirrored T too.
     """
     rows = bones[:, :3, :].flatten(1)
-    blend = (sum_of_few(rows, *weights) if isinstance(weights, FewBones) else weights @ rows).unflatten(1, (3, 4))
+    if isinstance(weights, FewBones):
+        blend = F.embedding_bag(weights.which, rows, mode="sum", per_sample_weights=weights.shares)
+    else:
+        blend = weights @ rows
+    blend = blend.unflatten(1, (3, 4))
     linear = blend[..., :3]
     return (linear @ points[..., None])[..., 0] + blend[..., 3], linear
 
@@ -69,34 +73,13 @@ def of_few_bones(weights: Tensor) -> Tensor:
 def without_zeros(weights: Tensor) -> FewBones | None:
     """Weights [N,J] of which no row has more than MOST that are not 0; else None.
 
-    With them skinning takes as long with many bones as with few.
+    With them skinning takes as long with many bones as with few, but its gradient six times as long.
     """
     most = int((weights != 0).sum(1).amax()) if weights.numel() else 0
     if not 0 < most <= MOST:
         return None
     shares, which = weights.topk(most, dim=1)
     return FewBones(which.int(), shares)
-
-
-def sum_of_few(rows: Tensor, which: Tensor, shares: Tensor) -> Tensor:
-    """Sums [N,C] of rows[J,C]: of `which` int32 [N,M] by their `shares` [N,M], which get no gradient."""
-    found: Tensor = _SumOfFew.apply(rows, which, shares)
-    return found
-
-
-class _SumOfFew(torch.autograd.Function):
-    """Torch's own way back takes twice to five times as long."""
-
-    @staticmethod
-    def forward(ctx: Any, rows: Tensor, which: Tensor, shares: Tensor) -> Tensor:
-        ctx.save_for_backward(rows, which, shares)
-        return F.embedding_bag(which, rows, mode="sum", per_sample_weights=shares)
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
-        rows, which, shares = ctx.saved_tensors
-        given = (shares[..., None] * upstream[:, None]).flatten(0, 1)
-        return torch.zeros_like(rows).index_add_(0, which.flatten(), given), None, None
 
 
 def heaviest(weights: np.ndarray, count: int = 4, full: int = BYTES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,10 @@ from stages.avatar.splats.gaussians import Splats
 
 
 class Baked(NamedTuple):
-    """A trained avatar without any network: its Gaussians at rest, its skeleton and its clothes."""
+    """A trained avatar without any network: its Gaussians at rest, its skeleton and its clothes.
+
+    `few` are its weights without zeros, None where too many bones move a Gaussian; `stretch` is how cloth grows, if there is any.
+    """
 
     resting: Resting
     joints: Tensor

@@ -41,11 +41,8 @@ def hung(avatar: Baked, take: records.Take) -> records.Take:
 
 def _poses(avatar: Baked, take: records.Take) -> tuple[Tensor, Tensor, Tensor]:
     """global_orient [P,3], body_pose [P,69] rad, transl [P,3] m."""
-    turns = (
-        Rotation.from_quat(take.rotations.reshape(-1, 4), scalar_first=True)
-        .as_rotvec()
-        .reshape(len(take.rotations), -1)
-    )
+    quats = take.rotations.reshape(-1, 4)
+    turns = Rotation.from_quat(quats, scalar_first=True).as_rotvec().reshape(len(take.rotations), -1)
     steps = take.pelvis - avatar.joints[0].cpu().numpy()
     orient, pose, transl = (torch.as_tensor(part).to(avatar.joints) for part in (turns[:, :3], turns[:, 3:], steps))
     return orient, pose, transl

@@ -84,9 +84,9 @@ def pose(
     """Move the person by `bones`[J,4,4] (rest to posed) and `transl`[3] m into the world; covariances follow.
 
     The blend B of a Gaussian is applied to its axes as it is, B Sigma B^T, never made a rotation (hard case 14-9). `few` are
-    the person's weights without zeros, if there are such; cloth grows by `stretch`, if any.
+    the person's weights without zeros, if there are such, for poses that want no gradient; cloth grows by `stretch`, if any.
     """
-    means, blend = skin(person.means, person.weights if few is None else few, bones)
+    means, blend = skin(person.means, person.weights if few is None or bones.requires_grad else few, bones)
     rotations = blend @ person.rotations if person.sh.shape[1] > 1 else None
     axes = blend @ person.axes if stretch is None else stretch.grown(means, blend)
     return Splats(means + transl, axes, person.opacities, person.sh, rotations)
