@@ -211,7 +211,7 @@ class Fit(Company):
                 terms.append(losses.OCCLUDERS * (drawn[occluders].alpha * there).mean())
         self.clock.lap("losses")
         swings = [p.corrections.swing_prior(shot.frame, self.train) for p in self.people]
-        terms += [self.effects.prior(), *swings]
+        terms += [self.effects.prior(), *swings, *(p.pull for p in shot.people)]
         return torch.as_tensor(sum(terms)), numbers
 
     def _teach(self, shot: DrawnFrame) -> None:
@@ -231,6 +231,7 @@ class Fit(Company):
             layer = numbered("person", k) if numbered("person", k) in shot.drawn else "all"
             drawn, (height, width) = shot.drawn[layer], shot.mask[shot.window(layer)].shape
             statistics[learner.name].add(drawn.screen_grad_abs[own], drawn.radii[own], width, height)
+            learner.learn_own(self.adam[learner.name])
         for name in self.adam:
             if name.startswith(FRAMES):
                 self._apply(name)

@@ -1,4 +1,6 @@
-"""How the person learns: decoded once for several frames, which share the gradients of its networks."""
+"""How the person learns: the networks decoded once for several frames, which share their gradients; corrections of each
+Gaussian's own with every frame.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,9 @@ from torch.optim import Optimizer
 
 from stages.avatar.body.skinning import knn_weights
 from stages.avatar.effects.shadow import Casters
+from stages.avatar.model.decoders import OWN
 from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import Canonical, Resting, rest
+from stages.avatar.model.person import Canonical, Resting, rest, taken_back
 from stages.avatar.splats.neighbours import nearest
 from stages.training import losses
 from stages.training.finishing.bake import as_body_where_unseen
@@ -40,8 +43,9 @@ class PersonLearner:
     `outline` tells of them among several people, None: they are alone. `name` is theirs among the sets of Gaussians.
     `corrections` are those of their poses.
 
-    `leaves` is the decoded person as tensors that collect gradients, None until it is decoded again. `color_grad_sum` [N]
-    sums the gradients of each Gaussian's colour: what stays at 0 no frame has shown.
+    `leaves` is what the networks say, `Shared` but at rest, with the `rotations` to there: tensors that collect gradients, None
+    until they are decoded again. `color_grad_sum` [N] sums the gradients of each Gaussian's colour: what stays at 0 no
+    frame has shown. `pull` is what the frame that is drawn pays for corrections.
     """
 
     def __init__(
@@ -53,7 +57,8 @@ class PersonLearner:
         self.corrections = BodyCorrections(len(body.transl), body.own_bones).to(body.vertices)
         self.canonical_bones = body.canonical_bones()
         self.surface, _, self.surface_weights = body.surface()
-        self.leaves: Resting | None = None
+        self.leaves: dict[str, Tensor] | None = None
+        self.pull = torch.zeros(())
         self.near: Tensor | None = None
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
         self.color_grad_sum = torch.zeros(len(human)).to(body.vertices)
@@ -88,37 +93,46 @@ class PersonLearner:
         """The `views` of whole size with the masks of this person alone."""
         return views if self.outline is None else views._replace(masks=self.outline.masks)
 
-    def _decode(self) -> tuple[Canonical, Resting, Tensor]:
-        canonical, outside_box, regularizer = self.human()
-        rough = losses.roughness(canonical.means, self._neighbours(), self.human.rotations[:, :, 2])
-        prior = losses.OUTSIDE * outside_box + losses.REGULAR * regularizer + losses.SMOOTH * rough
-        return canonical, rest(canonical, self.canonical_bones), prior
-
     def resting(self) -> Resting:
-        """The decoded person at rest, as leaves that collect gradients until the next `learn`."""
+        """The person at rest for one frame: of leaves that collect gradients until the next `learn`, and what is theirs now."""
+        leaves = self._decoded()
+        rotations, scales, opacities, sh, changed = self.human.look(*(leaves[name] for name in OWN))
+        self.pull, axes = losses.REGULAR * changed, leaves["rotations"] @ (rotations * scales[:, None, :])
+        return Resting(leaves["means"], axes, opacities, sh, leaves["weights"], leaves["rotations"])
+
+    def _decoded(self) -> dict[str, Tensor]:
         if self.leaves is None:
-            self.canonical, self.decoded, self.prior = self._decode()
-            self.leaves = Resting(*(t.detach().requires_grad_(t.requires_grad) for t in self.decoded))
+            shared, outside_box, moved = self.human.shared()
+            rough = losses.roughness(shared.means, self._neighbours(), self.human.rotations[:, :, 2])
+            self.prior = losses.OUTSIDE * outside_box + losses.REGULAR * moved + losses.SMOOTH * rough
+            means, rotations = taken_back(shared.means, shared.weights, self.canonical_bones)
+            self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
+            self.leaves = {name: t.detach().requires_grad_(t.requires_grad) for name, t in self.decoded.items()}
         return self.leaves
+
+    def learn_own(self, optimizer: Optimizer) -> None:
+        """Take one step of the Gaussians' own corrections with the gradients of a frame."""
+        own = {name: getattr(self.human.residuals, name).grad for name in OWN}
+        self.guard.contain(f"corrections{self.number}", own)
+        self.color_grad_sum += own["sh"].abs().sum((1, 2))
+        optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
 
     def learn(self, optimizer: Optimizer, frames: int) -> None:
         """Take one step of the networks with what the leaves collected from so many frames, if any."""
         leaves, self.leaves = self.leaves, None
-        if leaves is None or leaves.means.grad is None:
+        if leaves is None or leaves["means"].grad is None:
             return
-        collected = {n: leaf.grad for n, leaf in leaves._asdict().items() if leaf.grad is not None}
+        collected = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
         self.guard.contain(f"person{self.number}", collected)
-        self.color_grad_sum += collected["sh"].abs().sum((1, 2))
         prior = self.prior
-        if self.canonical.weights.requires_grad:
-            prior = losses.skinning(self.canonical.weights, self._reference()) + prior
-        decoded = [getattr(self.decoded, n) for n in collected]
+        if self.shared.weights.requires_grad:
+            prior = losses.skinning(self.shared.weights, self._reference()) + prior
+        decoded = [self.decoded[name] for name in collected]
         slopes = [grad / frames for grad in collected.values()]
         torch.autograd.backward([*decoded, prior], [*slopes, torch.ones_like(prior)])
         rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
-        self.guard.contain(
-            f"corrections{self.number}", {name: p.grad for name, p in rows.items() if p.grad is not None}
-        )
+        self.guard.contain(f"places{self.number}", {name: p.grad for name, p in rows.items() if p.grad is not None})
         by_row = {id(p) for p in rows.values()}
         shared = [p.grad for p in self.human.parameters() if id(p) not in by_row and p.grad is not None]
         if self.guard.clip(f"networks{self.number}", shared):
@@ -134,10 +148,10 @@ class PersonLearner:
 
     def _reference(self) -> Tensor:
         """Skinning weights [N,24] of the nearest body vertices, looked up again only for Gaussians that moved."""
-        at = self.canonical.means.detach()
+        at = self.shared.means.detach()
         if len(self.reference) != len(at):
             self.reference_at = torch.full_like(at, math.inf)
-            self.reference = torch.zeros_like(self.canonical.weights.detach())
+            self.reference = torch.zeros_like(self.shared.weights.detach())
         moved = ~((at - self.reference_at).norm(dim=1) < MOVED)
         if moved.any():
             self.reference[moved] = knn_weights(at[moved], self.surface, self.surface_weights)
@@ -152,12 +166,12 @@ class PersonLearner:
     @torch.no_grad()
     def baked(self) -> tuple[Canonical, Resting]:
         """The person to keep as of now, in the canonical and in the rest pose, without gradients; `bake` finishes it."""
-        canonical = as_body_where_unseen(self._decode()[0], self.human.initial(), self.color_grad_sum)
+        canonical = as_body_where_unseen(self.human()[0], self.human.initial(), self.color_grad_sum)
         return canonical, rest(canonical, self.canonical_bones)
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        leaves = {} if self.leaves is None else self.leaves._asdict()
+        leaves = {} if self.leaves is None else self.leaves
         return {
             "reference": [self.reference.clone(), self.reference_at.clone()],
             "color_grad_sum": self.color_grad_sum.clone(),
@@ -170,4 +184,4 @@ class PersonLearner:
         self.color_grad_sum = state["color_grad_sum"].clone()
         self.leaves = self.near = None
         for name, grad in state["leaves"].items():
-            getattr(self.resting(), name).grad = grad.clone()
+            self._decoded()[name].grad = grad.clone()

@@ -47,7 +47,9 @@ SIZES = ((1, 50_000), (1, 60_000), (1, 200_000), (2, 50_000), (2, 200_000))  # s
 def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
     """Name, owner and attribute of what is timed; only what Python calls, as kernels call kernels directly."""
     return (
-        ("decode", person.PersonLearner, "_decode"),
+        ("decode", person.PersonLearner, "_decoded"),
+        ("own corrections", person.PersonLearner, "resting"),
+        ("own corrections, step", person.PersonLearner, "learn_own"),
         ("decode, backward", person.PersonLearner, "learn"),
         ("pose (LBS)", fit.Fit, "posed"),
         ("scene activations", SceneModel, "splats"),

@@ -440,7 +440,7 @@ def test_every_ablation_reaches_what_is_trained(inputs):
         training = trained(inputs, params)
         fit, known = training.fit, training.fit.params
         assert (known.human_densify, known.human_loss, known.joint) == (there, there, there)
-        assert (fit.human.triplane is not None) is there and fit.person.canonical.weights.requires_grad is there
+        assert (fit.human.triplane is not None) is there and fit.person.shared.weights.requires_grad is there
     result = finish(training, Job(inputs["sfm"]))
     assert len(result.avatar) > 0 and len(result.scene) > 0
 

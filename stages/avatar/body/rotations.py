@@ -14,6 +14,8 @@ SERIES_BELOW = 1e-4
 """Squared angle under which the sine quotients are series: the first dropped term is s**3/5040 < 2e-16."""
 FLOOR_6D = 1e-3
 """Length under which a 6D half counts as having no direction; bounds the gradient by its inverse."""
+PLAIN_6D = 0.1, 1e9
+"""Lengths between which plain Gram-Schmidt is as exact; it takes a third of the time."""
 
 
 @lru_cache(maxsize=64)
@@ -102,6 +104,32 @@ def matrix_from_6d(six: Tensor) -> Tensor:
     Zhou et al. 2019 (arXiv 1812.07035). Where a half is near zero, or both within about 1e-3 rad of parallel, a fixed
     axis stands in without gradient, so the gradient never passes about 1/FLOOR_6D.
     """
+    plain = _plain_matrix_from_6d(six)
+    return _any_matrix_from_6d(six) if plain is None else plain
+
+
+def _plain_matrix_from_6d(six: Tensor) -> Tensor | None:
+    """`matrix_from_6d` where all lengths are within PLAIN_6D, else None."""
+    ax, ay, az, bx, by, bz = six.reshape(-1, 6).T.contiguous()
+    squared = ax * ax + ay * ay + az * az
+    length = squared.sqrt()
+    ax, ay, az = ax / length, ay / length, az / length
+    along = ax * bx + ay * by + az * bz
+    bx, by, bz = bx - along * ax, by - along * ay, bz - along * az
+    across = bx * bx + by * by + bz * bz
+    least, most = (bound**2 for bound in PLAIN_6D)
+    with torch.no_grad():
+        whole = across + along * along
+        well = (squared > least) & (squared < most) & (whole < most) & (across > least * whole.clamp_min(1))
+    if not well.all():
+        return None
+    length = across.sqrt()
+    bx, by, bz = bx / length, by / length, bz / length
+    columns = [ax, bx, ay * bz - az * by, ay, by, az * bx - ax * bz, az, bz, ax * by - ay * bx]
+    return torch.stack(columns, -1).view(*six.shape[:-1], 3, 3)
+
+
+def _any_matrix_from_6d(six: Tensor) -> Tensor:
     a, b = (_tamed(half) for half in six.unflatten(-1, (2, 3)).unbind(-2))
     e1 = _unit_or(a, _short(a), constant(a.dtype, a.device, 1, 0, 0).expand_as(a))
     u = b - (e1 * b).sum(-1, keepdim=True) * e1

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from stages.avatar.splats.sh import bases
 
 TEMPERATURE = 0.1  # of the skinning softmax (paper, appendix)
+OWN = "opacity", "sh", "turn", "scale"  # corrections that each Gaussian has of its own, beside those of the networks
 WIDTHS = {"appearance": (64, 64), "geometry": (128, 128), "deformation": (128, 128, 128)}  # released configuration
 
 FAST = bool({"avx512bf16", "amx-bf16"} & {n for n, has in llvmlite.binding.get_host_cpu_features().items() if has})

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from stages.avatar.body.rotations import matrix_from_6d, rotation_z_to
 from stages.avatar.body.smpl import edge_lengths, subdivide, vertex_normals
-from stages.avatar.model.decoders import TEMPERATURE, Decoders, Residuals
+from stages.avatar.model.decoders import OWN, TEMPERATURE, Decoders, Residuals
 from stages.avatar.model.person import Canonical, Surfels
 from stages.avatar.model.triplane import Triplane
 from stages.avatar.splats.sh import bases
@@ -19,6 +20,19 @@ START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothi
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
 OFFSET = 0.05  # metres; a usual thickness of clothes
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
+
+
+class Shared(NamedTuple):
+    """What the networks say of N Gaussians at the canonical pose: means[N,3] m, weights[N,J] and, as `Decoders.forward`, opacity,
+    sh, turn and scale, to which corrections of each Gaussian's own are added.
+    """
+
+    means: Tensor
+    weights: Tensor
+    opacity: Tensor
+    sh: Tensor
+    turn: Tensor
+    scale: Tensor
 
 
 class HumanModel(nn.Module):
@@ -98,25 +112,39 @@ class HumanModel(nn.Module):
         The first is the mean squared distance by which points left the triplane's box, the second the mean squared
         correction of scale (log), opacity (logit) and place (in units of OFFSET).
         """
-        out = self.residuals()
-        shared = self.decoders(self.triplane(self.xyz)) if self.triplane and self.decoders else {}
-        out |= {name: value + out[name] if name in out else value for name, value in shared.items()}
-        outside_box = self.triplane.outside(self.xyz) if self.triplane else self.xyz.new_zeros(())
+        shared, outside_box, moved = self.shared()
+        rotations, scales, opacities, sh, changed = self.look(*shared[2:])
+        return Canonical(shared.means, rotations, scales, opacities, sh, shared.weights), outside_box, moved + changed
+
+    def shared(self) -> tuple[Shared, Tensor, Tensor]:
+        """What the networks say of all Gaussians, and the two penalties of `forward`, the second of places alone."""
+        if self.triplane and self.decoders:
+            out, outside_box = self.decoders(self.triplane(self.xyz)), self.triplane.outside(self.xyz)
+        else:
+            own = self.residuals()
+            out, outside_box = own | {name: torch.zeros_like(own[name]) for name in OWN}, self.xyz.new_zeros(())
         skin_logits = self.skin_logits + out["skin"] if "skin" in out else self.skin_logits
-        identity = torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
-        ratio = out["scale"] / SCALE_RANGE
-        scale = out["scale"] / torch.hypot(torch.ones_like(ratio), ratio)  # unlike tanh never flat
-        person = Canonical(
-            means=self.xyz + out["offset"],
-            rotations=self.rotations @ matrix_from_6d(identity + out["turn"]),
-            scales=(self.log_sizes + scale).exp(),
-            opacities=torch.sigmoid(self.logits + out["opacity"]),
-            sh=torch.cat([self.sh_starts[:, None] + out["sh"][:, :1], out["sh"][:, 1:]], 1),
-            weights=torch.softmax(skin_logits / TEMPERATURE, 1),
+        weights, moved = torch.softmax(skin_logits / TEMPERATURE, 1), (out["offset"] / OFFSET).square().sum(1).mean()
+        return Shared(self.xyz + out["offset"], weights, *(out[name] for name in OWN)), outside_box, moved
+
+    def look(
+        self, opacity: Tensor, sh: Tensor, turn: Tensor, scale: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Rotations, scales, opacities and sh as in `Canonical`, of what is `Shared` of them and what is each Gaussian's own.
+
+        Last the mean squared correction of scale (log) and opacity (logit).
+        """
+        own, identity = self.residuals(), torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
+        opacity, sh, turn, scale = (a + own[name] for a, name in zip((opacity, sh, turn, scale), OWN, strict=True))
+        ratio = scale / SCALE_RANGE
+        scale = scale / torch.hypot(torch.ones_like(ratio), ratio)  # unlike tanh never flat
+        return (
+            self.rotations @ matrix_from_6d(identity + turn),
+            (self.log_sizes + scale).exp(),
+            torch.sigmoid(self.logits + opacity),
+            torch.cat([self.sh_starts[:, None] + sh[:, :1], sh[:, 1:]], 1),
+            (scale.square().sum(1) + opacity.square()).mean(),
         )
-        place = (out["offset"] / OFFSET).square().sum(1)
-        size = scale.square().sum(1) + out["opacity"].square() + place
-        return person, outside_box, size.mean()
 
     def initial(self) -> Canonical:
         """The canonical person before training: the right answer where no frame has shown them.

@@ -59,17 +59,23 @@ def bone_transforms(joints: Tensor, parents: list[int], global_orient: Tensor, b
 
 
 def rest(person: Canonical, canonical_bones: Tensor) -> Resting:
-    """Take the person back to the rest pose: the inverse of the blend of `canonical_bones`[J,4,4] (rest to canonical).
+    """Take the person back to the rest pose: `taken_back` by `canonical_bones`[J,4,4] (rest to canonical)."""
+    means, rotations = taken_back(person.means, person.weights, canonical_bones)
+    axes = rotations @ (person.rotations * person.scales[:, None, :])
+    return Resting(means, axes, person.opacities, person.sh, person.weights, rotations)
+
+
+def taken_back(means: Tensor, weights: Tensor, canonical_bones: Tensor) -> tuple[Tensor, Tensor]:
+    """Where means[N,3] m with weights[N,J] are at rest, and rotations[N,3,3] from the canonical frame: the inverse of the blend
+    of `canonical_bones`[J,4,4] (rest to canonical).
 
     HUGS blends products of bone transforms, which shrinks the hips by 23 % at half weights; with the inverse of the
     blend the untrained model is SMPL in every pose, up to the floor under its weights. The da-pose blends at most +-1 rad
     about z, so no blend has a determinant under 0.29.
     """
-    blend = (person.weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
+    blend = (weights @ canonical_bones[:, :3].flatten(1)).unflatten(1, (3, 4))
     rotations = _inverse(blend[..., :3])
-    means = (rotations @ (person.means - blend[..., 3])[..., None])[..., 0]
-    axes = rotations @ (person.rotations * person.scales[:, None, :])
-    return Resting(means, axes, person.opacities, person.sh, person.weights, rotations)
+    return (rotations @ (means - blend[..., 3])[..., None])[..., 0], rotations
 
 
 def _inverse(matrices: Tensor) -> Tensor:

@@ -13,11 +13,10 @@ from stages.training import losses
 from stages.training.company import Company
 from stages.training.finishing.painted import EDGE
 from stages.training.person import PersonLearner
-from stages.training.schedule import LR_OWN
 from stages.training.views import person_box, person_frames
 
 STEPS = 128  # a phone clip: 0.20 dB of the 0.25 that finishing costs, in 5 s
-RATE = 4 * LR_OWN["sh"]  # falling to 0; a quarter of it brings back half as much
+RATE = 0.04  # falling to 0; a quarter of it brings back half as much
 
 
 def settle_colors(fit: Company, who: PersonLearner, person: Canonical, own: Tensor, frames: list[int]) -> Canonical:

@@ -169,6 +169,22 @@ def test_d01_d02_d03_paths_into_degenerate_rows_stay_rotations(dtype, held):
     assert torch.allclose(r.matrix_from_6d(wide)[..., 0], e1), "whose first axis is theirs"
 
 
+@pytest.mark.parametrize("size", [1.0, 0.11, 4e8])
+def test_plain_6d_is_the_same_as_any(size, held):
+    six = torch.randn(2000, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * size
+    upstream = torch.randn(len(six), 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    alone = [r._plain_matrix_from_6d(row) is not None for row in six]
+    assert 0.2 < sum(alone) / len(alone) < 1, "some rows are too short, long or narrow for it"
+    assert r._plain_matrix_from_6d(six) is None, "and one such row is enough"
+    six, upstream = six[alone], upstream[alone]
+    leaf = six.clone().requires_grad_()
+    plain, exact = r._plain_matrix_from_6d(leaf), r._any_matrix_from_6d(leaf)
+    slopes = [torch.autograd.grad(matrix, leaf, upstream)[0] for matrix in (plain, exact)]
+    held((plain - exact).abs().max(), 1e-14)
+    held((slopes[0] - slopes[1]).norm() / slopes[1].norm(), 4e-15)
+    held((r._plain_matrix_from_6d(six.float()) - exact).abs().max(), 1e-5)
+
+
 def test_6d_takes_columns():
     quarter = r.matrix_from_rotvec(torch.tensor([0, 0, math.pi / 2]))
     assert torch.allclose(r.matrix_from_6d(torch.tensor([0.0, 2, 0, -3, 0, 0])), quarter, atol=1e-6)
