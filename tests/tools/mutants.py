@@ -238,7 +238,7 @@ MUTANTS = (
     Mutant(
         "A05 a scale that goes flat",
         "stages/avatar/model/human.py",
-        'scale = scale / torch.hypot(torch.ones_like(ratio), ratio)',
+        "scale = scale / torch.hypot(torch.ones_like(ratio), ratio)",
         "scale = SCALE_RANGE * torch.tanh(ratio)",
         "tests/stages/avatar/model/test_human.py::scales_are_positive_and_alive_whatever_the_network_says",
     ),
