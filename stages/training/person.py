@@ -107,14 +107,14 @@ class PersonLearner:
             self.prior = losses.OUTSIDE * outside_box + losses.REGULAR * moved + losses.SMOOTH * rough
             means, rotations = taken_back(shared.means, shared.weights, self.canonical_bones)
             self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
-            self.leaves = {name: t.detach().requires_grad_(t.requires_grad) for name, t in self.decoded.items()}
+            learned = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}
+            self.leaves = {name: t.detach().requires_grad_(learned[name]) for name, t in self.decoded.items()}
         return self.leaves
 
     def learn_own(self, optimizer: Optimizer) -> None:
         """Take one step of the Gaussians' own corrections with the gradients of a frame."""
         own = {name: getattr(self.human.residuals, name).grad for name in OWN}
         self.guard.contain(f"corrections{self.number}", own)
-        self.color_grad_sum += own["sh"].abs().sum((1, 2))
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
 
@@ -125,12 +125,13 @@ class PersonLearner:
             return
         collected = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
         self.guard.contain(f"person{self.number}", collected)
+        self.color_grad_sum += collected["sh"].abs().sum((1, 2))
         prior = self.prior
         if self.shared.weights.requires_grad:
             prior = losses.skinning(self.shared.weights, self._reference()) + prior
-        decoded = [self.decoded[name] for name in collected]
-        slopes = [grad / frames for grad in collected.values()]
-        torch.autograd.backward([*decoded, prior], [*slopes, torch.ones_like(prior)])
+        slopes = {name: grad / frames for name, grad in collected.items() if self.decoded[name].requires_grad}
+        decoded = [self.decoded[name] for name in slopes]
+        torch.autograd.backward([*decoded, prior], [*slopes.values(), torch.ones_like(prior)])
         rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
         self.guard.contain(f"places{self.number}", {name: p.grad for name, p in rows.items() if p.grad is not None})
         by_row = {id(p) for p in rows.values()}

@@ -19,6 +19,7 @@ MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
 OFFSET = 0.05  # metres; a usual thickness of clothes
+COLOR = 0.1  # weight of a colour of a Gaussian's own in the second penalty: what frames hardly show keeps the networks'
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
 
@@ -110,7 +111,7 @@ class HumanModel(nn.Module):
         """Decode all Gaussians: the canonical person, and two penalties.
 
         The first is the mean squared distance by which points left the triplane's box, the second the mean squared
-        correction of scale (log), opacity (logit) and place (in units of OFFSET).
+        correction of scale (log), opacity (logit) and place (in units of OFFSET), and COLOR times that of colours of their own.
         """
         shared, outside_box, moved = self.shared()
         rotations, scales, opacities, sh, changed = self.look(*shared[2:])
@@ -132,7 +133,7 @@ class HumanModel(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Rotations, scales, opacities and sh as in `Canonical`, of what is `Shared` of them and what is each Gaussian's own.
 
-        Last the mean squared correction of scale (log) and opacity (logit).
+        Last the second penalty of `forward`, without places.
         """
         own, identity = self.residuals(), torch.tensor([1.0, 0, 0, 0, 1, 0]).to(self.xyz)
         opacity, sh, turn, scale = (a + own[name] for a, name in zip((opacity, sh, turn, scale), OWN, strict=True))
@@ -143,7 +144,7 @@ class HumanModel(nn.Module):
             (self.log_sizes + scale).exp(),
             torch.sigmoid(self.logits + opacity),
             torch.cat([self.sh_starts[:, None] + sh[:, :1], sh[:, 1:]], 1),
-            (scale.square().sum(1) + opacity.square()).mean(),
+            (scale.square().sum(1) + opacity.square() + COLOR * own["sh"].square().sum((1, 2))).mean(),
         )
 
     def initial(self) -> Canonical:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from stages.avatar.model.human import COLOR
 from stages.training import losses
 from stages.training.fit import Fit
 from stages.training.schedule import phases
@@ -81,6 +82,25 @@ def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
     for name in ("opacities", "sh", "rotations", "scales"):
         changed = (getattr(after, name) != getattr(before, name)).reshape(len(human), -1).any(1)
         assert changed.nonzero().flatten().tolist() == [3], name
+
+
+def test_a_colour_of_its_own_that_nothing_teaches_goes_back_to_the_networks(clip):
+    fit = fit_of(clip, 80)
+    with torch.no_grad():
+        fit.human.residuals.sh[3] = 0.05
+        fit.human.logits[3] = -30.0  # nothing shows it
+    run(fit, 1)
+    one = fit.human.residuals.sh[3].clone()
+    run(fit, 8)
+    assert (fit.human.residuals.sh[3].abs() < one.abs()).all() and (one.abs() < 0.05).all()
+    assert fit.person.color_grad_sum[3] == 0, "and counts as shown by no frame"
+    before = fit.human()[2]
+    with torch.no_grad():
+        fit.human.residuals.sh[:] = 0
+    told = fit.human()[2]
+    with torch.no_grad():
+        fit.human.residuals.sh[:] = 0.5
+    assert (fit.human()[2] - told).item() == pytest.approx(COLOR * 3 * 0.25, rel=1e-3) and before > told
 
 
 def test_a_person_who_grows_stays_as_opaque(clip):
