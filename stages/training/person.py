@@ -107,8 +107,9 @@ class PersonLearner:
             self.prior = losses.OUTSIDE * outside_box + losses.REGULAR * moved + losses.SMOOTH * rough
             means, rotations = taken_back(shared.means, shared.weights, self.canonical_bones)
             self.shared, self.decoded = shared, shared._asdict() | {"means": means, "rotations": rotations}
-            learned = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}
-            self.leaves = {name: t.detach().requires_grad_(learned[name]) for name, t in self.decoded.items()}
+            # those of OWN also without networks, for `color_grad_sum`
+            taught = {name: t.requires_grad or name in OWN for name, t in self.decoded.items()}
+            self.leaves = {name: t.detach().requires_grad_(taught[name]) for name, t in self.decoded.items()}
         return self.leaves
 
     def learn_own(self, optimizer: Optimizer) -> None:

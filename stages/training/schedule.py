@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 LR_HUMAN = {"xyz": 4e-4, "triplane": 4e-3, "appearance": 4e-3, "geometry": 2e-3, "deformation": 4e-4}
-LR_OWN = {  # corrections of each Gaussian's own, a step with every frame: six times the paper's rates for explicit Gaussians
-    "offset": 8e-4,
+LR_OWN = {  # corrections of each Gaussian's own: six times the paper's rates for explicit Gaussians, ours where it has none
     "turn": 6e-3,
     "scale": 3e-2,
     "opacity": 0.3,
     "sh": 1.5e-2,
+    "offset": 8e-4,  # this and the next without networks alone; they take a step when networks would
     "skin": 4e-3,
 }
 LR_SCENE = {  # `means` in units of the scene's extent

@@ -19,7 +19,7 @@ MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
 WEIGHT_FLOOR = 1e-4  # keeps skinning logits within 0.92 of each other, so that a joint at 0 can come back (E02)
 OFFSET = 0.05  # metres; a usual thickness of clothes
-COLOR = 0.1  # weight of a colour of a Gaussian's own in the second penalty: what frames hardly show keeps the networks'
+COLOR = 0.1  # weight of Gaussians' own colours in the second penalty: what frames hardly show keeps the shared ones
 SCALE_RANGE = 4.0  # a scale leaves its initial value by at most a factor e^4
 
 
