@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 RESUMES, LOADS = True, ADAM
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
 
-FINISH = 85.0
-"""Training steps of full size that it takes to look at the frames, settle colours and write the person, after the last step.
+FINISH = 180.0
+"""Training steps of full size that it takes to look at the frames, let the person settle and write the person, after the last step.
 The kitchen clip, a short training, 2 cores, November 2026."""
 
 

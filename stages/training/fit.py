@@ -195,13 +195,9 @@ class Fit(Company):
             alone, occluders = numbered("person", k), numbered("occluders", k)
             if alone in drawn:
                 trust = shot.people[k].body.confidence[shot.frame]  # a doubtful pose teaches little
-                only, target, alpha = drawn[alone], shot.person_target(k), drawn[alone].alpha
-                bare = (1 - only.alpha)[..., None] * target[2]
-                rendered = only.image if gains is None else bare + gains * (only.image - bare)
-                if self.effects.blurs:
-                    rendered = losses.unmixed(rendered, *target)
-                if figure.known is not None:
-                    rendered, alpha = losses.where_known(rendered, alpha, figure.known[shot.window(alone)], target)
+                only, target = drawn[alone], shot.person_target(k)
+                known = None if figure.known is None else figure.known[shot.window(alone)]
+                rendered, alpha = losses.compared(only.image, only.alpha, gains, known, self.effects.blurs, target)
                 apart = losses.person_only(rendered, alpha, *target)
                 terms.append(trust * apart)
                 terms.append(trust * self.patches(self.progress.step, rendered, *target))

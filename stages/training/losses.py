@@ -81,6 +81,25 @@ def where_known(
     return torch.where(there[..., None], rendered, over_background(*target)), torch.where(there, alpha, target[1])
 
 
+def compared(
+    image: Tensor,
+    alpha: Tensor,
+    gains: Tensor | None,
+    known: Tensor | None,
+    blurred: bool,
+    target: tuple[Tensor, Tensor, Tensor],
+) -> tuple[Tensor, Tensor]:
+    """A person-only render [H,W,3] and its alpha[H,W] as they are compared with the `target` (as `person_only`): with the
+    frame's exposure `gains`[3], edges `unmixed` where motion has `blurred` them, and only `where_known`[H,W].
+    """
+    if gains is not None:
+        bare = (1 - alpha)[..., None] * target[2]
+        image = bare + gains * (image - bare)
+    if blurred:
+        image = unmixed(image, *target)
+    return (image, alpha) if known is None else where_known(image, alpha, known, target)
+
+
 def skinning(weights: Tensor, reference: Tensor) -> Tensor:
     """LBS x mean squared difference of skinning weights [N,J] from those of the nearest body vertices, a constant."""
     return LBS * (weights - reference.detach()).square().mean()

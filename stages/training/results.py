@@ -19,7 +19,7 @@ from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import Finished, finish, unseen
-from stages.training.finishing.settle import settle_colors
+from stages.training.finishing.settle import settle
 from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
 from stages.training.person import PersonLearner
@@ -179,7 +179,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
     kept = finish(baked, who.human.initial().weights, dressed, seen, frames)
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
-    kept = kept._replace(person=settle_colors(fit, who, kept.person, kept.own, clear))
+    kept = kept._replace(person=settle(fit, who, kept.person, kept.own, kept.told, clear))
     if kept.reskinned:
         say.note(f"{kept.reskinned:,} Gaussians that moved with other bones than the body there move with it now")
     if kept.strays:

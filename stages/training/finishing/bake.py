@@ -34,8 +34,8 @@ THICK = 0.02  # metres across the skin: a haze when seen from the side. The body
 
 
 class Finished(NamedTuple):
-    """The `person` to keep, how many Gaussians were left out, moved back, recoloured or added on the way, and how far the
-    colour of each that is kept is its own[N], from 0 to 1.
+    """The `person` to keep, how many Gaussians were left out, moved back, recoloured or added on the way, how far the
+    colour of each that is kept is its own[N], from 0 to 1, and how far frames tell its size and place along its axes, told[N,3].
     """
 
     person: Canonical
@@ -46,6 +46,7 @@ class Finished(NamedTuple):
     recolored: int
     lining: int
     own: Tensor
+    told: Tensor
 
 
 def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
@@ -59,14 +60,14 @@ def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames:
     stray = far_from_surface(kept.means, body.surface()[0])
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
-    kept, own = recolor(kept, body, views, frames)
+    kept, own, told = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
         done = done._replace(weights=of_few_bones(done.weights))
     lining = len(done.means) - len(kept.means)
-    own = torch.cat([own, own.new_zeros(lining)])
-    leant = int((own < 0.5).sum()) - lining
-    return Finished(done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, leant, lining, own)
+    leant = int((own < 0.5).sum())
+    own, told = (torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in (own, told))
+    return Finished(done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, leant, lining, own, told)
 
 
 def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:
@@ -103,19 +104,20 @@ def unseen(color_grad_sum: Tensor) -> Tensor:
     return color_grad_sum <= SEEN * color_grad_sum.mean()
 
 
-def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Tensor]:
+def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Tensor, Tensor]:
     """Blend colours that frames do not show well with the median of the nearest that they do; far ones over a larger patch.
 
     At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay. Small
     hands and feet are nearly all outline: there the best of the same part of the body are asked.
-    Also returns how far each colour is its own[N], from 0 to 1; the rest is its neighbours'.
+    Also returns how far each colour is its own[N], from 0 to 1, the rest is its neighbours', and as much of each axis [N,3] as it
+    lies across the view: how large a Gaussian is and where it is along the view, no frame tells.
     """
-    inside, edge, _ = count_pixels(person, body, views, frames)[0].unbind(1)
+    inside, edge, _, along, _ = count_pixels(person, body, views, frames)
     mean = inside.mean()
     sure = (inside > SURE * mean) & (inside > 2 * edge)
     if not sure.any():
-        return person, torch.ones_like(inside)
+        return person, torch.ones_like(inside), 1 - along
     means, own = person.means, inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
     around, away = median_near(person.sh[sure], means[sure], means, NEIGHBOURS)
@@ -124,7 +126,7 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     far = few.nonzero()[:, 0][away[:, 0] > FAR]
     spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
     around[far], _ = median_near(around[spots], means[spots], means[far], ASKED)
-    return person._replace(sh=torch.lerp(around, person.sh, own[:, None, None])), own
+    return person._replace(sh=torch.lerp(around, person.sh, own[:, None, None])), own, own[:, None] * (1 - along)
 
 
 def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:

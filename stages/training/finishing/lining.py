@@ -37,8 +37,8 @@ def add_lining(person: Canonical, body: Person, views: Views, frames: list[int])
     for leak, step in [*[(LEAK, 1)] * (OUT - 1), (LEAK, OUT), (MUCH * LEAK, OUT)]:
         inner, rows = _lining(person, body, place)
         both = Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
-        counts, pixels = count_pixels(both, body, views, frames)
-        place[rows[counts[len(person.means) :, 2] > leak * pixels]] += step
+        painted = count_pixels(both, body, views, frames)
+        place[rows[painted.beside[len(person.means) :] > leak * painted.pixels]] += step
     inner, _ = _lining(person, body, place)
     return Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
 

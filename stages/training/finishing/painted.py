@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -15,17 +17,28 @@ from stages.training.views import Person, Views, person_frames
 EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
 
 
-def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, float]:
-    """How many pixels each Gaussian paints [N,3]: well inside the person's masks, elsewhere, and beside them; and how
-    many the masks have: sums over the `person_frames`.
+class Painted(NamedTuple):
+    """How many pixels each of N Gaussians paints [N], sums over frames: well `inside` the person's masks, at their `edge` or
+    out of them, and `beside` them; `along` [N,3] is how far each of its axes points at the cameras that see it so, the mean squared
+    cosine, 1 where none does. The masks have so many `pixels`.
 
-    The first two count only where the skin under a Gaussian faces the camera: the far side shines through the near one.
+    All but `beside` count only where the skin under a Gaussian faces the camera: the far side shines through the near one.
     """
+
+    inside: Tensor
+    edge: Tensor
+    beside: Tensor
+    along: Tensor
+    pixels: float
+
+
+def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int]) -> Painted:
+    """What the person's Gaussians paint in the `person_frames` of `frames` of `views`."""
     bones = body.canonical_bones()
     surface, normals, _ = body.surface()
     outwards = normals[nearest(surface, person.means, 1)[1][:, 0]]
     resting, skin = rest(person, bones), rest(person._replace(rotations=rotation_z_to(outwards)), bones)
-    counts, pixels = torch.zeros_like(person.means), 0.0
+    counts, along, pixels = torch.zeros_like(person.means), torch.zeros_like(person.means), 0.0
     for i in person_frames(body, views, frames):
         mask = views.masks[i].float() / 255
         splats, inside = body.posed(resting, i), -dilated(-mask, EDGE)
@@ -33,5 +46,10 @@ def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int
         sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
         facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
         counts += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
+        squares = splats.axes.square().sum(1) * sight.square().sum(1, keepdim=True)
+        cosines = (sight[:, None] @ splats.axes)[:, 0].square() / squares
+        along += (paints[:, :2].sum(1) * facing)[:, None] * cosines
         pixels += mask.sum().item()
-    return counts, pixels
+    inside, edge, beside = counts.unbind(1)
+    painted = (inside + edge)[:, None]
+    return Painted(inside, edge, beside, torch.where(painted > 0, along / painted, 1.0), pixels)

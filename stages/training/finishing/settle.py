@@ -1,49 +1,110 @@
-"""Lets the colours that frames show well make up for those that finishing has changed."""
+"""Lets each of the finished person's Gaussians settle by itself, once networks and skeleton are done: what finishing has changed
+is made up for, and finer detail than networks know is won.
+"""
 
 from __future__ import annotations
 
 from itertools import cycle, islice
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from stages.avatar.model.person import Canonical, rest
+from stages.avatar.model.human import COLOR
+from stages.avatar.model.person import Canonical, Resting, rest
 from stages.avatar.rasterize import Camera, Layer
 from stages.training import losses
 from stages.training.company import Company
-from stages.training.finishing.painted import EDGE
 from stages.training.person import PersonLearner
 from stages.training.views import person_box, person_frames
 
-STEPS = 128  # a phone clip: 0.20 dB of the 0.25 that finishing costs, in 5 s
-RATE = 0.04  # falling to 0; a quarter of it brings back half as much
+STEPS = 256
+RATES = {"sh": 0.03, "opacity": 0.1, "size": 0.02, "place": 4e-4}  # falling to 0
+ALONE = 0.5  # weight of the person alone, beside that of person and scene together
+DOUBLE = 0.7  # log of the factor by which a size changes at most
+PULL = 0.1 * losses.REGULAR  # on changes: what frames hardly show would change as much as the rest
 
 
-def settle_colors(fit: Company, who: PersonLearner, person: Canonical, own: Tensor, frames: list[int]) -> Canonical:
-    """The finished person with colours that draw the `frames` better; a colour moves as far as it is its own[N], 0 to 1.
+class Change(NamedTuple):
+    """How N Gaussians change: sh[N,K,3], opacity[N] logit, size[N,3] log, and place[N,3] m along their own axes."""
 
-    Nothing else moves. Pixels of other people are not compared; without a scene only those well inside the person's mask.
+    sh: Tensor
+    opacity: Tensor
+    size: Tensor
+    place: Tensor
+
+    def held(self, own: Tensor, told: Tensor) -> Change:
+        """As much of it as colours are their own[N] and frames have told[N,3] of each axis, both from 0 to 1."""
+        size = DOUBLE * torch.tanh(self.size / DOUBLE)
+        return Change(own[:, None, None] * self.sh, own * self.opacity, told * size, told * self.place)
+
+    def opaque(self, opacities: Tensor) -> Tensor:
+        """Opacities [N], 0 and 1 too, with their logits changed."""
+        odds = opacities * self.opacity.exp()
+        return odds / (odds + (1 - opacities))
+
+    def at_rest(self, resting: Resting, scales: Tensor) -> Resting:
+        """Somebody at rest, whose scales[N,3] m these are, changed."""
+        means = resting.means + (resting.axes @ (self.place / scales)[..., None])[..., 0]
+        axes, opacities = resting.axes * self.size.exp()[:, None, :], self.opaque(resting.opacities)
+        return resting._replace(means=means, axes=axes, opacities=opacities, sh=resting.sh + self.sh)
+
+    def of(self, person: Canonical) -> Canonical:
+        """The person, changed."""
+        return person._replace(
+            means=person.means + (person.rotations @ self.place[..., None])[..., 0],
+            scales=person.scales * self.size.exp(),
+            opacities=self.opaque(person.opacities),
+            sh=person.sh + self.sh,
+        )
+
+    def pull(self) -> Tensor:
+        """The mean squared change, of places in units of ROUGH."""
+        flat = [COLOR * self.sh.square().sum((1, 2)), self.opacity.square(), self.size.square().sum(1)]
+        return (sum(flat) + (self.place / losses.ROUGH).square().sum(1)).mean()
+
+
+def settle(
+    fit: Company, who: PersonLearner, person: Canonical, own: Tensor, told: Tensor, frames: list[int]
+) -> Canonical:
+    """The finished person, changed to draw `frames` better with and without the scene: see `Change.held` for own[N] and told[N,3].
+
+    Poses, bones and scene stay. Pixels of other people are not compared.
     """
     views, seen, gains, viewmats = fit.full, who.masked(fit.full), fit.gains().detach(), fit.cameras().detach()
     orient, body_pose, transl = (part.detach() for part in fit.bodies(who))
     scene = None if fit.scene is None else fit.scene.splats().detach()
-    resting, share = rest(person, who.canonical_bones), own[:, None, None]
-    change = torch.zeros_like(person.sh).requires_grad_()
-    adam = torch.optim.Adam([change], eps=1e-15)
+    resting, scales = rest(person, who.canonical_bones), person.scales
+    first = person.sh, person.opacities, scales, person.means
+    change = Change(*(torch.zeros_like(part).requires_grad_() for part in first))
+    adam = torch.optim.Adam([{"params": [part], "name": name} for name, part in change._asdict().items()], eps=1e-15)
+    generator = torch.Generator().manual_seed(0)
+    row = torch.arange(len(person.means) + (0 if scene is None else len(scene.means)), device=scales.device)
     for step, i in enumerate(islice(cycle(person_frames(who.body, seen, frames)), STEPS)):
-        body = orient[i], body_pose[i], transl[i]
-        posed = fit.posed(resting._replace(sh=person.sh + share * change), *body, of=who)
+        body, held = (orient[i], body_pose[i], transl[i]), change.held(own, told)
+        posed = fit.posed(held.at_rest(resting, scales), *body, of=who)
         with torch.no_grad():
             lit, motion = fit.effects.shade(scene, fit.stance(*body, of=who)), fit.motion(i, [who], [resting])
         image, mask, everybody = views.images[i].float() / 255, *(m[i].float() / 255 for m in (seen.masks, views.masks))
         left, top, right, bottom = box = person_box(mask, posed.means.detach(), viewmats[i], views.Ks[i])
         crop = slice(top, bottom), slice(left, right)
+        background = torch.rand(3, generator=generator).to(image)
+        layers = [Layer(row < len(person.means), box, background), *([] if scene is None else [Layer(window=box)])]
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
-        drawn = fit.effects.draw(posed, lit, motion, camera, [Layer(window=box)])[0].image * gains[i]
-        known = 1 - (everybody - mask) if scene is not None else -losses.dilated(-mask, EDGE)
-        wanted, told = image[crop], known[crop][..., None]
-        loss = losses.photometric(wanted + told * (drawn - wanted), wanted)
-        (change.grad,) = torch.autograd.grad(loss, change)
-        adam.param_groups[0]["lr"] = RATE * (1 - step / STEPS)
+        only, *whole = fit.effects.draw(posed, lit, motion, camera, layers)
+        known, target = 1 - (everybody - mask)[crop], (image[crop], mask[crop], background)
+        loss = ALONE * losses.person_only(
+            *losses.compared(only.image, only.alpha, gains[i], known, fit.effects.blurs, target), *target
+        )
+        for drawn in whole:
+            shown = image[crop] + known[..., None] * (drawn.image * gains[i] - image[crop])
+            loss = loss + losses.photometric(shown, image[crop])
+        slopes = Change(*torch.autograd.grad(loss + PULL * held.pull(), change))
+        who.guard.contain(f"settling{who.number}", slopes._asdict())
+        for part, slope in zip(change, slopes, strict=True):
+            part.grad = slope
+        for group in adam.param_groups:
+            group["lr"] = RATES[group["name"]] * (1 - step / STEPS)
         adam.step()
-    return person._replace(sh=person.sh + share * change.detach())
+    with torch.no_grad():
+        return change.held(own, told).of(person)

@@ -40,20 +40,38 @@ def test_cloth_is_kept_with_as_many_bones_as_gltf_carries_and_skin_with_all(stan
 def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
     person, where = standing
     cameras = views(silhouettes(person, where))
-    painted, pixels = count_pixels(person, where, cameras, [0, 1, 2])
-    assert (painted >= 0).all() and painted[:, :2].sum().item() > 0.9 * pixels
-    flank = painted[:, 0] < 0.3 * painted[:, 1]
-    front = (painted[:, 0] > bake.SURE * painted[:, 0].mean()) & (painted[:, 0] > 20 * painted[:, 1])
+    inside, edge, beside, _, pixels = count_pixels(person, where, cameras, [0, 1, 2])
+    assert torch.stack([inside, edge, beside]).min() >= 0 and (inside + edge).sum().item() > 0.9 * pixels
+    flank = inside < 0.3 * edge
+    front = (inside > bake.SURE * inside.mean()) & (inside > 20 * edge)
     assert flank.sum() > 300 and front.sum() > 300
     speckled = person._replace(sh=torch.where(flank[:, None, None], 2.0, person.sh))
     off = lambda p: (p.sh - person.sh).abs().amax((1, 2))  # noqa: E731
-    out, own = bake.recolor(speckled, where, cameras, [0, 1, 2])
+    out, own, told = bake.recolor(speckled, where, cameras, [0, 1, 2])
+    assert ((told >= 0) & (told <= own[:, None])).all() and told[front].mean() > 0.4
     assert flank.sum() / 2 < (own < 0.5).sum() < len(person.means) and own[front].min() > 0.8
     assert off(out)[flank].mean() < 0.3 * off(speckled)[flank].mean() and off(out)[front].max() < 0.1
     assert all(a is b for name, a, b in zip(person._fields, out, speckled, strict=True) if name != "sh")
     empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    out, own = bake.recolor(speckled, where, empty, [0, 1, 2])
-    assert out is speckled and (own == 1).all(), "nobody is sure of anything"
+    out, own, told = bake.recolor(speckled, where, empty, [0, 1, 2])
+    assert out is speckled and (own == 1).all() and (told == 0).all(), "nobody is sure of anything"
+
+
+def test_frames_tell_what_lies_across_the_view(standing):
+    """One camera sees the chest from the front: how thick it is, and where it is along the view, nobody knows."""
+    person, where = standing
+    cameras = views(silhouettes(person, where))
+    painted = count_pixels(person, where, cameras, [0])
+    shown = painted.inside + painted.edge > 1
+    sight = torch.nn.functional.normalize(person.means - torch.tensor([0.0, 0, 3]), dim=1)[shown]
+    along = (person.rotations.mT[shown] @ sight[..., None])[..., 0].square()
+    assert shown.sum() > 300
+    torch.testing.assert_close(painted.along[shown], along, atol=1e-4, rtol=0)
+    torch.testing.assert_close(painted.along[shown].sum(1), torch.ones(int(shown.sum())))
+    back = person.rotations[:, 2, 2] < -0.8
+    assert (painted.along[back] == 1).all(), "what faces away is not seen"
+    around = count_pixels(person, where, cameras, [0, 1, 2])
+    assert (around.along.amax(1) < 0.8).sum() > 1.3 * (painted.along.amax(1) < 0.8).sum(), "more cameras tell more"
 
 
 def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing):
@@ -67,7 +85,7 @@ def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing
     camera = Camera(cameras.viewmats[0], cameras.Ks[0], SIZE, SIZE)
     through = compose(splats, None, camera)[0].image - drawn(sheer, where, 0).image
     assert far.sum() > 300 and through.amax() > 0.1, "the back does shine through"
-    out, _ = bake.recolor(pale, where, cameras, [0])
+    out, *_ = bake.recolor(pale, where, cameras, [0])
     assert (out.sh - person.sh)[far].abs().mean() < 0.1 * (pale.sh - person.sh)[far].abs().mean()
 
 
@@ -76,7 +94,7 @@ def test_a_back_that_no_frame_shows_does_not_take_the_colours_of_a_small_patch(s
     person, where = standing
     cameras = views(silhouettes(person, where))
     back = (person.rotations[:, 2, 2] < -0.8) & (where.weights[:, [3, 6, 9]].sum(1) > 0.5)
-    inside, edge, _ = count_pixels(person, where, cameras, [0])[0].unbind(1)
+    inside, edge, *_ = count_pixels(person, where, cameras, [0])
     front = ((inside > bake.SURE * inside.mean()) & (inside > 2 * edge)).nonzero()[:, 0]
     asked = nearest(person.means[front], person.means[back], bake.NEIGHBOURS)[1].flatten()
     collar = front[asked.bincount().argsort(descending=True)[:40]]  # nearest to most of the back

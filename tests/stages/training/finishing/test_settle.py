@@ -1,12 +1,15 @@
-"""Colours make up for what finishing has changed: as far as they are their own, and by nobody else's pixels."""
+"""Gaussians settle by themselves: as far as frames tell of each, by no pixel of anybody else, with and without a scene."""
 
 import pytest
 import torch
 
-from stages.avatar.model.person import rest
+from stages.avatar.body.smpl import DA_POSE
+from stages.avatar.model.person import Canonical, bone_transforms, rest
 from stages.training.accuracy import heldout_accuracy
-from stages.training.finishing.settle import settle_colors
+from stages.training.finishing import settle as module
+from stages.training.finishing.settle import Change, settle
 from stages.training.fit import Fit
+from tests.made.skeleton import PARENTS
 from tests.made.training import TRAIN, ellipsoid, make_clip, models, settings
 from tests.made.two import fit_of_two, make_two
 
@@ -31,32 +34,81 @@ def accuracy(fit, person) -> float:
     return heldout_accuracy(fit, [2])["psnr_person"]
 
 
-def settled(fit, person, own, frames=TRAIN):
-    return settle_colors(fit, fit.person, person, own, frames)
+def settled(fit, person, own, frames=TRAIN, told=None):
+    """With colours that are their own[N], and sizes and places that frames tell as well, or told[N,3]."""
+    return settle(fit, fit.person, person, own, own[:, None].expand(-1, 3) if told is None else told, frames)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", [True, False])
-def test_spoiled_colours_come_back_and_those_that_are_not_their_own_stay(clip, scene):
+def test_spoiled_colours_come_back_and_what_is_not_their_own_stays(clip, scene):
     fit, truth = true_fit(clip, scene)
     spoiled = truth._replace(sh=truth.sh + 0.4)
     own = torch.ones(len(truth.means))
     own[::3] = 0
     back = settled(fit, spoiled, own)
-    assert torch.equal(back.sh[::3], spoiled.sh[::3]) and not torch.equal(back.sh[1::3], spoiled.sh[1::3])
-    assert all(a is b for name, a, b in zip(back._fields, back, spoiled, strict=True) if name != "sh")
+    for name, now, before in zip(back._fields, back, spoiled, strict=True):
+        assert torch.equal(now[::3], before[::3]), name
+        assert (now is before) == (name in ("rotations", "weights")), name
     assert accuracy(fit, back) > accuracy(fit, spoiled) + 3
-    assert accuracy(fit, settled(fit, spoiled, torch.ones_like(own))) > accuracy(fit, spoiled) + 6
+    whole = settled(fit, spoiled, torch.ones_like(own))
+    assert accuracy(fit, whole) > accuracy(fit, spoiled) + 6
     half = settled(fit, spoiled, 0.5 * torch.ones_like(own))
-    assert (half.sh - spoiled.sh).abs().max() < (
-        settled(fit, spoiled, torch.ones_like(own)).sh - spoiled.sh
-    ).abs().max()
+    assert (half.sh - spoiled.sh).abs().max() < (whole.sh - spoiled.sh).abs().max()
 
 
 @pytest.mark.slow
-def test_true_colours_hardly_move(clip):
+def test_what_is_true_hardly_changes(clip):
     fit, truth = true_fit(clip)
     assert accuracy(fit, truth) > 50 and accuracy(fit, settled(fit, truth, torch.ones(len(truth.means)))) > 35
+
+
+@pytest.mark.slow
+def test_spoiled_places_and_sizes_come_back_along_the_axes_that_frames_tell(clip):
+    fit, truth = true_fit(clip)
+    generator = torch.Generator().manual_seed(1)
+    off = 0.03 * torch.randn(truth.means.shape, generator=generator)
+    spoiled = truth._replace(means=truth.means + off, scales=1.3 * truth.scales)
+    own, told = torch.zeros(len(off)), torch.ones_like(off)
+    told[:, 2] = 0
+    back, still = settled(fit, spoiled, own, told=told), settled(fit, spoiled, own, told=0 * told)
+    assert all(torch.equal(a, b) for a, b in zip(still, spoiled, strict=True))
+    assert accuracy(fit, back) > accuracy(fit, spoiled) + 1.5
+    moved = (truth.rotations.mT @ (back.means - spoiled.means)[..., None])[..., 0]
+    assert moved[:, :2].abs().mean() > 1e-3 and moved[:, 2].abs().max() < 1e-6
+    assert torch.equal(back.scales[:, 2], spoiled.scales[:, 2]) and (back.scales < spoiled.scales).float().mean() > 0.4
+    assert torch.equal(back.sh, spoiled.sh) and torch.equal(back.opacities, spoiled.opacities)
+
+
+@pytest.mark.slow
+def test_who_is_seen_through_becomes_opaque_though_the_scene_behind_has_their_colours(clip, monkeypatch):
+    fit, truth = true_fit(clip)
+    grey = truth._replace(sh=0 * truth.sh)
+    fit.scene.sh0.data[:] = 0
+    fit.full = fit.full._replace(images=torch.full_like(fit.full.images, 128))
+    thin, own = grey._replace(opacities=0.5 * grey.opacities), torch.ones(len(grey.means))
+    gained = lambda: (settled(fit, thin, own).opacities / thin.opacities).mean() - 1  # noqa: E731
+    assert gained() > 0.15
+    monkeypatch.setattr(module, "ALONE", 0.0)
+    assert gained().abs() < 0.03, "with the scene alone nothing tells them apart"
+
+
+@pytest.mark.slow
+def test_a_gradient_that_is_not_finite_changes_nobody_else(clip, monkeypatch):
+    fit, truth = true_fit(clip)
+    spoiled, own = truth._replace(sh=truth.sh + 0.4), torch.ones(len(truth.means))
+    real = torch.autograd.grad
+
+    def broken(loss, parts):
+        slopes = real(loss, parts)
+        slopes[0][7] = torch.nan
+        return slopes
+
+    monkeypatch.setattr(module.torch.autograd, "grad", broken)
+    monkeypatch.setattr(module, "STEPS", 10)
+    back = settled(fit, spoiled, own)
+    assert all(part.isfinite().all() for part in back) and torch.equal(back.sh[7], spoiled.sh[7])
+    assert not torch.equal(back.sh[8], spoiled.sh[8]) and fit.guard.left_out == 10
 
 
 @pytest.mark.slow
@@ -82,3 +134,52 @@ def test_pixels_of_others_are_not_compared():
     own = torch.ones(len(person.means))
     apart = (settled(one, person, own).sh - settled(other, person, own).sh).abs().mean()
     assert apart < 0.1 * (settled(one, person, own).sh - person.sh).abs().mean()
+
+
+def changes(count: int, **more) -> Change:
+    generator = torch.Generator().manual_seed(2)
+    shapes = {"sh": (count, 1, 3), "opacity": (count,), "size": (count, 3), "place": (count, 3)}
+    return Change(**{name: torch.randn(shape, generator=generator, **more) for name, shape in shapes.items()})
+
+
+def test_at_rest_people_change_as_at_the_canonical_pose():
+    vertices, _, weights = ellipsoid()
+    with torch.no_grad():
+        person = Canonical(*(part.double() for part in models()[0]()[0]))
+    assert torch.equal(person.weights.argmax(1), weights.argmax(1))
+    joints = torch.rand(24, 3, generator=torch.Generator().manual_seed(3)).double()
+    bones = bone_transforms(joints, PARENTS, torch.zeros(3).double(), DA_POSE.double())
+    change = changes(len(vertices), dtype=torch.float64)
+    change = change._replace(place=0.01 * change.place)
+    for one, other in zip(rest(change.of(person), bones), change.at_rest(rest(person, bones), person.scales)):
+        torch.testing.assert_close(one, other)
+
+
+def test_no_change_is_none_to_the_bit():
+    with torch.no_grad():
+        person = models()[0]()[0]
+    person = person._replace(opacities=torch.linspace(0, 1, len(person.means)))
+    none = Change(*(0 * part for part in changes(len(person.means))))
+    assert all(torch.equal(a, b) for a, b in zip(none.of(person), person, strict=True)) and none.pull() == 0
+
+
+def test_no_size_doubles_more_than_once():
+    change = changes(5)._replace(size=torch.tensor([-1e9, -1.0, 0, 1e-3, 1e9]).repeat_interleave(3).view(5, 3))
+    sizes = change.held(torch.ones(5), torch.ones(5, 3)).size[:, 0]
+    assert sizes.exp()[[0, 4]].tolist() == pytest.approx([0.5, 2], rel=0.01)
+    assert (sizes.diff() > 0).all() and sizes[2] == 0 and sizes[3] == pytest.approx(1e-3, rel=1e-4)
+
+
+def test_opacities_of_0_and_1_stay_and_have_a_gradient():
+    opacities = torch.tensor([0.0, 1e-30, 0.3, 1 - 1e-7, 1], dtype=torch.float64)
+    change = changes(5, dtype=torch.float64)
+    for logits in (-80.0, 0.0, 80.0):
+        by = torch.full((5,), logits, dtype=torch.float64, requires_grad=True)
+        found = change._replace(opacity=by).opaque(opacities)
+        torch.testing.assert_close(found[1:4], torch.sigmoid(torch.logit(opacities[1:4]) + by[1:4]))
+        assert found[0] == 0 and found[4] == 1
+        (grad,) = torch.autograd.grad(found.sum(), by)
+        assert grad.isfinite().all() and grad[0] == 0 and grad[4] == 0
+    torch.autograd.gradcheck(
+        lambda o: change._replace(opacity=o).opaque(opacities), torch.zeros_like(by).requires_grad_()
+    )
