@@ -41,7 +41,7 @@ def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int
     counts, along, pixels = torch.zeros_like(person.means), torch.zeros_like(person.means), 0.0
     for i in person_frames(body, views, frames):
         mask = views.masks[i].float() / 255
-        splats, inside = body.posed(resting, i), -dilated(-mask, EDGE)
+        splats, inside = body.posed(resting, i).detach(), -dilated(-mask, EDGE)
         paints = painted_pixels(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
         sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
         facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
