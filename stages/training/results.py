@@ -179,7 +179,10 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
     kept = finish(baked, who.human.initial().weights, dressed, seen, frames)
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
-    kept = kept._replace(person=settle(fit, who, kept.person, kept.own, kept.told, clear))
+    try:
+        kept = kept._replace(person=settle(fit, who, kept.person, kept.own, kept.told, clear))
+    except FloatingPointError as error:  # the training is over, and is kept
+        say.warn(f"the Gaussians of the person could not settle and are as training left them: {error}")
     if kept.reskinned:
         say.note(f"{kept.reskinned:,} Gaussians that moved with other bones than the body there move with it now")
     if kept.strays:

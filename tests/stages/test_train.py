@@ -33,7 +33,7 @@ from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
 from stages.formats.trained import read_trained
-from stages.records import BodyPoses, Cameras
+from stages.records import Avatar, BodyPoses, Cameras
 from stages.training import losses
 from stages.training.checkpoint import Checkpoint
 from stages.training.deadline import Pace
@@ -134,6 +134,13 @@ def trained(inputs, params=PARAMS, job=None) -> Training:
     return training
 
 
+def finished(fit, clip, folder) -> tuple[Avatar, list[str]]:
+    """The avatar of a training, and what is warned of."""
+    events = []
+    avatar = result_of(fit, clip, [{"seconds": 0.0}], {}, Job(folder, emit=events.append)).avatar
+    return avatar, [event["text"] for event in events if event["event"] == "warning"]
+
+
 def contents(folder) -> dict:
     return {p.name: dict(np.load(p)) for p in folder.glob("*.npz")}
 
@@ -153,8 +160,7 @@ def test_l11_outputs_and_the_avatar_needs_no_network(inputs, plain, held, monkey
         torch.tensor(getattr(clip.body, k)[3], dtype=torch.float32) for k in ("global_orient", "body_pose", "transl")
     ]
     monkeypatch.setattr(settle, "STEPS", 0)
-    kept = read_avatar(plain / "avatar.npz")
-    bare = result_of(fit, clip, [{"seconds": 0.0}], {}, Job(plain, emit=lambda event: None)).avatar
+    bare, kept = finished(fit, clip, plain)[0], read_avatar(plain / "avatar.npz")
     changed = [name for name, part in vars(kept).items() if not np.array_equal(part, getattr(bare, name))]
     assert changed == ["means", "scales", "opacities", "sh0"], "what settles"
     baked = pose_avatar(load_avatar(bare), *body)
@@ -181,6 +187,15 @@ def test_l11_outputs_and_the_avatar_needs_no_network(inputs, plain, held, monkey
     assert set(spent) == {"growth", "person's networks", "drawing", "losses", "backward", "optimiser", "other"}
     assert sum(spent.values()) == pytest.approx(facts["seconds"], abs=0.01) and min(spent.values()) >= 0
     assert json.loads((plain / "train.json").read_text())["train_frames"] == [clip.names[i] for i in (0, 1, 3, 4, 5, 6)]
+
+
+@pytest.mark.slow
+def test_a_person_who_cannot_settle_is_kept_as_trained(inputs, plain, monkeypatch):
+    fit, clip = trained(inputs).fit, load_clip(inputs["sfm"], inputs["smpl"])
+    monkeypatch.setattr(losses, "person_only", lambda rendered, *_: torch.nan * rendered.sum())
+    broken, warned = finished(fit, clip, plain)
+    assert len(warned) == 2 and "could not settle" in warned[0] and "left out" in warned[1], warned
+    assert all(np.isfinite(part).all() for part in (broken.means, broken.scales, broken.opacities, broken.sh0))
 
 
 @pytest.mark.slow
