@@ -17,6 +17,7 @@ from stages.avatar.splats.gaussians import Splats
 from stages.training.person import PersonLearner
 from stages.training.refine import FrameCorrections
 from stages.training.schedule import Options, Progress
+from stages.training.settings import Params
 from stages.training.views import Views
 
 
@@ -29,6 +30,7 @@ class Company:
     scene: SceneModel | None
     frames: FrameCorrections
     effects: FrameEffects
+    params: Params
     options: Options
     progress: Progress
     full: Views

@@ -182,7 +182,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     try:
         kept = kept._replace(person=settle(fit, who, kept.person, kept.own, kept.told, clear))
     except FloatingPointError as error:  # the training is over, and is kept
-        say.warn(f"the Gaussians of the person could not settle and are as training left them: {error}")
+        say.warn(f"the Gaussians of the person could not settle and stay as they were before: {error}")
     if kept.reskinned:
         say.note(f"{kept.reskinned:,} Gaussians that moved with other bones than the body there move with it now")
     if kept.strays:

@@ -294,8 +294,8 @@ MUTANTS = (
     Mutant(
         "settling: thin before a wall of the same colour",
         "stages/training/finishing/settle.py",
-        "loss = ALONE * losses.person_only(",
-        "loss = 0 * losses.person_only(",
+        "loss = loss + ALONE * losses.person_only(",
+        "loss = loss + 0 * losses.person_only(",
         "tests/stages/training/finishing/test_settle.py::who_is_seen_through_becomes_opaque_though_the_scene_behind_has_their_colours",
     ),
     Mutant(

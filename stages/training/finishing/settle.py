@@ -10,9 +10,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.model.human import COLOR
 from stages.avatar.model.person import Canonical, Resting, rest
-from stages.avatar.rasterize import Camera, Layer
+from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.training import losses
 from stages.training.company import Company
 from stages.training.person import PersonLearner
@@ -69,7 +70,7 @@ def settle(
 ) -> Canonical:
     """The finished person, changed to draw `frames` better with and without the scene: see `Change.held` for own[N] and told[N,3].
 
-    Poses, bones and scene stay. Pixels of other people are not compared.
+    Poses, bones and scene stay. Pixels of other people are not compared. Without `train.human_loss` only both together are drawn.
     """
     views, seen, gains, viewmats = fit.full, who.masked(fit.full), fit.gains().detach(), fit.cameras().detach()
     orient, body_pose, transl = (part.detach() for part in fit.bodies(who))
@@ -89,17 +90,24 @@ def settle(
         left, top, right, bottom = box = person_box(mask, posed.means.detach(), viewmats[i], views.Ks[i])
         crop = slice(top, bottom), slice(left, right)
         background = torch.rand(3, generator=generator).to(image)
-        layers = [Layer(row < len(person.means), box, background), *([] if scene is None else [Layer(window=box)])]
+        layers = {"person": Layer(row < len(person.means), box, background), "all": Layer(window=box)}
+        if scene is None:
+            del layers["all"]
+        elif not fit.params.human_loss:
+            del layers["person"]
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
-        only, *whole = fit.effects.draw(posed, lit, motion, camera, layers)
+        pictures = fit.effects.draw(posed, lit, motion, camera, list(layers.values()))
+        drawn: dict[str, Rendering | BlurredRendering] = dict(zip(layers, pictures))
         known, target = 1 - (everybody - mask)[crop], (image[crop], mask[crop], background)
-        loss = ALONE * losses.person_only(
-            *losses.compared(only.image, only.alpha, gains[i], known, fit.effects.blurs, target), *target
-        )
-        for drawn in whole:
-            shown = image[crop] + known[..., None] * (drawn.image * gains[i] - image[crop])
-            loss = loss + losses.photometric(shown, image[crop])
-        slopes = Change(*torch.autograd.grad(loss + PULL * held.pull(), change))
+        loss = PULL * held.pull()
+        if "person" in drawn:
+            alone = drawn["person"].image, drawn["person"].alpha
+            shown = losses.compared(*alone, gains[i], known, fit.effects.blurs, target)
+            loss = loss + ALONE * losses.person_only(*shown, *target)
+        if "all" in drawn:
+            off = known[..., None] * (drawn["all"].image * gains[i] - image[crop])
+            loss = loss + losses.photometric(image[crop] + off, image[crop])
+        slopes = Change(*torch.autograd.grad(loss, change))
         who.guard.contain(f"settling{who.number}", slopes._asdict())
         for part, slope in zip(change, slopes, strict=True):
             part.grad = slope
