@@ -32,7 +32,7 @@ PRIOR = 0.1  # weight of the mean squared swing
 UNITS = (0.3, 0.3, 0.3, 0.05, 0.05, 0.05)  # rad, m: a usual swing
 LEGS = tuple(zip(HIPS, KNEES, ANKLES, FEET))
 BALANCE = 0, SPINE[2], *ANKLES
-PUSHED = 0.2  # of its length that a thigh moves towards cloth: from there on the cloth goes with it all the way
+PUSHED = 0.2  # of its length that a thigh moves: from there on cloth straight before it goes with it all the way
 OVER = 1e-3  # 1 + cosine between how a pelvis points and what is up: less would turn it to any side
 FOLDED = 0.3  # m from the ankles to the trunk, below which they tell less of what is up
 
@@ -136,10 +136,12 @@ class Clothing(nn.Module):
     def pushed(self, bones: Tensor) -> Tensor:
         """How far the bones here go with each of the skeleton's bones[...,24,4,4]: [...,K,24] from 0 to 1.
 
-        With a leg it is as far as its thigh has moved towards them from where it is at rest, seen from the pelvis; else 1.
+        With a leg it is how straight its thigh has moved towards them from where it is at rest, seen from the pelvis: the cosine
+        between that way and theirs, on the level. Else 1.
         """
         moved = bones[..., :1, :3, :3].mT @ bones[..., list(HIPS), :3, :3] @ self.thighs - self.thighs
-        away = 1 - ((self.ways @ moved)[..., 0] / PUSHED).clamp(0, 1)  # [...,2,K]
+        far = moved[..., ::2, 0].norm(dim=-1, keepdim=True).clamp_min(PUSHED)
+        away = 1 - ((self.ways @ moved)[..., 0] / far).clamp(0, 1)  # [...,2,K]
         return 1 - away.mT @ self.legs
 
     def upright(self, bones: Tensor) -> Tensor:

@@ -33,13 +33,13 @@ export class Clothes {
     return [1, ...held.map((feature) => feature * like)];
   }
 
-  /** How far each leg moves towards the bone at a centre, from 0 to 1: cloth does not go where a leg goes away. */
+  /** How straight each leg moves towards the bone at a centre, from 0 to 1: cloth does not go where a leg goes away. */
   pushed(turns, centre) {
     return LEGS.map(([hip, knee]) => {
       const along = directionOf(sub(this.joints[knee], this.joints[hip]));
       const moved = sub(apply(transpose(turns[0]), apply(turns[hip], along)), along);
-      const [x, , z] = sub(centre, this.joints[hip]);
-      return Math.min(1, Math.max(0, dot(moved, directionOf([x, 0, z])) / PUSHED));
+      const [x, , z] = sub(centre, this.joints[hip]), far = Math.max(PUSHED, Math.hypot(moved[0], moved[2]));
+      return Math.min(1, Math.max(0, dot(moved, directionOf([x, 0, z])) / far));
     });
   }
 

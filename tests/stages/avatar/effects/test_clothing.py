@@ -39,6 +39,7 @@ def tube(count: int = 600) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 
 JOINTS = torch.rand(24, 3, generator=torch.Generator().manual_seed(1))
 FRONT, BACK = 0, 1
+AROUND = torch.tensor([0, 1, 0.25, 0.5, 0.75]) * torch.pi  # from straight before, to the left
 
 
 @pytest.fixture
@@ -49,13 +50,13 @@ def clothing() -> Clothing:
 
 @pytest.fixture(scope="module")
 def coat() -> Clothing:
-    """A bone before the left knee and one behind it, which the left thigh carries, on the free body."""
+    """Bones before, behind and beside the left hip, at the height of the knee, which the left thigh carries, on the free body."""
     joints = Body(read_body_model(None)).rest(torch.zeros(10))[1]
-    carriers = torch.zeros(2, 24)
+    carriers = torch.zeros(len(AROUND), 24)
     carriers[:, LEFT_HIP] = 1
-    knee = joints[LEFT_KNEE]
-    centres = torch.stack([knee + torch.tensor([0, 0, 0.15]), knee - torch.tensor([0, 0, 0.15])])
-    return Clothing.start(Hung(centres, carriers), joints, poses()).requires_grad_(False)
+    low = torch.stack([joints[LEFT_HIP, 0], joints[LEFT_KNEE, 1], joints[LEFT_HIP, 2]])
+    ways = torch.stack([AROUND.sin(), 0 * AROUND, AROUND.cos()], 1)
+    return Clothing.start(Hung(low + 0.15 * ways, carriers), joints, poses()).requires_grad_(False)
 
 
 def skeleton(pose: torch.Tensor, orient=(0.1, 0.2, 0.3), joints=JOINTS) -> torch.Tensor:
@@ -108,6 +109,12 @@ def test_a_thigh_pushes_the_cloth_before_it_and_does_not_pull_that_behind(coat):
         carried = coat.carried(bones)
         torch.testing.assert_close(carried[pushed], bones[LEFT_HIP])
         torch.testing.assert_close(carried[1 - pushed], coat.upright(bones))
+
+
+def test_cloth_beside_a_leg_goes_with_it_as_straight_as_the_leg_moves_towards_it(coat):
+    for hip in (-0.5, -1.2):
+        pushed = coat.pushed(skeleton(bent(hip), (0.0, 0.4, 0.0), coat.joints))[:, LEFT_HIP]
+        torch.testing.assert_close(pushed, AROUND.cos().clamp_min(0), atol=1e-3, rtol=0)
 
 
 def test_cloth_goes_over_from_hanging_to_the_leg_without_a_jump(coat):
@@ -198,7 +205,7 @@ def test_gradients_are_right_at_rest_and_in_a_swing():
 
 
 def test_gradients_of_a_pose_are_right_where_a_leg_pushes_a_little_and_where_all_the_way(coat):
-    clothing = Clothing.of(replace(some_clothes(2), centres=coat.centres), coat.joints).double()
+    clothing = Clothing.of(replace(some_clothes(2), centres=coat.centres[:2]), coat.joints).double()
     for hip in (-0.1, -0.8, 0.4):
         pose = bent(hip, 0.3, dtype=torch.float64) + 0.01
         held = pose.requires_grad_()
