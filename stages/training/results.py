@@ -19,6 +19,7 @@ from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import Finished, finish, unseen
+from stages.training.finishing.depths import THIN
 from stages.training.finishing.settle import settle
 from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
@@ -110,6 +111,7 @@ def result_of(
         "reskinned": sum(kept.reskinned for _, _, kept, _ in people),
         "strays": sum(kept.strays for _, _, kept, _ in people),
         "evened": sum(kept.snapped for _, _, kept, _ in people),
+        "flattened": sum(kept.flattened for _, _, kept, _ in people),
         "leant": sum(kept.recolored for _, _, kept, _ in people),
         "unseen": sum(never for *_, never in people),
         "behind": behind,
@@ -191,7 +193,11 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
         say.note(f"{kept.recolored:,} Gaussians that no frame shows well take the colours seen around them")
     if kept.snapped:
         say.note(
-            f"{kept.snapped:,} Gaussians put back that stood out of the surface where no frame looks from the side"
+            f"{kept.snapped:,} Gaussians put back that stood out of the surface where frames look from one side only"
+        )
+    if kept.flattened:
+        say.note(
+            f"{kept.flattened:,} Gaussians pressed flat that were thicker across the skin than {1000 * THIN:.0f} mm"
         )
     share = 100 * kept.lining / len(body.surface()[0])
     say.note(f"{kept.lining:,} Gaussians put under {share:.0f} % of the surface, so that new poses tear no holes there")

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.model.person import Canonical
 from stages.training.finishing import depths
 from stages.training.views import Views
@@ -52,13 +53,41 @@ def test_what_is_seen_from_two_sides_stays(pushed):
     assert torch.equal(even.means[chosen], off.means[chosen]) and moved < 0.01 * len(off.means)
 
 
-def test_what_is_seen_edge_on_stays(pushed):
+def test_what_is_seen_edge_on_stays_but_for_dots_far_out(pushed):
     person, where, *_ = pushed
     flank = ((person.rotations[:, 2, 2].abs() < 0.3) & (where.weights[:, [0, 1, 2, 3]].sum(1) > 0.9)).nonzero()[::20, 0]
-    means = person.means.clone()
-    means[flank] += OUT * person.rotations[flank][..., 2]
-    even, _ = depths.snap_to_surface(person._replace(means=means), where, views(), [0])
-    assert torch.equal(even.means[flank], means[flank])
+    outwards = person.rotations[flank][..., 2]
+    for out, left in ((0.7 * depths.PROUD, 0.7 * depths.PROUD), (OUT, depths.PROUD), (-OUT, -OUT)):
+        means = person.means.clone()
+        means[flank] += out * outwards
+        even, _ = depths.snap_to_surface(person._replace(means=means), where, views(), [0])
+        height = ((even.means - person.means)[flank] * outwards).sum(1)
+        assert torch.equal(even.means[flank], means[flank]) == (out == left)
+        assert (height - left).abs().max() < 0.5 * depths.PROUD
+
+
+def test_thick_gaussians_are_pressed_flat_on_the_skin_and_thin_ones_stay():
+    human, where = stand(1)
+    generator, person = torch.Generator().manual_seed(0), human.initial()
+    turns = torch.linalg.qr(torch.randn(len(human), 3, 3, generator=generator))[0]
+    turns = turns * torch.linalg.det(turns)[:, None, None]
+    person = person._replace(rotations=turns, scales=0.008 * torch.rand(len(human), 3, generator=generator) + 1e-4)
+    flat, count = depths.flatten(person, where)
+    normals = depths._over_skin(person, where)[1]
+    before, after = (one.rotations * one.scales[:, None] for one in (person, flat))
+    across = [(normals[:, None] @ axes)[:, 0].norm(dim=1) for axes in (before, after)]
+    thick = across[0] > depths.THIN
+    assert count == thick.sum() and 0.5 < thick.float().mean() < 0.95
+    torch.testing.assert_close(across[1], across[0].clamp_max(depths.THIN), atol=1e-6, rtol=0)
+    planes = rotation_z_to(normals)[..., :2].mT  # along the skin
+    spread = [(along := planes @ axes) @ along.mT for axes in (before, after)]
+    torch.testing.assert_close(spread[1], spread[0], atol=1e-8, rtol=1e-4)
+    torch.testing.assert_close(torch.linalg.det(flat.rotations), torch.ones(len(human)))
+    assert torch.equal(flat.scales[~thick], person.scales[~thick]) and torch.equal(
+        flat.rotations[~thick], turns[~thick]
+    )
+    again = depths.flatten(flat, where)[0]
+    torch.testing.assert_close(again.scales.sort(1).values, flat.scales.sort(1).values, atol=1e-6, rtol=0)
 
 
 def test_where_nobody_looks_nothing_moves(pushed):
