@@ -75,6 +75,8 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     steps = len(names)
     if params.outlines == "always" or (params.outlines == "auto" and source == "blazepose"):
         masks, steps = outlined_by_scene(job, frames, names, masks), 2 * steps
+    if source == "blazepose":
+        masks = covered(masks)
     (job.out / "masks").mkdir(exist_ok=True)
     found: dict[str, FrameMask] = {}
     parts, shared, seen = [], [], []
@@ -171,6 +173,13 @@ def outlined_by_scene(
         job.note(f"outlines corrected by what other frames show behind them: {share:.1%} of the person's pixels")
     else:
         job.note("outlines stay as they are: no other frame shows what is behind them")
+
+
+def covered(masks: Iterator[list[np.ndarray]]) -> Iterator[list[np.ndarray]]:
+    """The `masks` of each frame, probabilities as `segment` yields them, as the share of each pixel that shows the person."""
+    from stages.estimators.person.outline import coverage
+
+    return ([coverage(one) for one in own] for own in masks)
 
 
 def outlined(pictures: Pictures, tracks: Sequence[Sequence[Pose | None]]) -> Iterator[list[np.ndarray]]:

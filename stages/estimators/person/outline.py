@@ -23,6 +23,11 @@ FADE = 0.12  # share of a close look's side over which it fades out towards its 
 GUIDE_RADIUS = 1.5  # px of the whole person's mask over which edges are set by colour
 GUIDE_EPS = 2e-4 * 255**2  # colour variance below which the guided filter (He et al. 2013) smooths a patch
 ISLAND = 0.01  # a part smaller than this share of the person is no part of the person
+STEEP = 2.0  # times as fast as the network's probability, about one half, grows what a pixel shows of the person
+RIM = (
+    0.01,
+    2.0,
+)  # of the person's height, and px at least: deeper inside, and farther outside, a pixel shows one thing alone
 WORKERS = 2  # pictures at a time, each on one thread: the same to the bit as one picture on two, and 2 s of 14 less
 AHEAD = 8  # pictures whose outlines wait for their turn
 
@@ -104,3 +109,19 @@ def without_islands(mask: np.ndarray) -> np.ndarray:
     areas = stats[1:, cv2.CC_STAT_AREA]
     small = 1 + np.flatnonzero(areas < ISLAND * areas.max())
     return np.where(np.isin(labels, small), 0, mask)
+
+
+def coverage(mask: np.ndarray) -> np.ndarray:
+    """How much of each pixel the person covers, uint8 [H,W], by the probability `mask` uint8 [H,W], 255 = 1, that it shows them.
+
+    A network that is 70 % sure of a pixel of the chest does not say that one sees through the chest.
+    """
+    sure = mask / np.float32(255)
+    inside = (mask > 127).astype(np.uint8)
+    rows = np.flatnonzero(inside.any(1))
+    if len(rows) == 0:
+        return np.zeros_like(mask)
+    rim = max(RIM[0] * (np.ptp(rows) + 1), RIM[1])
+    deep, far = ((cv2.distanceTransform(part, cv2.DIST_L2, 5) / rim - 1).clip(0, 1) for part in (inside, 1 - inside))
+    share = (STEEP * (sure - 0.5) + 0.5).clip(0, 1)
+    return np.rint(255 * np.where(inside > 0, np.maximum(share, deep), np.minimum(share, 1 - far))).astype(np.uint8)

@@ -11,7 +11,7 @@ from stages.avatar.body.skinning import of_few_bones
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.gaussians import finite_rows
 from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
-from stages.training.finishing.depths import flatten, snap_to_surface
+from stages.training.finishing.depths import snap_to_surface, trim
 from stages.training.finishing.lining import add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
@@ -34,7 +34,7 @@ THICK = 0.02  # metres across the skin: a haze when seen from the side. The body
 
 
 class Finished(NamedTuple):
-    """The `person` to keep, how many Gaussians were left out, moved back, flattened, recoloured or added on the way.
+    """The `person` to keep, how many Gaussians were left out, moved back, trimmed, recoloured or added on the way.
 
     Of each that is kept: how far its colour is its own[N], from 0 to 1, and how far frames tell its size and place along its axes,
     told[N,3].
@@ -45,7 +45,7 @@ class Finished(NamedTuple):
     broken: int
     strays: int
     snapped: int
-    flattened: int
+    trimmed: int
     recolored: int
     lining: int
     own: Tensor
@@ -53,7 +53,7 @@ class Finished(NamedTuple):
 
 
 def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
-    """Remove invalid, stray and floating Gaussians; then snap, flatten, recolour and add the lining.
+    """Remove invalid, stray and floating Gaussians; then snap, trim, recolour and add the lining.
 
     Skinning that left the body's, `usual`[N,J], comes back first. `frames` of `views` are those that the person was trained on.
     """
@@ -63,7 +63,7 @@ def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames:
     stray = far_from_surface(kept.means, body.surface()[0])
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
-    kept, flattened = flatten(kept, body)
+    kept, trimmed = trim(kept, body)
     kept, own, told = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
@@ -71,9 +71,7 @@ def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames:
     lining = len(done.means) - len(kept.means)
     leant = int((own < 0.5).sum())
     own, told = (torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in (own, told))
-    return Finished(
-        done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, flattened, leant, lining, own, told
-    )
+    return Finished(done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, trimmed, leant, lining, own, told)
 
 
 def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:

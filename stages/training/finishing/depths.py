@@ -1,4 +1,4 @@
-"""Puts Gaussians back into the surface where frames look from one side only and cannot tell their depth, and makes them thin."""
+"""Puts Gaussians back into the surface where frames look from one side only and cannot tell their depth, and trims them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OUT = 0.005  # metres from it that a Gaussian may stand out. Phone clip, 10,000 
 FACING = 0.5  # least cosine between sight and skin: what is seen edge-on is held by outlines. With 0.3 it costs 0.2 dB
 PROUD = 0.008  # metres from it that one may stand out that is seen edge-on: beyond is a dot beside the outline of other poses
 ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from elsewhere, too, tell the depth
-THIN = 0.003  # metres across the skin: thicker ones are hairs of outlines that no frame shows. With 0.002 it costs 0.05 dB more
+THIN, SHORT = 0.003, 0.008  # metres, sigma across the skin and along it: more is a hair where no frame looks from
 
 
 @torch.no_grad()
@@ -39,10 +39,10 @@ def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[
 
 
 @torch.no_grad()
-def flatten(person: Canonical, body: Person) -> tuple[Canonical, int]:
-    """Make Gaussians that are thicker than THIN across the skin or cloth so thin; also how many.
+def trim(person: Canonical, body: Person) -> tuple[Canonical, int]:
+    """Make Gaussians THIN across skin or cloth and SHORT along it that are larger; also how many.
 
-    Seen from there they stay as they are. They are pressed flat, whichever way their axes point.
+    They are pressed flat, whichever way their axes point: seen from straight above the skin that changes nothing.
     """
     _, normals = _over_skin(person, body)
     axes = person.rotations * person.scales[:, None, :]
@@ -53,7 +53,8 @@ def flatten(person: Canonical, body: Person) -> tuple[Canonical, int]:
     turned, sizes, _ = (part.to(axes) for part in torch.linalg.svd(pressed.cpu()))  # a GPU would take gigabytes
     rotations, scales = person.rotations.clone(), person.scales.clone()
     rotations[thick], scales[thick] = turned * torch.linalg.det(turned)[:, None, None], sizes
-    return person._replace(rotations=rotations, scales=scales), int(thick.sum())
+    trimmed = thick | (scales > SHORT).any(1)
+    return person._replace(rotations=rotations, scales=scales.clamp_max(SHORT)), int(trimmed.sum())
 
 
 def _over_skin(person: Canonical, body: Person) -> tuple[Tensor, Tensor]:

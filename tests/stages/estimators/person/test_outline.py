@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from stages.estimators.person.crops import Roi
-from stages.estimators.person.outline import near_edge, outline, paste, rim_fade, without_islands
+from stages.estimators.person.outline import coverage, near_edge, outline, paste, rim_fade, without_islands
 
 
 def test_a_crop_is_pasted_where_it_was_cut():
@@ -30,6 +30,32 @@ def test_islands_go_and_large_parts_stay():
     kept = without_islands(mask)
     assert kept[80, 70] > 0 and kept[30, 20] > 0 and kept[5:7, 90:92].max() == 0
     assert without_islands(np.zeros((5, 5), np.float32)).max() == 0
+
+
+def test_doubts_deep_inside_and_haze_far_outside_cover_all_or_nothing():
+    mask = np.zeros((200, 160), np.uint8)
+    mask[20:180, 50:110] = 255
+    mask[60:120, 70:90] = 176  # 70 % sure of the chest
+    mask[60:120, 130:150] = 76  # 30 % sure of the wall
+    share = coverage(mask)
+    assert (share[20:180, 50:110] == 255).all() and (share[:, 111:] == 0).all()
+    hole = mask.copy()
+    hole[100:110, 75:85] = 20  # between arm and trunk
+    assert coverage(hole)[105, 80] == 0
+
+
+def test_coverage_keeps_the_outline_where_it_is_and_makes_it_steeper():
+    ramp = cv2.GaussianBlur(np.pad(np.full((120, 60), 255, np.uint8), 40), (0, 0), 3)
+    share = coverage(ramp)
+    assert ((share > 127) == (ramp > 127)).all()
+    widths = [int(((one[100] > 12) & (one[100] < 243)).sum()) for one in (ramp, share)]
+    assert widths[1] < 0.7 * widths[0]
+    assert (np.diff(share[100, :70].astype(int)) >= 0).all(), "no step back into the person"
+
+
+def test_nobody_covers_nothing():
+    for faint in (np.zeros((9, 9), np.uint8), np.full((9, 9), 100, np.uint8)):
+        assert coverage(faint).max() == 0
 
 
 def test_weights_are_one_inside_and_zero_outside():
