@@ -18,8 +18,7 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
-from stages.training.finishing.bake import Finished, finish, unseen
-from stages.training.finishing.depths import SHORT, THIN
+from stages.training.finishing.bake import SHORT, Finished, finish, unseen
 from stages.training.finishing.settle import settle
 from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
@@ -111,7 +110,7 @@ def result_of(
         "reskinned": sum(kept.reskinned for _, _, kept, _ in people),
         "strays": sum(kept.strays for _, _, kept, _ in people),
         "evened": sum(kept.snapped for _, _, kept, _ in people),
-        "trimmed": sum(kept.trimmed for _, _, kept, _ in people),
+        "shortened": sum(kept.shortened for _, _, kept, _ in people),
         "leant": sum(kept.recolored for _, _, kept, _ in people),
         "unseen": sum(never for *_, never in people),
         "behind": behind,
@@ -195,9 +194,8 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
         say.note(
             f"{kept.snapped:,} Gaussians put back that stood out of the surface where frames look from one side only"
         )
-    if kept.trimmed:
-        sigmas = f"{1000 * THIN:.0f} mm across the skin and {1000 * SHORT:.0f} mm along it"
-        say.note(f"{kept.trimmed:,} Gaussians trimmed to sigmas of {sigmas} at most")
+    if kept.shortened:
+        say.note(f"{kept.shortened:,} Gaussians that were longer cut to a sigma of {1000 * SHORT:.0f} mm")
     share = 100 * kept.lining / len(body.surface()[0])
     say.note(f"{kept.lining:,} Gaussians put under {share:.0f} % of the surface, so that new poses tear no holes there")
     return kept

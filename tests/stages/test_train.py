@@ -38,8 +38,8 @@ from stages.training import losses
 from stages.training.checkpoint import Checkpoint
 from stages.training.deadline import Pace
 from stages.training.finishing import settle
-from stages.training.finishing.bake import floating
-from stages.training.finishing.depths import snap_to_surface, trim
+from stages.training.finishing.bake import floating, shorten
+from stages.training.finishing.depths import snap_to_surface
 from stages.training.fit import Fit
 from stages.training.results import effect_facts, result_of
 from stages.training.run import SAVED, Training, begin, finish, learn
@@ -170,12 +170,12 @@ def test_l11_outputs_and_the_avatar_needs_no_network(inputs, plain, held, monkey
         poses = dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True))
         seen = fit.person.body._replace(**poses), fit.full._replace(viewmats=fit.cameras()), fit.train
         even, moved = snap_to_surface(Canonical(*(part[stay] for part in canonical)), *seen)
-        trimmed, larger = trim(even, fit.person.body)
-        network = fit.posed(rest(trimmed, fit.person.canonical_bones), *body)
+        short, longer = shorten(even)
+        network = fit.posed(rest(short, fit.person.canonical_bones), *body)
     facts, n = json.loads((plain / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
     assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["evened"] == moved < 0.2 * n
-    assert facts["trimmed"] == larger > 0.1 * n
+    assert facts["shortened"] == longer > 0.1 * n
     covariances = [(splats.axes @ splats.axes.mT)[:n] for splats in (baked, network)]
     held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)
     held((baked.means[:n] - network.means).abs().max(), 1e-5)

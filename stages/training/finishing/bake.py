@@ -11,7 +11,7 @@ from stages.avatar.body.skinning import of_few_bones
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.gaussians import finite_rows
 from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
-from stages.training.finishing.depths import snap_to_surface, trim
+from stages.training.finishing.depths import snap_to_surface
 from stages.training.finishing.lining import add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
@@ -30,11 +30,12 @@ ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
 COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
+SHORT = 0.008  # metres, sigma of any axis: longer is a spike where no frame looks from. Settling fills what it uncovers
 THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
 
 
 class Finished(NamedTuple):
-    """The `person` to keep, how many Gaussians were left out, moved back, trimmed, recoloured or added on the way.
+    """The `person` to keep, how many Gaussians were left out, moved back, shortened, recoloured or added on the way.
 
     Of each that is kept: how far its colour is its own[N], from 0 to 1, and how far frames tell its size and place along its axes,
     told[N,3].
@@ -45,7 +46,7 @@ class Finished(NamedTuple):
     broken: int
     strays: int
     snapped: int
-    trimmed: int
+    shortened: int
     recolored: int
     lining: int
     own: Tensor
@@ -53,7 +54,7 @@ class Finished(NamedTuple):
 
 
 def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
-    """Remove invalid, stray and floating Gaussians; then snap, trim, recolour and add the lining.
+    """Remove invalid, stray and floating Gaussians; then snap, shorten, recolour and add the lining.
 
     Skinning that left the body's, `usual`[N,J], comes back first. `frames` of `views` are those that the person was trained on.
     """
@@ -63,7 +64,7 @@ def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames:
     stray = far_from_surface(kept.means, body.surface()[0])
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
-    kept, trimmed = trim(kept, body)
+    kept, shortened = shorten(kept)
     kept, own, told = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
@@ -71,7 +72,9 @@ def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames:
     lining = len(done.means) - len(kept.means)
     leant = int((own < 0.5).sum())
     own, told = (torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in (own, told))
-    return Finished(done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, trimmed, leant, lining, own, told)
+    return Finished(
+        done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, shortened, leant, lining, own, told
+    )
 
 
 def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:
@@ -91,6 +94,11 @@ def floating(person: Canonical, body: Person) -> Tensor:
     normals = outwards[under]
     thick = ((normals[:, None] @ person.rotations)[:, 0] * person.scales).norm(dim=1)
     return ((away > APART * usual) & (away > SMALL * person.scales.amax(1))) | (thick > THICK)
+
+
+def shorten(person: Canonical) -> tuple[Canonical, int]:
+    """Cut axes that are longer than SHORT; also how many Gaussians have such."""
+    return person._replace(scales=person.scales.clamp_max(SHORT)), int((person.scales > SHORT).any(1).sum())
 
 
 def as_body_where_unseen(decoded: Canonical, initial: Canonical, color_grad_sum: Tensor) -> Canonical:

@@ -1,4 +1,4 @@
-"""Puts Gaussians back into the surface where frames look from one side only and cannot tell their depth, and trims them."""
+"""Puts Gaussians back into the surface where frames look from one side only and cannot tell their depth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ OUT = 0.005  # metres from it that a Gaussian may stand out. Phone clip, 10,000 
 FACING = 0.5  # least cosine between sight and skin: what is seen edge-on is held by outlines. With 0.3 it costs 0.2 dB
 PROUD = 0.008  # metres from it that one may stand out that is seen edge-on: beyond is a dot beside the outline of other poses
 ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from elsewhere, too, tell the depth
-THIN, SHORT = 0.003, 0.008  # metres, sigma across the skin and along it: more is a hair where no frame looks from
 
 
 @torch.no_grad()
@@ -26,7 +25,11 @@ def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[
     Those frames see no change; from the side it was a dot off the outline, and longer training makes more of
     them. Along the normal of the skin the same move costs ten times as much: only what is PROUD and seen edge-on goes so.
     """
-    height, normals = _over_skin(person, body)
+    surface, outwards, _ = body.surface()
+    distance, under = nearest(surface, person.means, UNDER)
+    share = F.normalize(1 / (distance.to(person.means) + 1e-3), p=1, dim=1)[..., None]
+    normals = F.normalize((share * outwards[under]).sum(1), dim=1)
+    height = ((person.means - (share * surface[under]).sum(1)) * normals).sum(1)
     foot = person.means - height[:, None] * normals
     off = height - height[nearest(foot, foot, AROUND + 1)[1][:, 1:]].median(1).values
     sights, alike = _sights(person, body, views, frames)
@@ -36,34 +39,6 @@ def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[
     back = torch.where(moved, (off - off.clamp(-OUT, OUT)) / facing, 0)[:, None] * sights
     back += torch.where(proud, off - PROUD, 0)[:, None] * normals
     return person._replace(means=person.means - back), int((moved | proud).sum())
-
-
-@torch.no_grad()
-def trim(person: Canonical, body: Person) -> tuple[Canonical, int]:
-    """Make Gaussians THIN across skin or cloth and SHORT along it that are larger; also how many.
-
-    They are pressed flat, whichever way their axes point: seen from straight above the skin that changes nothing.
-    """
-    _, normals = _over_skin(person, body)
-    axes = person.rotations * person.scales[:, None, :]
-    across = (normals[:, None] @ axes)[:, 0].norm(dim=1)
-    thick = across > THIN
-    normal, share = normals[thick], (1 - THIN / across[thick])[:, None]
-    pressed = axes[thick] - (share * normal)[..., None] * (normal[:, None] @ axes[thick])
-    turned, sizes, _ = (part.to(axes) for part in torch.linalg.svd(pressed.cpu()))  # a GPU would take gigabytes
-    rotations, scales = person.rotations.clone(), person.scales.clone()
-    rotations[thick], scales[thick] = turned * torch.linalg.det(turned)[:, None, None], sizes
-    trimmed = thick | (scales > SHORT).any(1)
-    return person._replace(rotations=rotations, scales=scales.clamp_max(SHORT)), int(trimmed.sum())
-
-
-def _over_skin(person: Canonical, body: Person) -> tuple[Tensor, Tensor]:
-    """How high the canonical person's Gaussians are over skin and cloth [N] m, and its unit normals there [N,3]."""
-    surface, outwards, _ = body.surface()
-    distance, under = nearest(surface, person.means, UNDER)
-    share = F.normalize(1 / (distance.to(person.means) + 1e-3), p=1, dim=1)[..., None]
-    normals = F.normalize((share * outwards[under]).sum(1), dim=1)
-    return ((person.means - (share * surface[under]).sum(1)) * normals).sum(1), normals
 
 
 def _sights(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:

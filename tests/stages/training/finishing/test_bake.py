@@ -147,6 +147,17 @@ def test_what_floats_beside_the_person_is_left_out(standing):
     assert not found[:-4].any() and found[-4:].all()
 
 
+def test_long_axes_are_cut_and_the_others_stay(standing):
+    person, _ = standing
+    scales = person.scales.clamp_max(bake.SHORT)
+    needles = scales.clone()
+    needles[::3, 1] = 4 * bake.SHORT
+    scales[::3, 1] = bake.SHORT
+    short, count = bake.shorten(person._replace(scales=needles))
+    assert torch.equal(short.scales, scales) and count == len(needles[::3])
+    assert all(a is b for name, a, b in zip(Canonical._fields, short, person, strict=True) if name != "scales")
+
+
 def test_rows_never_shown_are_as_the_body_says():
     parts = [torch.randn(3, *shape) for shape in ((3,), (3, 3), (3,), (), (1, 3), (24,))]
     a, b = Canonical(*parts), Canonical(*(-part for part in parts))

@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.model.person import Canonical
 from stages.training.finishing import depths
 from stages.training.views import Views
@@ -64,41 +63,6 @@ def test_what_is_seen_edge_on_stays_but_for_dots_far_out(pushed):
         height = ((even.means - person.means)[flank] * outwards).sum(1)
         assert torch.equal(even.means[flank], means[flank]) == (out == left)
         assert (height - left).abs().max() < 0.5 * depths.PROUD
-
-
-def test_large_gaussians_are_pressed_flat_on_the_skin_and_small_ones_stay():
-    human, where = stand(1)
-    generator, person = torch.Generator().manual_seed(0), human.initial()
-    turns = torch.linalg.qr(torch.randn(len(human), 3, 3, generator=generator))[0]
-    turns = turns * torch.linalg.det(turns)[:, None, None]
-    sizes = depths.SHORT * (0.98 * torch.rand(len(human), 3, generator=generator) + 0.01)
-    person = person._replace(rotations=turns, scales=sizes)
-    flat, count = depths.trim(person, where)
-    normals = depths._over_skin(person, where)[1]
-    before, after = (one.rotations * one.scales[:, None] for one in (person, flat))
-    across = [(normals[:, None] @ axes)[:, 0].norm(dim=1) for axes in (before, after)]
-    thick = across[0] > depths.THIN
-    assert count == thick.sum() and 0.5 < thick.float().mean() < 0.95
-    torch.testing.assert_close(across[1], across[0].clamp_max(depths.THIN), atol=1e-6, rtol=0)
-    planes = rotation_z_to(normals)[..., :2].mT  # along the skin
-    spread = [(along := planes @ axes) @ along.mT for axes in (before, after)]
-    torch.testing.assert_close(spread[1], spread[0], atol=1e-8, rtol=1e-4)
-    torch.testing.assert_close(torch.linalg.det(flat.rotations), torch.ones(len(human)))
-    assert torch.equal(flat.scales[~thick], sizes[~thick]) and torch.equal(flat.rotations[~thick], turns[~thick])
-    again = depths.trim(flat, where)[0]
-    torch.testing.assert_close(again.scales.sort(1).values, flat.scales.sort(1).values, atol=1e-6, rtol=0)
-
-
-def test_needles_along_the_skin_become_short():
-    human, where = stand(1)
-    person = human.initial()
-    needles = person.scales.clamp_max(depths.THIN)
-    needles[::3, 0] = 4 * depths.SHORT
-    short, count = depths.trim(person._replace(scales=needles), where)
-    assert short.scales.max() <= depths.SHORT and count >= len(needles[::3])
-    axes = (short.rotations * short.scales[:, None])[::3]
-    along = (person.rotations[::3, :, :1].mT @ axes)[:, 0].norm(dim=1)
-    assert (along - depths.SHORT).abs().median() < 1e-4
 
 
 def test_where_nobody_looks_nothing_moves(pushed):
