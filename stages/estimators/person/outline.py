@@ -24,10 +24,7 @@ GUIDE_RADIUS = 1.5  # px of the whole person's mask over which edges are set by 
 GUIDE_EPS = 2e-4 * 255**2  # colour variance below which the guided filter (He et al. 2013) smooths a patch
 ISLAND = 0.01  # a part smaller than this share of the person is no part of the person
 STEEP = 2.0  # times as fast as the network's probability, about one half, grows what a pixel shows of the person
-RIM = (
-    0.01,
-    2.0,
-)  # of the person's height, and px at least: deeper inside, and farther outside, a pixel shows one thing alone
+RIM = 0.01, 2.0  # of the person's height, and px at least: so far from the outline a pixel shows the person or not
 WORKERS = 2  # pictures at a time, each on one thread: the same to the bit as one picture on two, and 2 s of 14 less
 AHEAD = 8  # pictures whose outlines wait for their turn
 
