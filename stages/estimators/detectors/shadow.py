@@ -22,6 +22,7 @@ UNIT = "of the floor's light taken"
 REACH, STEP = 1.7, 0.04  # m: how far from the person the floor is looked at, and how finely
 LEAST = 8  # frames that must see a spot of the floor
 TILTS, TURNS = np.radians([0, 12, 24, 36, 48, 60]), np.arange(16) * np.pi / 8  # lamps that are tried
+LOW = 0.3  # of its correlation that a lamp at the last of TILTS loses: of two that explain as much, the higher one is likelier
 EVERY = 2  # vertex of the body: dense enough for the grid
 HEAD = JOINT_NAMES.index("head")
 ANKLES = slice(JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle") + 1)
@@ -32,8 +33,8 @@ def detect(evidence: ClipEvidence) -> Finding:
     """How much of the best-fitting lamp's light the body takes from the floor.
 
     Spots of the floor are compared with themselves in other frames only, so its pattern does not matter. Tried are lamps
-    in all directions; the shadow of each is the body laid down on the floor along its light. Where the mask is empty nobody
-    takes any: bodies there are only filled in.
+    in all directions, of which low ones are less likely; the shadow of each is the body laid down on the floor along its light.
+    Where the mask is empty nobody takes any: bodies there are only filled in.
     """
     floor = _FloorPatch(evidence)
     logs = np.stack([floor.logs(evidence, i) for i in evidence.sampled])
@@ -49,11 +50,14 @@ def detect(evidence: ClipEvidence) -> Finding:
         shadow = np.stack([floor.shadow(body, tilt, turn)[spots] for body in bodies])
         return *_correlate(light, shadow), (tilt, turn)
 
-    best = min((try_lamp(tilt, turn) for tilt in TILTS for turn in (TURNS if tilt else TURNS[:1])), key=lambda f: f[0])
+    def cost(found: tuple[float, float, np.ndarray, tuple[float, float]]) -> float:
+        return _cost(found[0], found[-1][0])
+
+    best = min((try_lamp(tilt, turn) for tilt in TILTS for turn in (TURNS if tilt else TURNS[:1])), key=cost)
     for share in (0.5, 0.25):
         tilt, turn = best[-1]
         near = [(tilt + share * a * TILTS[1], turn + share * b * TURNS[1]) for a in (-1, 0, 1) for b in (-1, 0, 1)]
-        best = min([best, *(try_lamp(*lamp) for lamp in near if lamp != best[-1])], key=lambda found: found[0])
+        best = min([best, *(try_lamp(*lamp) for lamp in near if lamp != best[-1])], key=cost)
     likeness, slope, seen, lamp = best
     strength = np.full(len(evidence.clip.names), np.nan)
     strength[evidence.sampled] = seen
@@ -61,6 +65,11 @@ def detect(evidence: ClipEvidence) -> Finding:
     found = compare(taken, UNIT, DARKNESS, ("darkens the floor", "none"),
                   strongest_frames(evidence.clip.names, strength), -likeness > LIKENESS)  # fmt: skip
     return replace(found, start=(*floor.direction_to(*lamp).tolist(), taken))
+
+
+def _cost(likeness: float, tilt: float) -> float:
+    """The correlation of a lamp `tilt` rad from overhead, which is best at -1, worse by LOW for low ones."""
+    return likeness * (1 - LOW * tilt / float(TILTS[-1]))
 
 
 def _correlate(light: np.ndarray, shadow: np.ndarray) -> tuple[float, float, np.ndarray]:

@@ -206,6 +206,12 @@ def test_the_length_of_a_blur_is_measured_along_the_motion(length):
     assert found == pytest.approx(length if length > 1 else 0, abs=1.0) and across < 0.5
 
 
+def test_of_two_lamps_that_explain_about_as_much_the_higher_one_is_taken():
+    low, middle = np.radians([60, 36])
+    assert shadow._cost(-0.21, middle) < shadow._cost(-0.23, low) < 0
+    assert shadow._cost(-0.5, low) < shadow._cost(-0.3, 0.0), "the sun of an evening"
+
+
 def test_a_shadow_is_told_from_a_pattern_and_from_noise():
     rng = np.random.default_rng(0)
     shaded = rng.random((20, 500)) < 0.3
