@@ -30,7 +30,7 @@ ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
 COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
-SHORT = 0.008  # metres, sigma of any axis: longer is a spike where no frame looks from. Settling fills what it uncovers
+SHORT = 0.008  # metres, sigma of any axis, which settling may double: longer is a spike where no frame looks from
 THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
 
 
