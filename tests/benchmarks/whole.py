@@ -72,9 +72,15 @@ def rate(folder: Path, lpips: Lpips) -> dict[str, Any]:
     }
 
 
-def told(scored: dict[str, float]) -> str:
-    """PSNR and LPIPS as words."""
-    return f"{scored['psnr']:.2f} dB, LPIPS {scored['lpips']:.3f}"
+def told(name: str, row: dict[str, Any]) -> str:
+    """What `rate` found of a clip, as lines."""
+    world, about = row["joints_cm"]
+    scored = {key: f"{row[key]['psnr']:.2f} dB, LPIPS {row[key]['lpips']:.3f}" for key in ("heldout", "novel")}
+    return (
+        f"{name}: {row['seconds'] / 60:.0f} min, cameras {row['cameras_mm']:.1f} mm off, masks {row['masks_iou']:.3f}\n"
+        f"    joints {world:.1f} cm off, {about:.1f} about the pelvis\n"
+        f"    held-out frames {scored['heldout']}, new poses {scored['novel']}"
+    )
 
 
 def main() -> None:
@@ -89,12 +95,7 @@ def main() -> None:
         lpips = Lpips(arrays)
     for name in args.only:
         row = rows[name] = rate(made(args.work / f"{name}{SEEDS[args.half]}", name, SEEDS[args.half]), lpips)
-        world, about = row["joints_cm"]
-        print(
-            f"{name}: {row['seconds'] / 60:.0f} min, cameras {row['cameras_mm']:.1f} mm off, masks {row['masks_iou']:.3f}"
-        )
-        print(f"    joints {world:.1f} cm off, {about:.1f} about the pelvis")
-        print(f"    held-out frames {told(row['heldout'])}, new poses {told(row['novel'])}", flush=True)
+        print(told(name, row), flush=True)
         if args.json:
             args.json.write_text(json.dumps(rows, indent=1))
 
