@@ -306,6 +306,20 @@ MUTANTS = (
         "tests/stages/training/finishing/test_bake.py::frames_tell_what_lies_across_the_view",
     ),
     Mutant(
+        "recolouring: skin under cloth keeps what it learned",
+        "stages/training/finishing/bake.py",
+        "return torch.where(under, ",
+        "return torch.where(under & ~skin, ",
+        "tests/stages/training/finishing/test_bake.py::skin_that_shines_through_cloth_takes_the_colours_around",
+    ),
+    Mutant(
+        "what nothing covers: the blur twice",
+        "stages/training/finishing/painted.py",
+        "blur = 0.0 if splats.antialias else BLUR",
+        "blur = BLUR",
+        "tests/stages/training/finishing/test_bake.py::what_nothing_covers_paints_as_many_pixels_as_its_ellipse_has",
+    ),
+    Mutant(
         "shortening: smaller, not only shorter",
         "stages/training/finishing/bake.py",
         "person._replace(scales=person.scales.clamp_max(SHORT))",

@@ -23,6 +23,8 @@ EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; with 0.05, an
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 FAIR = (0.95, 0.9)  # of the best (this quantile) of their part of the body: such are asked where few sure ones are near
+COVERED = 0.1, 0.3  # of what it would paint with nothing before it: skin under cloth that paints less shines through
+UNDER = 0.15  # metres from cloth: skin beyond is not under it
 NEIGHBOURS = 24  # that are asked
 FAR = 0.05  # metres: who is beyond is not near; where all are, a median of so few is chance, and a pale collar became a stripe
 SPOTS = 200  # spread over what is seen, each the median of its neighbours; Gaussians beyond FAR ask these
@@ -121,16 +123,17 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
 
     At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay. Small
-    hands and feet are nearly all outline: there the best of the same part of the body are asked.
+    hands and feet are nearly all outline: there the best of the same part of the body are asked. Nor does skin that shines
+    through cloth keep its colours.
     Also returns how far each colour is its own[N], from 0 to 1, the rest is its neighbours', and as much of each axis [N,3] as it
     lies across the view: how large a Gaussian is and where it is along the view, no frame tells.
     """
-    inside, edge, _, along, _ = count_pixels(person, body, views, frames)
-    mean = inside.mean()
-    sure = (inside > SURE * mean) & (inside > 2 * edge)
+    inside, edge, _, along, clear, _ = count_pixels(person, body, views, frames)
+    mean, bare = inside.mean(), _bare(person, body, clear)
+    sure = (inside > SURE * mean) & (inside > 2 * edge) & (bare > 0.5)
     if not sure.any():
         return person, torch.ones_like(inside), 1 - along
-    means, own = person.means, inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
+    means, own = person.means, bare * inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
     around, away = median_near(person.sh[sure], means[sure], means, NEIGHBOURS)
     few = away[:, away.shape[1] // 2] > FAR
@@ -139,6 +142,19 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
     around[far], _ = median_near(around[spots], means[spots], means[far], ASKED)
     return person._replace(sh=torch.lerp(around, person.sh, own[:, None, None])), own, own[:, None] * (1 - along)
+
+
+def _bare(person: Canonical, body: Person, clear: Tensor) -> Tensor:
+    """How far frames show each Gaussian itself [N], 0 to 1, by how `clear` [N] they show it.
+
+    Skin under cloth shines through it and learns to make up for what the cloth gets wrong: bright specks where a knee
+    lifts a skirt.
+    """
+    if body.cloth is None:
+        return torch.ones_like(clear)
+    skin = person.weights[:, len(body.joints) :].sum(1) < 0.5
+    under = skin & (nearest(body.cloth.means, person.means, 1)[0][:, 0] < UNDER)
+    return torch.where(under, ((clear - COVERED[0]) / (COVERED[1] - COVERED[0])).clamp(0, 1), 1.0)
 
 
 def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:

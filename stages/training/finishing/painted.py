@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -9,7 +10,9 @@ from torch import Tensor
 
 from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.model.person import Canonical, rest
+from stages.avatar.rasterize.rendering import BLUR, NEAR
 from stages.avatar.splats.compose import painted_pixels
+from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 from stages.training.losses import dilated
 from stages.training.views import Person, Views, person_frames
@@ -20,7 +23,8 @@ EDGE = 0.006  # of the longer side: the width inside an outline where colours ar
 class Painted(NamedTuple):
     """How many pixels each of N Gaussians paints [N], sums over frames: well `inside` the person's masks, at their `edge` or
     out of them, and `beside` them; `along` [N,3] is how far each of its axes points at the cameras that see it so, the mean squared
-    cosine, 1 where none does. The masks have so many `pixels`.
+    cosine, 1 where none does; `clear` [N] is how much it paints of what it would with nothing before it. The masks have so
+    many `pixels`.
 
     All but `beside` count only where the skin under a Gaussian faces the camera: the far side shines through the near one.
     """
@@ -29,6 +33,7 @@ class Painted(NamedTuple):
     edge: Tensor
     beside: Tensor
     along: Tensor
+    clear: Tensor
     pixels: float
 
 
@@ -39,6 +44,7 @@ def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int
     outwards = normals[nearest(surface, person.means, 1)[1][:, 0]]
     resting, skin = rest(person, bones), rest(person._replace(rotations=rotation_z_to(outwards)), bones)
     counts, along, pixels = torch.zeros_like(person.means), torch.zeros_like(person.means), 0.0
+    clear = torch.zeros_like(person.opacities)
     for i in person_frames(body, views, frames):
         mask = views.masks[i].float() / 255
         splats, inside = body.posed(resting, i).detach(), -dilated(-mask, EDGE)
@@ -48,8 +54,28 @@ def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int
         counts += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
         squares = splats.axes.square().sum(1) * sight.square().sum(1, keepdim=True)
         cosines = (sight[:, None] @ splats.axes)[:, 0].square() / squares
-        along += (paints[:, :2].sum(1) * facing)[:, None] * cosines
+        shown = paints[:, :2].sum(1) * facing
+        along += shown[:, None] * cosines
+        clear += shown.square() / uncovered_pixels(splats, views.viewmats[i], views.Ks[i]).clamp_min(1e-9)
         pixels += mask.sum().item()
     inside, edge, beside = counts.unbind(1)
-    painted = (inside + edge)[:, None]
-    return Painted(inside, edge, beside, torch.where(painted > 0, along / painted, 1.0), pixels)
+    painted = inside + edge
+    along = torch.where(painted[:, None] > 0, along / painted[:, None], 1.0)
+    return Painted(inside, edge, beside, along, clear / painted.clamp_min(1e-9), pixels)
+
+
+def uncovered_pixels(splats: Splats, viewmat: Tensor, K: Tensor) -> Tensor:
+    """How many pixels [N] of a camera's picture Gaussians would paint with nothing before them.
+
+    The covariance of axes a, b, c, seen along d, has the determinant |(b x c, c x a, a x b) d|^2 (Cauchy-Binet); it is
+    larger by 1 / cos^3 where d is aside from the middle of the picture.
+    """
+    at = splats.means @ viewmat[:3, :3].T + viewmat[:3, 3]
+    far, (a, b, c) = at.norm(dim=1), splats.axes.unbind(-1)
+    way = ((at / far[:, None]) @ viewmat[:3, :3])[..., None]
+    sides = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)
+    determinant = (sides @ way).square().sum((1, 2))
+    trace = splats.axes.square().sum((1, 2)) - (splats.axes.mT @ way).square().sum((1, 2))
+    size = K[0, 0] * K[1, 1] * far / at[:, 2].clamp_min(NEAR) ** 3
+    blur = 0.0 if splats.antialias else BLUR  # an antialiased one is as much fainter as it is blurred
+    return 2 * math.pi * splats.opacities * (size.square() * determinant + blur * size * trace + blur**2).sqrt()
