@@ -73,7 +73,7 @@ class Tracer(synthetic._Renderer):
         self.scene: Any = None
 
     def colors(self) -> np.ndarray:
-        """Linear colours [P,3] of all points that `placed` places."""
+        """Linear colours [P,3] of all points that `_place` takes."""
         skin = self.clothes(self._between(self.rest[self.skin_faces]))
         worn = [garment.paint(self._between(garment.chart)) for garment in self.garments]
         return to_linear(np.concatenate([skin, *worn]).clip(0, 1))
@@ -102,7 +102,11 @@ class Tracer(synthetic._Renderer):
         camera = {"type": "perspective", "fov": wide, "fov_axis": "x", "near_clip": 0.05, "film": film}
         camera |= {"to_world": mi.ScalarTransform4f(to_world.tolist()), "sampler": {"type": "independent"}}
         path = mi.load_dict({"type": "path", "max_depth": BOUNCES})
-        return np.array(mi.render(self.scene, sensor=mi.load_dict(camera), spp=rays, seed=seed, integrator=path))
+        found = np.array(mi.render(self.scene, sensor=mi.load_dict(camera), spp=rays, seed=seed, integrator=path))
+        if (lost := ~np.isfinite(found).all(2)).any():
+            print(f"{lost.sum()} pixels of a picture are not finite and take its median")
+            found[lost] = np.median(found[~lost], 0)
+        return found
 
     def _place(self, places: np.ndarray, normals: np.ndarray) -> None:
         """Put the person's points [P,3] and normals [P,3] into the scene, which is loaded once."""
