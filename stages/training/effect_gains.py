@@ -32,7 +32,7 @@ PARTS = {
 """Effect -> where a training has it: the option, or the part of its `FrameEffects`; `transients` are its own."""
 ONLY_TAUGHT = ("transients",)  # held-out frames are drawn the same without
 TURNS = 2  # of steps with all effects and without each: the fastest of each, which nothing has disturbed, counts
-STEPS = 4  # that are timed at least
+STEPS = 4  # that are timed at least, always on the same frames
 PAUSES = 3  # `effect_gains` takes as long for an effect as so many measurements of accuracy
 
 
@@ -108,7 +108,7 @@ def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | Non
 
 
 def _seconds(fit: Fit) -> float:
-    """Seconds of whole runs of the networks, always on the same frames; processor time where the CPU draws."""
+    """Seconds of at least STEPS steps, as many as whole runs of the networks have; processor time where the CPU draws."""
     clock = time.process_time if fit.full.viewmats.device.type == "cpu" else _all_done
     count = -(-STEPS // fit.params.views_per_decode) * fit.params.views_per_decode
     fit.order, began = torch.tensor(spread_evenly(list(range(len(fit.train))), count)), clock()

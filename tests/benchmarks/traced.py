@@ -12,17 +12,20 @@ clip that nobody has seen. To make a clip takes a quarter of an hour of two core
 from __future__ import annotations
 
 import argparse
-import json
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from stages.avatar.measures.lpips import Lpips
-from stages.estimators.assets import fetch
-from tests.benchmarks.whole import WEARS, rate, told
+from tests.benchmarks.whole import WEARS, rate_each
 from tests.made.traced import make
 
 CLIPS: dict[str, tuple[str, ...]] = WEARS | {"plain": ()}
+
+
+def made(folder: Path, name: str, seed: int) -> Path:
+    """The folder of a clip and its truth; made once."""
+    if not (folder / "clip.mp4").exists():
+        make(folder, seed, CLIPS[name])
+    return folder
 
 
 def main() -> None:
@@ -32,17 +35,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=CLIPS, default=list(CLIPS))
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    rows = {}
-    with np.load(fetch("lpips_alex.npz")) as arrays:
-        lpips = Lpips(arrays)
-    for name in args.only:
-        folder = args.work / f"{name}{args.seed}"
-        if not (folder / "clip.mp4").exists():
-            make(folder, args.seed, CLIPS[name])
-        rows[name] = rate(folder, lpips)
-        print(told(name, rows[name]), flush=True)
-        if args.json:
-            args.json.write_text(json.dumps(rows, indent=1))
+    rate_each({name: partial(made, args.work / f"{name}{args.seed}", name, args.seed) for name in args.only}, args.json)
 
 
 if __name__ == "__main__":

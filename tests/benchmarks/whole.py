@@ -14,6 +14,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +85,18 @@ def told(name: str, row: dict[str, Any]) -> str:
     )
 
 
+def rate_each(clips: Mapping[str, Callable[[], Path]], json_file: Path | None) -> None:
+    """Rate the clips whose folders these make, print what is found of each, and write it into a file if one is named."""
+    rows = {}
+    with np.load(fetch("lpips_alex.npz")) as arrays:
+        lpips = Lpips(arrays)
+    for name, folder in clips.items():
+        rows[name] = rate(folder(), lpips)
+        print(told(name, rows[name]), flush=True)
+        if json_file:
+            json_file.write_text(json.dumps(rows, indent=1))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
@@ -90,14 +104,8 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=WEARS, default=list(WEARS))
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    rows = {}
-    with np.load(fetch("lpips_alex.npz")) as arrays:
-        lpips = Lpips(arrays)
-    for name in args.only:
-        row = rows[name] = rate(made(args.work / f"{name}{SEEDS[args.half]}", name, SEEDS[args.half]), lpips)
-        print(told(name, row), flush=True)
-        if args.json:
-            args.json.write_text(json.dumps(rows, indent=1))
+    seed = SEEDS[args.half]
+    rate_each({name: partial(made, args.work / f"{name}{seed}", name, seed) for name in args.only}, args.json)
 
 
 if __name__ == "__main__":
