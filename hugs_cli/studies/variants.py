@@ -45,7 +45,7 @@ AXES = {
     "steps": Axis("train", ("steps",), TIMES["steps"], relative=True),
     "half": Axis("train", ("half_until",), TIMES["half"]),
     "frames": Axis("train", ("frames_used",), TIMES["frames"]),
-    "points": Axis("train", ("rounds",), TIMES["points"]),
+    "points": Axis("train", ("human_points",), TIMES["points"]),
     "caps": Axis("train", ("human_cap", "scene_cap"), TIMES["caps"], relative=True),
     "sh": Axis("train", ("scene_sh",), TIMES["sh"], effect="view_dependence"),
     "stop": Axis("train", ("early_stop",), TIMES["stop"]),

@@ -178,7 +178,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     seen = who.masked(fit.full)._replace(viewmats=fit.cameras())
     dressed = body._replace(antialias=fit.options.antialias)
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
-    kept = finish(baked, who.human.initial().weights, dressed, seen, frames)
+    kept = finish(baked, who.human.initial(), dressed, seen, frames)
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
     try:
         kept = kept._replace(person=settle(fit, who, kept.person, kept.own, kept.told, clear))
@@ -195,7 +195,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
             f"{kept.snapped:,} Gaussians put back that stood out of the surface where frames look from one side only"
         )
     if kept.shortened:
-        say.note(f"{kept.shortened:,} Gaussians that were longer cut to a sigma of {1000 * SHORT:.0f} mm")
+        say.note(f"{kept.shortened:,} Gaussians cut to {SHORT:g} times the length that they began with")
     share = 100 * kept.lining / len(body.surface()[0])
     say.note(f"{kept.lining:,} Gaussians put under {share:.0f} % of the surface, so that new poses tear no holes there")
     return kept

@@ -22,8 +22,8 @@ class Params(contract.Params):
     """Share of the steps, the first ones, that look at pictures of half the size."""
     frames_used: int = Field(0, ge=0)
     """Most training frames to learn from, spread evenly; 0 = all."""
-    rounds: int = Field(1, ge=0, le=3)
-    """Subdivisions of the 6,890 body vertices that become Gaussians: 0 -> 6,890, 1 -> 27,554, 2 -> 110,210."""
+    human_points: int = Field(27_500, gt=0)
+    """About as many Gaussians does the person's skin begin with, the same distance apart everywhere; 110,210 in the paper."""
     human_cap: int = Field(40_000, gt=0)
     """Most Gaussians the person may have in training, unless it begins with more; an opaque lining is put under the skin."""
     scene_cap: int = Field(90_000, gt=0)

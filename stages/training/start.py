@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,6 +20,7 @@ from stages.avatar.effects.sky import RADIUS, open_sky, shell
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.scene import SceneModel, clear_of_cameras, fill_points, scene_extent
+from stages.avatar.model.skin import even_skin
 from stages.avatar.motion.placing import mean_up
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.avatar.splats.sh import sh_from_rgb
@@ -37,6 +39,7 @@ from stages.training.views import Person, Views
 
 PAINTED = 24  # frames from which the person's first colours are read
 LEAST_DARK = 0.05  # share of the light, at least, that a shadow begins with: at 0 it would learn nothing
+COARSE = 7_000  # points of the skin beside which those of cloth are a CELL apart
 FILLED = 16  # frames from which points of the scene are filled in
 
 
@@ -197,7 +200,7 @@ class _Start:
             return person
         alone = views if seen is None else views._replace(masks=seen.masks)
         clear = self.train if seen is None else seen.clear(self.train)
-        found = clothed(person, alone, clear, CELL / 2**self.params.rounds)
+        found = clothed(person, alone, clear, CELL * math.sqrt(COARSE / self.params.human_points))
         if found.cloth is None or found.clothing is None:
             self.note("no cloth or hair is seen off the body")
         else:
@@ -207,18 +210,16 @@ class _Start:
 
     def _human(self, person: Person, views: Views, outline: Outline | None) -> HumanModel:
         params = self.params
+        skin = even_skin(person.vertices, person.faces, person.weights, params.human_points)
         human = HumanModel(
-            person.vertices,
-            person.faces,
-            person.weights,
-            rounds=params.rounds,
+            skin,
+            person.cloth,
             channels=params.channels,
             resolution=params.resolution,
             sh_degree=params.human_sh,
             generator=self.generator,
             lbs_learning=params.lbs_learning,
             triplane=params.triplane,
-            cloth=person.cloth,
         )
         seen = [i for i in self.train if person.confidence[i] > 0]
         alone = views if outline is None else views._replace(masks=outline.masks)

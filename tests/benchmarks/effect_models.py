@@ -40,7 +40,7 @@ from stages.training.views import Views
 from tests.made import datasets
 
 SIZE = {"frames": 30, "width": 192, "height": 256, "points": 3000}
-PARAMS = {"rounds": 0, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
+PARAMS = {"human_points": 7_000, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
 ALWAYS = {"pose_refinement": False}  # true poses; what is decided unless an effect says otherwise
 EFFECTS: dict[str, dict[str, Any]] = {
     "shadow": {"effects": ClipEffects(shadow=0.5)},

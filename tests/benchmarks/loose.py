@@ -53,7 +53,7 @@ SEEDS = {"setting": 0, "asked": 1}
 KINDS = (read_image, "images"), (read_mask, "masks")
 Scored = tuple[dict[str, float | None], np.ndarray]
 SIZE = {"frames": 40, "width": 192, "height": 256, "points": 3000}
-PARAMS = {"rounds": 0, "human_cap": 12_000, "scene_cap": 16_000, "scene_fill": 8_000}
+PARAMS = {"human_points": 7_000, "human_cap": 12_000, "scene_cap": 16_000, "scene_fill": 8_000}
 
 
 def inputs(work: Path, garment: str, seed: int, own: bool) -> Path:

@@ -38,7 +38,7 @@ from tests.benchmarks.host import tell
 from tests.made.pair import Pair, make_pair, write_stages
 from tests.made.truth import psnr
 
-PARAMS = {"rounds": 0, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
+PARAMS = {"human_points": 7_000, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}
 SIZE = {"width": 320, "height": 180, "frames": 30}
 SMALL = {"width": 192, "height": 108, "frames": 15}
 SMALL_PARAMS = {"human_cap": 8_000, "scene_cap": 8_000, "scene_fill": 4_000}

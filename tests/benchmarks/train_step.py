@@ -41,7 +41,8 @@ from stages.training.start import Task, build
 from tests.benchmarks.host import machine, summary
 from tests.benchmarks.workloads import surveyed
 
-SIZES = ((1, 50_000), (1, 60_000), (1, 200_000), (2, 50_000), (2, 200_000))  # subdivisions of the body, scene Gaussians
+# points of the person and Gaussians of the scene
+SIZES = ((27_500, 50_000), (27_500, 60_000), (27_500, 200_000), (110_000, 50_000), (110_000, 200_000))
 
 
 def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
@@ -138,11 +139,11 @@ def model(scene: Scene, extent: float) -> SceneModel:
     return trained
 
 
-def prepared(folder: Path, rounds: int, count: int) -> fit.Fit:
+def prepared(folder: Path, points: int, count: int) -> fit.Fit:
     """The joint model of one size, at the first step of full resolution."""
     clip = load_clip(folder / "sfm", folder / "smpl")
     decisions, starts = surveyed(folder)
-    fresh = build(Task(clip, train.Params(rounds=rounds), decisions | {"scene": True}, starts), print)
+    fresh = build(Task(clip, train.Params(human_points=points), decisions | {"scene": True}, starts), print)
     scene = resized(read_scene(folder / "train" / "scene.npz"), count, np.random.default_rng(0))
     parts = (fresh.full, fresh.train, fresh.person.body, fresh.human, model(scene, fresh.options.extent))
     generator = torch.Generator().manual_seed(0)
@@ -153,9 +154,9 @@ def prepared(folder: Path, rounds: int, count: int) -> fit.Fit:
     return joint
 
 
-def measure(folder: Path, rounds: int, count: int, repeats: int) -> dict:
+def measure(folder: Path, points: int, count: int, repeats: int) -> dict:
     """Milliseconds of a step, in all and by part, over at least `repeats` steps after those of one decode."""
-    joint = prepared(folder, rounds, count)
+    joint = prepared(folder, points, count)
     every = joint.params.views_per_decode
     for _ in range(every):
         joint.advance()
@@ -203,9 +204,9 @@ def main() -> None:
     asked = parser.parse_args()
     host = machine() | {"threads": torch.get_num_threads()}
     spawn, rows = multiprocessing.get_context("spawn"), []
-    for rounds, count in SIZES:
+    for points, count in SIZES:
         with ProcessPoolExecutor(1, spawn) as alone:
-            rows.append(alone.submit(measure, asked.folder, rounds, count, asked.repeats).result())
+            rows.append(alone.submit(measure, asked.folder, points, count, asked.repeats).result())
     width, height = rows[0]["size"]
     print(f"{host['processor']}, {host['threads']} threads, load {host['load'][0]:.1f}; {width}x{height} px")
     print(table(rows))

@@ -11,6 +11,7 @@ from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.formats.body_model import read_body_model
 from stages.training.views import Person, Views
+from tests.made.skin import on_vertices
 
 SIZE, STILL = 192, torch.zeros(3)
 EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))
@@ -23,8 +24,10 @@ def stand(frames: int) -> tuple[HumanModel, Person]:
     body, betas, still = Body(data), torch.zeros(10), torch.zeros(1, 3)
     vertices = body(betas, still, DA_POSE[None], still)[0][0]
     faces = torch.as_tensor(data.faces.astype(np.int64))
-    sizes = {"rounds": 0, "channels": 2, "resolution": 8, "sh_degree": 0}
-    human = HumanModel(vertices, faces, body.lbs_weights, **sizes, generator=torch.Generator().manual_seed(0))
+    sizes = {"channels": 2, "resolution": 8, "sh_degree": 0}
+    human = HumanModel(
+        on_vertices(vertices, faces, body.lbs_weights), **sizes, generator=torch.Generator().manual_seed(0)
+    )
     poses = (torch.zeros(frames, 3), DA_POSE.expand(frames, -1), torch.zeros(frames, 3))
     confidence, joints = torch.ones(frames), body.rest(betas)[1]
     return human, Person(*poses, confidence, joints, body.parents, DA_POSE, vertices, body.lbs_weights, faces)

@@ -21,6 +21,7 @@ from stages.training.transients import Transients
 from stages.training.views import Person, Views
 from tests.made.clothes import dressed
 from tests.made.skeleton import PARENTS
+from tests.made.skin import on_vertices
 
 WIDTH, HEIGHT, FRAMES = 48, 40, 6
 TRAIN = [0, 1, 3, 4, 5]
@@ -37,8 +38,8 @@ def ellipsoid():
 
 def models(seed: int = 1, **more):
     generator = torch.Generator().manual_seed(seed)
-    sizes = {"rounds": 0, "channels": 8, "resolution": 24, "sh_degree": 0} | more
-    human = HumanModel(*ellipsoid(), **sizes, generator=generator)
+    sizes = {"channels": 8, "resolution": 24, "sh_degree": 0} | more
+    human = HumanModel(on_vertices(*ellipsoid()), **sizes, generator=generator)
     wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
     return human, SceneModel(wall, torch.full((150, 3), 0.5), 1, 1.0), generator
 
@@ -123,8 +124,8 @@ def everything(clip, steps: int = 24) -> Fit:
     views = views._replace(images=blurred.permute(0, 2, 3, 1).round().byte())  # of noise others know nothing
     person = dressed(person, TRAIN)
     generator = torch.Generator().manual_seed(1)
-    body, sizes = (person.vertices, person.faces, person.weights), {"rounds": 0, "channels": 8, "resolution": 24}
-    human = HumanModel(*body, **sizes, sh_degree=0, generator=generator, cloth=person.cloth)
+    skin, sizes = on_vertices(person.vertices, person.faces, person.weights), {"channels": 8, "resolution": 24}
+    human = HumanModel(skin, person.cloth, **sizes, sh_degree=0, generator=generator)
     wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
     scene = SceneModel(wall, torch.full((150, 3), 0.5), 3, 1.0, antialias=True)
     scene.add_sky(

@@ -17,6 +17,7 @@ from stages.training.outlines import Outline, outlines
 from stages.training.person import Another
 from stages.training.views import Person, Views
 from tests.made.skeleton import PARENTS
+from tests.made.skin import on_vertices
 from tests.made.training import FRAMES, HEIGHT, TRAIN, WIDTH, ellipsoid, settings
 
 INKS = ((0.9, 0.1, 0.1), (0.1, 0.1, 0.9))
@@ -76,8 +77,8 @@ def make_wall(seed: int) -> SceneModel:
 
 def model(person: Person, seed: int) -> HumanModel:
     generator = torch.Generator().manual_seed(seed)
-    sizes = {"rounds": 0, "channels": 8, "resolution": 24, "sh_degree": 0}
-    return HumanModel(person.vertices, person.faces, person.weights, **sizes, generator=generator)
+    sizes = {"channels": 8, "resolution": 24, "sh_degree": 0}
+    return HumanModel(on_vertices(person.vertices, person.faces, person.weights), **sizes, generator=generator)
 
 
 def fit_of_two(

@@ -52,7 +52,7 @@ def run(job, params, *, sfm, smpl, survey):
     train.CHECKPOINT_SECONDS = 0.25
     train.run(job, params, sfm=sfm, smpl=smpl, survey=survey)
 '''
-SMALL = {"steps": 24, "rounds": 0, "human_cap": 7000, "scene_cap": 500, "scene_fill": 20, "channels": 4, "resolution": 8,
+SMALL = {"steps": 24, "human_points": 7_000, "human_cap": 7000, "scene_cap": 500, "scene_fill": 20, "channels": 4, "resolution": 8,
          "views_per_decode": 2, "curve_points": 1}  # fmt: skip
 
 

@@ -322,8 +322,8 @@ MUTANTS = (
     Mutant(
         "shortening: smaller, not only shorter",
         "stages/training/finishing/bake.py",
-        "person._replace(scales=person.scales.clamp_max(SHORT))",
-        "person._replace(scales=person.scales * (SHORT / person.scales.amax(1, keepdim=True)).clamp_max(1))",
+        "person._replace(scales=torch.minimum(person.scales, most))",
+        "person._replace(scales=person.scales * (most / person.scales.amax(1, keepdim=True)).clamp_max(1))",
         "tests/stages/training/finishing/test_bake.py::long_axes_are_cut_and_the_others_stay",
     ),
     Mutant(

@@ -165,22 +165,6 @@ def affine(rotation: Tensor, translation: Tensor) -> Tensor:
     return torch.cat([top, last], -2)
 
 
-def subdivide(faces: Tensor, rounds: int, *attributes: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Split every triangle in four, `rounds` times: faces [T,3] to [T*4**rounds,3], per-vertex attributes [V,...].
-
-    A new vertex stands in the middle of its edge and takes the mean of the two ends' attributes.
-    """
-    for _ in range(rounds):
-        count = len(attributes[0])
-        ends = faces[:, [0, 1, 1, 2, 2, 0]].view(-1, 2).sort(dim=1).values
-        edges, which = torch.unique(ends, dim=0, return_inverse=True)
-        ab, bc, ca = (count + which.view(-1, 3)).unbind(1)
-        a, b, c = faces.unbind(1)
-        faces = torch.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], 1).view(-1, 3)
-        attributes = tuple(torch.cat([x, (x[edges[:, 0]] + x[edges[:, 1]]) / 2]) for x in attributes)
-    return faces, attributes
-
-
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """Unit normals [V,3] by the area-weighted mean of the faces around; zero for a vertex in no face with area."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.body.rotations import matrix_from_6d, rotation_z_to
-from stages.avatar.body.smpl import edge_lengths, subdivide, vertex_normals
+from stages.avatar.body.rotations import matrix_from_6d
 from stages.avatar.model.decoders import OWN, TEMPERATURE, Decoders, Residuals
 from stages.avatar.model.person import Canonical, Surfels
 from stages.avatar.model.triplane import Triplane
@@ -39,8 +38,7 @@ class Shared(NamedTuple):
 class HumanModel(nn.Module):
     """The trainable person: positions per Gaussian; all else = initial value + networks' output + residual of the Gaussian.
 
-    Built from the body at the canonical pose: vertices[V,3] m, faces[T,3], weights[V,J], and `cloth` off it, if any,
-    which has Gaussians of its own. Two of the paper's ablations:
+    They begin on the `skin` at the canonical pose, and on the `cloth` off it, if any. Two of the paper's ablations:
     without `lbs_learning` the skinning weights stay as they began; without `triplane` there are no networks.
     """
 
@@ -61,36 +59,28 @@ class HumanModel(nn.Module):
 
     def __init__(
         self,
-        vertices: Tensor,
-        faces: Tensor,
-        weights: Tensor,
+        skin: Surfels,
+        cloth: Surfels | None = None,
         *,
-        rounds: int,
         channels: int,
         resolution: int,
         sh_degree: int,
         generator: torch.Generator,
         lbs_learning: bool = True,
         triplane: bool = True,
-        cloth: Surfels | None = None,
     ):
         super().__init__()
-        triangles, (points, skinning) = subdivide(faces, rounds, vertices, weights)
-        self.coefficients, joints = bases(sh_degree), weights.shape[1] if lbs_learning else 0
+        start = skin if cloth is None else Surfels(*(torch.cat(pair) for pair in zip(skin, cloth, strict=True)))
+        points, rotations, sizes, skinning = start
+        self.coefficients, joints = bases(sh_degree), skinning.shape[1] if lbs_learning else 0
         self.triplane: Triplane | None = None
         self.decoders: Decoders | None = None
         if triplane:
-            everything = vertices if cloth is None else torch.cat([vertices, cloth.means])
-            low, high = everything.amin(0), everything.amax(0)
+            low, high = points.amin(0), points.amax(0)
             pad = MARGIN * torch.maximum(high - low, (high - low).max() * 0.25)
             self.triplane = Triplane(low - pad, high + pad, channels, resolution, generator)
-            self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(vertices)
-        half = (0.5 * edge_lengths(points, triangles)).clamp_min(1e-4)
-        rotations, sizes = rotation_z_to(vertex_normals(points, triangles)), torch.stack([half, half, 0.5 * half], 1)
-        if cloth is not None:
-            body = Surfels(points, rotations, sizes, skinning)
-            points, rotations, sizes, skinning = (torch.cat(pair) for pair in zip(body, cloth, strict=True))
-        self.residuals = Residuals(len(points), sh_degree, joints, alone=not triplane).to(vertices)
+            self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(points)
+        self.residuals = Residuals(len(points), sh_degree, joints, alone=not triplane).to(points)
         self.xyz = nn.Parameter(points.clone())
         self.register_buffer("rotations", rotations)
         self.register_buffer("log_sizes", sizes.log())

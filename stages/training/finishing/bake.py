@@ -32,7 +32,7 @@ ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
 COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
-SHORT = 0.008  # metres, sigma of any axis, which settling may double: longer is a spike where no frame looks from
+SHORT = 1.2  # times its first length, an axis, which settling may double: longer is a spike where no frame looks from
 THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
 
 
@@ -55,18 +55,19 @@ class Finished(NamedTuple):
     told: Tensor
 
 
-def finish(person: Canonical, usual: Tensor, body: Person, views: Views, frames: list[int]) -> Finished:
+def finish(person: Canonical, begun: Canonical, body: Person, views: Views, frames: list[int]) -> Finished:
     """Remove invalid, stray and floating Gaussians; then snap, shorten, recolour and add the lining.
 
-    Skinning that left the body's, `usual`[N,J], comes back first. `frames` of `views` are those that the person was trained on.
+    Skinning that left the body's comes back first, that of the person as `begun`. `frames` of `views` are those that they were
+    trained on.
     """
-    person, reskinned = reskin(person, usual, body, views, frames)
-    whole = finite_rows(person)
-    kept = Canonical(*(part[whole] for part in person))
+    person, reskinned = reskin(person, begun.weights, body, views, frames)
+    whole, length = finite_rows(person), begun.scales.amax(1)
+    kept, length = Canonical(*(part[whole] for part in person)), length[whole]
     stray = far_from_surface(kept.means, body.surface()[0])
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
-    kept, shortened = shorten(kept)
+    kept, shortened = shorten(kept, SHORT * length[~stray])
     kept, own, told = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
@@ -98,9 +99,10 @@ def floating(person: Canonical, body: Person) -> Tensor:
     return ((away > APART * usual) & (away > SMALL * person.scales.amax(1))) | (thick > THICK)
 
 
-def shorten(person: Canonical) -> tuple[Canonical, int]:
-    """Cut axes that are longer than SHORT; also how many Gaussians have such."""
-    return person._replace(scales=person.scales.clamp_max(SHORT)), int((person.scales > SHORT).any(1).sum())
+def shorten(person: Canonical, most: Tensor) -> tuple[Canonical, int]:
+    """Cut axes whose sigma is longer than `most`[N] m; also how many Gaussians have such."""
+    most = most[:, None]
+    return person._replace(scales=torch.minimum(person.scales, most)), int((person.scales > most).any(1).sum())
 
 
 def as_body_where_unseen(decoded: Canonical, initial: Canonical, color_grad_sum: Tensor) -> Canonical:

@@ -68,10 +68,10 @@ def test_a_table(here, kind):
         "- clip: jump.mp4\n",
     }[kind]
     Path(f"tue/clips.{kind}").write_text(text, encoding="utf-8")
-    first, second = rows(f"tue/clips.{kind}", pipeline="ci", settings=("train.rounds=0",))
+    first, second = rows(f"tue/clips.{kind}", pipeline="ci", settings=("train.human_points=7000",))
     assert (first.pipeline, second.pipeline) == ("draft", "ci")
     assert (
-        first.settings == ("train.rounds=0", "train.steps=8", "frames.count=9")
+        first.settings == ("train.human_points=7000", "train.steps=8", "frames.count=9")
         and second.settings == first.settings[:1]
     )
     assert (str(first.masks), first.fit, first.person) == ("tue/m", None, "2")

@@ -26,7 +26,7 @@ def test_every_level_of_every_axis_is_a_pipeline_with_those_settings_and_no_othe
 def test_levels_are_around_what_the_pipeline_has():
     assert AXES["steps"].of((4000,)) == {(1000,): 0.25, (2000,): 0.5, (8000,): 2.0}
     assert list(AXES["caps"].of((40_000, 80_000))) == [(20_000, 40_000), (80_000, 160_000)]
-    assert AXES["points"].of((2,)) == {(0,): pytest.approx(0.6 / 2.7), (1,): pytest.approx(1 / 2.7)}
+    assert AXES["points"].of((110_000,)) == {(7_000,): pytest.approx(0.6 / 2.7), (27_500,): pytest.approx(1 / 2.7)}
     assert level_name("half", (0.0,)) == "half_0" and level_name("perceptual", ("vgg", 4)) == "perceptual_vgg_4"
 
 

@@ -14,6 +14,7 @@ from stages.synthetic import garments, person
 from stages.synthetic.clip import camera_path
 from stages.training.cloth import clothed
 from stages.training.views import Person, Views
+from tests.made.skin import on_vertices
 
 FRAMES, WIDTH, HEIGHT = 24, 96, 128
 
@@ -66,9 +67,10 @@ def test_a_skirt_is_found_where_it_is_with_bones_that_share_it(filmed):
 def test_its_gaussians_begin_there_and_the_first_picture_is_of_a_skirt(filmed):
     bare, _, views, _ = filmed
     found = clothed(bare, views, list(range(FRAMES)), 0.025)
-    sizes = {"rounds": 0, "channels": 4, "resolution": 8, "sh_degree": 0}
+    sizes = {"channels": 4, "resolution": 8, "sh_degree": 0}
     generator = torch.Generator().manual_seed(0)
-    human = HumanModel(found.vertices, found.faces, found.weights, **sizes, generator=generator, cloth=found.cloth)
+    skin = on_vertices(found.vertices, found.faces, found.weights)
+    human = HumanModel(skin, found.cloth, **sizes, generator=generator)
     canonical = human()[0]
     assert len(human) == len(bare.vertices) + len(found.cloth.means)
     torch.testing.assert_close(canonical.means[len(bare.vertices) :], found.cloth.means)

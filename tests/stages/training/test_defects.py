@@ -17,6 +17,7 @@ from stages.training import densify, losses
 from stages.training.patches import SIDE
 from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
 from tests.made.lpips_weights import small_weights
+from tests.made.skin import on_vertices
 from tests.made.training import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, states
 
 clip = pytest.fixture(scope="module")(make_clip)
@@ -91,8 +92,10 @@ def test_defect_8_a_background_pixel_teaches_the_same_however_large_the_person_i
 @pytest.mark.parametrize("size", [0.02, 1.0, 6.0])
 def test_defect_9_bodies_of_any_size_and_points_that_drift_away_are_decoded(size):
     vertices, faces, weights = ellipsoid()
-    sizes = {"rounds": 0, "channels": 8, "resolution": 24, "sh_degree": 0}
-    human = HumanModel(size * vertices, faces, weights, **sizes, generator=torch.Generator().manual_seed(0))
+    sizes = {"channels": 8, "resolution": 24, "sh_degree": 0}
+    human = HumanModel(
+        on_vertices(size * vertices, faces, weights), **sizes, generator=torch.Generator().manual_seed(0)
+    )
     with torch.no_grad():
         human.xyz[0] *= 50
     person, stray, _ = human()

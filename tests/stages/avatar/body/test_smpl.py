@@ -6,7 +6,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.rotations import matrix_from_rotvec
-from stages.avatar.body.smpl import DA_POSE, Body, Landmarks, subdivide, vertex_normals
+from stages.avatar.body.smpl import DA_POSE, Body, Landmarks, vertex_normals
 from stages.avatar.model.person import bone_transforms
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
@@ -120,18 +120,6 @@ def test_da_pose_spreads_the_legs(small_body):
     joints = body.rest(torch.zeros(10, dtype=F64))[1]
     left = bone_transforms(joints, body.parents, torch.zeros(3).double(), DA_POSE.double())[1, :3, :3]
     assert torch.allclose(left, matrix_from_rotvec(torch.tensor([0, 0, 1.0], dtype=F64)), atol=1e-12)
-
-
-def test_subdivision_counts_places_and_means():
-    points = torch.tensor([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    faces = torch.tensor([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-    split, (where, tag) = subdivide(faces, 2, points, points[:, :1] * 10)
-    assert split.shape == (64, 3) and len(where) == 34  # a closed surface: V - E + F = 2
-    assert torch.allclose(tag, where[:, :1] * 10)
-    assert torch.equal(where[:4], points)
-    area = lambda p, f: torch.linalg.cross(p[f[:, 1]] - p[f[:, 0]], p[f[:, 2]] - p[f[:, 0]])  # noqa: E731
-    assert torch.allclose(area(where, split).view(4, 16, 3).sum(1), area(points, faces))  # flat pieces, same side up
-    assert torch.allclose(area(where, split).norm(dim=1).sum(), area(points, faces).norm(dim=1).sum())
 
 
 def test_normals_point_out_and_lonely_vertices_have_none():

@@ -27,13 +27,13 @@ def test_cloth_is_kept_with_as_many_bones_as_gltf_carries_and_skin_with_all(stan
     seen = (views(silhouettes(person, where)), [0, 1, 2])
     few, everywhere = where.weights, torch.full_like(where.weights, 1 / 24)
     person = person._replace(weights=0.9 * few + 0.1 * everywhere)
-    bare = bake.finish(person, person.weights, where, *seen).person.weights
+    bare = bake.finish(person, person, where, *seen).person.weights
     assert (bare > 0).sum(1).max() == 24
     hung = Hung(torch.tensor([[0.2, -0.6, 0.1], [-0.2, -0.6, 0.1]]), everywhere[:2])
     pad = torch.nn.functional.pad
     clothed = where._replace(clothing=Clothing.start(hung, where.joints, where.body_pose), weights=pad(few, (0, 2)))
     worn = person._replace(weights=torch.cat([0.5 * person.weights, torch.full((len(few), 2), 0.25)], 1))
-    kept = bake.finish(worn, worn.weights, clothed, *seen).person.weights
+    kept = bake.finish(worn, worn, clothed, *seen).person.weights
     assert (kept > 0).sum(1).max() == 8 and (kept[: len(few), 24:] > 0.25).any()
     torch.testing.assert_close(kept.sum(1), torch.ones(len(kept)))
 
@@ -190,13 +190,24 @@ def test_what_floats_beside_the_person_is_left_out(standing):
 
 def test_long_axes_are_cut_and_the_others_stay(standing):
     person, _ = standing
-    scales = person.scales.clamp_max(bake.SHORT)
-    needles = scales.clone()
-    needles[::3, 1] = 4 * bake.SHORT
-    scales[::3, 1] = bake.SHORT
-    short, count = bake.shorten(person._replace(scales=needles))
+    most = 1.2 * person.scales.amax(1)
+    needles, scales = person.scales.clone(), person.scales.clone()
+    needles[::3, 1], scales[::3, 1] = 4 * most[::3], most[::3]
+    short, count = bake.shorten(person._replace(scales=needles), most)
     assert torch.equal(short.scales, scales) and count == len(needles[::3])
     assert all(a is b for name, a, b in zip(Canonical._fields, short, person, strict=True) if name != "scales")
+
+
+@pytest.mark.slow
+def test_finishing_cuts_axes_by_the_length_they_began_with(standing):
+    person, where = standing
+    needles = person.scales.clone()
+    needles[::3, 1] *= 1.5
+    done = bake.finish(person._replace(scales=needles), person, where, views(silhouettes(person, where)), [0, 1, 2])
+    skin, most = done.person.scales[: len(needles)], bake.SHORT * person.scales.amax(1)
+    assert done.strays == done.broken == 0 and done.shortened == len(needles[::3])
+    torch.testing.assert_close(skin[::3, 1], most[::3])
+    assert torch.equal(skin[1::3], person.scales[1::3])
 
 
 def test_rows_never_shown_are_as_the_body_says():
