@@ -320,6 +320,20 @@ MUTANTS = (
         "tests/stages/training/finishing/test_bake.py::what_nothing_covers_paints_as_many_pixels_as_its_ellipse_has",
     ),
     Mutant(
+        "first Gaussians: as many on each triangle",
+        "stages/avatar/model/skin.py",
+        "np.searchsorted(areas.cumsum(), at).clip(max=len(faces) - 1)",
+        "rng.integers(len(faces), size=tried)",
+        "tests/stages/avatar/model/test_skin.py::fine_triangles_have_no_more_than_coarse_ones",
+    ),
+    Mutant(
+        "shortening: by another one's length",
+        "stages/training/finishing/bake.py",
+        "SHORT * length[~stray]",
+        "SHORT * length[: int((~stray).sum())]",
+        "tests/stages/training/finishing/test_bake.py::finishing_cuts_axes_by_the_length_they_began_with",
+    ),
+    Mutant(
         "shortening: smaller, not only shorter",
         "stages/training/finishing/bake.py",
         "person._replace(scales=torch.minimum(person.scales, most))",
