@@ -23,7 +23,7 @@ class Params(contract.Params):
     frames_used: int = Field(0, ge=0)
     """Most training frames to learn from, spread evenly; 0 = all."""
     human_points: int = Field(27_500, gt=0)
-    """About as many Gaussians does the person's skin begin with, the same distance apart everywhere; 110,210 in the paper."""
+    """About how many Gaussians the person's skin begins with, the same distance apart everywhere; 110,210 in the paper."""
     human_cap: int = Field(40_000, gt=0)
     """Most Gaussians the person may have in training, unless it begins with more; an opaque lining is put under the skin."""
     scene_cap: int = Field(90_000, gt=0)

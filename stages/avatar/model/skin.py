@@ -49,8 +49,7 @@ def even_skin(vertices: Tensor, faces: Tensor, weights: Tensor, count: int) -> S
 def _apart(points: np.ndarray, apart: float, order: np.ndarray) -> np.ndarray:
     """Rows of points[N,3] of which no two are nearer than `apart`: one after the other by `order`[N], where there is room."""
     one, other = cKDTree(points).query_pairs(apart, output_type="ndarray").T
-    free, kept = np.ones((2, len(points)), bool)
-    kept[:] = False
+    free, kept = np.ones(len(points), bool), np.zeros(len(points), bool)
     while len(one):
         first = order.copy()
         np.minimum.at(first, one, order[other])
