@@ -22,7 +22,7 @@ HALF = 0.6  # of that distance: sigma along the skin, about half of the way to t
 def even_skin(vertices: Tensor, faces: Tensor, weights: Tensor, count: int) -> Surfels:
     """About `count` flat Gaussians on the mesh vertices[V,3] m, faces[T,3], weights[V,J]; the same ones for the same mesh.
 
-    A body model's mesh is fine where it bends: hands, feet and head are a fifth of the skin and have two thirds of its
+    A body model's mesh is fine where it bends: hands, feet and head are a fifth of the skin and have over half of its
     vertices. There Gaussians would be far smaller than a pixel, and too large on chest and back. Poisson-disk sampling: of
     points by chance, in an order by chance, each is kept that is not too near to one kept before (Cook 1986).
     """
