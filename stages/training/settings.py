@@ -26,7 +26,7 @@ class Params(contract.Params):
     """About how many Gaussians the person's skin begins with, the same distance apart everywhere; 110,210 in the paper."""
     human_cap: int = Field(40_000, gt=0)
     """Most Gaussians the person may have in training, unless it begins with more; an opaque lining is put under the skin."""
-    scene_cap: int = Field(90_000, gt=0)
+    scene_cap: int = Field(140_000, gt=0)
     """Most Gaussians the scene may have, unless it begins with more: its budget of memory, 0.2 KB each with gradients and
     moments, 0.9 KB with colours of the 3rd degree."""
     scene_fill: int = Field(20_000, ge=0)
