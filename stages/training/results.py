@@ -181,7 +181,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     kept = finish(baked, who.human.initial(), dressed, seen, frames)
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
     try:
-        kept = kept._replace(person=settle(fit, who, kept.person, kept.own, kept.told, clear))
+        kept = kept._replace(person=settle(fit, who, kept.person, kept.known, clear))
     except FloatingPointError as error:  # the training is over, and is kept
         say.warn(f"the Gaussians of the person could not settle and stay as they were before: {error}")
     if kept.reskinned:

@@ -23,6 +23,7 @@ EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; with 0.05, an
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
 FAIR = (0.95, 0.9)  # of the best (this quantile) of their part of the body: such are asked where few sure ones are near
+STRAIGHT = 0.01  # of the mean of pixels painted and seen straight: at so many, half of a colour is told
 COVERED = 0.15, 0.4  # of what it would paint with nothing before it: skin under cloth that paints less shines through
 UNDER = 0.15  # metres from cloth: skin beyond is not under it
 NEIGHBOURS = 24  # that are asked
@@ -36,14 +37,25 @@ SHORT = 1.2  # times its first length, an axis, which settling may double: longe
 THICK = 0.02  # metres across the skin: a haze when seen from the side. The body's own are 0.018 at most, most 0.005
 
 
-class Finished(NamedTuple):
-    """The `person` to keep, how many Gaussians were left out, moved back, shortened, recoloured or added on the way.
+class Known(NamedTuple):
+    """How well frames show each of N Gaussians, all from 0 to 1.
 
-    Of each that is kept: how far its colour is its own[N], from 0 to 1, and how far frames tell its size and place along its axes,
-    told[N,3].
+    How far its colour is its `own` [N], the rest is its neighbours'; how far frames tell its size and place along its axes, `told`
+    [N,3]; and how far they look at it `aslant` alone [N].
+    """
+
+    own: Tensor
+    told: Tensor
+    aslant: Tensor
+
+
+class Finished(NamedTuple):
+    """The `person` to keep, what frames have shown of it, and how many Gaussians were left out, moved back, shortened, recoloured
+    or added on the way.
     """
 
     person: Canonical
+    known: Known
     reskinned: int
     broken: int
     strays: int
@@ -51,8 +63,6 @@ class Finished(NamedTuple):
     shortened: int
     recolored: int
     lining: int
-    own: Tensor
-    told: Tensor
 
 
 def finish(person: Canonical, begun: Canonical, body: Person, views: Views, frames: list[int]) -> Finished:
@@ -68,16 +78,14 @@ def finish(person: Canonical, begun: Canonical, body: Person, views: Views, fram
     stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
     kept, shortened = shorten(kept, SHORT * length[~stray])
-    kept, own, told = recolor(kept, body, views, frames)
+    kept, known = recolor(kept, body, views, frames)
     done = add_lining(kept, body, views, frames)
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
         done = done._replace(weights=of_few_bones(done.weights))
     lining = len(done.means) - len(kept.means)
-    leant = int((own < 0.5).sum())
-    own, told = (torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in (own, told))
-    return Finished(
-        done, reskinned, int((~whole).sum()), int(stray.sum()), snapped, shortened, leant, lining, own, told
-    )
+    leant = int((known.own < 0.5).sum())
+    known = Known(*(torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in known))
+    return Finished(done, known, reskinned, int((~whole).sum()), int(stray.sum()), snapped, shortened, leant, lining)
 
 
 def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:
@@ -120,21 +128,20 @@ def unseen(color_grad_sum: Tensor) -> Tensor:
     return color_grad_sum <= SEEN * color_grad_sum.mean()
 
 
-def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Tensor, Tensor]:
+def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Known]:
     """Blend colours that frames do not show well with the median of the nearest that they do; far ones over a larger patch.
 
     At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay. Small
     hands and feet are nearly all outline: there the best of the same part of the body are asked. Nor does skin that shines
-    through cloth keep its colours.
-    Also returns how far each colour is its own[N], from 0 to 1, the rest is its neighbours', and as much of each axis [N,3] as it
-    lies across the view: how large a Gaussian is and where it is along the view, no frame tells.
+    through cloth keep its colours. How large a Gaussian is and where it is along the view, no frame tells.
     """
-    inside, edge, _, along, clear, _ = count_pixels(person, body, views, frames)
+    inside, edge, _, along, clear, straight, _ = count_pixels(person, body, views, frames)
     mean, bare = inside.mean(), _bare(person, body, clear)
+    aslant = 1 - straight / (straight + STRAIGHT * straight.mean()).clamp_min(1e-9)
     sure = (inside > SURE * mean) & (inside > 2 * edge) & (bare > 0.5)
     if not sure.any():
-        return person, torch.ones_like(inside), 1 - along
+        return person, Known(torch.ones_like(inside), 1 - along, aslant)
     means, own = person.means, bare * inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
     around, away = median_near(person.sh[sure], means[sure], means, NEIGHBOURS)
@@ -143,7 +150,8 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     far = few.nonzero()[:, 0][away[:, 0] > FAR]
     spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
     around[far], _ = median_near(around[spots], means[spots], means[far], ASKED)
-    return person._replace(sh=torch.lerp(around, person.sh, own[:, None, None])), own, own[:, None] * (1 - along)
+    leant = person._replace(sh=torch.lerp(around, person.sh, own[:, None, None]))
+    return leant, Known(own, own[:, None] * (1 - along), aslant)
 
 
 def _bare(person: Canonical, body: Person, clear: Tensor) -> Tensor:

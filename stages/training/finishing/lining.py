@@ -13,7 +13,7 @@ from stages.training.finishing.painted import count_pixels
 from stages.training.views import Person, Views
 
 UNDER_SKIN = (0.02, 1.2), (0.034, 1.2), (0.058, 1.2), (0.058, 0.7)
-"""m under the skin, and sigma in halves of an edge: a lining Gaussian that shows beside the person takes the next place."""
+"""m under the skin, and sigma in halves of an edge: a lining Gaussian that shows takes the next place."""
 UNDER_CLOTH = (0.02, 1.4), (0.03, 1.4), (0.04, 1.2), (0.04, 0.8)
 """The same under cloth, by the distance between its points. It is wider: a kick makes a skirt twice as wide."""
 OUT = len(UNDER_SKIN)
@@ -21,6 +21,9 @@ OUT = len(UNDER_SKIN)
 THIN = 0.7  # of its depth: a point nearer than this to skin or cloth of another side goes half as deep
 FLAT = 0.2  # of its width: how thick a lining Gaussian is
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person shows there
+BEFORE = (
+    0.15  # of what it would paint with nothing before it: a lining Gaussian that paints more lies before the person
+)
 MUCH = 30.0  # times as much: at last those go that show so much, now that others are gone which hid them
 NEIGHBOURS = 8  # that tell the colour above a lining Gaussian, and whether there is cloth
 OPAQUE = 0.5  # opacity from which they do
@@ -29,16 +32,18 @@ OPAQUE = 0.5  # opacity from which they do
 def add_lining(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
     """The person and, after its rows, the points of the body's skin and cloth moved inwards and opaque, in the colours above.
 
-    Where one would show beside the person's masks in `frames` of `views`, it goes deeper, then becomes smaller, and is left
-    out at last: there the person is thinner than the body, or the body is beside the person. Cloth where the person did not
-    become opaque, as the hull over the opening of a coat, has none.
+    Where one would show in `frames` of `views`, it goes deeper, then becomes smaller, and is left out at last: beside the
+    person's masks, where the person is thinner than the body or the body is beside it, and before the person, where its surface
+    lies deeper than the lining, as faces often do. Cloth where the person did not become opaque, as the hull over the opening of
+    a coat, has none.
     """
     place = OUT * _sheer(person, body).long()
     for leak, step in [*[(LEAK, 1)] * (OUT - 1), (LEAK, OUT), (MUCH * LEAK, OUT)]:
         inner, rows = _lining(person, body, place)
         both = Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
         painted = count_pixels(both, body, views, frames)
-        place[rows[painted.beside[len(person.means) :] > leak * painted.pixels]] += step
+        shows = (painted.beside > leak * painted.pixels) | (painted.clear > BEFORE)
+        place[rows[shows[len(person.means) :]]] += step
     inner, _ = _lining(person, body, place)
     return Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
 

@@ -23,8 +23,8 @@ EDGE = 0.006  # of the longer side: the width inside an outline where colours ar
 class Painted(NamedTuple):
     """How many pixels each of N Gaussians paints [N], sums over frames: well `inside` the person's masks, at their `edge` or
     out of them, and `beside` them; `along` [N,3] is how far each of its axes points at the cameras that see it so, the mean squared
-    cosine, 1 where none does; `clear` [N] is how much it paints of what it would with nothing before it. The masks have so
-    many `pixels`.
+    cosine, 1 where none does; `clear` [N] is how much it paints of what it would with nothing before it; `straight` [N] is
+    `inside`, each pixel times the squared cosine between its sight and the skin's normal. The masks have so many `pixels`.
 
     All but `beside` count only where the skin under a Gaussian faces the camera: the far side shines through the near one.
     """
@@ -34,6 +34,7 @@ class Painted(NamedTuple):
     beside: Tensor
     along: Tensor
     clear: Tensor
+    straight: Tensor
     pixels: float
 
 
@@ -44,14 +45,17 @@ def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int
     outwards = normals[nearest(surface, person.means, 1)[1][:, 0]]
     resting, skin = rest(person, bones), rest(person._replace(rotations=rotation_z_to(outwards)), bones)
     counts, along, pixels = torch.zeros_like(person.means), torch.zeros_like(person.means), 0.0
-    clear = torch.zeros_like(person.opacities)
+    clear, straight = torch.zeros(2, *person.opacities.shape).to(person.opacities)
     for i in person_frames(body, views, frames):
         mask = views.masks[i].float() / 255
         splats, inside = body.posed(resting, i).detach(), -dilated(-mask, EDGE)
         paints = painted_pixels(splats, views.viewmats[i], views.Ks[i], torch.stack([inside, 1 - inside, 1 - mask], -1))
         sight = splats.means + views.viewmats[i, :3, :3].T @ views.viewmats[i, :3, 3]  # from the camera's centre
-        facing = (body.posed(skin, i).axes[..., 2] * sight).sum(1) < 0
+        out = body.posed(skin, i).axes[..., 2].detach()
+        toward = -torch.cosine_similarity(out, sight)
+        facing = toward > 0
         counts += torch.stack([paints[:, 0] * facing, paints[:, 1] * facing, paints[:, 2]], 1)
+        straight += paints[:, 0] * toward.clamp_min(0).square()
         squares = splats.axes.square().sum(1) * sight.square().sum(1, keepdim=True)
         cosines = (sight[:, None] @ splats.axes)[:, 0].square() / squares
         shown = paints[:, :2].sum(1) * facing
@@ -61,7 +65,7 @@ def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int
     inside, edge, beside = counts.unbind(1)
     painted = inside + edge
     along = torch.where(painted[:, None] > 0, along / painted[:, None], 1.0)
-    return Painted(inside, edge, beside, along, clear / painted.clamp_min(1e-9), pixels)
+    return Painted(inside, edge, beside, along, clear / painted.clamp_min(1e-9), straight, pixels)
 
 
 def uncovered_pixels(splats: Splats, viewmat: Tensor, K: Tensor) -> Tensor:

@@ -14,8 +14,10 @@ from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.model.human import COLOR
 from stages.avatar.model.person import Canonical, Resting, rest
 from stages.avatar.rasterize import Camera, Layer, Rendering
+from stages.avatar.splats.neighbours import nearest
 from stages.training import losses
 from stages.training.company import Company
+from stages.training.finishing.bake import Known
 from stages.training.person import PersonLearner
 from stages.training.views import person_box, person_frames
 
@@ -23,6 +25,8 @@ STEPS = 256
 RATES = {"sh": 0.03, "opacity": 0.1, "size": 0.02, "place": 4e-4}  # falling to 0
 ALONE = 0.5  # weight of the person alone, beside that of person and scene together
 DOUBLE = 0.7  # log of the factor by which a size changes at most
+EVEN, COMPANY = 0.1, 6  # weight of the difference of colours that frames see aslant from those of so many neighbours
+SEAM = 0.1  # difference of colours [SH] from which on its cost grows no faster: seams stay
 PULL = 0.1 * losses.REGULAR  # on changes: what frames hardly show would change as much as the rest
 
 
@@ -65,10 +69,8 @@ class Change(NamedTuple):
         return (sum(flat) + (self.place / losses.ROUGH).square().sum(1)).mean()
 
 
-def settle(
-    fit: Company, who: PersonLearner, person: Canonical, own: Tensor, told: Tensor, frames: list[int]
-) -> Canonical:
-    """The finished person, changed to draw `frames` better with and without the scene: see `Change.held` for own[N] and told[N,3].
+def settle(fit: Company, who: PersonLearner, person: Canonical, known: Known, frames: list[int]) -> Canonical:
+    """The finished person, changed as far as they are `known` to draw `frames` better, with and without the scene.
 
     Poses, bones and scene stay. Pixels of other people are not compared. Without `train.human_loss` only both together are drawn.
     """
@@ -79,10 +81,11 @@ def settle(
     first = person.sh, person.opacities, scales, person.means
     change = Change(*(torch.zeros_like(part).requires_grad_() for part in first))
     adam = torch.optim.Adam([{"params": [part], "name": name} for name, part in change._asdict().items()], eps=1e-15)
+    near = nearest(person.means, person.means, COMPANY + 1)[1][:, 1:]
     generator = torch.Generator().manual_seed(0)
     row = torch.arange(len(person.means) + (0 if scene is None else len(scene.means)), device=scales.device)
     for step, i in enumerate(islice(cycle(person_frames(who.body, seen, frames)), STEPS)):
-        body, held = (orient[i], body_pose[i], transl[i]), change.held(own, told)
+        body, held = (orient[i], body_pose[i], transl[i]), change.held(known.own, known.told)
         posed = fit.posed(held.at_rest(resting, scales), *body, of=who)
         with torch.no_grad():
             lit, motion = fit.effects.shade(scene, fit.stance(*body, of=who)), fit.motion(i, [who], [resting])
@@ -98,14 +101,14 @@ def settle(
         camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
         pictures = fit.effects.draw(posed, lit, motion, camera, list(layers.values()))
         drawn: dict[str, Rendering | BlurredRendering] = dict(zip(layers, pictures))
-        known, target = 1 - (everybody - mask)[crop], (image[crop], mask[crop], background)
-        loss = PULL * held.pull()
+        clear, target = 1 - (everybody - mask)[crop], (image[crop], mask[crop], background)
+        loss = PULL * held.pull() + EVEN * uneven(person.sh + held.sh, near, known.aslant)
         if "person" in drawn:
             alone = drawn["person"].image, drawn["person"].alpha
-            shown = losses.compared(*alone, gains[i], known, fit.effects.blurs, target)
+            shown = losses.compared(*alone, gains[i], clear, fit.effects.blurs, target)
             loss = loss + ALONE * losses.person_only(*shown, *target)
         if "all" in drawn:
-            off = known[..., None] * (drawn["all"].image * gains[i] - image[crop])
+            off = clear[..., None] * (drawn["all"].image * gains[i] - image[crop])
             loss = loss + losses.photometric(image[crop] + off, image[crop])
         slopes = Change(*torch.autograd.grad(loss, change))
         who.guard.contain(f"settling{who.number}", slopes._asdict())
@@ -115,4 +118,14 @@ def settle(
             group["lr"] = RATES[group["name"]] * (1 - step / STEPS)
         adam.step()
     with torch.no_grad():
-        return change.held(own, told).of(person)
+        return change.held(known.own, known.told).of(person)
+
+
+def uneven(sh: Tensor, near: Tensor, aslant: Tensor) -> Tensor:
+    """How far colours sh[N,K,3] are from those of their neighbours near[N,M] in the mean, each counted by aslant[N].
+
+    Frames that look along a surface see many Gaussians in one pixel, and tell their sum: of one that is too light and one that is
+    too dark, the light one shows from elsewhere. The neighbours carry no gradient.
+    """
+    apart = (sh[:, None] - sh.detach()[near]).square().sum((2, 3))
+    return (aslant[:, None] * ((apart + SEAM**2).sqrt() - SEAM)).mean()

@@ -48,14 +48,16 @@ def test_colours_of_the_outline_lean_on_sure_ones_and_those_stay(standing):
     assert flank.sum() > 300 and front.sum() > 300
     speckled = person._replace(sh=torch.where(flank[:, None, None], 2.0, person.sh))
     off = lambda p: (p.sh - person.sh).abs().amax((1, 2))  # noqa: E731
-    out, own, told = bake.recolor(speckled, where, cameras, [0, 1, 2])
+    out, (own, told, _) = bake.recolor(speckled, where, cameras, [0, 1, 2])
     assert ((told >= 0) & (told <= own[:, None])).all() and told[front].mean() > 0.4
     assert flank.sum() / 2 < (own < 0.5).sum() < len(person.means) and own[front].min() > 0.8
     assert off(out)[flank].mean() < 0.3 * off(speckled)[flank].mean() and off(out)[front].max() < 0.1
     assert all(a is b for name, a, b in zip(person._fields, out, speckled, strict=True) if name != "sh")
     empty = views(torch.zeros(len(EYES), SIZE, SIZE))
-    out, own, told = bake.recolor(speckled, where, empty, [0, 1, 2])
-    assert out is speckled and (own == 1).all() and (told == 0).all(), "nobody is sure of anything"
+    out, (own, told, aslant) = bake.recolor(speckled, where, empty, [0, 1, 2])
+    assert out is speckled and (own == 1).all() and (told == 0).all() and (aslant == 1).all(), (
+        "nobody is sure of anything"
+    )
 
 
 def test_frames_tell_what_lies_across_the_view(standing):
@@ -69,10 +71,22 @@ def test_frames_tell_what_lies_across_the_view(standing):
     assert shown.sum() > 300
     torch.testing.assert_close(painted.along[shown], along, atol=1e-4, rtol=0)
     torch.testing.assert_close(painted.along[shown].sum(1), torch.ones(int(shown.sum())))
+    cosines = (person.rotations[shown, :, 2] * sight).sum(1)
+    torch.testing.assert_close(painted.straight[shown], painted.inside[shown] * cosines.square(), atol=1e-3, rtol=1e-3)
     back = person.rotations[:, 2, 2] < -0.8
     assert (painted.along[back] == 1).all(), "what faces away is not seen"
     around = count_pixels(person, where, cameras, [0, 1, 2])
     assert (around.along.amax(1) < 0.8).sum() > 1.3 * (painted.along.amax(1) < 0.8).sum(), "more cameras tell more"
+
+
+def test_what_one_camera_sees_aslant_another_sees_straight(standing):
+    person, where = standing
+    cameras = views(silhouettes(person, where))
+    side, front = person.rotations[:, 0, 2].abs() > 0.95, person.rotations[:, 2, 2] > 0.8
+    seen = count_pixels(person, where, cameras, [0]).inside > 0
+    one, three = (bake.recolor(person, where, cameras, frames)[1].aslant for frames in ([0], [0, 1, 2]))
+    assert (side & seen).sum() > 20 and one[side & seen].median() > 0.3 and three[side & seen].median() < 0.05
+    assert one[front & seen].median() < 0.05 and ((one >= 0) & (one <= 1)).all() and (one[~seen] == 1).all()
 
 
 def test_a_far_side_that_shines_through_the_near_one_has_not_been_shown(standing):

@@ -8,6 +8,7 @@ from stages.avatar.model.person import Canonical, Surfels
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import lining
 from stages.training.finishing.lining import OUT, UNDER_CLOTH, UNDER_SKIN, _lining, add_lining
+from stages.training.finishing.painted import count_pixels
 from stages.training.losses import dilated
 from stages.training.views import Person
 from tests.made.standing import EYES, SIZE, drawn, silhouettes, stand_red, views
@@ -64,6 +65,7 @@ def test_the_lining_never_shows_beside_the_masks(standing, torn):
     assert len(inner) > 3000 and inner[:, 0].min() < -0.5 and inner[:, 0].max() < 0.4, "an arm that is not there"
 
 
+@pytest.mark.slow
 def test_what_shows_beside_a_thinner_person_goes_deeper(standing, monkeypatch):
     person, where = standing
     masks = torch.stack([-dilated(-mask, 0.012) for mask in silhouettes(person, where)])
@@ -73,6 +75,23 @@ def test_what_shows_beside_a_thinner_person_goes_deeper(standing, monkeypatch):
     monkeypatch.setattr(lining, "UNDER_SKIN", OUT * UNDER_SKIN[:1])
     without = add_lining(thin, where, views(masks), [0, 1, 2]).means[len(person.means) :]
     assert deep.sum() > 100 and len(kept) > 1.1 * len(without)
+
+
+@pytest.mark.slow
+def test_the_lining_does_not_lie_before_a_person_who_lies_deeper_than_the_body(standing, monkeypatch):
+    """No frame tells how deep a face is that all look at from the front; its lining hid it, and hung before its nose."""
+    person, where = standing
+    dent = (person.rotations[:, 2, 2] > 0.5) & (person.means[:, 1] > -0.1)
+    deep = person._replace(means=person.means - torch.where(dent, 0.03, 0.0)[:, None] * torch.tensor([0.0, 0, 1]))
+
+    def hidden() -> int:
+        kept = add_lining(deep, where, views(silhouettes(deep, where)), [0])
+        clear = count_pixels(kept, where, views(silhouettes(kept, where)), [0]).clear[len(person.means) :]
+        return int((clear > 0.2).sum())
+
+    assert dent.sum() > 300 and hidden() < 30
+    monkeypatch.setattr(lining, "BEFORE", 2.0)
+    assert hidden() > 100, "the test can fail"
 
 
 def test_the_lining_stays_inside_thin_parts(standing):

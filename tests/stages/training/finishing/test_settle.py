@@ -5,9 +5,11 @@ import torch
 
 from stages.avatar.body.smpl import DA_POSE
 from stages.avatar.model.person import Canonical, bone_transforms, rest
+from stages.avatar.splats.neighbours import nearest
 from stages.training.accuracy import heldout_accuracy
 from stages.training.finishing import settle as module
-from stages.training.finishing.settle import Change, settle
+from stages.training.finishing.bake import Known
+from stages.training.finishing.settle import SEAM, Change, settle, uneven
 from stages.training.fit import Fit
 from tests.made.skeleton import PARENTS
 from tests.made.training import TRAIN, ellipsoid, make_clip, models, settings
@@ -34,9 +36,10 @@ def accuracy(fit, person) -> float:
     return heldout_accuracy(fit, [2])["psnr_person"]
 
 
-def settled(fit, person, own, frames=TRAIN, told=None):
+def settled(fit, person, own, frames=TRAIN, told=None, aslant=0.0):
     """With colours that are their own[N], and sizes and places that frames tell as well, or told[N,3]."""
-    return settle(fit, fit.person, person, own, own[:, None].expand(-1, 3) if told is None else told, frames)
+    told = own[:, None].expand(-1, 3) if told is None else told
+    return settle(fit, fit.person, person, Known(own, told, torch.full_like(own, aslant)), frames)
 
 
 @pytest.mark.slow
@@ -134,6 +137,35 @@ def test_pixels_of_others_are_not_compared():
     own = torch.ones(len(person.means))
     apart = (settled(one, person, own).sh - settled(other, person, own).sh).abs().mean()
     assert apart < 0.1 * (settled(one, person, own).sh - person.sh).abs().mean()
+
+
+@pytest.mark.slow
+def test_specks_that_frames_see_aslant_become_even_and_the_person_looks_better(clip):
+    fit, truth = true_fit(clip)
+    rough = 0.3 * torch.randn(truth.sh.shape, generator=torch.Generator().manual_seed(4))
+    spoiled, own = truth._replace(sh=truth.sh + rough), torch.ones(len(truth.means))
+    near = nearest(truth.means, truth.means, 7)[1][:, 1:]
+    straight, aslant = (settled(fit, spoiled, own, aslant=share) for share in (0.0, 1.0))
+    before, without, after = (float(uneven(p.sh, near, own)) for p in (spoiled, straight, aslant))
+    assert after < 0.7 * without and without < 1.5 * before
+    assert accuracy(fit, aslant) > accuracy(fit, spoiled) + 0.2
+
+
+def test_uneven_colours_cost_as_they_are_seen_aslant_and_seams_no_more_than_their_height():
+    near, aslant = torch.tensor([[1, 2], [0, 2], [0, 1]]), torch.tensor([1.0, 0.5, 0], dtype=torch.float64)
+
+    def cost(step: float) -> torch.Tensor:
+        return uneven(torch.tensor([step, 0, 0], dtype=torch.float64)[:, None, None].expand(-1, 1, 3), near, aslant)
+
+    assert cost(0) == 0
+    assert cost(1e-4).item() == pytest.approx(2.5 / 6 * 3 * 1e-8 / (2 * SEAM), rel=1e-4), "square at first"
+    assert (cost(100) - cost(50)).item() == pytest.approx(2.5 / 6 * 50 * 3**0.5, rel=1e-3), "linear then"
+    even = torch.zeros(3, 1, 3, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(uneven(even, near, aslant), even)
+    assert (slope == 0).all()
+    sh = torch.rand(3, 1, 3, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(uneven(sh, near, aslant), sh)
+    assert (slope[2] == 0).all() and (slope[:2] != 0).any(), "what is seen straight is not pulled by what is not"
 
 
 def changes(count: int, **more) -> Change:
