@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.body.smpl import edge_lengths
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.neighbours import median_near, nearest
@@ -13,13 +12,13 @@ from stages.training.finishing.painted import count_pixels
 from stages.training.views import Person, Views
 
 UNDER_SKIN = (0.02, 1.2), (0.034, 1.2), (0.058, 1.2), (0.058, 0.7)
-"""m under the skin, and sigma in halves of an edge: a lining Gaussian that shows takes the next place."""
+"""m under the skin, and sigma in halves of a gap between vertices: a lining Gaussian that shows takes the next place."""
 UNDER_CLOTH = (0.02, 1.4), (0.03, 1.4), (0.04, 1.2), (0.04, 0.8)
 """The same under cloth, by the distance between its points. It is wider: a kick makes a skirt twice as wide."""
 OUT = len(UNDER_SKIN)
 """The place after the last: it is left out."""
 THIN = 0.7  # of its depth: a point nearer than this to skin or cloth of another side goes half as deep
-FLAT = 0.2  # of its width: how thick a lining Gaussian is
+FLAT = 0.2  # of its lesser width: how thick a lining Gaussian is
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person shows there
 BEFORE = (
     0.15  # of what it would paint with nothing before it: a lining Gaussian that paints more lies before the person
@@ -60,23 +59,45 @@ def _sheer(person: Canonical, body: Person) -> Tensor:
 def _lining(person: Canonical, body: Person, place: Tensor) -> tuple[Canonical, Tensor]:
     """Gaussians under those points of skin and cloth whose `place`[S] is not OUT, and their rows [M]."""
     surface, normals, weights = body.surface()
-    gaps = edge_lengths(body.vertices, body.faces)
+    turns, gaps = _gaps(body.vertices, body.faces, normals[: len(body.vertices)])
     if body.cloth is not None:
-        gaps = torch.cat([gaps, 2 * body.cloth.scales[:, 0]])
+        turns = torch.cat([turns, body.cloth.rotations])
+        gaps = torch.cat([gaps, 2 * body.cloth.scales[:, :2]])
     rows = (place < OUT).nonzero()[:, 0]
     cloth = (rows >= len(body.vertices)).long()
     depth, wide = torch.tensor([UNDER_SKIN, UNDER_CLOTH]).to(surface)[cloth, place[rows]].split(1, 1)
     for _ in range(6):
         distance, _ = nearest(surface, surface[rows] - depth * normals[rows], 1)
         depth = torch.where(distance < THIN * depth, 0.5 * depth, depth)
-    means, sigmas = surface[rows] - depth * normals[rows], wide * 0.5 * gaps[rows, None]
+    means, sigmas = surface[rows] - depth * normals[rows], wide * 0.5 * gaps[rows]
     opaque = person.opacities >= person.opacities.max().clamp(max=OPAQUE)
     inner = Canonical(
         means=means,
-        rotations=rotation_z_to(normals[rows]),
-        scales=sigmas * sigmas.new_tensor([1, 1, FLAT]),
+        rotations=turns[rows],
+        scales=torch.cat([sigmas, FLAT * sigmas[:, 1:]], 1),
         opacities=torch.full_like(means[:, 0], 0.99),
         sh=median_near(person.sh[opaque], person.means[opaque], means, NEIGHBOURS)[0],
         weights=weights[rows],
     )
     return inner, rows
+
+
+def _gaps(vertices: Tensor, faces: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
+    """The way of the longest, the shortest gaps between vertices[V,3], as columns of rotations [V,3,3] whose third are their
+    normals[V,3] or those reversed, and their lengths [V,2] in metres, the first no shorter.
+
+    Around a calf vertices are 2 cm apart and along it 6: a lining as wide as it is long would be a haze beside it. No length is
+    over the mean of the edges there: ends of a lining would stick out.
+    """
+    ends = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = torch.cat([ends, ends.flip(1)])
+    start, out = ends[:, 0], normals[ends[:, 0]]
+    edges = vertices[ends[:, 1]] - vertices[start]
+    edges = edges - (edges * out).sum(1, keepdim=True) * out
+    spread = torch.zeros_like(vertices[:, :, None] * normals[:, None])
+    spread.index_add_(0, start, edges[:, :, None] * edges[:, None])
+    count = torch.zeros_like(vertices[:, 0]).index_add_(0, start, torch.ones_like(edges[:, 0])).clamp_min(1)
+    squared, axes = torch.linalg.eigh(spread / count[:, None, None] - normals[:, :, None] * normals[:, None])
+    squared, axes = squared.flip(1), axes.flip(2)
+    lengths = torch.minimum((2 * squared[:, :2].clamp_min(0)).sqrt(), edge_lengths(vertices, faces)[:, None])
+    return axes * torch.linalg.det(axes)[:, None, None].sign(), lengths

@@ -3,11 +3,12 @@
 import pytest
 import torch
 
-from stages.avatar.body.smpl import DA_POSE
+from stages.avatar.body.rotations import matrix_from_rotvec
+from stages.avatar.body.smpl import DA_POSE, edge_lengths
 from stages.avatar.model.person import Canonical, Surfels
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import lining
-from stages.training.finishing.lining import OUT, UNDER_CLOTH, UNDER_SKIN, _lining, add_lining
+from stages.training.finishing.lining import OUT, UNDER_CLOTH, UNDER_SKIN, _gaps, _lining, add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.losses import dilated
 from stages.training.views import Person
@@ -103,6 +104,28 @@ def test_the_lining_stays_inside_thin_parts(standing):
     assert depth.max() <= inset * 1.001 and (depth < 0.5 * inset).any(), "fingers are thinner than the inset"
     apart = torch.cdist(inner.means, where.vertices).amin(1)
     assert (apart > 0.6 * depth).all()
+
+
+def test_a_lining_is_as_wide_as_the_gaps_between_vertices_each_way():
+    """A grid that is three times as long as wide, tilted: a lining that is round would be a haze beside a calf."""
+    x, y = (part.flatten() for part in torch.meshgrid(torch.arange(7.0), torch.arange(7.0), indexing="ij"))
+    turn = matrix_from_rotvec(torch.tensor([0.4, -0.3, 0.2]))
+    vertices = torch.stack([0.01 * x, 0.03 * y, 0 * x], 1) @ turn.T
+    corner = torch.tensor([i for i in range(41) if i % 7 < 6])
+    faces = torch.cat(
+        [torch.stack([corner, corner + 1, corner + 8], 1), torch.stack([corner, corner + 8, corner + 7], 1)]
+    )
+    turns, gaps = _gaps(vertices, faces, turn[:, 2].expand(49, -1))
+    torch.testing.assert_close(turns.mT @ turns, torch.eye(3).expand(49, -1, -1), atol=1e-5, rtol=0)
+    assert torch.allclose(torch.linalg.det(turns), torch.ones(49), atol=1e-5)
+    assert ((turns[:, :, 2] @ turn[:, 2]).abs() > 0.9999).all()
+    middle = ((x > 0) & (x < 6) & (y > 0) & (y < 6)).nonzero()[:, 0]
+    assert ((turns[middle, :, 0] @ turn[:, 1]).abs() > 0.95).all(), "the long gaps are along y"
+    assert (gaps[middle, 1] < 0.5 * gaps[middle, 0]).all() and (
+        gaps[:, 0] <= edge_lengths(vertices, faces) + 1e-7
+    ).all()
+    alone, lone = _gaps(torch.zeros(1, 3), faces[:0], turn[:, 2][None])
+    assert alone.isfinite().all() and (lone == 0).all(), "a vertex in no face"
 
 
 def test_without_frames_that_show_the_person_there_is_a_whole_lining(standing):
