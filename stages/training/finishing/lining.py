@@ -19,6 +19,7 @@ OUT = len(UNDER_SKIN)
 """The place after the last: it is left out."""
 THIN = 0.7  # of its depth: a point nearer than this to skin or cloth of another side goes half as deep
 FLAT = 0.2  # of its lesser width: how thick a lining Gaussian is
+NARROW = 0.25  # of the mean edge at a vertex: no lining is narrower, where the edges are all but in line
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person shows there
 BEFORE = (
     0.15  # of what it would paint with nothing before it: a lining Gaussian that paints more lies before the person
@@ -86,8 +87,8 @@ def _gaps(vertices: Tensor, faces: Tensor, normals: Tensor) -> tuple[Tensor, Ten
     """The way of the longest, the shortest gaps between vertices[V,3], as columns of rotations [V,3,3] whose third are their
     normals[V,3] or those reversed, and their lengths [V,2] in metres, the first no shorter.
 
-    Around a calf vertices are 2 cm apart and along it 6: a lining as wide as it is long would be a haze beside it. No length is
-    over the mean of the edges there: ends of a lining would stick out.
+    Around a calf vertices are 2 cm apart and along it 6: a lining as wide as it is long would be a haze beside it. Lengths are
+    from NARROW to 1 of the mean of the edges there: longer ends of a lining would stick out.
     """
     ends = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = torch.cat([ends, ends.flip(1)])
@@ -97,7 +98,9 @@ def _gaps(vertices: Tensor, faces: Tensor, normals: Tensor) -> tuple[Tensor, Ten
     spread = torch.zeros_like(vertices[:, :, None] * normals[:, None])
     spread.index_add_(0, start, edges[:, :, None] * edges[:, None])
     count = torch.zeros_like(vertices[:, 0]).index_add_(0, start, torch.ones_like(edges[:, 0])).clamp_min(1)
-    squared, axes = torch.linalg.eigh(spread / count[:, None, None] - normals[:, :, None] * normals[:, None])
+    mean = edge_lengths(vertices, faces)[:, None]
+    ways = spread / (count[:, None] * mean.square()).clamp_min(1e-12)[..., None]  # an eyelid's edges are 1 mm long
+    squared, axes = torch.linalg.eigh(ways - normals[:, :, None] * normals[:, None])
     squared, axes = squared.flip(1), axes.flip(2)
-    lengths = torch.minimum((2 * squared[:, :2].clamp_min(0)).sqrt(), edge_lengths(vertices, faces)[:, None])
+    lengths = mean * (2 * squared[:, :2].clamp_min(0)).sqrt().clamp(NARROW, 1)
     return axes * torch.linalg.det(axes)[:, None, None].sign(), lengths

@@ -124,6 +124,12 @@ def test_a_lining_is_as_wide_as_the_gaps_between_vertices_each_way():
     assert (gaps[middle, 1] < 0.5 * gaps[middle, 0]).all() and (
         gaps[:, 0] <= edge_lengths(vertices, faces) + 1e-7
     ).all()
+    for scale in (1e-3, 100.0):
+        again, lengths = _gaps(scale * vertices, faces, turn[:, 2].expand(49, -1))
+        assert ((again[middle, :, 0] @ turn[:, 1]).abs() > 0.95).all(), "in eyelids of 10 um, too"
+        torch.testing.assert_close(lengths / scale, gaps, rtol=1e-3, atol=0)
+    _, flat = _gaps(vertices * torch.tensor([1.0, 0, 0]), faces, torch.tensor([0.0, 0, 1]).expand(49, -1))
+    assert (flat > 0).all(), "edges that are all in line"
     alone, lone = _gaps(torch.zeros(1, 3), faces[:0], turn[:, 2][None])
     assert alone.isfinite().all() and (lone == 0).all(), "a vertex in no face"
 
