@@ -21,9 +21,7 @@ THIN = 0.7  # of its depth: a point nearer than this to skin or cloth of another
 FLAT = 0.2  # of its lesser width: how thick a lining Gaussian is
 NARROW = 0.25  # of the mean edge at a vertex: no lining is narrower, where the edges are all but in line
 LEAK = 4e-7  # of the person's pixels: a lining Gaussian that paints more beside the person shows there
-BEFORE = (
-    0.15  # of what it would paint with nothing before it: a lining Gaussian that paints more lies before the person
-)
+BEFORE = 0.15  # of what it would paint with nothing before it: one that paints more lies before the person
 MUCH = 30.0  # times as much: at last those go that show so much, now that others are gone which hid them
 NEIGHBOURS = 8  # that tell the colour above a lining Gaussian, and whether there is cloth
 OPAQUE = 0.5  # opacity from which they do
