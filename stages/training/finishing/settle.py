@@ -25,7 +25,7 @@ STEPS = 256
 RATES = {"sh": 0.03, "opacity": 0.1, "size": 0.02, "place": 4e-4}  # falling to 0
 ALONE = 0.5  # weight of the person alone, beside that of person and scene together
 DOUBLE = 0.7  # log of the factor by which a size changes at most
-EVEN, COMPANY = 0.1, 6  # weight of the difference of colours that frames see aslant from those of so many neighbours
+EVEN, NEIGHBOURS = 0.1, 6  # weight of the difference of colours that frames see aslant from those of so many neighbours
 SEAM = 0.1  # difference of colours [SH] from which on its cost grows no faster: seams stay
 PULL = 0.1 * losses.REGULAR  # on changes: what frames hardly show would change as much as the rest
 
@@ -81,7 +81,7 @@ def settle(fit: Company, who: PersonLearner, person: Canonical, known: Known, fr
     first = person.sh, person.opacities, scales, person.means
     change = Change(*(torch.zeros_like(part).requires_grad_() for part in first))
     adam = torch.optim.Adam([{"params": [part], "name": name} for name, part in change._asdict().items()], eps=1e-15)
-    near = nearest(person.means, person.means, COMPANY + 1)[1][:, 1:]
+    near = nearest(person.means, person.means, NEIGHBOURS + 1)[1][:, 1:]
     generator = torch.Generator().manual_seed(0)
     row = torch.arange(len(person.means) + (0 if scene is None else len(scene.means)), device=scales.device)
     for step, i in enumerate(islice(cycle(person_frames(who.body, seen, frames)), STEPS)):
