@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 RESUMES, LOADS = True, ADAM
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
 
-FINISH = 180.0
-"""Training steps of full size that it takes to look at the frames, let the person settle and write the person, after the last step.
-The kitchen clip, a short training, 2 cores, November 2026."""
+FINISH, FILL = 180.0, 25.0
+"""Training steps of full size that it takes, after the last step, to look at the frames, let a person settle and write them, and to
+fill what they hide of the scene. The kitchen clip, a short training, 2 cores, November 2026."""
 
 
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
     from stages.formats.people import people_of
 
-    return FINISH * len(people_of(folders["sfm"]))
+    return FILL + FINISH * len(people_of(folders["sfm"]))
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:

@@ -19,6 +19,7 @@ from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import SHORT, Finished, finish, unseen
+from stages.training.finishing.hidden import fill_hidden
 from stages.training.finishing.settle import settle
 from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
@@ -70,6 +71,7 @@ def result_of(
 
     `others` is the same clip with the bodies of further people.
     """
+    filled = _filled(fit, say)
     people = [_person(fit, who, one, say) for who, one in zip(fit.people, (clip, *others))]
     (avatar, poses, _, _), *rest = people
     scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
@@ -114,6 +116,7 @@ def result_of(
         "leant": sum(kept.recolored for _, _, kept, _ in people),
         "unseen": sum(never for *_, never in people),
         "behind": behind,
+        "filled": filled,
         "lining": sum(kept.lining for _, _, kept, _ in people),
         "left_out": fit.guard.left_out,
         "clipped": fit.guard.clipped,
@@ -135,6 +138,17 @@ def result_of(
         facts["people"] = [len(avatar), *(len(one[0]) for one in rest)]
     more = [(one[0], one[1]) for one in rest]
     return Result(avatar, scene, poses, Effects(**known) if known else None, cameras, curve, facts, more)
+
+
+def _filled(fit: Fit, say: Listener) -> int:
+    if fit.scene is None:
+        return 0
+    filled = fill_hidden(fit.scene, fit.full._replace(viewmats=fit.cameras().detach()), fit.train)
+    if filled:
+        say.note(
+            f"{filled:,} Gaussians of the scene fill what the person hides in every frame: invented, from what is around"
+        )
+    return filled
 
 
 def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Finished, int]:

@@ -624,7 +624,8 @@ def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, 
 
 
 @pytest.mark.slow
-def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs):
+def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs, monkeypatch):
+    monkeypatch.setattr("stages.training.results.fill_hidden", lambda scene, views, frames: 7 * len(frames))
     job, said = fresh(tmp_path, "out"), []
     job.emit = lambda event: said.append(event.get("text", ""))
     training = trained(inputs, PARAMS.model_copy(update={"human_cap": 100, "scene_cap": 10}), job)
@@ -632,6 +633,7 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
     fit.guard.clipped, fit.densifier.settled = 3, torch.arange(len(fit.scene)) < 5
     facts = finish(training, job).facts
     assert facts["unseen"] > 0 and facts["leant"] > 0 and facts["clipped"] == 3 and facts["behind"] == 5
+    assert facts["filled"] == 7 * len(fit.train)
     begun = facts["sizes"]["human_cap"]
     assert begun == len(fit.human) > 6800 and facts["sizes"]["scene_cap"] > 10
     for part in (
@@ -640,6 +642,7 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
         f"{facts['leant']:,} Gaussians that no frame shows well",
         f"{facts['unseen']:,} Gaussians of the person that no frame shows",
         "5 Gaussians of the scene that the person hides",
+        f"{facts['filled']} Gaussians of the scene fill what the person hides in every frame: invented",
         "3 gradients of networks or effects",
     ):
         assert any(part in text for text in said), part

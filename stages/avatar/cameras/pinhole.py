@@ -29,6 +29,12 @@ def project(points: Array, viewmat: Array, K: Array) -> tuple[Array, Array]:
     return homogeneous[..., :2], z
 
 
+def unproject(pixels: np.ndarray, inverse: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """World points [N,3] of pixels [N,2] with inverse depths 1/z [N], for a `viewmat` [4,4] and a `K` [3,3] without skew."""
+    rays = np.concatenate([(pixels - [K[0, 2], K[1, 2]]) / [K[0, 0], K[1, 1]], np.ones((len(pixels), 1))], 1)
+    return (rays / inverse[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3]
+
+
 def camera_centers(viewmats: Array) -> Array:
     """Positions [...,3] of cameras `viewmats` [...,4,4] in the world."""
     return -(viewmats[..., :3, :3].mT @ viewmats[..., :3, 3:])[..., 0]

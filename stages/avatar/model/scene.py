@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
 from stages import records
-from stages.avatar.cameras.pinhole import camera_centers, project
+from stages.avatar.cameras.pinhole import camera_centers, project, unproject
 from stages.avatar.rasterize import gaussian_axes
 from stages.avatar.splats.gaussians import Splats, spacing
 from stages.avatar.splats.neighbours import nearest
@@ -19,6 +19,7 @@ from stages.avatar.splats.sh import bases, sh_from_rgb
 
 MOVABLE = 15.0  # largest logit of an opacity: from 17 on float32's sigmoid is flat and opacities would freeze (C04)
 START_OPACITY = 0.5
+OPAQUE = 3.0  # logit of an opacity of 0.95
 BEHIND = 0.5  # metres behind the middle of a person, where filled-in background may begin
 NEAREST = 0.02  # of the extent: nearer to a camera is no surface, see `clear_of_cameras`
 
@@ -86,8 +87,7 @@ def fill_points(
         w[beyond] = NearestNDInterpolator(pixels, inverse)(at[beyond])
         beyond_person = 1 / max(viewmat[2, :3] @ place + viewmat[2, 3] + BEHIND, 1e-6)
         w = np.where(mask[row, column] >= 128, np.minimum(w, beyond_person), w)
-        rays = np.concatenate([(at - [K[0, 2], K[1, 2]]) / [K[0, 0], K[1, 1]], np.ones((len(at), 1))], 1)
-        xyz.append((rays / w[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3])
+        xyz.append(unproject(at, w, viewmat, K))
         rgb.append(image[free_row[row, column], free_column[row, column]])
     return np.concatenate(xyz), np.concatenate(rgb)
 
@@ -124,6 +124,15 @@ class SceneModel(nn.Module):
         for name in self.ROWS:
             setattr(self, name, nn.Parameter(torch.cat([getattr(self, name), getattr(sky, name)])))
         self.shell, self.middle = radius, middle
+
+    @torch.no_grad()
+    def exchange(self, lost: Tensor, points: Tensor, rgb: Tensor, sizes: Tensor) -> None:
+        """Put opaque round Gaussians at points[P,3] m, with rgb[P,3] in 0..1 and sigmas sizes[P] m, for those `lost` [N]."""
+        fresh = SceneModel(points, rgb, math.isqrt(self.shN.shape[1]), self.extent)
+        fresh.log_scales.copy_(sizes.log()[:, None].expand(-1, 3))
+        fresh.logit_opacities.fill_(OPAQUE)
+        for name in self.ROWS:
+            setattr(self, name, nn.Parameter(torch.cat([getattr(self, name)[~lost], getattr(fresh, name)])))
 
     @torch.no_grad()
     def sizes(self) -> Tensor:

@@ -35,6 +35,12 @@ class Splats(NamedTuple):
         means, axes, opacities, sh = (part.detach() for part in self[:4])
         return Splats(means, axes, opacities, sh, rotations, self.antialias)
 
+    def rows(self, kept: Tensor) -> Splats:
+        """Those `kept` [N]."""
+        rotations = None if self.rotations is None else self.rotations[kept]
+        means, axes, opacities, sh = (part[kept] for part in self[:4])
+        return Splats(means, axes, opacities, sh, rotations, self.antialias)
+
     def colors(self, eye: Tensor) -> Tensor:
         """Colours [N,3] seen from `eye`[3] in the world; a Gaussian at the centre itself gets degree 0."""
         if self.sh.shape[1] == 1:

@@ -35,6 +35,7 @@ def test_project_agrees_in_numpy_and_torch_and_unproject_inverts_it():
     t_pixels, t_z = cameras.project(*(torch.from_numpy(a) for a in (points, WORLD, K)))
     assert np.allclose(pixels, t_pixels.numpy()) and np.allclose(z, t_z.numpy())
     assert np.allclose(unproject(pixels, z, WORLD, K), points)
+    assert np.allclose(cameras.unproject(pixels, 1 / z, WORLD, K), points)
     assert np.allclose(unproject(t_pixels, t_z, torch.from_numpy(WORLD), torch.from_numpy(K)).numpy(), points)
 
 

@@ -1,0 +1,117 @@
+"""What the person hides in every frame gets a surface that goes on as what is around it."""
+
+import pytest
+import torch
+
+from stages.avatar.model.scene import SceneModel
+from stages.avatar.rasterize import Camera
+from stages.avatar.splats.compose import compose
+from stages.avatar.splats.sh import sh_from_rgb
+from stages.training.finishing.hidden import fill_hidden, never_seen
+from stages.training.losses import dilated
+from stages.training.views import Views
+
+SIZE, FOCAL, AWAY = 96, 90.0, 4.0
+GHOST = torch.tensor([1.0, 0.0, 1.0])
+
+
+def stripes(points):
+    """Level stripes of 0.5 m."""
+    return torch.where(torch.sin(4 * torch.pi * points[:, 1:2]) > 0, 0.8, 0.2).expand(-1, 3).contiguous()
+
+
+def wall(places, half=2.5, apart=0.03):
+    """A striped wall AWAY m off, filmed from each of `places` m to the side; a ghost of somebody who stands at 0 m hides it."""
+    side = torch.arange(-half, half, apart)
+    grid = torch.stack(torch.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
+    points = torch.cat([grid, torch.full((len(grid), 1), AWAY)], 1)
+    scene = SceneModel(points, stripes(points), 0, AWAY)
+    with torch.no_grad():
+        scene.log_scales.fill_(torch.tensor(0.7 * apart).log())
+        scene.logit_opacities.fill_(3.0)
+    viewmats = torch.eye(4).repeat(len(places), 1, 1)
+    viewmats[:, 0, 3] = -torch.tensor(places)
+    Ks = torch.tensor([[FOCAL, 0, SIZE / 2], [0, FOCAL, SIZE / 2], [0, 0, 1]]).repeat(len(places), 1, 1)
+    return scene, Views(torch.zeros(len(places), SIZE, SIZE, 3).byte(), masks_of(places), viewmats, Ks)
+
+
+def masks_of(places, at=0.0):
+    """Somebody 1 m wide and 2 m high who stands at `at` m, 0.2 m before the wall."""
+    masks = torch.zeros(len(places), SIZE, SIZE).byte()
+    for mask, place in zip(masks, places):
+        middle, scale = SIZE / 2 + FOCAL * (at - place) / (AWAY - 0.2), FOCAL / (AWAY - 0.2)
+        mask[
+            round(SIZE / 2 - scale) : round(SIZE / 2 + scale),
+            max(0, round(middle - 0.5 * scale)) : round(middle + 0.5 * scale),
+        ] = 255
+    return masks
+
+
+def haunt(scene, at=0.0):
+    """Somebody's ghost on the wall."""
+    behind = ((scene.means[:, 0] - at).abs() < 0.5) & (scene.means[:, 1].abs() < 1)
+    with torch.no_grad():
+        scene.sh0[behind] = sh_from_rgb(GHOST)[None]
+
+
+def drawn(scene, views, i):
+    return compose(None, scene.splats().detach(), Camera(views.viewmats[i], views.Ks[i], SIZE, SIZE))[0]
+
+
+def test_the_wall_goes_on_where_somebody_always_stood():
+    scene, views = wall([-0.05, 0.0, 0.05])
+    clean = drawn(scene, views, 1)
+    haunt(scene)
+    before, rows = drawn(scene, views, 1), [row.detach().clone() for row in (scene.means, scene.sh0)]
+    hole = never_seen(scene.splats().detach(), views, 1, [0, 1, 2])
+    assert hole.sum() > 500 and not (hole & (dilated(views.masks[1].float(), 0.01) == 0)).any()
+    filled = fill_hidden(scene, views, [0, 1, 2])
+    after = drawn(scene, views, 1)
+    assert filled == hole.sum()
+    ghost, left = ((one.image - clean.image).abs()[hole].mean() for one in (before, after))
+    assert left < 0.25 * ghost, (left, ghost)
+    depth = (after.depth / after.alpha)[hole]
+    assert (depth - AWAY).abs().max() < 0.05, "the wall is flat there, too"
+    same = (scene.means[:, None] == rows[0][None, :1]).all(-1).any()
+    assert same and torch.equal(scene.means[:100], rows[0][:100]) and torch.equal(scene.sh0[:100], rows[1][:100])
+    assert all(getattr(scene, name).requires_grad and len(getattr(scene, name)) == len(scene) for name in scene.ROWS)
+
+
+def test_what_a_frame_shows_stays():
+    scene, views = wall([-1.0, 0.0, 1.0])
+    haunt(scene)
+    views = views._replace(
+        masks=torch.stack([masks_of([place], place)[0] for place in (-1.0, 0.0, 1.0)])
+    )  # walks along
+    before = scene.means.detach().clone()
+    assert fill_hidden(scene, views, [0, 1, 2]) == 0 and torch.equal(scene.means, before)
+    assert fill_hidden(scene, views, [1]) > 0, "one frame alone does not show it"
+
+
+@pytest.mark.parametrize("mask", [0, 255])
+def test_without_anybody_or_anything_around_all_stays(mask):
+    scene, views = wall([0.0, 0.05])
+    before = scene.means.detach().clone()
+    assert fill_hidden(scene, views._replace(masks=torch.full_like(views.masks, mask)), [0, 1]) == 0
+    assert torch.equal(scene.means, before)
+
+
+def test_somebody_who_stands_here_and_then_there_leaves_two_places():
+    places = [-3.0, -2.95, 3.0, 3.05]
+    scene, views = wall(places, half=5.0)
+    views = views._replace(masks=torch.cat([masks_of(places[:2], -3.0), masks_of(places[2:], 3.0)]))
+    clean = [drawn(scene, views, i).image for i in (0, 2)]
+    haunt(scene, -3.0)
+    haunt(scene, 3.0)
+    ghosts = [(drawn(scene, views, i).image - image).abs().mean() for i, image in zip((0, 2), clean)]
+    fill_hidden(scene, views, [0, 1, 2, 3])
+    for i, image, ghost in zip((0, 2), clean, ghosts):
+        assert (drawn(scene, views, i).image - image).abs().mean() < 0.35 * ghost
+
+
+def test_a_wall_that_ends_behind_somebody_gives_finite_rows():
+    scene, views = wall([0.0, 0.05])
+    scene.exchange(scene.means[:, 0] > 0, torch.tensor([[0.0, 0, 50]]), GHOST[None], torch.tensor([0.1]))
+    assert (drawn(scene, views, 0).alpha[:, -20:] == 0).all()
+    fill_hidden(scene, views, [0, 1])
+    assert all(getattr(scene, name).isfinite().all() for name in scene.ROWS)
