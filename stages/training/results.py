@@ -15,7 +15,7 @@ from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import bone_transforms
 from stages.avatar.model.scene import SceneModel
-from stages.avatar.splats.gaussians import finite_rows
+from stages.avatar.splats.gaussians import Splats, finite_rows, together
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import SHORT, Finished, finish, unseen
@@ -143,7 +143,13 @@ def result_of(
 def _filled(fit: Fit, say: Listener) -> int:
     if fit.scene is None:
         return 0
-    filled = fill_hidden(fit.scene, fit.full._replace(viewmats=fit.cameras().detach()), fit.train)
+    resting = [(who, who.baked()[1]) for who in fit.people]
+
+    @torch.no_grad()
+    def people(frame: int) -> Splats | None:
+        return together([fit.posed(still, *fit.body(frame, who), of=who) for who, still in resting if who.shown(frame)])
+
+    filled = fill_hidden(fit.scene, fit.full._replace(viewmats=fit.cameras().detach()), fit.train, people)
     if filled:
         say.note(
             f"{filled:,} Gaussians of the scene fill what the person hides in every frame: invented, from what is around"

@@ -625,7 +625,7 @@ def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, 
 
 @pytest.mark.slow
 def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs, monkeypatch):
-    monkeypatch.setattr("stages.training.results.fill_hidden", lambda scene, views, frames: 7 * len(frames))
+    monkeypatch.setattr("stages.training.results.fill_hidden", lambda scene, views, frames, people: 7 * len(frames))
     job, said = fresh(tmp_path, "out"), []
     job.emit = lambda event: said.append(event.get("text", ""))
     training = trained(inputs, PARAMS.model_copy(update={"human_cap": 100, "scene_cap": 10}), job)

@@ -522,6 +522,62 @@ MUTANTS = (
         "pass",
         "tests/stages/formats/given_masks/test_coco.py::masks_together_larger_than_any_clip_are_refused",
     ),
+    Mutant(
+        "hidden: what frames show is filled, too",
+        "stages/training/finishing/hidden.py",
+        "never[never] = ~seen",
+        "never[never] = True",
+        "tests/stages/training/finishing/test_hidden.py::what_a_frame_shows_stays",
+    ),
+    Mutant(
+        "hidden: the ghost stays",
+        "stages/training/finishing/hidden.py",
+        "lost = inside > INSIDE * (inside + outside)",
+        "lost = inside < 0",
+        "tests/stages/training/finishing/test_hidden.py::the_wall_goes_on_where_somebody_always_stood",
+    ),
+    Mutant(
+        "hidden: one place alone",
+        "stages/training/finishing/hidden.py",
+        "PLACES = 3",
+        "PLACES = 1",
+        "tests/stages/training/finishing/test_hidden.py::somebody_who_stands_here_and_then_there_leaves_two_places",
+    ),
+    Mutant(
+        "hidden: depth as what is left draws it",
+        "stages/training/finishing/hidden.py",
+        "membrane(inverse.cpu().numpy(), hole)",
+        "inverse.cpu().numpy()",
+        "tests/stages/training/finishing/test_hidden.py::the_wall_goes_on_where_somebody_always_stood",
+    ),
+    Mutant(
+        "hidden: a neighbour's patch, not what is beside it",
+        "stages/avatar/kernels/patches.py",
+        "found[row[ny, nx], 0] + y - ny",
+        "found[row[ny, nx], 0]",
+        "tests/stages/avatar/kernels/test_patches.py::the_same_patch_is_found_and_what_goes_on_beside_it",
+    ),
+    Mutant(
+        "hidden: all patches over a pixel count the same",
+        "stages/avatar/kernels/patches.py",
+        "np.exp((least - costs[t]) / (2 * spread))",
+        "1.0",
+        "tests/stages/avatar/kernels/test_patches.py::a_pixel_is_the_mean_of_what_patches_over_it_say_or_that_of_the_best",
+    ),
+    Mutant(
+        "hidden: a membrane that sags",
+        "stages/training/finishing/completion.py",
+        "diags(count) -",
+        "diags(count + 0.1) -",
+        "tests/stages/training/finishing/test_completion.py::a_plane_stays_a_plane",
+    ),
+    Mutant(
+        "hidden: a picture that is never halved",
+        "stages/training/finishing/completion.py",
+        "max(1, math.ceil",
+        "min(0, math.ceil",
+        "tests/stages/training/finishing/test_completion.py::a_pattern_goes_on_through_a_hole",
+    ),
 )
 
 

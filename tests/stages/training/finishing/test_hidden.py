@@ -47,6 +47,10 @@ def masks_of(places, at=0.0):
     return masks
 
 
+def nobody(frame):
+    return None
+
+
 def haunt(scene, at=0.0):
     """Somebody's ghost on the wall."""
     behind = ((scene.means[:, 0] - at).abs() < 0.5) & (scene.means[:, 1].abs() < 1)
@@ -63,9 +67,9 @@ def test_the_wall_goes_on_where_somebody_always_stood():
     clean = drawn(scene, views, 1)
     haunt(scene)
     before, rows = drawn(scene, views, 1), [row.detach().clone() for row in (scene.means, scene.sh0)]
-    hole = never_seen(scene.splats().detach(), views, 1, [0, 1, 2])
+    hole = never_seen(scene.splats().detach(), views, 1, [0, 1, 2], None)
     assert hole.sum() > 500 and not (hole & (dilated(views.masks[1].float(), 0.01) == 0)).any()
-    filled = fill_hidden(scene, views, [0, 1, 2])
+    filled = fill_hidden(scene, views, [0, 1, 2], nobody)
     after = drawn(scene, views, 1)
     assert filled == hole.sum()
     ghost, left = ((one.image - clean.image).abs()[hole].mean() for one in (before, after))
@@ -84,15 +88,15 @@ def test_what_a_frame_shows_stays():
         masks=torch.stack([masks_of([place], place)[0] for place in (-1.0, 0.0, 1.0)])
     )  # walks along
     before = scene.means.detach().clone()
-    assert fill_hidden(scene, views, [0, 1, 2]) == 0 and torch.equal(scene.means, before)
-    assert fill_hidden(scene, views, [1]) > 0, "one frame alone does not show it"
+    assert fill_hidden(scene, views, [0, 1, 2], nobody) == 0 and torch.equal(scene.means, before)
+    assert fill_hidden(scene, views, [1], nobody) > 0, "one frame alone does not show it"
 
 
 @pytest.mark.parametrize("mask", [0, 255])
 def test_without_anybody_or_anything_around_all_stays(mask):
     scene, views = wall([0.0, 0.05])
     before = scene.means.detach().clone()
-    assert fill_hidden(scene, views._replace(masks=torch.full_like(views.masks, mask)), [0, 1]) == 0
+    assert fill_hidden(scene, views._replace(masks=torch.full_like(views.masks, mask)), [0, 1], nobody) == 0
     assert torch.equal(scene.means, before)
 
 
@@ -104,14 +108,35 @@ def test_somebody_who_stands_here_and_then_there_leaves_two_places():
     haunt(scene, -3.0)
     haunt(scene, 3.0)
     ghosts = [(drawn(scene, views, i).image - image).abs().mean() for i, image in zip((0, 2), clean)]
-    fill_hidden(scene, views, [0, 1, 2, 3])
+    fill_hidden(scene, views, [0, 1, 2, 3], nobody)
     for i, image, ghost in zip((0, 2), clean, ghosts):
         assert (drawn(scene, views, i).image - image).abs().mean() < 0.35 * ghost
+
+
+def behind_a_table():
+    """The wall with a table before it, 2 m off, that hides somebody's legs."""
+    scene, views = wall([0.0, 0.02])
+    table = scene.means.detach()[scene.means[:, 1] > 0] * torch.tensor([1, 0.4, 0]) + torch.tensor([0, 0.12, 2.0])
+    colours = torch.full_like(table, 0.4)
+    scene.exchange(torch.zeros(len(scene), dtype=torch.bool), table, colours, torch.full((len(table),), 0.02))
+    views.masks[:, round(SIZE / 2 + 0.12 / 2 * FOCAL) :] = 0
+    return scene, views
+
+
+def test_nothing_is_put_before_the_person():
+    grid = wall([0.0])[0].means.detach()
+    there = grid * torch.tensor([0.2, 0.4, 0]) + torch.tensor([0, 0, 3.8])
+    person = SceneModel(there, stripes(there), 0, AWAY).splats().detach()
+    for people, least in ((nobody, 2.1), (lambda frame: person, 3.7)):
+        scene, views = behind_a_table()
+        assert fill_hidden(scene, views, [0, 1], people) > 100
+        away = scene.means[:, 2]
+        assert ((away > 2.1) & (away < 3.7)).any() == (least < 3.7), "the table is around the hole, too"
 
 
 def test_a_wall_that_ends_behind_somebody_gives_finite_rows():
     scene, views = wall([0.0, 0.05])
     scene.exchange(scene.means[:, 0] > 0, torch.tensor([[0.0, 0, 50]]), GHOST[None], torch.tensor([0.1]))
     assert (drawn(scene, views, 0).alpha[:, -20:] == 0).all()
-    fill_hidden(scene, views, [0, 1])
+    fill_hidden(scene, views, [0, 1], nobody)
     assert all(getattr(scene, name).isfinite().all() for name in scene.ROWS)
