@@ -544,11 +544,18 @@ MUTANTS = (
         "tests/stages/training/finishing/test_hidden.py::somebody_who_stands_here_and_then_there_leaves_two_places",
     ),
     Mutant(
-        "hidden: depth as what is left draws it",
+        "hidden: as deep as what is left there",
         "stages/training/finishing/hidden.py",
-        "membrane(inverse.cpu().numpy(), hole)",
-        "inverse.cpu().numpy()",
+        "membrane(_over_depth(_drawn(splats, views, frame)), hole)",
+        "_over_depth(_drawn(splats, views, frame))",
         "tests/stages/training/finishing/test_hidden.py::the_wall_goes_on_where_somebody_always_stood",
+    ),
+    Mutant(
+        "hidden: before the person",
+        "stages/training/finishing/hidden.py",
+        "np.where(there, np.minimum(inverse, _over_depth(drawn)), inverse)",
+        "inverse",
+        "tests/stages/training/finishing/test_hidden.py::nothing_is_put_before_the_person",
     ),
     Mutant(
         "hidden: a neighbour's patch, not what is beside it",
