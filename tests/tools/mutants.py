@@ -562,7 +562,7 @@ MUTANTS = (
         "stages/avatar/kernels/patches.py",
         "found[row[ny, nx], 0] + y - ny",
         "found[row[ny, nx], 0]",
-        "tests/stages/avatar/kernels/test_patches.py::the_same_patch_is_found_and_what_goes_on_beside_it",
+        "tests/stages/avatar/kernels/test_patches.py::what_goes_on_beside_a_patch_that_was_found_is_found_at_once",
     ),
     Mutant(
         "hidden: all patches over a pixel count the same",

@@ -87,7 +87,9 @@ def test_what_a_frame_shows_stays():
     views = views._replace(
         masks=torch.stack([masks_of([place], place)[0] for place in (-1.0, 0.0, 1.0)])
     )  # walks along
-    before = scene.means.detach().clone()
+    before, splats = scene.means.detach().clone(), scene.splats().detach()
+    assert not never_seen(splats, views, 1, [0, 1, 2], None).any()
+    assert never_seen(splats, views, 1, [1], None)[views.masks[1] > 0].all()
     assert fill_hidden(scene, views, [0, 1, 2], nobody) == 0 and torch.equal(scene.means, before)
     assert fill_hidden(scene, views, [1], nobody) > 0, "one frame alone does not show it"
 
