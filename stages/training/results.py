@@ -149,7 +149,11 @@ def _filled(fit: Fit, say: Listener) -> int:
     def people(frame: int) -> Splats | None:
         return together([fit.posed(still, *fit.body(frame, who), of=who) for who, still in resting if who.shown(frame)])
 
-    filled = fill_hidden(fit.scene, fit.full._replace(viewmats=fit.cameras().detach()), fit.train, people)
+    try:
+        filled = fill_hidden(fit.scene, fit.full._replace(viewmats=fit.cameras().detach()), fit.train, people)
+    except (ValueError, RuntimeError, MemoryError) as error:  # the training is over, and is kept
+        say.warn(f"what the person hides of the scene could not be filled and stays as it was before: {error}")
+        return 0
     if filled:
         say.note(
             f"{filled:,} Gaussians of the scene fill what the person hides in every frame: invented, from what is around"

@@ -525,15 +525,15 @@ MUTANTS = (
     Mutant(
         "hidden: what frames show is filled, too",
         "stages/training/finishing/hidden.py",
-        "never[never] = ~seen",
+        "never[never] = np.isin(np.arange(len(points)), left)",
         "never[never] = True",
         "tests/stages/training/finishing/test_hidden.py::what_a_frame_shows_stays",
     ),
     Mutant(
         "hidden: the ghost stays",
         "stages/training/finishing/hidden.py",
-        "lost = inside > INSIDE * (inside + outside)",
-        "lost = inside < 0",
+        "lost = (inside > INSIDE * (inside + outside))",
+        "lost = (inside < 0)",
         "tests/stages/training/finishing/test_hidden.py::the_wall_goes_on_where_somebody_always_stood",
     ),
     Mutant(
@@ -553,7 +553,7 @@ MUTANTS = (
     Mutant(
         "hidden: before the person",
         "stages/training/finishing/hidden.py",
-        "np.where(there, np.minimum(inverse, _over_depth(drawn)), inverse)",
+        "np.where(hole, np.minimum(inverse, behind), inverse)",
         "inverse",
         "tests/stages/training/finishing/test_hidden.py::nothing_is_put_before_the_person",
     ),

@@ -131,8 +131,9 @@ class SceneModel(nn.Module):
         fresh = SceneModel(points, rgb, math.isqrt(self.shN.shape[1]), self.extent)
         fresh.log_scales.copy_(sizes.log()[:, None].expand(-1, 3))
         fresh.logit_opacities.fill_(OPAQUE)
-        for name in self.ROWS:
-            setattr(self, name, nn.Parameter(torch.cat([getattr(self, name)[~lost], getattr(fresh, name)])))
+        rows = {name: torch.cat([getattr(self, name)[~lost], getattr(fresh, name)]) for name in self.ROWS}
+        for name, row in rows.items():
+            setattr(self, name, nn.Parameter(row))
 
     @torch.no_grad()
     def sizes(self) -> Tensor:

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 
 from stages.avatar.kernels.patches import REACH, overlay, search
 
-DEEP = 16.0  # px at most from within a hole to its border in the smallest picture, which is at most half as large
+DEEP = 16.0  # px at most to a hole's border in the smallest picture, which is at most half as large, if enough is known in it
 FAR = 0.07  # of the longer side: a patch from so far above or below has to look better by 1, see `search`
 FIRST, THEN, LAST = (
     24,
@@ -79,7 +79,7 @@ def membrane(values: np.ndarray, hole: np.ndarray) -> np.ndarray:
     filled = values.astype(np.float64)
     if len(count):
         laplacian = diags(count) - coo_matrix((np.ones(len(own)), (own, other)), (len(count), len(count)))
-        filled[hole] = spsolve(laplacian.tocsc(), around)
+        filled[hole] = spsolve(laplacian.tocsc(), around, permc_spec="MMD_AT_PLUS_A")
     return filled
 
 

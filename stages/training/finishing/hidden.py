@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from stages.avatar.cameras.pinhole import project, unproject
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera, Rendering
+from stages.avatar.rasterize.rendering import BLUR, PIXEL
 from stages.avatar.splats.compose import compose, painted_pixels
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
@@ -24,15 +27,17 @@ SMALL = 2e-3  # of a picture: places of fewer pixels stay as they are
 OTHER = 0.5  # of the first place's pixels: a further one has as many at least
 BESIDE = 0.003  # of the longer side: what is so near a person's outline shows little of the scene. 0: a trace of the ghost stays
 INSIDE = 0.8  # of the pixels that a Gaussian paints: with more in a hole it goes. 0.5: the phone clip loses 0.06 dB
+THICK = 0.3  # m: what is hidden is so far behind what is seen of a person
 ROUND = 0.5  # px in the frame that shows most of it: sigma of the Gaussians that fill a hole, one for each pixel
-FARTHEST = 1e3  # m: what fills a hole is no farther
+MOST = 30_000  # of them for a place: a larger hole has fewer and larger ones
+FARTHEST = 1e4  # m: what fills a hole is no farther
 
 
 def fill_hidden(scene: SceneModel, views: Views, frames: list[int], people: Callable[[int], Splats | None]) -> int:
     """Fill what the `people` of a frame hide of the scene in all `frames` of `views`; returns with how many Gaussians.
 
     The picture of the frame in which most is hidden is completed from what is around, and so is inverse depth, which is
-    linear on a plane; nothing is nearer than the people. Gaussians that paint there until then go: no frame has taught them.
+    linear on a plane; nothing comes before the people there. Gaussians go that paint there and that frames hardly show.
     """
     looks, filled = spread_evenly([i for i in frames if views.masks[i].max() > 127], LOOKS), 0
     if not looks:
@@ -44,14 +49,13 @@ def fill_hidden(scene: SceneModel, views: Views, frames: list[int], people: Call
         hidden = behind.sum(0) > HIDDEN * beside.sum(0)
         most, which = behind[:, hidden].sum(1).max(0)
         key = looks[int(which)]
-        person = people(key)
-        hole = never_seen(splats, views, key, frames, person)
-        if min(most, hole.sum()) < least:
+        hole, inverse = never_seen(splats, views, key, frames, people(key))
+        if min(float(most), hole.sum()) < least:
             break
-        kinds = torch.stack([hole, ~hole, torch.zeros_like(hole)], -1).to(splats.means)
+        kinds = torch.as_tensor(np.stack([hole, ~hole, np.zeros_like(hole)], -1)).to(splats.means)
         inside, outside, _ = painted_pixels(splats, views.viewmats[key], views.Ks[key], kinds).unbind(1)
-        lost = inside > INSIDE * (inside + outside)
-        surface = None if lost.all() else _surface(splats.rows(~lost), views, key, hole, person)
+        lost = (inside > INSIDE * (inside + outside)) & (behind.sum(0) > beside.sum(0))
+        surface = None if lost.all() else _surface(splats.rows(~lost), views, key, hole, inverse)
         if surface is None:
             break
         scene.exchange(lost, *surface)
@@ -61,32 +65,48 @@ def fill_hidden(scene: SceneModel, views: Views, frames: list[int], people: Call
     return filled
 
 
-def never_seen(splats: Splats, views: Views, key: int, frames: list[int], person: Splats | None) -> Tensor:
-    """Where [H,W] in frame `key` the `person` hides what none of the `frames` shows, if it is as deep as what is around them."""
+def never_seen(
+    splats: Splats, views: Views, key: int, frames: list[int], person: Splats | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where [H,W] in frame `key` the `person`, and a rim about them, hides what none of the `frames` shows; and 1 / z [H,W].
+
+    It is taken for as deep as what is around the person, but behind them. What is not in a frame is not shown by it.
+    """
     height, width = views.masks.shape[1:]
-    masks = {i: (dilated(views.masks[i].float() / 255, BESIDE) > 0.5).cpu().numpy() for i in {key, *frames}}
-    never = masks[key].copy()
-    inverse = _inverse_depth(splats, views, key, never, person)[never]
-    points = unproject(np.argwhere(never)[:, ::-1] + 0.5, inverse, *_camera(views, key))
-    seen = np.zeros(len(points), bool)
-    for i, mask in masks.items():
-        pixels, z = project(points, *_camera(views, i))
+    never = _person(views, key)
+    inverse = _inverse_depth(splats, views, key, never, person)
+    points = unproject(np.argwhere(never)[:, ::-1] + 0.5, inverse[never], *_camera(views, key))
+    left = np.arange(len(points))
+    for i in frames:
+        pixels, z = project(points[left], *_camera(views, i))
         column, row = np.floor(pixels).clip(-1, max(height, width)).astype(int).T
-        inside = (z > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        seen[inside] |= ~mask[row[inside], column[inside]]
-    never[never] = ~seen
-    return torch.as_tensor(never)
+        shown = (z > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        shown[shown] = ~_person(views, i)[row[shown], column[shown]]
+        left = left[~shown]
+        if not len(left):
+            break
+    never[never] = np.isin(np.arange(len(points)), left)
+    return never, inverse
 
 
-def _surface(splats: Splats, views: Views, key: int, hole: Tensor, person: Splats | None) -> list[Tensor] | None:
+def _surface(splats: Splats, views: Views, key: int, hole: np.ndarray, inverse: np.ndarray) -> list[Tensor] | None:
     """Points [P,3] m, colours [P,3] and sigmas [P] m that fill the hole [H,W] of frame `key`; None where nothing tells them."""
-    unknown, (viewmat, K) = hole.numpy(), _camera(views, key)
-    picture = complete(_drawn(splats, views, key).image.clamp(0, 1).cpu().numpy(), unknown)
+    picture = complete(_drawn(splats, views, key).image.clamp(0, 1).cpu().numpy(), hole)
     if picture is None:
         return None
-    inverse = _inverse_depth(splats, views, key, unknown, person)[unknown]
-    points = unproject(np.argwhere(unknown)[:, ::-1] + 0.5, inverse, viewmat, K)
-    return [torch.as_tensor(part).to(splats.means) for part in (points, picture[unknown], ROUND / inverse / K[0, 0])]
+    step, at = math.ceil(math.sqrt(hole.sum() / MOST)), np.argwhere(hole)
+    row, column = at[(at % step == 0).all(1)].T
+    viewmat, K = _camera(views, key)
+    points = unproject(np.stack([column, row], 1) + 0.5, inverse[row, column], viewmat, K)
+    round_ = step * math.sqrt(
+        ROUND**2 + (BLUR - PIXEL if splats.antialias else 0)
+    )  # as opaque with less blur on the screen
+    sizes = round_ / inverse[row, column] / K[0, 0]
+    return [torch.as_tensor(part).to(splats.means) for part in (points, picture[row, column], sizes)]
+
+
+def _person(views: Views, frame: int) -> np.ndarray:
+    return (dilated(views.masks[frame].float() / 255, BESIDE) > 0.5).cpu().numpy()
 
 
 def _drawn(splats: Splats, views: Views, frame: int) -> Rendering:
@@ -95,13 +115,14 @@ def _drawn(splats: Splats, views: Views, frame: int) -> Rendering:
 
 
 def _inverse_depth(splats: Splats, views: Views, frame: int, hole: np.ndarray, person: Splats | None) -> np.ndarray:
-    """1 / z [H,W] of what is drawn, in a hole [H,W] as what is around it tells, but behind the person."""
+    """1 / z [H,W] of what is drawn, in a hole [H,W] as what is around it tells, but THICK behind the person that is nearest."""
     inverse = membrane(_over_depth(_drawn(splats, views, frame)), hole).clip(1 / FARTHEST)
-    if person is None:
+    drawn = None if person is None else _drawn(person, views, frame)
+    if drawn is None or not (there := (drawn.alpha > 0.5).cpu().numpy()).any():
         return inverse
-    drawn = _drawn(person, views, frame)
-    there = (drawn.alpha > 0.5).cpu().numpy()
-    return np.where(there, np.minimum(inverse, _over_depth(drawn)), inverse)
+    nearest = distance_transform_edt(~there, return_distances=False, return_indices=True)
+    behind = 1 / (1 / _over_depth(drawn)[tuple(nearest)] + THICK)
+    return np.where(hole, np.minimum(inverse, behind), inverse)
 
 
 def _over_depth(drawn: Rendering) -> np.ndarray:
