@@ -649,6 +649,23 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
 
 
 @pytest.mark.slow
+def test_a_finished_training_is_kept_where_what_is_hidden_cannot_be_filled(tmp_path, inputs, monkeypatch):
+    met = []
+
+    def breaks(scene, views, frames, people):
+        met.extend(people(frame) for frame in frames)
+        raise ValueError("no memory left")
+
+    monkeypatch.setattr("stages.training.results.fill_hidden", breaks)
+    job, said = fresh(tmp_path, "out"), []
+    job.emit = lambda event: said.append(event.get("text", ""))
+    training = trained(inputs, PARAMS, job)
+    assert finish(training, job).facts["filled"] == 0
+    assert any("could not be filled and stays as it was before: no memory left" in text for text in said)
+    assert all(len(one.means) == len(training.fit.human) and not one.means.requires_grad for one in met), "who is there"
+
+
+@pytest.mark.slow
 def test_a_training_that_breaks_down_while_it_is_timed_says_so(tmp_path, inputs, monkeypatch):
     def broken(*a):
         raise FloatingPointError("20 bad steps in a row")
