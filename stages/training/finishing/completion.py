@@ -19,7 +19,7 @@ FIRST, THEN, LAST = (
     24,
     12,
     4,
-)  # turns of searching and overlaying, at most, in the smallest picture, larger ones, the largest
+)  # turns of searching and overlaying, at most: the smallest picture, larger ones, the largest
 STILL = 1e-4  # mean change in a turn, of 1, from which on it is done
 SHARP = 0.02  # spread of an overlay at least, and of the last one: each pixel is that of the best patches over it
 PATCH = np.ones((2 * REACH + 1, 2 * REACH + 1), bool)

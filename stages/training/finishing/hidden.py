@@ -98,10 +98,8 @@ def _surface(splats: Splats, views: Views, key: int, hole: np.ndarray, inverse: 
     row, column = at[(at % step == 0).all(1)].T
     viewmat, K = _camera(views, key)
     points = unproject(np.stack([column, row], 1) + 0.5, inverse[row, column], viewmat, K)
-    round_ = step * math.sqrt(
-        ROUND**2 + (BLUR - PIXEL if splats.antialias else 0)
-    )  # as opaque with less blur on the screen
-    sizes = round_ / inverse[row, column] / K[0, 0]
+    blur = BLUR - PIXEL if splats.antialias else 0  # so as to be as opaque with less blur on the screen
+    sizes = step * math.sqrt(ROUND**2 + blur) / inverse[row, column] / K[0, 0]
     return [torch.as_tensor(part).to(splats.means) for part in (points, picture[row, column], sizes)]
 
 
