@@ -15,11 +15,7 @@ from stages.avatar.kernels.patches import REACH, overlay, search
 
 DEEP = 16.0  # px at most to a hole's border in the smallest picture, which is at most half as large, if enough is known in it
 FAR = 0.07  # of the longer side: a patch from so far above or below has to look better by 1, see `search`
-FIRST, THEN, LAST = (
-    24,
-    12,
-    4,
-)  # turns of searching and overlaying, at most: the smallest picture, larger ones, the largest
+FIRST, THEN, LAST = 24, 12, 4  # turns, at most, in the smallest picture, in larger ones and in the largest
 STILL = 1e-4  # mean change in a turn, of 1, from which on it is done
 SHARP = 0.02  # spread of an overlay at least, and of the last one: each pixel is that of the best patches over it
 PATCH = np.ones((2 * REACH + 1, 2 * REACH + 1), bool)
