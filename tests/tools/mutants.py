@@ -364,9 +364,30 @@ MUTANTS = (
     Mutant(
         "clothes: a leg that carries what is beside it",
         "stages/avatar/effects/clothing.py",
-        "far = moved[..., ::2, 0].norm(dim=-1, keepdim=True).clamp_min(PUSHED)",
+        "far = moved[..., ::2].norm(dim=-1, keepdim=True).clamp_min(PUSHED)",
         "far = PUSHED",
         "tests/stages/avatar/effects/test_clothing.py::cloth_beside_a_leg_goes_with_it_as_straight_as_the_leg_moves_towards_it",
+    ),
+    Mutant(
+        "cloth that grows by the wrong axis",
+        "stages/avatar/body/stretch.py",
+        "vx, vy, vz = vx + v * x, vy + v * y, vz + v * z",
+        "vx, vy, vz = vx + u * x, vy + v * y, vz + v * z",
+        "tests/stages/avatar/body/test_stretch.py::the_kernel_gives_what_the_specification_gives_in_value_and_gradient",
+    ),
+    Mutant(
+        "cloth that grows with a wrong gradient",
+        "stages/avatar/body/stretch.py",
+        "given = shares.mT @ upstream[rows].mT",
+        "given = shares.mT @ upstream[rows]",
+        "tests/stages/avatar/body/test_stretch.py::the_kernel_gives_what_the_specification_gives_in_value_and_gradient",
+    ),
+    Mutant(
+        "clothes: a swing whose turns are another bone's",
+        "stages/avatar/drawing/avatar.py",
+        "return clothing.swung(rest_relative_transforms(joints, turns, avatar.parents), swung, shifts)",
+        "return clothing.swung(rest_relative_transforms(joints, turns, avatar.parents), swung.flip(-3), shifts)",
+        "tests/stages/avatar/drawing/test_avatar.py::bones_of_clothes_swing_as_in_training",
     ),
     Mutant(
         "a stamp written in place",

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from stages import records
-from stages.avatar.body.rotations import matrix_from_quat
+from stages.avatar.body.rotations import matrix_from_quat, matrix_from_rotvec
 from stages.avatar.body.skinning import FewBones, without_zeros
+from stages.avatar.body.smpl import rest_relative_transforms
 from stages.avatar.body.stretch import Stretch, cloth_of, stretch_of
 from stages.avatar.effects.clothing import Clothing
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
@@ -83,6 +84,11 @@ def moving(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tens
 
 def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
     """All bones [...,J,4,4] from rest to poses [...,3] and [...,69], the skeleton's and those of the clothes, as they swing."""
-    bones = bone_transforms(avatar.joints, avatar.parents, global_orient, body_pose)
-    clothing = avatar.clothing
-    return bones if clothing is None else clothing.hang(bones, clothing.swing(body_pose))
+    clothing, joints = avatar.clothing, avatar.joints
+    if clothing is None:
+        return bone_transforms(joints, avatar.parents, global_orient, body_pose)
+    swings, shifts = (clothing.swing(body_pose) * clothing.units).split(3, -1)
+    # all turns in one call: calls are what takes long
+    vectors = torch.cat([global_orient, body_pose, swings.flatten(-2)], -1).unflatten(-1, (-1, 3))
+    turns, swung = matrix_from_rotvec(vectors).split([len(joints), len(clothing)], -3)
+    return clothing.swung(rest_relative_transforms(joints, turns, avatar.parents), swung, shifts)

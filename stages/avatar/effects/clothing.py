@@ -31,7 +31,8 @@ UNLIKE = 0.5  # of what training saw of a feature: a pose that is so far beyond 
 PRIOR = 0.1  # weight of the mean squared swing
 UNITS = (0.3, 0.3, 0.3, 0.05, 0.05, 0.05)  # rad, m: a usual swing
 LEGS = tuple(zip(HIPS, KNEES, ANKLES, FEET))
-BALANCE = 0, SPINE[2], *ANKLES
+THIGHS = slice(HIPS[0], HIPS[-1] + 1)  # their rows among bones
+BALANCE = {0: 0.5, SPINE[2]: 0.5, ANKLES[0]: -0.5, ANKLES[1]: -0.5}  # joints whose sum is the way up
 PUSHED = 0.2  # of its length that a thigh moves: from there on cloth straight before it goes with it all the way
 OVER = 1e-3  # 1 + cosine between how a pelvis points and what is up: less would turn it to any side
 FOLDED = 0.3  # m from the ankles to the trunk, below which they tell less of what is up
@@ -59,11 +60,12 @@ class Clothing(nn.Module):
     low: Tensor
     high: Tensor
     units: Tensor
+    room: Tensor  # [Q] how far beyond low and high a feature fades
     legs: Tensor  # [2,24], 1 where a bone is of that leg
-    thighs: Tensor  # [2,3,1] where each thigh points at rest
+    thighs: Tensor  # [2,3] where each thigh points at rest
     ways: Tensor  # [2,K,3] level directions from each hip to the bones
-    above: Tensor  # [3,1] from between the ankles to the trunk at rest, of length 1
-    marks: Tensor  # [4,4,1] the joints of BALANCE at rest, as (x, y, z, 1)
+    balance: Tensor  # [24,1,4] what each bone adds to the way from between the ankles to the trunk, by (x, y, z, 1)
+    above: Tensor  # [3] that way at rest, of length 1
 
     def __init__(self, swings: Tensor, **fixed: Tensor):
         super().__init__()
@@ -71,14 +73,16 @@ class Clothing(nn.Module):
             self.register_buffer(name, value)
         self.swings = nn.Parameter(swings)
         joints, found = self.joints, {"units": torch.tensor(UNITS).to(swings)}
+        found["room"] = (UNLIKE * (self.high - self.low)).clamp_min(1e-9)
         found["legs"] = swings.new_zeros(2, len(joints))
         for side, leg in enumerate(LEGS):
             found["legs"][side, list(leg)] = 1
-        found["thighs"] = F.normalize(joints[list(KNEES)] - joints[list(HIPS)], dim=1)[..., None]
-        found["ways"] = F.normalize((self.centres - joints[list(HIPS), None]) * joints.new_tensor([1, 0, 1]), dim=2)
-        marks = joints[list(BALANCE)]
-        found["above"] = F.normalize(_above_ankles(marks), dim=0)[:, None]
-        found["marks"] = F.pad(marks, (0, 1), value=1)[..., None]
+        found["thighs"] = F.normalize(joints[list(KNEES)] - joints[THIGHS], dim=1)
+        found["ways"] = F.normalize((self.centres - joints[THIGHS, None]) * joints.new_tensor([1, 0, 1]), dim=2)
+        found["balance"] = joints.new_zeros(len(joints), 1, 4)
+        for joint, share in BALANCE.items():
+            found["balance"][joint, 0] = share * F.pad(joints[joint], (0, 1), value=1)
+        found["above"] = F.normalize(found["balance"][..., :3].sum((0, 1)), dim=0)
         for name, value in found.items():
             self.register_buffer(name, value, persistent=False)
 
@@ -115,7 +119,7 @@ class Clothing(nn.Module):
         """Features [...,1+Q] of poses [...,69] in rad: 1, then those that fade where one is beyond the limits of training."""
         principal = (body_pose - self.mean) @ self.axes
         held = principal.clamp(self.low, self.high)
-        beyond = (principal - held).abs() / (UNLIKE * (self.high - self.low)).clamp_min(1e-9)
+        beyond = (principal - held).abs() / self.room
         like = 1 - F.pad(beyond, (0, 1)).amax(-1, keepdim=True).clamp_max(1)
         return torch.cat([torch.ones_like(like), held * like], -1)
 
@@ -129,9 +133,9 @@ class Clothing(nn.Module):
         Of a leg's share what does not push the cloth hangs from the `upright` pelvis.
         """
         shares = self.carriers * self.pushed(bones)
-        hanging = (self.carriers.sum(1) - shares.sum(-1))[..., None]
-        bones = torch.cat([bones, self.upright(bones)[..., None, :, :]], -3)
-        return (torch.cat([shares, hanging], -1) @ bones.flatten(-2)).unflatten(-1, (4, 4))
+        hanging = (self.carriers - shares).sum(-1, keepdim=True)
+        upright = self.upright(bones)[..., None, :, :]
+        return (shares @ bones.flatten(-2) + hanging * upright.flatten(-2)).unflatten(-1, (4, 4))
 
     def pushed(self, bones: Tensor) -> Tensor:
         """How far the bones here go with each of the skeleton's bones[...,24,4,4]: [...,K,24] from 0 to 1.
@@ -139,9 +143,10 @@ class Clothing(nn.Module):
         With a leg it is how straight its thigh has moved towards them from where it is at rest, seen from the pelvis: the cosine
         between that way and theirs, on the level. Else 1.
         """
-        moved = bones[..., :1, :3, :3].mT @ bones[..., list(HIPS), :3, :3] @ self.thighs - self.thighs
-        far = moved[..., ::2, 0].norm(dim=-1, keepdim=True).clamp_min(PUSHED)
-        away = 1 - ((self.ways @ moved)[..., 0] / far).clamp(0, 1)  # [...,2,K]
+        pointing = (bones[..., THIGHS, :3, :3] @ self.thighs[..., None])[..., 0]
+        moved = pointing @ bones[..., 0, :3, :3] - self.thighs  # as the pelvis sees it
+        far = moved[..., ::2].norm(dim=-1, keepdim=True).clamp_min(PUSHED)
+        away = 1 - ((self.ways @ moved[..., None])[..., 0] / far).clamp(0, 1)  # [...,2,K]
         return 1 - away.mT @ self.legs
 
     def upright(self, bones: Tensor) -> Tensor:
@@ -149,37 +154,34 @@ class Clothing(nn.Module):
 
         No pose says where down is, but who stands is balanced above the feet: up is from between the ankles to the trunk.
         """
-        at = (bones[..., list(BALANCE), :3, :] @ self.marks)[..., 0]
-        linear, above = bones[..., 0, :3, :3], _above_ankles(at)
-        points, far = (linear @ self.above)[..., 0], above.norm(dim=-1, keepdim=True)
-        up = F.normalize(points * (1 - far / FOLDED).clamp_min(0) + above / far.clamp_min(FOLDED), dim=-1)
-        axis = torch.linalg.cross(points, up)[..., None]
-        near = (1 + (points * up).sum(-1)).clamp_min(OVER)[..., None, None]
-        side = torch.linalg.cross(axis, linear, dim=-2)
-        turned = linear + side + torch.linalg.cross(axis, side, dim=-2) / near
-        return affine(turned, at[..., 0, :] - (turned @ self.marks[0, :3])[..., 0])
+        pelvis, above = bones[..., 0, :3, :3], (bones[..., :3, :] * self.balance).sum((-3, -1))
+        points, far = pelvis @ self.above, above.norm(dim=-1, keepdim=True)
+        up = points * (1 - far / FOLDED).clamp_min(0) + above / far.clamp_min(FOLDED)
+        up = up / up.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+        turn = up[..., None] * points[..., None, :]
+        near = (1 + turn.diagonal(0, -2, -1).sum(-1)).clamp_min(OVER)[..., None, None]
+        cross = turn - turn.mT  # the matrix of points x up
+        side = cross @ pelvis
+        more = side + cross @ side / near
+        return affine(pelvis + more, bones[..., 0, :3, 3] - more @ self.joints[0])
 
     def hang(self, bones: Tensor, swing: Tensor | None = None) -> Tensor:
         """All transforms [...,24+K,4,4] from rest: of the skeleton's `bones`[...,24,4,4], then of those here, with a swing
         [...,K,6].
         """
-        carried = self.carried(bones)
-        if swing is not None:
-            moved = swing * self.units
-            turn = matrix_from_rotvec(moved[..., :3])
-            shift = self.centres - (turn @ self.centres[..., None])[..., 0] + moved[..., 3:]
-            carried = carried @ affine(turn, shift)
-        return torch.cat([bones, carried], -3)
+        if swing is None:
+            return torch.cat([bones, self.carried(bones)], -3)
+        turns, shifts = (swing * self.units).split(3, -1)
+        return self.swung(bones, matrix_from_rotvec(turns), shifts)
+
+    def swung(self, bones: Tensor, turns: Tensor, shifts: Tensor) -> Tensor:
+        """The same with a swing in turns [...,K,3,3] and shifts [...,K,3] m."""
+        places = self.centres - (turns @ self.centres[..., None])[..., 0] + shifts
+        return torch.cat([bones, self.carried(bones) @ affine(turns, places)], -3)
 
     def prior(self) -> Tensor:
         """The regularizer PRIOR x mean squared swing for a feature of one: it lets clothes follow the body."""
         return PRIOR * self.swings.square().sum() / max(1, self.swings.numel())
-
-
-def _above_ankles(at: Tensor) -> Tensor:
-    """From between the ankles to the trunk [...,3] m, of where the joints of BALANCE are [...,4,3]."""
-    pelvis, chest, left, right = at.unbind(-2)
-    return 0.5 * (pelvis + chest - left - right)
 
 
 def bones_for(points: Tensor, away: Tensor, weights: Tensor) -> tuple[Hung, Tensor]:

@@ -6,6 +6,7 @@ import torch
 
 from stages.avatar.body.skinning import of_few_bones
 from stages.avatar.drawing.avatar import bones_of, load_avatar, moving, pose_avatar
+from stages.avatar.model.person import bone_transforms
 from stages.formats.body_model import read_body_model
 from tests.made.clothes import dress, some_clothes
 from tests.made.tiny import make_avatar
@@ -27,3 +28,13 @@ def test_moving_is_each_pose_by_itself(loose, held):
         held((seen.means - alone.means).abs().max(), 1e-5)
         held((seen.axes - alone.axes).abs().max(), 1e-6)
     assert (together[0].means - together[1].means).abs().max() > 0.3
+
+
+def test_bones_of_clothes_swing_as_in_training(held):
+    """`bones_of` finds the turns of body and clothes in one call, training apart."""
+    avatar = load_avatar(dress(make_avatar(read_body_model(), every=40), some_clothes(12)))
+    pose = torch.as_tensor(np.random.default_rng(3).normal(0, 0.4, 72)).float()
+    bones, swing = bone_transforms(avatar.joints, avatar.parents, pose[:3], pose[3:]), avatar.clothing.swing(pose[3:])
+    trained, still = avatar.clothing.hang(bones, swing), avatar.clothing.hang(bones)
+    assert (trained[24:] - still[24:]).norm(dim=(1, 2)).min() > 0.01
+    held((bones_of(avatar, pose[:3], pose[3:]) - trained).abs().max(), 2e-6)
