@@ -10,11 +10,12 @@ from torch import Tensor
 from stages.avatar.body.skinning import of_few_bones
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.gaussians import finite_rows
-from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
+from stages.avatar.splats.neighbours import median_near, nearest
 from stages.training.finishing.depths import snap_to_surface
 from stages.training.finishing.lining import add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
+from stages.training.finishing.unseen import FAR, head_part, on_body, unseen_colors
 from stages.training.views import Person, Views
 
 OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
@@ -27,9 +28,7 @@ STRAIGHT = 0.01  # of the mean of pixels painted and seen straight: at so many, 
 COVERED = 0.15, 0.4  # of what it would paint with nothing before it: skin under cloth that paints less shines through
 UNDER = 0.15  # metres from cloth: skin beyond is not under it
 NEIGHBOURS = 24  # that are asked
-FAR = 0.05  # metres: who is beyond is not near; where all are, a median of so few is chance, and a pale collar became a stripe
-SPOTS = 200  # spread over what is seen, each the median of its neighbours; Gaussians beyond FAR ask these
-ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
+NEAR = 0.03  # metres: where sure ones are farther, a Gaussian is hidden
 COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
@@ -129,12 +128,12 @@ def unseen(color_grad_sum: Tensor) -> Tensor:
 
 
 def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Known]:
-    """Blend colours that frames do not show well with the median of the nearest that they do; far ones over a larger patch.
+    """Blend colours that frames do not show well with the median of the nearest that they do, or with `unseen_colors`.
 
     At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
     show there and hardly elsewhere has such colours: light specks on flanks, seen from the side. The others stay. Small
-    hands and feet are nearly all outline: there the best of the same part of the body are asked. Nor does skin that shines
-    through cloth keep its colours. How large a Gaussian is and where it is along the view, no frame tells.
+    hands and feet are nearly all outline: where sure ones are FAR, the best of the same part of the body are asked. Nor
+    does skin that shines through cloth keep its colours. How large a Gaussian is and where it is along the view, no frame tells.
     """
     inside, edge, _, along, clear, straight, _ = count_pixels(person, body, views, frames)
     mean, bare = inside.mean(), _bare(person, body, clear)
@@ -145,11 +144,12 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     means, own = person.means, bare * inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
     around, away = median_near(person.sh[sure], means[sure], means, NEIGHBOURS)
-    few = away[:, away.shape[1] // 2] > FAR
-    around[few], away = median_near(person.sh[fair], means[fair], means[few], NEIGHBOURS)
-    far = few.nonzero()[:, 0][away[:, 0] > FAR]
-    spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
-    around[far], _ = median_near(around[spots], means[spots], means[far], ASKED)
+    middle = away[:, away.shape[1] // 2]
+    hidden = (own < 0.5) & ((middle > NEAR) | _of_another_part(person, body, sure))
+    few = middle > FAR
+    around[few], _ = median_near(person.sh[fair], means[fair], means[few], NEIGHBOURS)
+    if hidden.any():
+        around[hidden] = unseen_colors(person, body, around, fair, hidden)
     leant = person._replace(sh=torch.lerp(around, person.sh, own[:, None, None]))
     return leant, Known(own, own[:, None] * (1 - along), aslant)
 
@@ -165,6 +165,13 @@ def _bare(person: Canonical, body: Person, clear: Tensor) -> Tensor:
     skin = person.weights[:, len(body.joints) :].sum(1) < 0.5
     under = skin & (nearest(body.cloth.means, person.means, 1)[0][:, 0] < UNDER)
     return torch.where(under, ((clear - COVERED[0]) / (COVERED[1] - COVERED[0])).clamp(0, 1), 1.0)
+
+
+def _of_another_part(person: Canonical, body: Person, sure: Tensor) -> Tensor:
+    """Of scalp, face and neck, and the rest: which Gaussians [N] have mostly others beside them that are `sure` [N]."""
+    part = head_part(on_body(person, body)[0])
+    near = nearest(person.means[sure], person.means, NEIGHBOURS)[1]
+    return (part[sure][near] != part[:, None]).float().mean(1) > 0.5
 
 
 def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:

@@ -1,0 +1,107 @@
+"""Colours of what no frame shows, such as a back: what is seen at the same height of the same limb, in the light beside it.
+
+Hems, belts, stripes and sleeves go around a body; a face, a logo and buttons do not. So what most of a limb has at a height is
+the pattern there, and how much lighter it is where sight ends goes on evenly (as in seamless cloning: Perez et al. 2003,
+https://doi.org/10.1145/882262.882269). The back of a head has the colours of its scalp.
+"""
+
+from __future__ import annotations
+
+import torch
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import splu
+from torch import Tensor
+
+from stages.avatar.body.joints import COLLARS, HEAD, NECK, SPINE
+from stages.avatar.model.person import Canonical
+from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
+from stages.training.views import Person
+
+TRUNK = (0, *SPINE, *COLLARS)
+SCALP = 0.3, 0.5  # of a head's box: its scalp is above 0.3 of the height at the back, and 0.5 more at the front
+RING = 64  # seen Gaussians of a limb: the mean of the middle half of their colours is its pattern at a height
+ASIDE = 1e-3  # of a metre along a limb: what one across it counts; a scalp has no other way
+LEVEL = 0.03  # m: a height of which nothing nearer is seen is not told
+FAR = 0.05  # m: where what is seen is farther, no median near is told
+SPOTS = 200  # spread over what is seen, each the median of its neighbours; what neither height nor neighbours tell asks these
+ASKED = 8  # spots: over a patch about as wide as a back is away from a chest
+PATCH = 64  # Gaussians where sight ends, whose median is the light there
+LINKS = 8  # neighbours over which light goes on
+SEALED = 0.02  # of a link: what one between scalp, face and the rest counts
+FAINT = 1e-4  # of a link: with it light is that of the pattern where nothing beside tells
+
+
+def unseen_colors(person: Canonical, body: Person, around: Tensor, fair: Tensor, hidden: Tensor) -> Tensor:
+    """Colours [H,K,3] of the H Gaussians that are `hidden` [N].
+
+    Those that are seen well enough are `fair` [N]; colours `around` [N,K,3] are those to keep, or medians near each.
+    """
+    limb, along = on_body(person, body)
+    means, beside = person.means, torch.zeros_like(hidden)
+    near = nearest(means, means[hidden], LINKS + 1)[1][:, 1:]
+    beside[near.flatten()] = True
+    pattern, light = around.clone(), torch.zeros_like(around[..., :1])
+    asked, ends = (hidden | beside).nonzero()[:, 0], (beside & ~hidden).nonzero()[:, 0]
+    at = torch.cat([along[:, None], ASIDE * means, 10.0 * limb[:, None]], 1)
+    away, rows = nearest(at[fair], at[asked], RING)
+    told = away[:, away.shape[1] // 2] < LEVEL
+    ring = person.sh[fair][rows].sort(1).values
+    quarter = ring.shape[1] // 4
+    pattern[asked[told]] = ring[told, quarter : ring.shape[1] - quarter].mean(1)
+    lost = asked[~told & hidden[asked]]
+    lost = lost[nearest(means[fair], means[lost], 1)[0][:, 0] > FAR]
+    spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
+    pattern[lost], _ = median_near(around[spots], means[spots], means[lost], ASKED)
+    if len(ends):
+        light[ends], _ = median_near((around - pattern)[ends].mean(2, keepdim=True), means[ends], means[ends], PATCH)
+    return pattern[hidden] + continued(light, near, hidden, head_part(limb))
+
+
+def on_body(person: Canonical, body: Person) -> tuple[Tensor, Tensor]:
+    """Of each Gaussian its limb int64[N] and how far `along` it [N] it is, in metres.
+
+    A limb is called as the bone that it hangs from, and goes on to the next joint. Upright are the trunk (0), neck and face
+    (NECK), and clothes (J of skeleton's joints); the scalp (HEAD) has one height.
+    """
+    bone, (height, depth) = person.weights.argmax(1), person.means[:, 1:].unbind(1)
+    bones = body.canonical_bones()[: len(body.joints)]
+    joints = (bones[:, :3, :3] @ body.joints[..., None])[..., 0] + bones[:, :3, 3]
+    first_child = {parent: child for child, parent in reversed(list(enumerate(body.parents)))}
+    limb, along = bone.clamp_max(len(joints)), height.clone()
+    for joint in range(len(joints)):
+        first, last = (joint, first_child[joint]) if joint in first_child else (body.parents[joint], joint)
+        way = torch.nn.functional.normalize(joints[last] - joints[first], dim=0)
+        along = torch.where(bone == joint, (person.means - joints[first]) @ way, along)
+    for whole, joint in ((TRUNK, 0), ((NECK, HEAD), NECK)):
+        there = torch.isin(bone, torch.tensor(whole).to(bone))
+        limb, along = torch.where(there, joint, limb), torch.where(there, height, along)
+    head = body.vertices[body.weights.argmax(1) == HEAD]
+    if len(head):
+        (_, low, back), (_, high, front) = head.amin(0), head.amax(0)
+        line = SCALP[0] + SCALP[1] * (depth - back) / (front - back)
+        scalp = (bone == HEAD) & ((height - low) / (high - low) > line)
+        limb, along = torch.where(scalp, HEAD, limb), torch.where(scalp, 0.0, along)
+    return limb, along
+
+
+def head_part(limb: Tensor) -> Tensor:
+    """Of limbs [N] which are scalp (2), face and neck (1), and the rest (0): one tells no colours of another."""
+    return 2 * (limb == HEAD) + (limb == NECK).long()
+
+
+def continued(values: Tensor, near: Tensor, hidden: Tensor, part: Tensor) -> Tensor:
+    """What values[N,...] become in the rows that are `hidden` [N]: each the mean of those `near` [H,M] (Laplace's equation).
+
+    Links to another `part` [N] count SEALED.
+    """
+    rows = hidden.nonzero()[:, 0]
+    own, other = rows[:, None].expand_as(near).flatten(), near.flatten()
+    weights = torch.where(part[own] == part[other], 1.0, SEALED).double()
+    entries = weights.cpu().numpy(), (own.cpu().numpy(), other.cpu().numpy())
+    links = coo_matrix(entries, (len(hidden), len(hidden))).tocsr()
+    links, free = links.maximum(links.T), hidden.cpu().numpy()
+    across = links[free]
+    laplacian = diags(across.sum(1).A1 + FAINT) - across[:, free]
+    known = across[:, ~free] @ values[~hidden].flatten(1).double().cpu().numpy()
+    found = splu(laplacian.tocsc(), permc_spec="MMD_AT_PLUS_A").solve(known)
+    return torch.as_tensor(found).to(values).view(-1, *values.shape[1:])
