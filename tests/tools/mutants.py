@@ -392,22 +392,36 @@ MUTANTS = (
     Mutant(
         "backs: a logo goes around",
         "stages/training/finishing/unseen.py",
-        "quarter = ring.shape[1] // 4",
-        "quarter = 0",
+        "quarter, pattern, told = rows.shape[1] // 4,",
+        "quarter, pattern, told = 0,",
         "tests/stages/training/finishing/test_unseen.py::stripes_and_hems_go_around_and_a_logo_does_not",
     ),
     Mutant(
         "backs: any limb",
         "stages/training/finishing/unseen.py",
-        "10.0 * limb[:, None]",
-        "0.0 * limb[:, None]",
+        "APART * limb[:, None]",
+        "0 * limb[:, None]",
         "tests/stages/training/finishing/test_unseen.py::a_trunk_does_not_take_the_colours_of_arms_at_its_height",
+    ),
+    Mutant(
+        "backs: another limb where few are seen",
+        "stages/training/finishing/unseen.py",
+        "told[asked] = away[:, middle][:, -1] < LEVEL",
+        "told[asked] = away[:, 0] < LEVEL",
+        "tests/stages/training/finishing/test_unseen.py::few_that_are_seen_of_a_hand_are_not_outvoted_by_what_is_no_hand",
+    ),
+    Mutant(
+        "backs: light twice",
+        "stages/training/finishing/unseen.py",
+        "told[hidden, None, None] * light",
+        "light",
+        "tests/stages/training/finishing/test_unseen.py::what_takes_what_is_around_is_not_lit_twice",
     ),
     Mutant(
         "backs: no light",
         "stages/training/finishing/unseen.py",
-        "return pattern[hidden] + continued(light, near, hidden, head_part(limb))",
-        "return pattern[hidden]",
+        "return continued(light, near, hidden, part)",
+        "return light[hidden]",
         "tests/stages/training/finishing/test_unseen.py::the_light_beside_goes_on_over_a_back",
     ),
     Mutant(
@@ -434,8 +448,8 @@ MUTANTS = (
     Mutant(
         "backs: nothing is hidden",
         "stages/training/finishing/bake.py",
-        "hidden = (own < 0.5) & ((middle > NEAR)",
-        "hidden = (own < 0.0) & ((middle > NEAR)",
+        "hidden = (own < 0.5) & (",
+        "hidden = (own < 0.0) & (",
         "tests/stages/training/finishing/test_unseen.py::a_front_view_alone_gives_hair_behind",
     ),
     Mutant(

@@ -28,7 +28,7 @@ STRAIGHT = 0.01  # of the mean of pixels painted and seen straight: at so many, 
 COVERED = 0.15, 0.4  # of what it would paint with nothing before it: skin under cloth that paints less shines through
 UNDER = 0.15  # metres from cloth: skin beyond is not under it
 NEIGHBOURS = 24  # that are asked
-NEAR = 0.03  # metres: where sure ones are farther, a Gaussian is hidden
+NEAR = 0.02  # metres: where no sure one is nearer, a Gaussian is hidden
 COMPANY = 8  # neighbours of a Gaussian of a surface
 APART = 1.2  # times as far from them as a body vertex from its own: such a Gaussian floats, if also SMALL
 SMALL = 5.0  # times its own size away from them
@@ -144,9 +144,8 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     means, own = person.means, bare * inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
     around, away = median_near(person.sh[sure], means[sure], means, NEIGHBOURS)
-    middle = away[:, away.shape[1] // 2]
-    hidden = (own < 0.5) & ((middle > NEAR) | _of_another_part(person, body, sure))
-    few = middle > FAR
+    hidden = (own < 0.5) & ((away[:, 0] > NEAR) | _of_another_part(person, body, sure))
+    few = away[:, away.shape[1] // 2] > FAR
     around[few], _ = median_near(person.sh[fair], means[fair], means[few], NEIGHBOURS)
     if hidden.any():
         around[hidden] = unseen_colors(person, body, around, fair, hidden)

@@ -21,6 +21,7 @@ TRUNK = (0, *SPINE, *COLLARS)
 SCALP = 0.3, 0.5  # of a head's box: its scalp is above 0.3 of the height at the back, and 0.5 more at the front
 RING = 64  # seen Gaussians of a limb: the mean of the middle half of their colours is its pattern at a height
 ASIDE = 1e-3  # of a metre along a limb: what one across it counts; a scalp has no other way
+APART = 10.0  # m between one limb and the next, so that none asks another
 LEVEL = 0.03  # m: a height of which nothing nearer is seen is not told
 FAR = 0.05  # m: where what is seen is farther, no median near is told
 SPOTS = 200  # spread over what is seen, each the median of its neighbours; what neither height nor neighbours tell asks these
@@ -37,37 +38,52 @@ def unseen_colors(person: Canonical, body: Person, around: Tensor, fair: Tensor,
     Those that are seen well enough are `fair` [N]; colours `around` [N,K,3] are those to keep, or medians near each.
     """
     limb, along = on_body(person, body)
-    means, beside = person.means, torch.zeros_like(hidden)
+    means, part, beside = person.means, head_part(limb), torch.zeros_like(hidden)
     near = nearest(means, means[hidden], LINKS + 1)[1][:, 1:]
     beside[near.flatten()] = True
-    pattern, light = around.clone(), torch.zeros_like(around[..., :1])
-    asked, ends = (hidden | beside).nonzero()[:, 0], (beside & ~hidden).nonzero()[:, 0]
-    at = torch.cat([along[:, None], ASIDE * means, 10.0 * limb[:, None]], 1)
+    asked = (hidden | beside).nonzero()[:, 0]
+    at = torch.cat([along[:, None], ASIDE * means, APART * limb[:, None]], 1)
     away, rows = nearest(at[fair], at[asked], RING)
-    told = away[:, away.shape[1] // 2] < LEVEL
-    ring = person.sh[fair][rows].sort(1).values
-    quarter = ring.shape[1] // 4
-    pattern[asked[told]] = ring[told, quarter : ring.shape[1] - quarter].mean(1)
-    lost = asked[~told & hidden[asked]]
+    quarter, pattern, told = rows.shape[1] // 4, around.clone(), torch.zeros_like(hidden)
+    middle = slice(quarter, rows.shape[1] - quarter)
+    told[asked] = away[:, middle][:, -1] < LEVEL
+    pattern[told] = person.sh[fair][rows[told[asked]]].sort(1).values[:, middle].mean(1)
+    lost = (hidden & ~told).nonzero()[:, 0]
     lost = lost[nearest(means[fair], means[lost], 1)[0][:, 0] > FAR]
     spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
     pattern[lost], _ = median_near(around[spots], means[spots], means[lost], ASKED)
-    if len(ends):
-        light[ends], _ = median_near((around - pattern)[ends].mean(2, keepdim=True), means[ends], means[ends], PATCH)
-    return pattern[hidden] + continued(light, near, hidden, head_part(limb))
+    light = _light((around - pattern).mean(2, keepdim=True), means, near, hidden, beside & ~hidden, told, part)
+    return pattern[hidden] + told[hidden, None, None] * light
+
+
+def _light(
+    off: Tensor, means: Tensor, near: Tensor, hidden: Tensor, ends: Tensor, told: Tensor, part: Tensor
+) -> Tensor:
+    """How much lighter [H,K,1] than their pattern the `hidden` [N] are, by how far `off` [N,K,1] those are where sight ends.
+
+    Of these `ends` [N] only those tell whose pattern is `told` [N], each for its own `part` [N], a patch at a time.
+    """
+    light, known = torch.zeros_like(off), ends & told
+    if not known.any():
+        return light[hidden]
+    at = torch.cat([means, APART * part[:, None]], 1)
+    light[ends], _ = median_near(off[known], at[known], at[ends], PATCH)
+    return continued(light, near, hidden, part)
 
 
 def on_body(person: Canonical, body: Person) -> tuple[Tensor, Tensor]:
     """Of each Gaussian its limb int64[N] and how far `along` it [N] it is, in metres.
 
-    A limb is called as the bone that it hangs from, and goes on to the next joint. Upright are the trunk (0), neck and face
-    (NECK), and clothes (J of skeleton's joints); the scalp (HEAD) has one height.
+    A limb is called as the bone that it hangs from, and goes on to the next joint; one that ends, a hand, goes on as it came.
+    Upright are the trunk (0), neck and face (NECK), and clothes (J, as many as there are joints); the scalp (HEAD) has one height.
     """
-    bone, (height, depth) = person.weights.argmax(1), person.means[:, 1:].unbind(1)
+    own, (height, depth) = len(body.joints), person.means[:, 1:].unbind(1)
+    cloth = person.weights[:, own:].sum(1) > 0.5
+    bone = torch.where(cloth, own, person.weights[:, :own].argmax(1))
     bones = body.canonical_bones()[: len(body.joints)]
     joints = (bones[:, :3, :3] @ body.joints[..., None])[..., 0] + bones[:, :3, 3]
     first_child = {parent: child for child, parent in reversed(list(enumerate(body.parents)))}
-    limb, along = bone.clamp_max(len(joints)), height.clone()
+    limb, along = bone, height
     for joint in range(len(joints)):
         first, last = (joint, first_child[joint]) if joint in first_child else (body.parents[joint], joint)
         way = torch.nn.functional.normalize(joints[last] - joints[first], dim=0)
@@ -75,7 +91,7 @@ def on_body(person: Canonical, body: Person) -> tuple[Tensor, Tensor]:
     for whole, joint in ((TRUNK, 0), ((NECK, HEAD), NECK)):
         there = torch.isin(bone, torch.tensor(whole).to(bone))
         limb, along = torch.where(there, joint, limb), torch.where(there, height, along)
-    head = body.vertices[body.weights.argmax(1) == HEAD]
+    head = body.vertices[body.weights[:, :own].argmax(1) == HEAD]
     if len(head):
         (_, low, back), (_, high, front) = head.amin(0), head.amax(0)
         line = SCALP[0] + SCALP[1] * (depth - back) / (front - back)
@@ -90,7 +106,7 @@ def head_part(limb: Tensor) -> Tensor:
 
 
 def continued(values: Tensor, near: Tensor, hidden: Tensor, part: Tensor) -> Tensor:
-    """What values[N,...] become in the rows that are `hidden` [N]: each the mean of those `near` [H,M] (Laplace's equation).
+    """What values[N,K,...] become in the rows that are `hidden` [N]: each the mean of those `near` [H,M] (Laplace's equation).
 
     Links to another `part` [N] count SEALED.
     """

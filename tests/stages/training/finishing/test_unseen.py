@@ -146,6 +146,34 @@ def test_a_limb_of_which_nothing_is_seen_takes_what_is_around(standing, limbs):
     assert guessed(person, where, everything).isfinite().all()
 
 
+def test_what_takes_what_is_around_is_not_lit_twice(standing, limbs):
+    """An arm that no frame shows beside a trunk whose left is in the sun."""
+    person, where = standing
+    arm = torch.isin(limbs[0], torch.tensor([SHOULDERS[0], ELBOWS[0], 20, 22]))
+    colors = torch.where(((limbs[0] == 0) & (person.means[:, 0] > 0))[:, None], 0.6, 0.0).expand(-1, 3)
+    found = guessed(painted(person, colors), where, arm)
+    assert found.min() >= 0 and found.max() < 0.61, "as light as what is seen, no lighter"
+
+
+def test_few_that_are_seen_of_a_hand_are_not_outvoted_by_what_is_no_hand(standing, limbs):
+    person, where = standing
+    hand = limbs[0] == 22
+    rows = hand.nonzero()[:, 0]
+    colors = torch.where(hand[:, None], RED, BLUE)
+    for seen in (20, 40, 60):
+        hidden = hand.clone()
+        hidden[rows[torch.linspace(0, len(rows) - 1, seen).long()]] = False
+        found = guessed(painted(person, colors), where, hidden)
+        assert (found - RED).abs().amax(1).median() < 0.1
+
+
+def test_cloth_on_many_bones_of_clothes_is_cloth(standing):
+    person, where = standing
+    spread = torch.cat([0.4 * person.weights, torch.full((len(person.means), 6), 0.1)], 1)
+    limb, along = on_body(person._replace(weights=spread), where)
+    assert (limb == len(where.joints)).all() and torch.equal(along, person.means[:, 1])
+
+
 def test_what_goes_on_is_even_and_stops_at_another_part(held):
     x, y = (part.flatten() for part in torch.meshgrid(torch.arange(9.0), torch.arange(9.0), indexing="ij"))
     hidden = (x > 0) & (x < 8) & (y > 0) & (y < 8)
