@@ -399,8 +399,8 @@ MUTANTS = (
     Mutant(
         "backs: any limb",
         "stages/training/finishing/unseen.py",
-        "APART * limb[:, None]",
-        "0 * limb[:, None]",
+        "APART * place.limb[:, None]",
+        "0 * place.limb[:, None]",
         "tests/stages/training/finishing/test_unseen.py::a_trunk_does_not_take_the_colours_of_arms_at_its_height",
     ),
     Mutant(

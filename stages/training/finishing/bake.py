@@ -15,7 +15,7 @@ from stages.training.finishing.depths import snap_to_surface
 from stages.training.finishing.lining import add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
-from stages.training.finishing.unseen import FAR, head_part, on_body, unseen_colors
+from stages.training.finishing.unseen import FAR, on_body, unseen_colors
 from stages.training.views import Person, Views
 
 OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
@@ -143,12 +143,14 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
         return person, Known(torch.ones_like(inside), 1 - along, aslant)
     means, own = person.means, bare * inside / (inside + EDGE_DOUBT * edge + DOUBT * mean)
     fair = sure | (own > FAIR[0] * _best_in_part(own, person.weights))
-    around, away = median_near(person.sh[sure], means[sure], means, NEIGHBOURS)
-    hidden = (own < 0.5) & ((away[:, 0] > NEAR) | _of_another_part(person, body, sure))
+    away, near = nearest(means[sure], means, NEIGHBOURS)
+    around, place = person.sh[sure][near].median(1).values, on_body(person, body)
+    others = (place.part[sure][near] != place.part[:, None]).float().mean(1) > 0.5
+    hidden = (own < 0.5) & ((away[:, 0] > NEAR) | others)
     few = away[:, away.shape[1] // 2] > FAR
     around[few], _ = median_near(person.sh[fair], means[fair], means[few], NEIGHBOURS)
     if hidden.any():
-        around[hidden] = unseen_colors(person, body, around, fair, hidden)
+        around[hidden] = unseen_colors(person, place, around, fair, hidden)
     leant = person._replace(sh=torch.lerp(around, person.sh, own[:, None, None]))
     return leant, Known(own, own[:, None] * (1 - along), aslant)
 
@@ -164,13 +166,6 @@ def _bare(person: Canonical, body: Person, clear: Tensor) -> Tensor:
     skin = person.weights[:, len(body.joints) :].sum(1) < 0.5
     under = skin & (nearest(body.cloth.means, person.means, 1)[0][:, 0] < UNDER)
     return torch.where(under, ((clear - COVERED[0]) / (COVERED[1] - COVERED[0])).clamp(0, 1), 1.0)
-
-
-def _of_another_part(person: Canonical, body: Person, sure: Tensor) -> Tensor:
-    """Of scalp, face and neck, and the rest: which Gaussians [N] have mostly others beside them that are `sure` [N]."""
-    part = head_part(on_body(person, body)[0])
-    near = nearest(person.means[sure], person.means, NEIGHBOURS)[1]
-    return (part[sure][near] != part[:, None]).float().mean(1) > 0.5
 
 
 def _best_in_part(own: Tensor, weights: Tensor) -> Tensor:

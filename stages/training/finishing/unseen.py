@@ -7,6 +7,8 @@ https://doi.org/10.1145/882262.882269). The back of a head has the colours of it
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import splu
@@ -32,17 +34,32 @@ SEALED = 0.02  # of a link: what one between scalp, face and the rest counts
 FAINT = 1e-4  # of a link: with it light is that of the pattern where nothing beside tells
 
 
-def unseen_colors(person: Canonical, body: Person, around: Tensor, fair: Tensor, hidden: Tensor) -> Tensor:
-    """Colours [H,K,3] of the H Gaussians that are `hidden` [N].
+class OnBody(NamedTuple):
+    """Of each Gaussian its `limb` int64[N] and how far `along` it [N] it is, in metres.
+
+    A limb is called as the bone that it hangs from, and goes on to the next joint; one that ends, a hand, goes on as it came.
+    Upright are the trunk (0), neck and face (NECK), and clothes (J, as many as there are joints); the scalp (HEAD) has one height.
+    """
+
+    limb: Tensor
+    along: Tensor
+
+    @property
+    def part(self) -> Tensor:
+        """Which are scalp (2), face and neck (1), and the rest (0) [N]: one tells no colours of another."""
+        return 2 * (self.limb == HEAD) + (self.limb == NECK).long()
+
+
+def unseen_colors(person: Canonical, place: OnBody, around: Tensor, fair: Tensor, hidden: Tensor) -> Tensor:
+    """Colours [H,K,3] of the H Gaussians that are `hidden` [N]; `place` is theirs and all others'.
 
     Those that are seen well enough are `fair` [N]; colours `around` [N,K,3] are those to keep, or medians near each.
     """
-    limb, along = on_body(person, body)
-    means, part, beside = person.means, head_part(limb), torch.zeros_like(hidden)
+    means, beside = person.means, torch.zeros_like(hidden)
     near = nearest(means, means[hidden], LINKS + 1)[1][:, 1:]
     beside[near.flatten()] = True
     asked = (hidden | beside).nonzero()[:, 0]
-    at = torch.cat([along[:, None], ASIDE * means, APART * limb[:, None]], 1)
+    at = torch.cat([place.along[:, None], ASIDE * means, APART * place.limb[:, None]], 1)
     away, rows = nearest(at[fair], at[asked], RING)
     quarter, pattern, told = rows.shape[1] // 4, around.clone(), torch.zeros_like(hidden)
     middle = slice(quarter, rows.shape[1] - quarter)
@@ -52,7 +69,7 @@ def unseen_colors(person: Canonical, body: Person, around: Tensor, fair: Tensor,
     lost = lost[nearest(means[fair], means[lost], 1)[0][:, 0] > FAR]
     spots = fair.nonzero()[:, 0][farthest_points(means[fair], SPOTS)]
     pattern[lost], _ = median_near(around[spots], means[spots], means[lost], ASKED)
-    light = _light((around - pattern).mean(2, keepdim=True), means, near, hidden, beside & ~hidden, told, part)
+    light = _light((around - pattern).mean(2, keepdim=True), means, near, hidden, beside & ~hidden, told, place.part)
     return pattern[hidden] + told[hidden, None, None] * light
 
 
@@ -71,12 +88,8 @@ def _light(
     return continued(light, near, hidden, part)
 
 
-def on_body(person: Canonical, body: Person) -> tuple[Tensor, Tensor]:
-    """Of each Gaussian its limb int64[N] and how far `along` it [N] it is, in metres.
-
-    A limb is called as the bone that it hangs from, and goes on to the next joint; one that ends, a hand, goes on as it came.
-    Upright are the trunk (0), neck and face (NECK), and clothes (J, as many as there are joints); the scalp (HEAD) has one height.
-    """
+def on_body(person: Canonical, body: Person) -> OnBody:
+    """Where on the `body` a person's Gaussians are."""
     own, (height, depth) = len(body.joints), person.means[:, 1:].unbind(1)
     cloth = person.weights[:, own:].sum(1) > 0.5
     bone = torch.where(cloth, own, person.weights[:, :own].argmax(1))
@@ -97,12 +110,7 @@ def on_body(person: Canonical, body: Person) -> tuple[Tensor, Tensor]:
         line = SCALP[0] + SCALP[1] * (depth - back) / (front - back)
         scalp = (bone == HEAD) & ((height - low) / (high - low) > line)
         limb, along = torch.where(scalp, HEAD, limb), torch.where(scalp, 0.0, along)
-    return limb, along
-
-
-def head_part(limb: Tensor) -> Tensor:
-    """Of limbs [N] which are scalp (2), face and neck (1), and the rest (0): one tells no colours of another."""
-    return 2 * (limb == HEAD) + (limb == NECK).long()
+    return OnBody(limb, along)
 
 
 def continued(values: Tensor, near: Tensor, hidden: Tensor, part: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.neighbours import median_near
 from stages.training.finishing import bake, unseen
-from stages.training.finishing.unseen import continued, head_part, on_body, unseen_colors
+from stages.training.finishing.unseen import OnBody, continued, on_body, unseen_colors
 from stages.training.views import Person
 from tests.made.standing import silhouettes, stand_red, views
 
@@ -33,7 +33,7 @@ def standing() -> tuple[Canonical, Person]:
 
 
 @pytest.fixture(scope="module")
-def limbs(standing) -> tuple[torch.Tensor, torch.Tensor]:
+def limbs(standing) -> OnBody:
     return on_body(*standing)
 
 
@@ -45,7 +45,7 @@ def guessed(person: Canonical, where: Person, hidden: torch.Tensor) -> torch.Ten
     """Colours [H,3] of what is `hidden` [N], where all else is seen."""
     black = painted(person, torch.where(hidden[:, None], 0.0, person.sh[:, 0]))
     around, _ = median_near(black.sh[~hidden], black.means[~hidden], black.means, 24)
-    return unseen_colors(black, where, around, ~hidden, hidden)[:, 0]
+    return unseen_colors(black, on_body(person, where), around, ~hidden, hidden)[:, 0]
 
 
 def test_limbs_begin_at_a_joint_and_go_to_the_next(standing, limbs):
@@ -72,7 +72,7 @@ def test_a_scalp_goes_from_the_forehead_down_the_back_of_the_head(standing, limb
     assert back[:, 1].min() < low + 0.4 * (high - low) and front[:, 1].min() > low + 0.65 * (high - low)
     nose = face[face[:, 2].argmax()]
     assert nose[2] > head[:, 2].max() - 1e-4, "the foremost of the head is of the face"
-    assert head_part(torch.tensor([HEAD, NECK, 0, 5])).tolist() == [2, 1, 0, 0]
+    assert OnBody(torch.tensor([HEAD, NECK, 0, 5]), torch.zeros(4)).part.tolist() == [2, 1, 0, 0]
 
 
 def test_stripes_and_hems_go_around_and_a_logo_does_not(standing, limbs):
