@@ -181,10 +181,13 @@ def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener
     """What train.json says of `effect_gains`: dB on the curve's frames, and each one's part of `seconds`."""
     facts = {}
     for name, effect in found.items():
-        gains = {key: None if effect[key] is None else round(effect[key], 3) for key in ("psnr", "psnr_person")}
+        keys = ("psnr", "psnr_person", "psnr_far")
+        gains = {key: None if effect[key] is None else round(effect[key], 3) for key in keys}
         facts[name] = gains | {"seconds": (spent := round(effect["share"] * seconds, 1))}
-        known = " / ".join(f"{gain:+.1f}" for gain in gains.values() if gain is not None)
+        known = " / ".join(f"{gains[key]:+.1f}" for key in keys[:2] if gains[key] is not None)
         gained = f"{known} dB on held-out frames, " if known else ""
+        if gains["psnr_far"] is not None:
+            gained += f"{gains['psnr_far']:+.1f} in the poses farthest from training, "
         cost = f"{round(spent)} s" if spent > 0 else "no measurable time"
         say.note(f"{name.replace('_', ' ')}: {gained}{cost} of training")
     return facts

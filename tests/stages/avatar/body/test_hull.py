@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.avatar.body.hull import CELL, CLEAR, Sight, Skin, Space, carve, space_around, surface
+from stages.avatar.body.hull import CELL, CLEAR, Sight, Skin, Space, beyond, carve, space_around, surface
 from stages.avatar.cameras.pinhole import look_at, pinhole
 
 SIDE = 96
@@ -114,3 +114,48 @@ def test_finer_points_are_nearer_to_each_other(legs, space):
     carved = carve(space, pictures(legs, 0.3))
     coarse, fine = (surface(space, legs, carved, spacing) for spacing in (CELL, CELL / 2))
     assert fine.spacing == pytest.approx(CELL / 2, rel=0.02) and 3 < len(fine.points) / len(coarse.points) < 5
+
+
+def trousers(legs: Skin, off: float, webbed: bool = False) -> list[Sight]:
+    """Twelve frames of legs whose masks reach `off` m beyond them, and, if `webbed`, fill what is between the two."""
+    found = []
+    for sight in pictures(legs, None):
+        rays = np.zeros((SIDE, SIDE))
+        mask = covers(sight.viewmat, rays, 0.12, 0.07 + off, 0.5) | covers(sight.viewmat, rays, -0.12, 0.07 + off, 0.5)
+        if webbed:
+            import cv2
+
+            edge = np.argwhere(mask)[:, ::-1].astype(np.int32)
+            mask = cv2.fillConvexPoly(mask.astype(np.uint8), cv2.convexHull(edge), 1).astype(bool)
+        found.append(sight._replace(mask=mask * 1.0))
+    return found
+
+
+@pytest.mark.parametrize(("off", "cloth"), [(0.0, False), (0.02, False), (0.03, False), (0.07, True)])
+def test_trousers_are_cloth_where_they_stand_further_off_than_a_fit_errs(legs, space, off, cloth):
+    carved = carve(space, trousers(legs, off))
+    assert carved.cloth.any() == carved.far.any() == (carved.volume(space) > 0) == cloth
+
+
+def test_what_never_leaves_the_gap_between_two_limbs_is_no_cloth(legs, space, monkeypatch):
+    """Two thighs that no frame separates made a web of cloth, torn by every step."""
+    assert not carve(space, trousers(legs, 0.0, webbed=True)).cloth.any()
+    monkeypatch.setattr("stages.avatar.body.hull.GAP", 0.0)
+    monkeypatch.setattr("stages.avatar.body.hull.FAR", 0.0)
+    assert carve(space, trousers(legs, 0.0, webbed=True)).cloth.any(), "else this test says nothing"
+
+
+def test_gaps_are_closed_and_outlines_grown_by_so_many_pixels():
+    body = np.zeros((40, 60), bool)
+    body[10:30, 5:15] = body[10:30, 23:33] = True  # a gap of 8 px
+    near, far = beyond(body, 5.0, 3.0)
+    assert not near[12:28, 15:23].any() and near[5, 19] and near[20, 34] and near[20, 4]
+    assert not far[20, 33:36].any() and far[20, 37] and not far[20, 3:5].any() and far[20, 1]
+    open_gap, _ = beyond(body, 3.0, 3.0)
+    assert open_gap[12:28, 15:23].all() and (open_gap == ~body).all()
+    for empty in beyond(np.zeros_like(body), 5.0, 3.0):
+        assert empty.all()
+    corner = np.zeros_like(body)
+    corner[:4, :4] = True
+    near, far = beyond(corner, 5.0, 3.0)
+    assert not near[:4, :4].any() and not far[:6, :6].any() and far[0, 8]
