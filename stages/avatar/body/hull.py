@@ -17,6 +17,7 @@ import torch
 from scipy.ndimage import binary_closing, distance_transform_edt, gaussian_filter, label, zoom
 from scipy.spatial import cKDTree
 
+from stages.avatar.body.joints import ANKLES, ELBOWS, FEET, HANDS, HIPS, KNEES, SHOULDERS, WRISTS
 from stages.avatar.splats.neighbours import farthest_points
 
 REACH = 0.32  # m from the skin: as far as cloth is looked for
@@ -30,6 +31,8 @@ CLEAR = 0.03  # m off the skin from which a surface is cloth, not skin
 FAR = 0.03  # m off the body's outline: what never shows so far off is shirt, trousers or an error of the fit
 NEAREST = 0.3  # m from the camera: nearer bodies show gaps as if they were here
 GAP = 0.06  # m: half the width of gaps between limbs that show no cloth
+LIMBS = *zip(HIPS, KNEES, ANKLES, FEET), *zip(SHOULDERS, ELBOWS, WRISTS, HANDS)
+ONE_LIMB = 0.7  # of the skinning weights of a piece of cloth: so much of one limb is of it alone
 LEAST = 30  # cells of a piece of cloth that show FAR off the body, at least
 CLOSED = 3  # cells: half the width of gaps that are closed
 
@@ -167,8 +170,20 @@ def carve(space: Space, sights: Iterable[Sight]) -> Carved:
     piece = pieces.ravel()[space.rows]
     large = np.bincount(piece[far & out], minlength=pieces.max() + 1) >= LEAST
     large[0] = False
+    for k in np.flatnonzero(large):
+        large[k] = not around_a_limb(space, piece == k)
     cloth = found & out & (large[piece] | (space.away <= CLEAR)) & large.any()
     return Carved(cloth, far & cloth & (space.away > CLEAR), may & out)
+
+
+def around_a_limb(space: Space, piece: np.ndarray) -> bool:
+    """Whether a piece, cells [P], is a tube around one leg or arm, such as a wide trouser leg: it goes with its limb, as skin does.
+
+    A bag beside a leg has its middle in itself, a skirt is around both legs.
+    """
+    points, carried = space.points[piece], space.weights[piece].mean(0)
+    middle = np.linalg.norm(space.points - points.mean(0), axis=1).argmin()
+    return max(carried[list(limb)].sum() for limb in LIMBS) > ONE_LIMB and space.away[middle] <= 0
 
 
 def _seen(space: Space, sight: Sight) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...], float]:

@@ -20,7 +20,12 @@ def column(x: float, radius: float, top: float, bottom: float, count: int = 900)
 
 @pytest.fixture(scope="module")
 def legs() -> Skin:
-    (left, out), (right, outer) = column(0.12, 0.07, 0.5, -0.5), column(-0.12, 0.07, 0.5, -0.5)
+    return two_legs()
+
+
+def two_legs(apart: float = 0.12) -> Skin:
+    """Two upright legs, `apart` m each from the middle."""
+    (left, out), (right, outer) = column(apart, 0.07, 0.5, -0.5), column(-apart, 0.07, 0.5, -0.5)
     weights = np.zeros((len(left) + len(right), 24))
     weights[: len(left), 1] = weights[len(left) :, 2] = 1
     return Skin(np.concatenate([left, right]), np.concatenate([out, outer]), weights)
@@ -31,7 +36,9 @@ def space(legs) -> Space:
     return space_around(legs)
 
 
-def pictures(legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi) -> list[Sight]:
+def pictures(
+    legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi, apart: float = 0.12
+) -> list[Sight]:
     """Twelve frames from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2.
 
     The left leg steps aside by up to `step`.
@@ -42,7 +49,7 @@ def pictures(legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 
         bones[1, 0, 3] = step * (i % 3) / 2
         view = look_at(2.5 * np.array([np.sin(turn), 0.1, np.cos(turn)]), np.zeros(3), np.array([0.0, 1, 0]))
         rays = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), -1)
-        body = covers(view, rays, 0.12 + bones[1, 0, 3], 0.07, 0.5) | covers(view, rays, -0.12, 0.07, 0.5)
+        body = covers(view, rays, apart + bones[1, 0, 3], 0.07, 0.5) | covers(view, rays, -apart, 0.07, 0.5)
         worn = body if skirt is None else body | covers(view, rays, bones[1, 0, 3] / 2, skirt, 0.2)
         found.append(Sight(bones, view, K, worn * 1.0, body))
     return found
@@ -116,12 +123,13 @@ def test_finer_points_are_nearer_to_each_other(legs, space):
     assert fine.spacing == pytest.approx(CELL / 2, rel=0.02) and 3 < len(fine.points) / len(coarse.points) < 5
 
 
-def trousers(legs: Skin, off: float, webbed: bool = False) -> list[Sight]:
+def trousers(legs: Skin, off: float, webbed: bool = False, apart: float = 0.12) -> list[Sight]:
     """Twelve frames of legs whose masks reach `off` m beyond them, and, if `webbed`, fill what is between the two."""
     found = []
-    for sight in pictures(legs, None):
+    for sight in pictures(legs, None, apart=apart):
         rays = np.zeros((SIDE, SIDE))
-        mask = covers(sight.viewmat, rays, 0.12, 0.07 + off, 0.5) | covers(sight.viewmat, rays, -0.12, 0.07 + off, 0.5)
+        left, right = (covers(sight.viewmat, rays, x, 0.07 + off, 0.5) for x in (apart, -apart))
+        mask = left | right
         if webbed:
             import cv2
 
@@ -131,10 +139,29 @@ def trousers(legs: Skin, off: float, webbed: bool = False) -> list[Sight]:
     return found
 
 
-@pytest.mark.parametrize(("off", "cloth"), [(0.0, False), (0.02, False), (0.03, False), (0.07, True)])
-def test_trousers_are_cloth_where_they_stand_further_off_than_a_fit_errs(legs, space, off, cloth):
+def bagged(legs: Skin, beside: float) -> list[Sight]:
+    """Twelve frames of legs with a bag `beside` the left one, m from its middle."""
+    bag = (covers(one.viewmat, one.body, 0.12 + beside, 0.06, 0.12) for one in pictures(legs, None))
+    return [one._replace(mask=(one.body | more) * 1.0) for one, more in zip(pictures(legs, None), bag)]
+
+
+@pytest.mark.parametrize("off", [0.0, 0.02, 0.03])
+def test_trousers_that_stand_no_further_off_than_a_fit_errs_are_no_cloth(legs, space, off):
     carved = carve(space, trousers(legs, off))
-    assert carved.cloth.any() == carved.far.any() == (carved.volume(space) > 0) == cloth
+    assert not carved.cloth.any() and not carved.far.any() and carved.volume(space) == 0
+
+
+def test_wide_trouser_legs_go_with_their_limbs_as_skin_does(monkeypatch):
+    apart = two_legs(0.22)
+    space, worn = space_around(apart), trousers(apart, 0.07, apart=0.22)
+    assert not carve(space, worn).cloth.any()
+    monkeypatch.setattr("stages.avatar.body.hull.ONE_LIMB", 1.1)
+    assert carve(space, worn).far.any(), "else this test says nothing"
+
+
+def test_a_bag_beside_one_leg_is_found(legs, space):
+    carved = carve(space, bagged(legs, 0.15))
+    assert carved.volume(space) > 0 and space.points[carved.far, 0].min() > 0.12
 
 
 def test_what_never_leaves_the_gap_between_two_limbs_is_no_cloth(legs, space, monkeypatch):
