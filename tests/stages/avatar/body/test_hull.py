@@ -37,14 +37,14 @@ def space(legs) -> Space:
 
 
 def pictures(
-    legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi, apart: float = 0.12
+    legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi, apart: float = 0.12, frames: int = 12
 ) -> list[Sight]:
-    """Twelve frames from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2.
+    """`frames` from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2.
 
     The left leg steps aside by up to `step`.
     """
     found = []
-    for i, turn in enumerate(np.linspace(0, arc, 12, endpoint=False)):
+    for i, turn in enumerate(np.linspace(0, arc, frames, endpoint=False)):
         bones = np.tile(np.eye(4), (24, 1, 1))
         bones[1, 0, 3] = step * (i % 3) / 2
         view = look_at(2.5 * np.array([np.sin(turn), 0.1, np.cos(turn)]), np.zeros(3), np.array([0.0, 1, 0]))
@@ -123,10 +123,10 @@ def test_finer_points_are_nearer_to_each_other(legs, space):
     assert fine.spacing == pytest.approx(CELL / 2, rel=0.02) and 3 < len(fine.points) / len(coarse.points) < 5
 
 
-def trousers(legs: Skin, off: float, webbed: bool = False, apart: float = 0.12) -> list[Sight]:
-    """Twelve frames of legs whose masks reach `off` m beyond them, and, if `webbed`, fill what is between the two."""
+def trousers(legs: Skin, off: float, webbed: bool = False, apart: float = 0.12, frames: int = 12) -> list[Sight]:
+    """Frames of legs whose masks reach `off` m beyond them, and, if `webbed`, fill what is between the two."""
     found = []
-    for sight in pictures(legs, None, apart=apart):
+    for sight in pictures(legs, None, apart=apart, frames=frames):
         rays = np.zeros((SIDE, SIDE))
         left, right = (covers(sight.viewmat, rays, x, 0.07 + off, 0.5) for x in (apart, -apart))
         mask = left | right
@@ -153,7 +153,7 @@ def test_trousers_that_stand_no_further_off_than_a_fit_errs_are_no_cloth(legs, s
 
 def test_wide_trouser_legs_go_with_their_limbs_as_skin_does(monkeypatch):
     apart = two_legs(0.22)
-    space, worn = space_around(apart), trousers(apart, 0.07, apart=0.22)
+    space, worn = space_around(apart), trousers(apart, 0.07, apart=0.22, frames=32)
     assert not carve(space, worn).cloth.any()
     monkeypatch.setattr("stages.avatar.body.hull.ONE_LIMB", 1.1)
     assert carve(space, worn).far.any(), "else this test says nothing"
