@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -142,9 +143,9 @@ def decide_scene(setting: Effect, verdict: str, points: int) -> tuple[bool, str]
 
 
 def measure(value: float | None, unit: str, threshold: float, verdict: str, frames: list[str] | None = None) -> dict:
-    """One of the measures of survey.json; `value` None means too little to measure, and the verdict "unknown"."""
-    if value is None:
-        verdict = "unknown"
+    """One of the measures of survey.json; `value` None or not finite: too little to measure, and the verdict "unknown"."""
+    if value is None or not math.isfinite(value):
+        value, verdict = None, "unknown"
     return {"value": value, "unit": unit, "threshold": threshold, "verdict": verdict, "frames": frames or []}
 
 
@@ -165,7 +166,7 @@ def camera_measures(facts: Sfm, clip: Clip) -> dict[str, dict]:
         centers = camera_centers(clip.viewmats)
         depth = np.median([np.median(project(clip.points, view, K)[1]) for view, K in zip(clip.viewmats, clip.Ks)])
         reach = np.linalg.norm(centers - np.median(centers, 0), axis=1)
-        ratio = float(2 * np.quantile(reach, 0.9) / depth)
+        ratio = float(2 * np.quantile(reach, 0.9) / depth) if depth > 0 else None
     return {
         "camera_parallax": measure(
             angle, "deg", MIN_PARALLAX_DEG, "good" if angle and angle >= MIN_PARALLAX_DEG else "weak"

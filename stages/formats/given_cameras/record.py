@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -95,6 +96,14 @@ def without_points(
     return GivenCameras(
         source, tuple(files), np.stack(viewmats), tuple(lenses), nothing, nothing.astype(np.uint8), np.zeros(0), ()
     )
+
+
+def possible_errors(errors: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Those reprojection errors [P] px that are known, the picture's diagonal at most.
+
+    COLMAP writes -1 for an error that nobody computed, and 1e154 px for a point behind a camera.
+    """
+    return errors[errors >= 0].clip(max=math.hypot(width, height))
 
 
 def widest_angles(points: np.ndarray, tracks: Sequence[np.ndarray], centers: np.ndarray) -> np.ndarray:
