@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from shutil import rmtree
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
@@ -16,6 +18,7 @@ from stages.contract import Job, StageError
 if TYPE_CHECKING:
     import numpy as np
 
+    from stages.formats.film_times import FilmTimes
     from stages.formats.video import VideoInfo
 
 LEAST = 8
@@ -52,27 +55,26 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     blurred ones are dropped. One pass, one frame in memory. Raises StageError for a path that is missing, not a video,
     cut short, or has too few frames.
     """
-    from stages.formats.images import shrink, write_image
+    from stages.formats.film_times import FilmTimes, TimesFall
     from stages.formats.told_focal import told_focal
-    from stages.formats.video import decode, probe
+    from stages.formats.video import probe
 
     info, pace = probe(video), params.folder_fps if video.is_dir() else 1.0
     info = replace(info, fps=info.fps * pace, duration_s=info.duration_s / pace)
     check_video(job, info)
     folder = job.out / "images"
-    folder.mkdir(exist_ok=True)
-    picker = Picker(params.count, info.duration_s, info.frames)
-    decoded = 0
-    for index, time, pixels in decode(video):
-        decoded += 1
-        small = shrink(pixels, params.max_side)
-        for picked in picker.offer(index, time / pace, small):
-            write_image(folder / f"{picked.name}.png", picked.pixels)
-        if decoded % 10 == 0:
-            job.progress(decoded, max(info.frames, decoded))
-    for picked in picker.close():
-        write_image(folder / f"{picked.name}.png", picked.pixels)
-
+    times = FilmTimes(info.times, info.duration_s * pace, params.count)
+    try:
+        taken = pick(job, params, video, info, times, pace)
+    except TimesFall:
+        job.warn(f"the times of the film's pictures run back: they are counted instead, {info.counted:.3g} a second")
+        rmtree(folder)
+        info = replace(info, fps=info.counted, duration_s=info.frames / info.counted)
+        times = FilmTimes([i / info.fps for i in range(info.frames)], info.duration_s, params.count)
+        taken = pick(job, params, video, info, times, None)
+    picker, decoded, width, height = taken
+    if not times.good.all():
+        info = replace(info, fps=times.good.sum() / times.duration, duration_s=times.duration)
     check_decoded(job, info, decoded)
     frames, blurred = without_blurred(picker.kept)
     for frame in blurred:
@@ -80,7 +82,6 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     check_usable(
         info, len(frames), f"{decoded} decoded, {picker.copies} copies of the frame before, {len(blurred)} blurred"
     )
-    height, width = small.shape[:2]
     facts = {
         "video": {
             "path": Path(video).name,
@@ -90,6 +91,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
             "frames": decoded,
             "duration_s": round(info.duration_s, 4),
             "rotation": info.rotation,
+            **({"mirrored": True} if info.mirrored else {}),
         },
         "width": width,
         "height": height,
@@ -111,10 +113,53 @@ def run(job: Job, params: Params, *, video: Path) -> None:
         job.note(f"dropped {picker.copies} copies and {len(blurred)} blurred frames")
 
 
+def pick(
+    job: Job, params: Params, video: Path, info: VideoInfo, times: FilmTimes, pace: float | None
+) -> tuple[Picker, int, int, int]:
+    """Write the pictures of the sharpest frames; what was picked, how many frames decode, and the pictures' size.
+
+    `times` in units of 1/`pace` s; None: whatever the film says, they are counted. Raises TimesFall.
+    """
+    from stages.formats.images import shrink, write_image
+    from stages.formats.video import decode
+
+    folder, picker, flags = job.out / "images", Picker(times.slots), Counter[str]()
+    folder.mkdir(exist_ok=True)
+    decoded, small = 0, None
+    for index, time, pixels in decode(video, flags):
+        decoded += 1
+        spot = times.at(time if pace else float("nan"))
+        if spot is not None:
+            small = shrink(pixels, params.max_side)
+            for picked in picker.offer(index, spot[0] / (pace or 1), spot[1], small):
+                write_image(folder / f"{picked.name}.png", picked.pixels)
+        if decoded % 10 == 0:
+            job.progress(decoded, max(info.frames, decoded))
+    for picked in picker.close():
+        write_image(folder / f"{picked.name}.png", picked.pixels)
+    for said in times.said:
+        job.warn(said)
+    if flags["interlaced"]:
+        make = f"`ffmpeg -i {Path(info.path).name} -vf bwdif=send_frame -crf 16 {Path(info.path).stem}-whole.mp4`"
+        job.warn(
+            f"{flags['interlaced']} of {decoded} frames are interlaced, and combed where something moves: {make} mends it"
+        )
+    height, width = (0, 0) if small is None else small.shape[:2]
+    return picker, decoded, width, height
+
+
 def check_video(job: Job, info: VideoInfo) -> None:
     """StageError for a video that says it has too few frames; a warning for high dynamic range, a note for oblong pixels."""
+    for said in info.notes:
+        job.note(said)
+    for said in info.doubts:
+        job.warn(said)
     if info.transfer != "sdr":
-        job.warn(f"the video is {info.transfer} (high dynamic range), decoded without tone mapping: colours look flat")
+        make = "zscale=t=linear:npl=100,tonemap=hable,zscale=p=bt709:t=bt709:m=bt709:r=tv,format=yuv420p"
+        job.warn(
+            f"the video is {info.transfer} (high dynamic range), decoded without tone mapping: colours look flat; "
+            f"`ffmpeg -i {Path(info.path).name} -vf {make} sdr.mp4` converts it"
+        )
     if info.pixel != 1:
         job.note(
             f"the video's pixels are {info.pixel:.3g} times as wide as high: made square, {info.width}x{info.height}"
@@ -150,7 +195,7 @@ def check_usable(info: VideoInfo, count: int, fate: str) -> None:
 
 def with_sources(frames: list[dict[str, Any]], video: Path) -> list[dict[str, Any]]:
     """The frames, with the picture's own name as `source` where a folder of pictures was given."""
-    from stages.formats.video import picture_files
+    from stages.formats.pictures import picture_files
 
     if not Path(video).is_dir():
         return frames
@@ -174,19 +219,17 @@ class Candidate:
 
 
 class Picker:
-    """Keeps the sharpest frame of each of `count` equal time slots of a stream; a short clip keeps all its frames."""
+    """Keeps the sharpest frame of each of so many equal time slots of a stream."""
 
-    def __init__(self, count: int, duration_s: float, frames: int):
-        self.slots, self.duration = min(count, frames), duration_s
-        self.slot = 0
+    def __init__(self, slots: int):
+        self.slots, self.slot = slots, 0
         self.best: Candidate | None = None
         self.last: np.ndarray | None = None
         self.kept: list[dict[str, Any]] = []
         self.copies = 0
 
-    def offer(self, index: int, time_s: float, pixels: np.ndarray) -> Iterator[Candidate]:
-        """Take the next frame; yields the frame of a slot that has just ended."""
-        place = time_s / self.duration * self.slots
+    def offer(self, index: int, time_s: float, place: float, pixels: np.ndarray) -> Iterator[Candidate]:
+        """Take the next frame, whose place is 0 to `slots`; yields the frame of a slot that has just ended."""
         slot = min(int(place + 1e-6), self.slots - 1)
         if slot != self.slot:
             yield from self.close()

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import PurePath
 
 from stages.contract import StageError
 from stages.formats.facts import Listing
-from stages.formats.video import PICTURES
+from stages.formats.pictures import PICTURES, number
 
 ENDINGS = (*PICTURES, ".npy")
-DIGITS = 30  # of a number in a name; a time in nanoseconds has 19, and Python refuses to read thousands
 
 
 def stem(name: str | PurePath) -> str:
@@ -21,12 +19,6 @@ def stem(name: str | PurePath) -> str:
     while PurePath(name).suffix.lower() in ENDINGS:
         name = name[: -len(PurePath(name).suffix)]
     return name
-
-
-def number(name: str) -> int | None:
-    """The last run of digits in a name, as a number; None for one that is too long to count anything."""
-    digits = re.findall(r"[0-9]+", name)
-    return int(digits[-1]) if digits and len(digits[-1]) <= DIGITS else None
 
 
 def has_sources(listing: Listing) -> bool:

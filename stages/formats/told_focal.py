@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from stages.formats.video import open_video, picture_files
+from stages.formats.pictures import picture_files
+from stages.formats.video import open_video
 
 DIAGONAL_MM = math.hypot(36, 24)
 """Of the film that "35 mm equivalent" compares with (CIPA DCG-001: by the diagonals)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,12 +15,12 @@ import av
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.film_pixels import QUARTER, rgb_of, turn_of
 from stages.formats.images import first_line, read_image
+from stages.formats.pictures import pictures_in
 
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp")
 HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # ITU-T H.273 transfer characteristics
 BT709 = 1  # H.273 number of BT.709 for matrix, primaries and transfer
-QUARTER = 90  # degrees
 SQUARE, LONGEST = 0.01, 4.0  # of a pixel's width over its height: nearer to 1 is square, beyond is no film's
 THREADS = 2
 REPEATABLE = "mbtree=0"
@@ -44,29 +45,21 @@ class VideoInfo:
     """'sdr', 'PQ' or 'HLG'."""
     pixel: float = 1.0
     """Width over height of a stored pixel; where it is not 1, pictures are widened or narrowed until it is."""
-
-
-def natural_order(path: Path) -> list:
-    """Sort key that puts frame_9 before frame_10."""
-    parts, digits = [], ""
-    for letter in path.name.lower() + "\0":
-        if letter.isdigit() and letter.isascii():
-            digits += letter
-            continue
-        parts += [(0, int(digits), "")] if digits else []
-        parts += [(1, 0, letter)]
-        digits = ""
-    return [*parts, path.name]
-
-
-def picture_files(folder: Path) -> list[Path]:
-    """The picture files of a folder in natural order."""
-    found = [p for p in Path(folder).iterdir() if p.suffix.lower() in PICTURES and not p.name.startswith(".")]
-    return sorted(found, key=natural_order)
+    mirrored: bool = False
+    """Left and right are exchanged after the turn."""
+    times: tuple[float, ...] = ()
+    """When pictures are shown, s from the first that decodes, in order; those that the file does not tell lack."""
+    counted: float = 1.0
+    """Frames a second where their times cannot be used."""
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream.VideoStream]:
-    """Open a video's container and its first video stream; StageError for a file without one, or a list of films."""
+    """Open a video's container and its film; StageError for a file without one, or a list of films.
+
+    Of several the one with the largest pictures is taken, no cover or still.
+    """
     path = Path(path)
     if not path.exists():
         raise StageError(f"no video at {path}", "check the path")
@@ -89,9 +82,15 @@ def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream
         container.close()
         hint = "give the film itself; `ffmpeg -i LIST -c copy film.mp4` makes one of several"
         raise StageError(f"{path} is a list of films", hint, [f"read as {container.format.long_name}"])
-    stream = container.streams.video[0]
+    stream = max(container.streams.video, key=_is_film)
     stream.thread_type, stream.thread_count = "AUTO", THREADS
     return container, stream
+
+
+def _is_film(stream: av.video.stream.VideoStream) -> tuple[bool, int]:
+    """What says that a stream is the film: it is no cover, and its pictures are large."""
+    still = getattr(stream.disposition, "name", None) in ("attached_pic", "timed_thumbnails") or stream.frames == 1
+    return not still, stream.width * stream.height
 
 
 def is_mp4(path: Path) -> bool:
@@ -106,21 +105,23 @@ def probe(path: Path) -> VideoInfo:
     Raises StageError for a path that is missing, empty, not a video, or without a single frame.
     """
     if Path(path).is_dir():
-        files = picture_files(path)
-        if not files:
-            raise StageError(f"no pictures in {path}", f"give a video, or a folder of {', '.join(PICTURES)} files")
-        height, width = read_image(files[0]).shape[:2]
-        return VideoInfo(str(path), width, height, 1.0, len(files), float(len(files)), 0, "sdr")
+        inside = pictures_in(path)
+        height, width = read_image(inside.files[0]).shape[:2]
+        size, times = (width, height), tuple(inside.steps.tolist())
+        said = {"notes": tuple(inside.notes), "doubts": tuple(inside.doubts)}
+        return VideoInfo(str(path), *size, 1.0, len(times), times[-1] + 1, 0, "sdr", times=times, **said)
     container, stream = open_video(path)
     with container:
         base, average = stream.time_base, stream.average_rate
-        declared, pixel = declared_frames(stream), pixel_shape(stream)
+        declared, pixel, tracks = declared_frames(stream), pixel_shape(stream), container.streams.video
+        others = ", ".join(f"{one.width}x{one.height} {one.name}" for one in tracks if one is not stream)
+        notes = (f"of {len(tracks)} video tracks {stream.width}x{stream.height} {stream.name} is taken, not {others}",)
         try:
             found = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
         except av.error.FFmpegError as error:
             raise StageError(f"{path} cannot be read to its end", AGAIN, [first_line(str(error))]) from error
         kind = container.format.long_name
-    times = [time for time in found if time is not None]
+    times = sorted(time for time in found if time is not None)
     if found and not times and not declared:
         name = Path(path)
         hint = (
@@ -131,15 +132,19 @@ def probe(path: Path) -> VideoInfo:
     if first is None:
         facts = [f"{len(found)} packets, {declared or 'unknown'} frames declared"]
         raise StageError(f"no frame of {path} can be decoded", AGAIN, facts)
-    rotation = round(first.rotation / QUARTER) % 4
+    rotation, mirrored = turn_of(first)
     wide = round(first.width * pixel)
     width, height = (wide, first.height) if rotation % 2 == 0 else (first.height, wide)
-    span = float((max(times) - min(times)) * base) if times and base else 0.0
+    start = first.pts if first.pts is not None else times[0] if times else 0
+    shown = tuple(float((time - start) * base) for time in times) if base else ()
+    span = float((times[-1] - times[0]) * base) if shown else 0.0
     rate = (len(times) - 1) / span if span > 0 else float(average or 0)
     transfer = HIGH_DYNAMIC_RANGE.get(int(first.color_trc), "sdr")
     frames = declared or len(times)
     duration = span + (1 / rate if rate > 0 else 0.0)
-    return VideoInfo(str(path), width, height, rate, frames, duration, rotation * QUARTER, transfer, pixel)
+    numbers = (rate, frames, duration, rotation * QUARTER)
+    counted, notes = float(average or rate), notes if others else ()
+    return VideoInfo(str(path), width, height, *numbers, transfer, pixel, mirrored, shown, counted, notes)
 
 
 def declared_frames(stream: av.video.stream.VideoStream) -> int:
@@ -174,31 +179,36 @@ def decode_frames(path: Path) -> Iterator[av.VideoFrame]:
             yield from (frame for frame in frames if not frame.is_corrupt)
 
 
-def decode(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
+def decode(path: Path, flags: Counter[str] | None = None) -> Iterator[tuple[int, float, np.ndarray]]:
     """Yield (index, time in seconds from the first frame, uint8 [H,W,3] upright) of a video or a folder of pictures.
 
     Pixels of a video that are not square are made so, at the height that is stored. Frames that do not decode are left out:
-    compare the count with `probe`. A folder gives one picture a second.
+    compare the count with `probe`. A time that is not told is NaN; a folder gives one picture a second, and waits where
+    numbers lack. `flags` counts frames that are interlaced.
     Raises StageError as `probe` does, and where pictures differ in size.
     """
     size = None
     if Path(path).is_dir():
-        for index, file in enumerate(picture_files(path)):
+        inside = pictures_in(path)
+        for index, (file, step) in enumerate(zip(inside.files, inside.steps.tolist())):
             picture = read_image(file)
             size = size or picture.shape
             if picture.shape != size:
                 facts = [f"first {size[1]}x{size[0]}, {file.name} {picture.shape[1]}x{picture.shape[0]}"]
                 raise StageError(f"pictures of different sizes in {path}", "give pictures of one camera", facts)
-            yield index, float(index), picture
+            yield index, step, picture
         return
     start, (container, stream) = None, open_video(path)
     with container:
         pixel = pixel_shape(stream)
     for index, frame in enumerate(decode_frames(path)):
-        time = frame.time if frame.time is not None else float(index)
+        time = frame.time if frame.time is not None else np.nan
         start = time if start is None else start
-        square = frame.to_ndarray(format="rgb24", width=round(frame.width * pixel))
-        upright = np.rot90(square, round(frame.rotation / QUARTER))
+        turns, mirrored = turn_of(frame)
+        upright = np.rot90(rgb_of(frame, round(frame.width * pixel)), turns)
+        upright = upright[:, ::-1] if mirrored else upright
+        if flags is not None:
+            flags["interlaced"] += frame.interlaced_frame
         size = size or upright.shape
         if upright.shape != size:
             facts = [f"first {size[1]}x{size[0]}, from {time - start:.1f} s on {upright.shape[1]}x{upright.shape[0]}"]

@@ -2,13 +2,16 @@
 
 import json
 import struct
+from fractions import Fraction
 
+import av
 import cv2
 import numpy as np
 import pytest
 
 from stages import frames
 from stages.contract import Job, StageError
+from stages.formats.film_times import FilmTimes
 from stages.formats.images import read_image, write_image
 from stages.formats.video import VideoInfo, decode, write_video
 
@@ -78,11 +81,11 @@ def test_large_videos_are_shrunk_and_small_ones_left(tmp_path):
 
 
 def test_i10_uneven_times_are_spread_by_time(tmp_path):
-    picker = frames.Picker(10, 10.0, 100)
     times = np.concatenate([np.linspace(0, 1, 90, endpoint=False), np.linspace(1, 10, 10, endpoint=False)])
-    pictures = panned(100)
+    film, pictures = FilmTimes(times, 10.0, 10), panned(100)
+    picker = frames.Picker(film.slots)
     for i, time in enumerate(times):
-        list(picker.offer(i, float(time), pictures[i]))
+        list(picker.offer(i, *film.at(time), pictures[i]))
     list(picker.close())
     assert [int(frame["time_s"]) for frame in picker.kept] == list(range(10))
 
@@ -161,3 +164,74 @@ def test_a_folder_of_pictures_is_as_fast_as_is_said(tmp_path, settings, fps):
     facts, _, _ = run(tmp_path, folder, **settings)
     assert facts["video"]["fps"] == fps and facts["video"]["duration_s"] == pytest.approx(10 / fps, abs=1e-4)
     assert [f["time_s"] for f in facts["frames"]] == pytest.approx(np.arange(10) / fps, abs=1e-4)
+
+
+def timed(path, times):
+    """A film of a camera that slides, its pictures shown at `times` s."""
+    with av.open(str(path), "w") as box:
+        stream = box.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.options = WIDTH, HEIGHT, {"bf": "0"}
+        stream.codec_context.time_base = Fraction(1, 90000)
+        for time, picture in zip(times, panned(len(times)), strict=True):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts, frame.time_base = round(time * 90000), Fraction(1, 90000)
+            box.mux(stream.encode(frame))
+        box.mux(stream.encode(None))
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "kept", "said"),
+    [
+        ("v.mkv", np.arange(30) / 29.97, range(30), None),  # Matroska rounds to milliseconds
+        ("v.mp4", np.arange(30) / 30 + 60 * (np.arange(30) > 14), range(30), "pauses for 60.0 s after 0.5 s"),
+        ("v.mp4", np.append(np.arange(29) / 30, 3600), range(29), "1 of the pictures, at 3600.0 s"),
+        ("v.mp4", np.append(0, 100 + np.arange(29) / 30), range(1, 30), "1 of the pictures, at 0.0 s"),
+    ],
+)
+def test_no_picture_is_lost_to_odd_times(tmp_path, name, times, kept, said):
+    timed(tmp_path / name, times)
+    facts, _, warnings = run(tmp_path, tmp_path / name)
+    assert [frame["index"] for frame in facts["frames"]] == list(kept)
+    assert (np.diff([frame["time_s"] for frame in facts["frames"]]) > 0).all()
+    assert (said in warnings[0]) if said else not warnings
+
+
+def test_times_that_run_back_are_counted(tmp_path):
+    """AVI keeps no times: those of B-frames are guessed, in the order in which they are stored."""
+    with av.open(str(tmp_path / "v.avi"), "w") as box:
+        stream = box.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.options = WIDTH, HEIGHT, {"bf": "3", "b-adapt": "0"}
+        for picture in panned(40):
+            box.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        box.mux(stream.encode(None))
+    facts, _, warnings = run(tmp_path, tmp_path / "v.avi", count=20)
+    times = [frame["time_s"] for frame in facts["frames"]]
+    assert 18 <= len(times) <= 20 and (np.diff(times) > 0.02).all()
+    assert warnings == ["the times of the film's pictures run back: they are counted instead, 30 a second"]
+
+
+def test_interlaced_frames_are_said(tmp_path):
+    with av.open(str(tmp_path / "v.mpg"), "w") as box:
+        stream = box.add_stream("mpeg2video", rate=30)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.options = {"flags": "+ilme+ildct", "q": "3"}
+        for picture in panned(12):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            box.mux(stream.encode(frame))
+        box.mux(stream.encode(None))
+    _, _, warnings = run(tmp_path, tmp_path / "v.mpg")
+    assert "12 of 12 frames are interlaced" in warnings[0] and "`ffmpeg -i v.mpg -vf bwdif=send_frame" in warnings[0]
+
+
+def test_what_is_left_out_of_a_folder_is_said(tmp_path):
+    folder, said = tmp_path / "photos", []
+    folder.mkdir()
+    for i, picture in enumerate(panned(10)):
+        write_image(folder / f"{i + 3 * (i > 4)}.png", picture)
+        write_image(folder / f"{i + 3 * (i > 4)}_mask.png", picture)
+    (tmp_path / "out").mkdir()
+    frames.run(Job(tmp_path / "out", emit=lambda event: said.append(event.get("text"))), frames.Params(), video=folder)
+    facts = json.loads((tmp_path / "out" / "frames.json").read_text())
+    assert [frame["time_s"] for frame in facts["frames"]] == [0, 0.1, 0.2, 0.3, 0.4, 0.8, 0.9, 1.0, 1.1, 1.2]
+    assert any("left out 10 files" in text and f"`--masks {folder}`" in text for text in filter(None, said))
+    assert any("pictures lack: 5 to 7" in text for text in filter(None, said))

@@ -22,7 +22,7 @@ from stages.formats.frame_names import stem
 from stages.formats.given_cameras.colmap_model import read_colmap
 from stages.formats.given_cameras.record import GivenCameras, possible_errors
 from stages.formats.given_masks.values import mask_files, read_values
-from stages.formats.video import picture_files
+from stages.formats.pictures import picture_files
 
 FIT = "4d_humans/smpl_optimized_aligned_scale.npz"
 SAM, DETECTED = "4d_humans/sam_segmentations", "segmentations"

@@ -24,7 +24,8 @@ from stages.formats.given_masks.coco import read_coco
 from stages.formats.given_masks.mask_set import MaskSet, Values, check_one_per_frame
 from stages.formats.given_masks.stacks import read_stack
 from stages.formats.given_masks.values import mask_files, read_values
-from stages.formats.video import decode, natural_order, probe
+from stages.formats.pictures import natural_order
+from stages.formats.video import decode, probe
 
 HINT = (
     "`--masks` takes a folder of masks (or of a folder for each object), a .npy or .npz stack, a COCO .json, or a video"

@@ -13,7 +13,7 @@ from stages.contract import StageError
 from stages.formats.arrays import read_npy
 from stages.formats.frame_names import ENDINGS
 from stages.formats.images import read_pixels
-from stages.formats.video import natural_order
+from stages.formats.pictures import natural_order
 
 LABELS = 32
 """Labels of one clip at most; pictures with more colours than this are no masks."""

@@ -10,7 +10,8 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.images import write_image
-from stages.formats.video import decode, natural_order, probe, write_video
+from stages.formats.pictures import natural_order
+from stages.formats.video import decode, probe, write_video
 
 COS_SIN = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}  # clockwise turn a player is told to make
 

@@ -1,0 +1,32 @@
+"""A film's decoded frame as a picture: its colours by the matrix that it names, its turn and flip by the display matrix.
+
+PyAV before 17 leaves a matrix that is named to swscale's default, BT.601: colours are off by up to 27 of 255.
+"""
+
+from __future__ import annotations
+
+import av
+import numpy as np
+
+BT709, BT601 = 1, 5
+MATRICES = {1: 1, 4: 4, 5: 5, 6: 5, 7: 7, 9: 9, 10: 9}  # of ITU-T H.273, and their numbers in swscale; 2 says nothing
+HD = 720  # lines, from which on a film that does not say is BT.709's
+QUARTER = 90  # degrees
+
+
+def turn_of(frame: av.VideoFrame) -> tuple[int, bool]:
+    """Quarter turns counter-clockwise that put a frame upright, and whether it is still mirrored then."""
+    stored = frame.side_data.get("DISPLAYMATRIX")
+    if stored is None:
+        return 0, False
+    a, b, _, c, d = np.frombuffer(bytes(stored), np.int32)[:5].astype(float)  # x -> a x + c y, y -> b x + d y, y down
+    mirrored = a * d - b * c < 0
+    return round(np.degrees(np.arctan2(-b, -a if mirrored else a)) / QUARTER) % 4, mirrored
+
+
+def rgb_of(frame: av.VideoFrame, width: int) -> np.ndarray:
+    """A frame as uint8 [H,width,3], by the colour matrix that it names, or else that of films of its height."""
+    matrix = MATRICES.get(int(frame.colorspace), BT709 if frame.height >= HD else BT601)
+    other = BT601 if matrix == BT709 else BT709  # of a target that has none: only that it differs counts
+    named = {} if frame.format.is_rgb else {"src_colorspace": matrix, "dst_colorspace": other}
+    return frame.reformat(width=width, format="rgb24", **named).to_ndarray()
