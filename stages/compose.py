@@ -40,6 +40,8 @@ def run(job: Job, params: Params) -> None:
 
     _check_endings(params)
     setting = load_setting(params, job.device)
+    for fact in setting.scene.said if setting.scene else ():
+        job.warn(fact)
     cast = _cast(job, params, setting)
     count = length_of(params, cast)
     cameras = cameras_of(params.camera, count, params.fps, params.size, setting, cast)

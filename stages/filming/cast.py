@@ -207,4 +207,4 @@ def _parts(model: records.BodyModel | None, record: records.Avatar, rig: records
     if model is not None:
         return casters_of(model, record.betas)
     solid = rig.opacities > SOLID
-    return casters(torch.as_tensor(rig.means[solid]), torch.as_tensor(record.lbs_weights[solid]).float())
+    return casters(torch.as_tensor(rig.means[solid]), torch.as_tensor(record.limb_weights[solid]).float())
