@@ -54,6 +54,12 @@ def read_npz(path: Path, hint: str = "", only: Collection[str] = (), most: int =
     return arrays
 
 
+def npz_names(path: Path) -> list[str]:
+    """What the arrays of an .npz are called, whatever they hold."""
+    with zipfile.ZipFile(path) as archive:
+        return [name.removesuffix(".npy") for name in archive.namelist()]
+
+
 def read_npy(path: Path, hint: str = "") -> np.ndarray:
     """The array of an .npy file; StageError for a missing, broken or pickled one."""
     try:
