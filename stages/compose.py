@@ -41,10 +41,10 @@ def run(job: Job, params: Params) -> None:
 
     _check_endings(params)
     told = [("seconds", params.seconds or 0), ("moment", params.moment)]
-    told += [("start", abs(person.start)) for person in params.people]
+    told += [("start", person.start) for person in params.people]
     told += [("at", second) for second in (params.out.stills.at if params.out.stills else ())]
     for key, seconds in told:
-        check_count(seconds * params.fps, "pictures", f"a film with `{key}: {seconds:g}`")
+        check_count(abs(seconds) * params.fps, "pictures", f"a film with `{key}: {seconds:g}`")
     setting = load_setting(params, job.device)
     for fact in setting.scene.said if setting.scene else ():
         job.warn(fact)

@@ -30,7 +30,7 @@ def check_count(count: float, kind: str, where: Path | str, hint: str = "make it
     """StageError where `where` has more of a `kind` than MOST: before memory is taken for them."""
     if not count <= MOST[kind]:
         facts = [f"{count:,.0f} {kind}" if count < 1e15 else f"{count:.3g} {kind}", f"{MOST[kind]:,} are the most"]
-        raise StageError(f"{where} is too long", hint, facts)
+        raise StageError(f"{where} has too many {kind}", hint, facts)
 
 
 class Budget:
