@@ -26,6 +26,7 @@ CHUNK = 1 << 14  # rows made at a time, so that ten million need no more memory 
 HEADER = 1 << 16  # bytes in which a header ends
 CONVERT = "`npx @playcanvas/splat-transform FILE out.ply` writes it as a plain .ply"
 HINT = "give a .ply or .spz of 3D Gaussians, as trainers and SuperSplat write them"
+AGAIN = "write it again with the program that made it"
 REQUIRED = (
     *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
@@ -146,7 +147,7 @@ class _Head(NamedTuple):
 
 
 def _longer_or_shorter(head: _Head, path: Path, fact: str) -> StageError:
-    return StageError(f"{path} has another length than its header says", HINT, [f"{head.rows} Gaussians make {fact}"])
+    return StageError(f"{path} has another length than its header says", AGAIN, [f"{head.rows} Gaussians make {fact}"])
 
 
 def _header(file: IO[bytes], path: Path) -> _Head:
@@ -229,7 +230,7 @@ def _scene(table: np.ndarray, bases: int, path: Path, antialias: bool) -> Scene:
             values = ", ".join(f"{name} {value:g}" for name, value in zip(REQUIRED, table[wrong[0]], strict=False))
             facts = [f"row {wrong[0]}: {values}", f"rows {named}", f"up to {WRONG:.0%} of all would be left out"]
             problem = f"{path} has {len(wrong)} Gaussians of {len(drawn)} that cannot be drawn"
-            raise StageError(problem, "write it again with the program that made it", facts)
+            raise StageError(problem, AGAIN, facts)
         said = (
             f"{Path(path).name}: {len(wrong)} of {len(drawn)} Gaussians cannot be drawn and are left out: rows {named}",
         )
