@@ -70,7 +70,8 @@ def render(
     check_out(out, work, (video, cameras, poses, avatar, scene), force, is_folder=True)
     where = engine.device_of(device.value)
     console = Console()
-    job = Job(out, where, emit=lambda event: console.say(event["text"]))
+    said = {"warning": "warning: "}
+    job = Job(out, where, emit=lambda event: console.say(said.get(event["event"], "") + event["text"]))
     only = options.Only.human if avatar and not scene else only
     inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
     with remembering([out], work):

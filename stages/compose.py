@@ -37,11 +37,20 @@ def run(job: Job, params: Params) -> None:
     from stages.filming.parts import Parts
     from stages.filming.setting import load_setting
     from stages.filming.shoot import Shoot
+    from stages.formats.budget import check_count
 
     _check_endings(params)
+    told = [("seconds", params.seconds or 0), ("moment", params.moment)]
+    told += [("start", person.start) for person in params.people]
+    told += [("at", second) for second in (params.out.stills.at if params.out.stills else ())]
+    for key, seconds in told:
+        check_count(abs(seconds) * params.fps, "pictures", f"a film with `{key}: {seconds:g}`")
     setting = load_setting(params, job.device)
+    for fact in setting.scene.said if setting.scene else ():
+        job.warn(fact)
     cast = _cast(job, params, setting)
     count = length_of(params, cast)
+    check_count(count, "pictures", "the film")
     cameras = cameras_of(params.camera, count, params.fps, params.size, setting, cast)
     for fault in faults_of(cast, setting.ground, count, params.fps):
         job.warn(fault)

@@ -57,8 +57,11 @@ def run(
     learned = load_learned(*given, job.device)
     if smpl is not None and params.who > 1:
         learned = casting(learned, read_body_model(smpl / "body_model.npz"), given[0].betas)
-    for fact in lacks(avatar, scene):
+    room = given[1]
+    for fact in lacks(avatar, scene, room is not None and room.antialias):
         job.note(fact)
+    for fact in room.said if room else ():
+        job.warn(fact)
     if only != "human" and train is not None and scene is None:
         check_scene(train)
     if cameras is None:

@@ -86,6 +86,55 @@ def test_limbs_point_where_smpls_point_though_the_free_body_rests_otherwise(sole
     assert off.max() < 0.01
 
 
+@pytest.mark.parametrize("time", ["0.033333", "0.0333", "0.03333333", "0.033"])
+@pytest.mark.parametrize("frames", [2, 21, 200])
+def test_no_frame_is_lost_where_the_time_was_rounded(soles, tmp_path, time, frames):
+    local = np.tile(np.eye(3), (frames, 24, 1, 1))
+    path = bvh_made.write_bvh(tmp_path / "m.bvh", soles.joints, local, np.zeros((frames, 3)), bvh_made.a_pose(), fps=30)
+    path.write_text(path.read_text().replace("Frame Time: 0.03333333", f"Frame Time: {time}"))
+    placed, facts = from_file(path, Manner(30.0), soles, MODEL.parents.tolist())
+    assert len(placed.transl) == frames and "at 30 fps" in facts[0]
+
+
+@pytest.mark.parametrize("fps", [29.97, 23.976, 59.94, 60.0])
+def test_a_rate_that_is_said_is_rounded_like_any_other(soles, tmp_path, fps):
+    np.savez(tmp_path / "m.npz", poses=np.zeros((600, 72)), trans=np.zeros((600, 3)))
+    placed, _ = from_file(tmp_path / "m.npz", Manner(fps, motion_fps=fps), soles, MODEL.parents.tolist())
+    assert len(placed.transl) == 600
+
+
+@pytest.mark.parametrize("seconds", [100_000, 1e9, 1e300, 5000])
+def test_a_motion_that_claims_to_take_for_ever_is_refused_before_memory_is_taken(soles, tmp_path, seconds):
+    local = np.tile(np.eye(3), (3, 24, 1, 1))
+    path = bvh_made.write_bvh(tmp_path / "m.bvh", soles.joints, local, np.zeros((3, 3)), bvh_made.a_pose(), fps=30)
+    path.write_text(path.read_text().replace("Frame Time: 0.03333333", f"Frame Time: {seconds}"))
+    with pytest.raises(StageError, match="has too many") as refused:
+        from_file(path, Manner(30.0), soles, MODEL.parents.tolist())
+    assert "108,000 are the most" in refused.value.facts[1] and "--motion-fps" in refused.value.hint
+    np.savez(tmp_path / "m.npz", poses=np.zeros((3, 72)), trans=np.zeros((3, 3)), fps=1 / seconds)
+    with pytest.raises(StageError, match=r"has too many|above 0"):
+        from_file(tmp_path / "m.npz", Manner(30.0), soles, MODEL.parents.tolist())
+    with pytest.raises(StageError, match="has too many"):
+        from_file(tmp_path / "m.npz", Manner(30.0, 1e-12, motion_fps=30.0), soles, MODEL.parents.tolist())
+    times = np.linspace(0, seconds, FRAMES)
+    with pytest.raises(StageError, match="the motion of the clip has too many poses"):
+        from_clip(make_poses(), times, make_ground(make_poses(), MODEL), Manner(30.0), soles)
+
+
+@pytest.mark.parametrize(
+    ("stands", "said"), [("z", "-y"), ("y", "z"), ("z", "y"), ("-y", "y"), ("y", "y"), ("z", None)]
+)
+def test_an_up_that_the_pelvis_contradicts_is_said_with_the_axis_that_it_has(soles, tmp_path, stands, said):
+    turn = {"y": [0, 0, 0], "-y": [np.pi, 0, 0], "z": [np.pi / 2, 0, 0]}[stands]
+    poses = np.zeros((9, 72))
+    poses[:, :3] = turn
+    np.savez(tmp_path / "m.npz", poses=poses, trans=np.zeros((9, 3)), fps=30)
+    _, facts = from_file(tmp_path / "m.npz", Manner(30.0, up=said), soles, MODEL.parents.tolist())
+    contradicted = [fact for fact in facts if "the pelvis says" in fact]
+    assert len(contradicted) == (said not in (None, stands))
+    assert all(f"--up {stands}" in fact for fact in contradicted) and f"{said or stands} is up" in facts
+
+
 def test_what_is_no_motion_is_refused(soles, tmp_path):
     (tmp_path / "moves.txt").write_text("up and down")
     with pytest.raises(StageError, match="is no motion"):
