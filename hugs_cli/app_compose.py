@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +14,9 @@ from hugs_cli import film as films
 from hugs_cli import words
 from hugs_cli.cache import engine
 from hugs_cli.cache.fingerprint import Code, digest
+from hugs_cli.cache.locks import locked
 from hugs_cli.cache.whole import replace
+from hugs_cli.cache.workspace import LOCK
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
@@ -80,10 +84,21 @@ def shoot(
 
     code = Code(work / CODE_MEMORY)
     settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
-    with remembering(films.outputs(film), work):
-        run_directly(films.MODULE, Job(kept or work, where, emit=heard), settings)
+    with one_at_a_time(kept, console):
+        run_directly(films.MODULE, Job(kept or work, where, emit=remembering(work, heard)), settings)
     for path in films.outputs(film):
         console.result(words.relative(path))
+
+
+@contextmanager
+def one_at_a_time(kept: Path | None, console: Console) -> Iterator[None]:
+    """Wait until no other process uses the pieces in `kept`, and keep others waiting meanwhile."""
+    if kept is None:
+        yield
+        return
+    kept.mkdir(parents=True, exist_ok=True)
+    with locked(kept / LOCK, lambda holder: console.say(f"waiting: {holder} is making this film"), without=True):
+        yield
 
 
 TEMPLATE = """\
@@ -129,6 +144,8 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     """Write a commented film of runs and exported avatars, side by side in the scene of the first."""
     if not runs:
         raise UsageError("nobody to make a film of", "`hugs compose --init work/kitchen/default work/dance/default`")
+    if out.suffix.lower() not in (".yaml", ".yml"):
+        raise UsageError(f"cannot write {out}: a film is a .yaml", "`--out film.yaml`")
     if out.exists() and not force:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
     check_out(out, work, runs, force=True)

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from stages.filming.shoot import Shoot
 
 
+CAMERA, PERSON = 1024, 2048  # bytes of a picture
+
+
 class Params(Film):
     """The keys of film.yaml; `code` stands for the version of the program, with which all that was kept is out of date."""
 
@@ -39,15 +42,25 @@ def run(job: Job, params: Params) -> None:
     from stages.filming.shoot import Shoot
 
     _check_endings(params)
+    check_length(params, round((params.seconds or max(person.start for person in params.people)) * params.fps))
     setting = load_setting(params, job.device)
     cast = _cast(job, params, setting)
     count = length_of(params, cast)
+    check_length(params, count)
     cameras = cameras_of(params.camera, count, params.fps, params.size, setting, cast)
     for fault in faults_of(cast, setting.ground, count, params.fps):
         job.warn(fault)
     shoot = Shoot(setting, cast, cameras, params.fps)
     with tempfile.TemporaryDirectory() as passing:
-        _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code))
+        _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code, job))
+
+
+def check_length(film: Film, count: int) -> None:
+    """StageError for more pictures than there is memory for: where people are in them, and the cameras, is kept for all."""
+    from stages.formats.budget import Budget
+
+    said = f"{count:,} pictures, {count / film.fps:,.0f} s at {film.fps:g} a second,"
+    Budget("the film").spend(count * (CAMERA + PERSON * len(film.people)), said)
 
 
 def length_of(film: Film, cast: Sequence[Actor]) -> int:
