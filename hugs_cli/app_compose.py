@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -68,8 +69,13 @@ def shoot(
 ) -> None:
     """Make a film, keeping its pieces in the folder `kept`; the paths of what was made are the result."""
     sources = [*given, *films.check_sources(film)]
-    for path in films.outputs(film):
-        check_out(path, work, sources, force, is_folder=film.out.stills is not None and path == film.out.stills.folder)
+    outs, folder = films.outputs(film), film.out.stills and film.out.stills.folder
+    for one, other in permutations(outs, 2):
+        place, inside = (Path(os.path.realpath(path)) for path in (one, other))
+        if place == inside or (one != folder and place in inside.parents):
+            raise UsageError(f"{one} and {other} cannot both be written", "give each a place of its own")
+    for path in outs:
+        check_out(path, work, sources, force, is_folder=path == folder)
     where = engine.device_of(device)
     console = Console()
     console.started(name, ())
@@ -86,7 +92,7 @@ def shoot(
     settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
     with one_at_a_time(kept, console):
         run_directly(films.MODULE, Job(kept or work, where, emit=remembering(work, heard)), settings)
-    for path in films.outputs(film):
+    for path in outs:
         console.result(words.relative(path))
 
 
@@ -144,11 +150,11 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     """Write a commented film of runs and exported avatars, side by side in the scene of the first."""
     if not runs:
         raise UsageError("nobody to make a film of", "`hugs compose --init work/kitchen/default work/dance/default`")
-    if out.suffix.lower() not in (".yaml", ".yml"):
-        raise UsageError(f"cannot write {out}: a film is a .yaml", "`--out film.yaml`")
     if out.exists() and not force:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
     check_out(out, work, runs, force=True)
+    if out.suffix.lower() not in (".yaml", ".yml"):
+        raise UsageError(f"cannot write {out}: a film is a .yaml", "`--out film.yaml`")
     names = [films.quoted(os.path.relpath(run, os.path.realpath(out.parent))) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
     people = []
