@@ -40,10 +40,10 @@ def run(job: Job, params: Params) -> None:
     from stages.formats.budget import check_count
 
     _check_endings(params)
-    told = [("seconds", params.seconds or 0), ("moment", params.moment)]
-    told += [("start", person.start) for person in params.people]
-    told += [("at", second) for second in (params.out.stills.at if params.out.stills else ())]
-    for key, seconds in told:
+    lengths = [("seconds", params.seconds or 0), ("moment", params.moment)]
+    lengths += [("start", person.start) for person in params.people]
+    lengths += [("at", second) for second in (params.out.stills.at if params.out.stills else ())]
+    for key, seconds in lengths:
         check_count(abs(seconds) * params.fps, "pictures", f"a film with `{key}: {seconds:g}`")
     setting = load_setting(params, job.device)
     for fact in setting.scene.said if setting.scene else ():
@@ -56,7 +56,7 @@ def run(job: Job, params: Params) -> None:
         job.warn(fault)
     shoot = Shoot(setting, cast, cameras, params.fps)
     with tempfile.TemporaryDirectory() as passing:
-        _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code))
+        _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code, job))
 
 
 def length_of(film: Film, cast: Sequence[Actor]) -> int:

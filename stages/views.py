@@ -90,7 +90,6 @@ def run(
         behind = learned.shade(learned.scene, None if human is None else pose) if only != "human" else None
         image, alpha = draw(human, behind, view)
         color = image / np.maximum(alpha, 1 / 255)[..., None]
-        picture = job.out / f"{name}.png"
-        picture.unlink(missing_ok=True)  # it may be a link to somebody's picture
-        write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
+        with job.writes(job.out / f"{name}.png") as picture:
+            write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
     job.note(f"{len(views)} picture{'' if len(views) == 1 else 's'} of {only}")

@@ -173,7 +173,7 @@ def learn(
         if deadline and progress.step % 25 == 0 and progress.step < progress.total:
             deadline.mark(fit)
         if shown:
-            left = None if deadline is None else deadline.to_go
+            left = None if deadline is None else deadline.to_go(progress)
             hooks.progress(progress.step, progress.total, left, **shown, gaussians=sum(fit.sizes().values()))
         if checkpoint and (hooks.stop_asked or time.perf_counter() - saved > checkpoint_seconds):
             saved = time.perf_counter()
