@@ -33,7 +33,7 @@ NEAREST = 0.3  # m from the camera: nearer bodies show gaps as if they were here
 GAP = 0.06  # m: half the width of gaps between limbs that show no cloth
 LIMBS = *zip(HIPS, KNEES, ANKLES, FEET), *zip(SHOULDERS, ELBOWS, WRISTS, HANDS)
 ONE_LIMB = 0.7  # of the skinning weights of a piece of cloth: so much of one limb is of it alone
-LEAST = 30  # cells of a piece of cloth that show FAR off the body, at least
+LEAST = 10  # cells of a piece of cloth that show FAR off the body, at least
 CLOSED = 3  # cells: half the width of gaps that are closed
 
 

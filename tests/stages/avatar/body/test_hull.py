@@ -164,6 +164,19 @@ def test_a_bag_beside_one_leg_is_found(legs, space):
     assert carved.volume(space) > 0 and space.points[carved.far, 0].min() > 0.12
 
 
+@pytest.mark.parametrize("by", [(0.01, 0, 0), (-0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01), (0, 0, -0.01)])
+def test_what_is_found_does_not_hang_on_a_centimetre_of_the_fit(legs, space, by):
+    """Bodies, not masks, a centimetre off: the bag is always there, trousers never are."""
+    moved = np.eye(4)
+    moved[:3, 3] = by
+
+    def fitted(sights: list[Sight]) -> list[Sight]:
+        return [one._replace(bones=one.bones @ moved) for one in sights]
+
+    assert carve(space, fitted(bagged(legs, 0.15))).volume(space) > 0
+    assert carve(space, fitted(trousers(legs, 0.02))).volume(space) == 0
+
+
 def test_what_never_leaves_the_gap_between_two_limbs_is_no_cloth(legs, space, monkeypatch):
     """Two thighs that no frame separates made a web of cloth, torn by every step."""
     assert not carve(space, trousers(legs, 0.0, webbed=True)).cloth.any()
