@@ -11,6 +11,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,22 +35,23 @@ class Mistake(NamedTuple):
 
 
 def mistakes(source: str) -> list[Mistake]:
-    """All mistakes that are made in a module's source, in the order of its lines; each can be compiled."""
+    """All mistakes that are made in a module's source, in the order of its lines."""
+    lines = source.splitlines(keepends=True)
+    starts = list(accumulate(map(len, lines), initial=0))
+
+    def place(line: int | None, column: int | None) -> int:
+        """Where a line and its column in bytes are in the text."""
+        assert line is not None
+        return starts[line - 1] + len(lines[line - 1].encode()[:column].decode())
+
     found = []
     for node, instead in _replacements(ast.parse(source)):
-        start, end = _place(source, node.lineno, node.col_offset), _place(source, node.end_lineno, node.end_col_offset)
+        start, end = place(node.lineno, node.col_offset), place(node.end_lineno, node.end_col_offset)
         before = source[start:end]
-        text = source[:start] + instead + source[end:]
         if before != instead:
-            ast.parse(text)
-            found.append(Mistake(node.lineno, f"{' '.join(before.split())} -> {instead}", text))
+            what = f"{' '.join(before.split())} -> {instead}"
+            found.append(Mistake(node.lineno, what, source[:start] + instead + source[end:]))
     return sorted(found, key=lambda one: one.line)
-
-
-def _place(source: str, line: int | None, column: int | None) -> int:
-    """Where a line and its column in bytes are in the text."""
-    lines = source.splitlines(keepends=True)[: line or 0]
-    return sum(map(len, lines[:-1])) + len(lines[-1].encode()[: column or 0].decode())
 
 
 def _replacements(tree: ast.AST) -> Iterator[tuple[ast.expr, str]]:
@@ -75,7 +77,7 @@ def _instead(node: ast.expr) -> Iterator[str]:
             yield str(value + 1)
         case ast.Constant(float() as value):
             yield repr(2 * value or 1.0)
-        case ast.BinOp(left, op, right) if type(op) in OTHER and not isinstance(left, ast.Constant | ast.JoinedStr):
+        case ast.BinOp(left, op, right) if type(op) in OTHER and not any(map(_is_text, (left, right))):
             yield f"({text(left)}) {OTHER[type(op)]} ({text(right)})"
         case ast.UnaryOp(ast.Not() | ast.USub() | ast.Invert(), operand) if not isinstance(operand, ast.Constant):
             yield text(operand)
@@ -93,18 +95,24 @@ def _instead(node: ast.expr) -> Iterator[str]:
             yield text(other if isinstance(body, ast.Constant) else body)
 
 
+def _is_text(node: ast.expr) -> bool:
+    """Whether it is written as a text, as parts of paths are."""
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
+
+
 def guards(file: str, root: Path = ROOT) -> list[str]:
-    """The test files of a module of the product: that which lies where it lies first, then those that import it."""
+    """The test files of a module of the product: that which lies where it lies, that of its room, and those that import it."""
     place, module = Path(file), ".".join(Path(file).with_suffix("").parts)
     package, _, name = module.rpartition(".")
     own = Path("tests", place.with_name(f"test_{place.name}"))
+    room = Path("tests", place.parent.with_name(f"test_{place.parent.name}.py"))
     named = re.compile(rf"from {module} import|import {module}\b|from {package} import [^\n]*\b{name}\b")
     importing = [
         path.relative_to(root)
         for path in sorted((root / "tests").rglob("test_*.py"))
         if named.search(path.read_text("utf-8"))
     ]
-    return [path.as_posix() for path in dict.fromkeys([own, *importing]) if (root / path).is_file()]
+    return [path.as_posix() for path in dict.fromkeys([own, room, *importing]) if (root / path).is_file()]
 
 
 def seen_by(tree: Path, files: list[str]) -> str:
