@@ -83,11 +83,9 @@ def spreads(found: Adjusted, side: int) -> dict[str, float]:
     knots = len(found.bundle.log_focal)
     of_log = np.sqrt(found.covariance[:knots, :knots].mean()) * drift
     focal = float(np.median(found.bundle.focals))
-    k_spread = float(np.sqrt(found.covariance[knots, knots])) * drift
-    return {
-        "focal_spread_px": round(float(np.fmin(focal * of_log, focal)), 3),
-        "k_spread": round(np.fmin(k_spread, 1), 5),
-    }
+    k_spread = np.sqrt(found.covariance[knots, knots]) * drift
+    of_focal, of_k = np.fmin([focal * of_log, k_spread], [focal, 1.0]).tolist()
+    return {"focal_spread_px": round(of_focal, 3), "k_spread": round(of_k, 5)}
 
 
 def compare_halves(model: Model, likely: Intrinsics) -> dict[str, float]:
@@ -95,8 +93,8 @@ def compare_halves(model: Model, likely: Intrinsics) -> dict[str, float]:
     halves = colmap_lens.half_focals(model.reconstruction)
     if halves is None:
         return {}
-    apart = np.hypot(likely.focal_spread, (halves[0] - halves[1]) / 2)  # a half alone may tell nothing
-    return {"focal_spread_px": round(float(np.fmin(apart, likely.focal)), 3)}
+    spread = np.fmin(np.hypot(likely.focal_spread, (halves[0] - halves[1]) / 2), likely.focal)
+    return {"focal_spread_px": round(float(spread), 3)}
 
 
 def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None = None) -> dict[str, float]:

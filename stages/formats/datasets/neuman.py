@@ -54,11 +54,9 @@ def read_neuman(folder: Path) -> Capture:
         mask = values.astype(np.uint8) if values.dtype == np.uint8 else np.where(values > 0, 255, 0).astype(np.uint8)
         return 255 - mask if inverted else mask
 
-    errors = possible_errors(model.errors, model.lenses[0].width, model.lenses[0].height)
-    facts = {
-        "reprojection_px": float(errors.mean()) if len(errors) else None,
-        "median_triangulation_deg": model.median_triangulation_deg(),
-    }
+    off = possible_errors(model.errors, model.lenses[0].width, model.lenses[0].height)
+    error = float(off.mean()) if len(off) else None
+    facts = {"reprojection_px": error, "median_triangulation_deg": model.median_triangulation_deg()}
     return Capture(
         dataset="neuman",
         sequence=folder.resolve().name,

@@ -97,6 +97,25 @@ def test_clips_of_one_name_below_folders_of_any_script_each_get_a_folder(here):
     assert all(len(part.encode()) < 255 for root in roots for part in root.split("/"))
 
 
+def test_who_has_results_keeps_their_folder_whoever_is_named_first(here):
+    """Also where the other's would be put there, for it has none yet."""
+    (here / "work/dance").mkdir(parents=True)
+    entry = {"video": {"path": str(here / "tue/dance.mp4")}}
+    (here / "work/dance/sources.json").write_text(json.dumps(entry))
+    for given in (("mon/dance.mp4", "tue/dance.mp4"), ("tue/dance.mp4", "mon/dance.mp4")):
+        roots = {str(row.video): row.root.as_posix() for row in rows(*given)}
+        assert roots == {"tue/dance.mp4": "work/dance", "mon/dance.mp4": "work/from-mon/dance"}
+
+
+def test_clips_that_differ_in_their_ending_alone_have_a_folder_each(here):
+    for ending in (".mkv", ".avi", ".webm"):
+        (here / f"tue/jump{ending}").touch()
+    for name in ("jump", "from-tue/jump"):
+        (here / "work" / name).mkdir(parents=True)
+    found = rows(*(f"tue/jump{ending}" for ending in (".mp4", ".mov", ".mkv", ".avi", ".webm")))
+    assert len({row.root for row in found}) == 5
+
+
 def test_a_list(here):
     (here / "mon/list.txt").write_text("# monday\n\ndance.mp4\n../tue/jump.mp4\n")
     assert [str(row.video) for row in rows("mon/list.txt")] == ["mon/dance.mp4", "mon/../tue/jump.mp4"]
