@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 class Params(BaseModel):
     """Settings of one stage: frozen, unknown keys refused, docstrings under the fields shown by `hugs stages`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 def speed_only(default: Any, **limits: Any) -> Any:
