@@ -34,17 +34,24 @@ def changes_speed_only(setting: FieldInfo) -> bool:
     return isinstance(setting.json_schema_extra, dict) and bool(setting.json_schema_extra.get("speed_only"))
 
 
+LONGEST = 2000
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text):,} letters)"
+
+
 class StageError(Exception):
     """A stage cannot do its work.
 
     `problem` is one line: what is wrong, lower case, no full stop. `facts` are lines with numbers and names.
-    `hint` names the command or the change that helps.
+    `hint` names the command or the change that helps. Texts are cut at LONGEST letters: names in files may be of any length.
     """
 
     def __init__(self, problem: str, hint: str = "", facts: Sequence[str] = ()):
-        super().__init__(problem)
-        self.problem = problem
-        self.facts = tuple(facts)
+        self.problem = _short(problem)
+        super().__init__(self.problem)
+        self.facts = tuple(map(_short, facts))
         self.hint = hint
 
 

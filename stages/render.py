@@ -30,7 +30,7 @@ class Params(contract.Params):
     """Pictures around the person."""
     motion: Literal["jumping_jacks", "wave", "walk_in_place", "squats"] = "jumping_jacks"
     """The motion that is not in the clip."""
-    motion_seconds: float = Field(4.0, gt=0, le=600)
+    motion_seconds: float = Field(4.0, gt=0, le=3600)
     """Length of that motion."""
 
     @field_validator("motion_seconds")

@@ -75,8 +75,6 @@ KINDS: dict[str, tuple[Callable[[Avatar], Avatar], Callable[[Path, Avatar], None
     "plain.glb": (plain, glb),
     "clothes.npz": (clothed, npz),
     "clothes.glb": (clothed, glb),
-    "smpl.npz": (as_smpl, npz),
-    "smpl.glb": (as_smpl, glb),
     "smpl_clothes.npz": (lambda avatar: clothed(as_smpl(avatar)), npz),
     "smpl_clothes.glb": (lambda avatar: clothed(as_smpl(avatar)), glb),
     "smpl_cloth_alone.npz": (lambda avatar: all_cloth(as_smpl(avatar)), npz),

@@ -21,6 +21,7 @@ MOST = {
     "joints": 5_000,  # of a skeleton; those of films, with faces and skirts, have some hundreds
     "bones of clothes": 232,  # with the skeleton's 24 they are numbered by a byte
     "letters": 1_000,  # of a name
+    "tracks": 5_000,  # of masks; each is looked for in each picture
 }
 """How much of a kind a film, a motion, a skeleton or a name may have."""
 HINT = "no file of a phone clip needs that much; if it is right, make it of a shorter clip or smaller pictures"

@@ -72,14 +72,14 @@ def vertex_layout(lines: list[list[str]]) -> tuple[np.dtype, int]:
         raise ValueError("it does not begin with vertices")
     if first.row is None:
         raise ValueError("its vertices have a property list")
-    return first.row, first.count
+    return first.row, first.rows
 
 
 class Element(NamedTuple):
     """One table of a PLY: its name, its number of rows and their layout, little-endian; None: lists, rows of any length."""
 
     name: str
-    count: int
+    rows: int
     row: np.dtype | None
 
 

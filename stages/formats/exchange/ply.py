@@ -173,11 +173,13 @@ def _header(file: IO[bytes], path: Path) -> _Head:
     if missing:
         facts = [f"missing: {', '.join(missing)}", f"it has {', '.join(row.names or ())[:400]}"]
         raise StageError(f"{path} holds no 3D Gaussians", HINT, facts)
-    sizes = [one.count * (one.row.itemsize if order and one.row else 1) for one in tables]
+    sizes = [one.rows * (one.row.itemsize if order and one.row else 1) for one in tables]
     after = None if any(one.row is None for one in tables) else sum(sizes[place + 1 :])
     told = [said for line in text if (said := TOLD.fullmatch(line))]
     antialias = "filter_3D" in (row.names or ()) or bool(told and told[-1][1].lower() in ("mip", "1"))
-    return _Head(found.end(), sum(sizes[:place]), after, count, row.newbyteorder(order or "="), order, antialias)
+    return _Head(
+        found.end(), sum(sizes[:place]), after, count, row.newbyteorder(">") if order == ">" else row, order, antialias
+    )
 
 
 def _rows(file: IO[bytes], head: _Head, path: Path, there: int) -> Iterator[tuple[int, np.ndarray]]:
@@ -223,7 +225,8 @@ def _scene(table: np.ndarray, bases: int, path: Path, antialias: bool) -> Scene:
         lengths = np.linalg.norm(quats, axis=1, keepdims=True)
     drawn = np.isfinite(means).all(1) & np.isfinite(sh0).all(1) & np.isfinite(rest).all(1) & np.isfinite(opacities)
     drawn &= (np.isfinite(scales) & (scales > 0)).all(1) & (np.isfinite(lengths) & (lengths > 0))[:, 0]
-    said, wrong = (), np.flatnonzero(~drawn)
+    said: tuple[str, ...] = ()
+    wrong = np.flatnonzero(~drawn)
     if len(wrong):
         named = ", ".join(map(str, wrong[:LISTED])) + (" ..." if len(wrong) > LISTED else "")
         if len(wrong) > WRONG * len(drawn):

@@ -55,7 +55,8 @@ def map_body(bvh: Bvh, path: Path) -> BodyMap:
     words = {_words(name): i for i, name in reversed(list(enumerate(bvh.names))) if name}
     parents = bvh.parents.tolist()
     limbs, missing = _by_names(words)
-    head, said = words.get(("", "head")), ()
+    head = words.get(("", "head"))
+    said: tuple[str, ...] = ()
     if missing or not _outwards(limbs, parents):
         found = by_tree(bvh, lambda name: _words(name)[0])
         if found is None:

@@ -19,8 +19,8 @@ from stages.records import JOINT_NAMES
 ALIKE = 0.2  # of the logarithm of two bones' lengths: the limbs of captured people are not quite the same
 SHIN, UPPER_ARM, FOREARM = 0.97, 0.66, 0.6  # of a thigh
 DEEP = 24  # joints of a limb that are looked at: an arm with a finger has some nine
-SIBLINGS = 8  # limbs from one joint that are looked at, the longest
-CROOKED = 4.0
+SIBLINGS, PAIRS = 8, 20  # limbs from one joint, and pairs of all, that are looked at, the longest
+CROOKED, BENT = 4.0, 0.5  # what a bone that is not straight, and a joint that bends, weigh
 BENDS = 0.1  # rad: who moves less says nothing
 POSES = 200  # frames that are looked at
 LEG, ARM = ("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist")
@@ -38,23 +38,18 @@ def by_tree(bvh: Bvh, side_of: Callable[[str], str]) -> Found | None:
     """The body in a skeleton; None where there are not two pairs of limbs. `side_of`: a name -> "left", "right" or ""."""
     limbs = _limbs(bvh)
     parents = bvh.parents.tolist()
-    pairs = _pairs(bvh, limbs)
-    chosen = next((two for two in combinations(pairs, 2) if not _nested(parents, *two)), None)
+    chosen = next((two for two in combinations(_pairs(bvh, limbs)[:PAIRS], 2) if not _nested(parents, *two)), None)
     if chosen is None:
         return None
     longer, other = chosen
     above = parents[other[0]] in ancestors(parents, parents[longer[0]])[:-1]
     legs, arms = (other, longer) if above else (longer, other)
     leg = _three(bvh, limbs[legs[0]], lambda a, b, whole: 1.2 * abs(np.log(b / a / SHIN)) - (a + b) / whole)
-    if leg is None:
-        return None
-    thigh = _along(bvh, limbs[legs[0]])[leg[1]] - _along(bvh, limbs[legs[0]])[leg[0]]
-    arm = _three(
-        bvh,
-        limbs[arms[0]],
-        lambda a, b, _: abs(np.log(a / thigh / UPPER_ARM)) + abs(np.log(b / thigh / FOREARM)),
+    thigh = np.diff(_along(bvh, limbs[legs[0]])[list(leg or (0, 0))])[0]
+    arm = leg and _three(
+        bvh, limbs[arms[0]], lambda a, b, _: abs(np.log(a / thigh / UPPER_ARM)) + abs(np.log(b / thigh / FOREARM))
     )
-    if arm is None:
+    if leg is None or arm is None:
         return None
     return _sided(bvh, limbs, {"leg": (legs, leg), "arm": (arms, arm)}, side_of)
 
@@ -101,13 +96,8 @@ def _pairs(bvh: Bvh, limbs: list[list[int]]) -> list[tuple[int, int]]:
     for own in children.values():
         longest = sorted(own, key=lambda joint: -whole[joint][-1])[:SIBLINGS]
         for a, b in combinations(longest, 2):
-            one, two = (np.diff(whole[joint]) for joint in (a, b))
-            little = 0.02 * whole[a][-1]
-            if (
-                len(one) == len(two)
-                and whole[a][-1] > 0
-                and (abs(np.log((one + little) / (two + little))) < ALIKE).all()
-            ):
+            one, two = (np.diff(whole[joint]) + 0.02 * whole[a][-1] for joint in (a, b))
+            if len(one) == len(two) and whole[a][-1] > 0 and (abs(np.log(one / two)) < ALIKE).all():
                 found.append((a, b))
     return sorted(found, key=lambda pair: -whole[pair[0]][-1])
 
@@ -129,8 +119,8 @@ def _three(bvh: Bvh, limb: list[int], cost: Callable[[float, float, float], floa
         i, j, k = way
         long = along[j] - along[i], along[k] - along[j]
         short = (np.linalg.norm(at[:, end] - at[:, begin], axis=1).mean() for begin, end in ((i, j), (j, k)))
-        crooked = sum(1 - chord / way for chord, way in zip(short, long))
-        return cost(*long, along[-1]) + CROOKED * crooked - 0.5 * bends[j]
+        crooked = sum(1 - chord / bone for chord, bone in zip(short, long))
+        return cost(*long, along[-1]) + CROOKED * crooked - BENT * bends[j]
 
     joints = [i for i, joint in enumerate(limb) if bvh.names[joint]]
     for among in (joints, range(len(limb))):

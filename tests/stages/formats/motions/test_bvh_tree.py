@@ -1,5 +1,7 @@
 """Bodies in skeletons whose names say nothing: of any proportions, with twists, fingers, tails and ends, in any rest pose."""
 
+import time
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 
@@ -119,6 +121,19 @@ def test_names_that_the_tree_cannot_have_are_not_believed():
     names |= {16: "left_elbow", 17: "right_elbow"}
     body = map_body(made.bvh(names), Path("x.bvh"))
     assert all(body.limbs[joint] == made.index[joint] for joint in MAPPED) and body.said
+
+
+def test_a_skeleton_of_thousands_of_like_limbs_takes_no_time():
+    parents = [-1, *(0 for _ in range(700))]
+    for depth in range(4):
+        parents += range(1 + 700 * depth, 1 + 700 * (depth + 1))
+    names, places = tuple(f"b{i}" for i in range(len(parents))), np.zeros((1, len(parents), 3))
+    places[..., 1] = 1 + 1e-4 * np.arange(len(parents))
+    began = time.perf_counter()
+    bvh = Bvh(names, np.array(parents), places, np.tile(np.eye(3), (1, len(parents), 1, 1)), 30.0)
+    with suppress(StageError):
+        map_body(bvh, Path("x.bvh"))
+    assert time.perf_counter() - began < 5
 
 
 @pytest.mark.parametrize("lost", [(1,), (16,), (4, 18)])
