@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
@@ -90,21 +89,14 @@ def shoot(
 
     code = Code(work / CODE_MEMORY)
     settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
-    with one_at_a_time(kept, console):
+    alone: AbstractContextManager[Any] = nullcontext()
+    if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
+        alone = locked(kept / LOCK, lambda holder: console.say(f"waiting: {holder} is making this film"), without=True)
+    with alone:
         run_directly(films.MODULE, Job(kept or work, where, emit=remembering(work, heard)), settings)
     for path in outs:
         console.result(words.relative(path))
-
-
-@contextmanager
-def one_at_a_time(kept: Path | None, console: Console) -> Iterator[None]:
-    """Wait until no other process uses the pieces in `kept`, and keep others waiting meanwhile."""
-    if kept is None:
-        yield
-        return
-    kept.mkdir(parents=True, exist_ok=True)
-    with locked(kept / LOCK, lambda holder: console.say(f"waiting: {holder} is making this film"), without=True):
-        yield
 
 
 TEMPLATE = """\

@@ -41,7 +41,7 @@ def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, 
         return
     known = read_json(work / MEMORY)
     if not out.exists() or any(
-        digest_at(file) not in known.get(name_of(file), ()) for file in files_under(out).values()
+        content_digest(file) not in known.get(name_of(file), ()) for file in files_under(out).values()
     ):
         facts = ["`hugs` did not write it, or it has changed since"]
         raise UsageError(f"{out} is already there", f"{ELSEWHERE}, or write over it with `--force`", facts)
@@ -66,11 +66,6 @@ def name_of(out: Path) -> str:
     return os.path.join(os.path.realpath(out.parent), out.name)
 
 
-def digest_at(out: Path) -> str:
-    """The digest of a file; '' where there is none."""
-    return content_digest(out) if out.is_file() else ""
-
-
 def remember_out(out: Path, part: Path, work: Path) -> None:
     """Note what is about to appear at `out` and is still called `part`, so that it may be drawn again without `--force`."""
     memory = work / MEMORY
@@ -79,7 +74,7 @@ def remember_out(out: Path, part: Path, work: Path) -> None:
         known = read_json(memory)
         if len(known) > MOST:
             known = {path: drawn for path, drawn in known.items() if os.path.exists(path)}
-        before, new = known.get(name_of(out), []), digest_at(part)
+        before, new = known.get(name_of(out), []), content_digest(part)
         before = [one for one in before if one != new] if isinstance(before, list) else [before]
         replace(memory, json.dumps({**known, name_of(out): [*before[1 - KEPT :], new]}, indent=1))
 
