@@ -40,6 +40,12 @@ def extracting(film: str) -> str:
     return f"make them from the film's own frames, which {make} writes; without the option it doubles or drops some"
 
 
+def matching(listing: Listing) -> str:
+    """The hint that says how masks come to be those of a clip's frames."""
+    film = listing.video.path
+    return f"name each as its picture in {film} is named" if has_sources(listing) else extracting(film)
+
+
 def check_numbers(numbers: Sequence[int], total: int, what: str, film: str) -> str:
     """What joins by the numbers of frames, from 0, is checked against the `total` frames of the film (0: not known).
 
@@ -56,9 +62,9 @@ def check_numbers(numbers: Sequence[int], total: int, what: str, film: str) -> s
 
 
 def count_from_one(total: int, stems: Sequence[str]) -> bool:
-    """True if the stems surely count the `total` frames of a video from 1, as ffmpeg's do: one equals it, and none is 0."""
-    numbers = {number(name) for name in stems}
-    return 0 not in numbers and total in numbers
+    """True if the stems surely count the `total` frames of a video from 1, as ffmpeg's do: the highest is it, none is 0."""
+    numbers = {n for name in stems if (n := number(name)) is not None}
+    return 0 not in numbers and max(numbers, default=0) == total
 
 
 def join(listing: Listing, stems: Sequence[str], first: int, what: str, warn: Callable[[str], None]) -> dict[str, int]:

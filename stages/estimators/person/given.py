@@ -14,7 +14,7 @@ import numpy as np
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing
-from stages.formats.frame_names import count_from_one, extracting, has_sources, join
+from stages.formats.frame_names import count_from_one, has_sources, join, matching
 from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import Object, labeled_objects, pick, ranked
 from stages.formats.given_masks.recognize import read_mask_files
@@ -48,7 +48,7 @@ def import_masks(
     if missing:
         raise StageError(
             f"masks are missing for {len(missing)} of {len(names)} frames",
-            f"name each mask by its frame's number in the video (or its picture's name), or leave out --masks; {extracting(listing.video.path)}",
+            f"name each mask by its frame's number in the video, or leave out --masks; {matching(listing)}",
             [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
         )
     rows = [joined[name] for name in names]
