@@ -96,6 +96,8 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         job.progress(steps - len(names) + i + 1, steps)
     nobody = [name for name, frame in found.items() if frame["coverage"] < PERSON_SHARE]
     report(job, found, nobody, given=source == "imported")
+    if source == "imported" and (frames / "images").is_dir():
+        check_motion(job, listing, frames)
     if params.person == EVERYBODY and not seen:
         job.note("--person all: one person is found, and followed as without it")
     if seen:
@@ -110,6 +112,18 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         counted = [sum(there) for there in zip(*seen, strict=True)]
         summary["people"] = {str(k): {"frames": count} for k, count in enumerate(counted, 1)}
     (job.out / "masks.json").write_text(json.dumps(summary, indent=1) + "\n")
+
+
+def check_motion(job: Job, listing: Listing, frames: Path) -> None:
+    """Warn where what moves in the frames lies beside their masks."""
+    from stages.estimators.person.what_moves import lies_elsewhere
+    from stages.formats.frame_names import matching
+    from stages.formats.images import read_image, read_mask
+
+    images, masks, names = frames / "images", job.out / "masks", [frame.name for frame in listing.frames]
+    of = len(names), lambda i: read_image(images / f"{names[i]}.png"), lambda i: read_mask(masks / f"{names[i]}.png")
+    if lies_elsewhere(*of):
+        job.warn(f"what moves lies beside the given masks: are they of other frames? {matching(listing)}")
 
 
 def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterator[list[np.ndarray]]:

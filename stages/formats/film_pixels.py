@@ -10,7 +10,7 @@ import numpy as np
 
 BT709, BT601 = 1, 5
 MATRICES = {1: 1, 4: 4, 5: 5, 6: 5, 7: 7, 9: 9, 10: 9}  # of ITU-T H.273, and their numbers in swscale; 2 says nothing
-HD = 720  # lines, from which on a film that does not say is BT.709's
+HD = (1280, 720)  # px of the longer or the shorter side, from which on a film that does not say is BT.709's
 QUARTER = 90  # degrees
 
 
@@ -25,8 +25,10 @@ def turn_of(frame: av.VideoFrame) -> tuple[int, bool]:
 
 
 def rgb_of(frame: av.VideoFrame, width: int) -> np.ndarray:
-    """A frame as uint8 [H,width,3], by the colour matrix that it names, or else that of films of its height."""
-    matrix = MATRICES.get(int(frame.colorspace), BT709 if frame.height >= HD else BT601)
+    """A frame as uint8 [H,width,3], by the colour matrix that it names, or else that of films of its size."""
+    sides = sorted((frame.width, frame.height), reverse=True)
+    usual = BT709 if sides[0] >= HD[0] or sides[1] >= HD[1] else BT601
+    matrix = MATRICES.get(int(frame.colorspace), usual)
     other = BT601 if matrix == BT709 else BT709  # of a target that has none: only that it differs counts
     named = {} if frame.format.is_rgb else {"src_colorspace": matrix, "dst_colorspace": other}
     return frame.reformat(width=width, format="rgb24", **named).to_ndarray()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import PurePath
 
 from stages.contract import StageError
@@ -21,21 +22,55 @@ def stem(name: str | PurePath) -> str:
     return name
 
 
+def without_word(stems: Sequence[str]) -> list[str]:
+    """Names without the word that each of them ends with after its number, as those of masks do: frame_0001_mask."""
+    ends = {re.split(r"[0-9]+", name)[-1] for name in stems}
+    end = ends.pop() if len(ends) == 1 else ""
+    return [name.removesuffix(end) or name for name in stems] if re.search("[0-9]", "".join(stems)) else list(stems)
+
+
 def has_sources(listing: Listing) -> bool:
     """True if the clip is a folder of pictures, whose frames have names of their own."""
     return any(frame.source for frame in listing.frames)
 
 
+def extracting(film: str) -> str:
+    """The hint that says how to get pictures of which each is a frame of the film."""
+    make = f"`ffmpeg -i {film} -fps_mode passthrough pictures/%05d.png`"
+    return f"make them from the film's own frames, which {make} writes; without the option it doubles or drops some"
+
+
+def matching(listing: Listing) -> str:
+    """The hint that says how masks come to be those of a clip's frames."""
+    film = listing.video.path
+    return f"name each as its picture in {film} is named" if has_sources(listing) else extracting(film)
+
+
+def check_numbers(numbers: Sequence[int], total: int, what: str, film: str) -> str:
+    """What joins by the numbers of frames, from 0, is checked against the `total` frames of the film (0: not known).
+
+    Raises StageError where a number is beyond the film: other pictures were counted. Returns what to say where that may be,
+    as the numbers run from the first frame on without a gap, and end before the film, or "".
+    """
+    low, high = min(numbers, default=0), max(numbers, default=0)
+    if high >= total > 0:
+        facts = [f"{len(numbers)} {what}, the film has {total} frames; the highest number is frame {high}, from 0"]
+        raise StageError(f"{what} are of other pictures than the frames of {film}", extracting(film), facts)
+    if not 0 <= low <= 1 or len({*numbers}) != high - low + 1 or not 1 < high - low + 1 < total:
+        return ""
+    return f"{what} are of the frames {low} to {high} of {total}, by their numbers; if they count others: {extracting(film)}"
+
+
 def count_from_one(total: int, stems: Sequence[str]) -> bool:
-    """True if the stems surely count the `total` frames of a video from 1, as ffmpeg's do: one equals it, and none is 0."""
-    numbers = {number(name) for name in stems}
-    return 0 not in numbers and total in numbers
+    """True if the stems surely count the `total` frames of a video from 1, as ffmpeg's do: the highest is it, none is 0."""
+    numbers = {n for name in stems if (n := number(name)) is not None}
+    return 0 not in numbers and max(numbers, default=0) == total
 
 
-def join(listing: Listing, stems: Sequence[str], first: int, what: str) -> dict[str, int]:
+def join(listing: Listing, stems: Sequence[str], first: int, what: str, warn: Callable[[str], None]) -> dict[str, int]:
     """Frame name -> place of its stem in `stems`: by name, else by the frame's number in the video plus `first`.
 
-    `listing` is frames.json. Raises StageError where two stems are one name; `what` says what they name.
+    `listing` is frames.json. Raises StageError where two stems are one name, or as `check_numbers`; `what` says what they name.
     """
     twice = sorted(name for name, count in Counter(stems).items() if count > 1)
     if twice:
@@ -43,6 +78,10 @@ def join(listing: Listing, stems: Sequence[str], first: int, what: str) -> dict[
         raise StageError(f"two {what} have the name of one frame", "give one for each frame", [fact])
     row = {name: i for i, name in enumerate(stems)}
     numbers = [number(name) for name in stems]
+    if not has_sources(listing):
+        known = [n - first for n in numbers if n is not None]
+        if doubt := check_numbers(known, listing.video.frames, what, listing.video.path):
+            warn(doubt)
     counts = Counter(numbers)
     unique = {n: i for i, n in enumerate(numbers) if n is not None and counts[n] == 1}
     joined = {}

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.frame_names import count_from_one, number
+from stages.formats.frame_names import check_numbers, count_from_one, number
 from stages.formats.given_fits.record import SmplFit
 
 GAP = 0.25  # s; poses farther apart are not interpolated
@@ -37,9 +37,6 @@ def join_frames(
             f"it has {len(fit)} poses, the clip {total} frames; by order they are joined only where there is one for each"
         ]
         raise StageError(f"nothing in {fit.path} tells which frames its poses are of", HINT, facts)
-    if fit.numbers is not None and fit.tracks is None and len(fit) != total > 0:
-        told = f"it has {len(fit)} poses, the clip {total} frames: pose 0 is taken for frame 0, and so on"
-        fit = replace(fit, notes=(*fit.notes, told))
     if not sources and fit.names is not None and fit.numbers is None:
         stems = [Path(name).stem for name in fit.names]
         if count_from_one(total, stems):
@@ -47,6 +44,9 @@ def join_frames(
             numbers = [number(name) for name in stems]
             counts = np.array([-1 - i if counted is None else counted - 1 for i, counted in enumerate(numbers)])
             fit = replace(fit, names=None, numbers=counts, notes=(*fit.notes, told))
+    if not sources and fit.numbers is not None:
+        doubt = check_numbers(fit.numbers.tolist(), total, f"poses of {Path(fit.path).name}", "VIDEO")
+        fit = replace(fit, notes=(*fit.notes, *[doubt] * (fit.tracks is None and doubt != "")))
     keys, wanted, sure = _keys(fit, names, sources)
     place = {key: i for i, key in enumerate(wanted)}
     pairs = [(place[key], row) for row, key in enumerate(keys) if key is not None and key in place]

@@ -31,7 +31,7 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
     """
     size = width, height = listing.width, listing.height
     given = read_camera_files(path, *size)
-    rows = match_frames(given, listing, min_share, first)
+    rows = match_frames(job, given, listing, min_share, first)
     own = given.lenses[0]
     if not same_shape((own.width, own.height), (width, height)):
         hint = "give cameras of the same pictures; their size may differ, their shape not"
@@ -69,7 +69,7 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
 
 
 def match_frames(
-    given: GivenCameras, listing: Listing, min_share: float, first: Literal["auto", 0, 1]
+    job: Job, given: GivenCameras, listing: Listing, min_share: float, first: Literal["auto", 0, 1]
 ) -> dict[str, int]:
     """Frame name -> row of its camera; StageError if too few have one, or numbers could count from 0 or from 1."""
     stems = [stem(file) for file in given.files]
@@ -85,7 +85,7 @@ def match_frames(
             "every few frames of the video, give their folder in place of the video"
         )
         raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
-    rows = join(listing, stems, start, "cameras")
+    rows = join(listing, stems, start, "cameras", job.warn)
     missing = [name for name in names if name not in rows]
     if len(rows) < math.ceil(min_share * len(names)):
         facts = [

@@ -14,7 +14,7 @@ import numpy as np
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing
-from stages.formats.frame_names import count_from_one, has_sources, join
+from stages.formats.frame_names import count_from_one, has_sources, join, matching
 from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import Object, labeled_objects, pick, ranked
 from stages.formats.given_masks.recognize import read_mask_files
@@ -42,13 +42,13 @@ def import_masks(
     have no mask, if masks have the shape of other pictures, if `person` is unknown, or if several people's are to be inverted.
     """
     total, names = listing.video.frames, [frame.name for frame in listing.frames]
-    given = read_mask_files(path, total)
+    given = read_mask_files(path, total, listing.video.path)
     joined = join_masks(job, listing, given.names)
     missing = [name for name in names if name not in joined]
     if missing:
         raise StageError(
             f"masks are missing for {len(missing)} of {len(names)} frames",
-            "name each mask by its frame's number in the video (or its picture's name), or leave out --masks",
+            f"name each mask by its frame's number in the video, or leave out --masks; {matching(listing)}",
             [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
         )
     rows = [joined[name] for name in names]
@@ -88,7 +88,7 @@ def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dic
     first = int(not has_sources(listing) and count_from_one(listing.video.frames, names))
     if first:
         job.warn(f"given masks are numbered 1 to {listing.video.frames}: taken as counted from 1")
-    return join(listing, names, first, "masks")
+    return join(listing, names, first, "masks", job.warn)
 
 
 def masked_people(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.contract import StageError
+from stages.formats.frame_names import extracting
 
 Values = tuple[np.ndarray, str]
 """A mask's values [H,W] as stored, and the name of the encoding."""
@@ -27,8 +28,8 @@ class MaskSet:
     read: Callable[[str, int], Values | None]
 
 
-def check_one_per_frame(count: int, frames: int, what: str) -> None:
+def check_one_per_frame(count: int, frames: int, what: str, film: str) -> None:
     """StageError unless masks without names are as many as the video's frames."""
     if count != frames:
-        hint = "masks without names belong to frames by their order: give one for each frame of the video, or name them"
+        hint = f"without names they belong to frames by their order: {extracting(film)}"
         raise StageError(f"{what} does not have a mask for each frame", hint, [f"{count} masks, {frames} frames"])

@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.frame_names import ENDINGS, stem
+from stages.formats.frame_names import ENDINGS, stem, without_word
 from stages.formats.given_masks.coco import read_coco
 from stages.formats.given_masks.mask_set import MaskSet, Values, check_one_per_frame
 from stages.formats.given_masks.stacks import read_stack
 from stages.formats.given_masks.values import mask_files, read_values
-from stages.formats.pictures import natural_order
+from stages.formats.pictures import beside_pictures, natural_order
 from stages.formats.video import decode, probe
 
 HINT = (
@@ -32,18 +32,18 @@ HINT = (
 )
 
 
-def read_mask_files(path: Path, frames: int) -> MaskSet:
-    """Recognise masks of another program; `frames` is how many the video has. StageError for anything else."""
+def read_mask_files(path: Path, frames: int, film: str) -> MaskSet:
+    """Recognise masks of another program; `frames` is how many the video `film` has. StageError for anything else."""
     if path.is_dir():
         return folder_of_masks(path)
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
-        return read_stack(path, frames)
+        return read_stack(path, frames, film)
     if suffix == ".json":
         return read_coco(path)
     if suffix in ENDINGS:
         raise StageError(f"{path} is one mask", "give the folder that holds one mask per frame", [f"a {suffix} file"])
-    return mask_video(path, frames)
+    return mask_video(path, frames, film)
 
 
 def folder_of_masks(folder: Path) -> MaskSet:
@@ -51,7 +51,8 @@ def folder_of_masks(folder: Path) -> MaskSet:
     inner = sorted((p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")), key=natural_order)
     if any(p.suffix.lower() in ENDINGS and not p.name.startswith(".") for p in folder.iterdir()) or not inner:
         files = mask_files(folder)
-        names = tuple(stem(file) for file in files)
+        files = beside_pictures(files) or files
+        names = tuple(without_word([stem(file) for file in files]))
         return MaskSet("folder of masks", names, ("",), lambda _, i: read_values(files[i]))
     if len(inner) == 1:
         return folder_of_masks(inner[0])
@@ -65,11 +66,11 @@ def folder_of_masks(folder: Path) -> MaskSet:
     return MaskSet(f"folder for each of {len(inner)} objects", names, tuple(found), read)
 
 
-def mask_video(path: Path, frames: int) -> MaskSet:
+def mask_video(path: Path, frames: int, film: str) -> MaskSet:
     """A video of masks, frame by frame those of the clip; StageError if it has another number of frames."""
     count = sum(1 for _ in decode(path))
     info = probe(path)
-    check_one_per_frame(count, frames, f"{path} ({info.duration_s:.2f} s at {info.fps:.2f} frames/s)")
+    check_one_per_frame(count, frames, f"{path} ({info.duration_s:.2f} s at {info.fps:.2f} frames/s)", film)
     frames_left, at, values = decode(path), -1, np.zeros((0, 0), np.uint8)
 
     def read(_: str, i: int) -> Values:

@@ -17,7 +17,7 @@ HINT = "a stack is one array [N,H,W], with `names` [N] or as many masks as the v
 NAMES = ("names", "frame_names", "file_names", "filenames", "frames", "frame_ids", "frame_idx", "indices")
 
 
-def read_stack(path: Path, frames: int) -> MaskSet:
+def read_stack(path: Path, frames: int, film: str) -> MaskSet:
     """Read a .npy with a stack, or a .npz with a stack and names, or with one array named after each frame.
 
     Raises StageError for pickled or damaged files, other shapes, more or fewer names than masks, and a stack
@@ -32,7 +32,7 @@ def read_stack(path: Path, frames: int) -> MaskSet:
         arrays = read_npz(path, HINT, most=STACK)
     stacks = {key: stack for key, array in arrays.items() if (stack := as_stack(array)) is not None}
     if len(stacks) == 1:
-        return one_stack(path, *next(iter(stacks.items())), arrays, frames)
+        return one_stack(path, *next(iter(stacks.items())), arrays, frames, film)
     single = {key: np.squeeze(array) for key, array in arrays.items() if np.squeeze(array).ndim == 2}
     if stacks or not single:
         shapes = "; ".join(f"{key} {array.dtype} {array.shape}" for key, array in list(arrays.items())[:8]) or "nothing"
@@ -53,12 +53,14 @@ def as_stack(array: np.ndarray) -> np.ndarray | None:
     return array if array.ndim == 3 and array.shape[0] > 1 else None
 
 
-def one_stack(path: Path, key: str, stack: np.ndarray, arrays: dict[str, np.ndarray], frames: int) -> MaskSet:
+def one_stack(
+    path: Path, key: str, stack: np.ndarray, arrays: dict[str, np.ndarray], frames: int, film: str
+) -> MaskSet:
     """A stack, with its names if there are any."""
     found = next((name for name in NAMES if name in arrays and name != key), None)
     names = None
     if found is None:
-        check_one_per_frame(len(stack), frames, f"{key} in {path}")
+        check_one_per_frame(len(stack), frames, f"{key} in {path}", film)
     else:
         given = arrays[found]
         if given.shape != (len(stack),) or given.dtype.kind not in "USiu":

@@ -52,7 +52,15 @@ def test_a_colour_comes_back_by_the_matrix_that_is_named(tmp_path, matrix, kind,
 
 
 @pytest.mark.parametrize(
-    ("size", "kind"), [((64, 48), "BT.601"), ((64, 718), "BT.601"), ((64, 720), "BT.709"), ((720, 1280), "BT.709")]
+    ("size", "kind"),
+    [
+        ((64, 48), "BT.601"),
+        ((864, 480), "BT.601"),
+        ((480, 864), "BT.601"),
+        ((960, 720), "BT.709"),
+        ((720, 1280), "BT.709"),
+    ]
+    + [((1280, 536), "BT.709")],
 )
 def test_untagged_films_of_720_lines_and_more_are_bt709(tmp_path, size, kind):
     assert np.abs(patch(tmp_path / "v.mp4", coded(RED, WEIGHTS[kind], False), 2, size=size) - RED).max() <= 3

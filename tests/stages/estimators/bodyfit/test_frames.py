@@ -132,4 +132,4 @@ def test_a_tool_with_more_or_fewer_poses_than_the_clip_has_frames_is_joined_by_n
             fit_of(times, numbers=np.arange(10)), names_of(range(0, 10, 3)), times[::3], total=total
         )
         assert frames.tolist() == [0, 1, 2, 3] and fit.numbers.tolist() == [0, 3, 6, 9]
-        assert any("10 poses, the clip 12 frames" in note for note in fit.notes) == said
+        assert any("poses of f.npz are of the frames 0 to 9 of 12" in note for note in fit.notes) == said

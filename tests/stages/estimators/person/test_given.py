@@ -318,3 +318,19 @@ def test_malformed_masks_are_refused_by_name(tmp_path, truth, frames, kind):
         run(tmp_path / "stage", frames, write(tmp_path, *truth))
     assert error.value.hint and error.value.facts and not error.value.problem.endswith(".")
     assert re.search(fact, "\n".join(error.value.facts)), error.value.facts
+
+
+def test_masks_that_lie_beside_the_pictures_are_those_of_the_folder(tmp_path, truth):
+    folder, rows = tmp_path / "clip", []
+    folder.mkdir()
+    for i, mask in enumerate(truth[0]):
+        write_image(folder / f"f_{i:02d}.jpg", np.random.default_rng(i).integers(0, 255, (*mask.shape, 3), np.uint8))
+        write_mask(folder / f"f_{i:02d}_mask.png", np.where(mask, 255, 0).astype(np.uint8))
+        rows.append({"name": f"{i:06d}", "index": i, "time_s": i / 10, "source": f"f_{i:02d}"})
+    facts = {"video": {"path": "clip", "frames": TOTAL}, "width": 96, "height": 128, "frames": rows}
+    (tmp_path / "images").symlink_to(folder)
+    (tmp_path / "frames.json").write_text(json.dumps(facts))
+    for i in range(TOTAL):
+        write_image(folder / f"{i:06d}.png", np.zeros((128, 96, 3), np.uint8))
+    _, made, _ = run(tmp_path / "stage", tmp_path, folder)
+    np.testing.assert_array_equal(made, truth[0][list(PICKED)])
