@@ -6,9 +6,10 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from hugs_cli.cache.fingerprint import content_digest
-from hugs_cli.cache.workspace import read_json, write_json
+from hugs_cli.cache.workspace import STAMP, read_json, write_json
 from hugs_cli.fleet.clips import clip_folders
 from hugs_cli.pipelines import UsageError
 
@@ -41,11 +42,19 @@ def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, 
 def protected(work: Path, given: Iterable[Path | None]) -> Iterator[tuple[str, Path]]:
     """What no drawing may change, each with its kind in words: files given, sources of all clips in `work`, stores."""
     clips = list(clip_folders(work))
-    entries = (entry for clip in clips for entry in read_json(clip / "sources.json").values())
-    paths = (entry.get("path") for entry in entries if isinstance(entry, dict))
+    entries = (entry for clip in clips for entry in sources_of_results(clip))
+    paths = (entry.get("path") for entry in entries)
     sources = (Path(path) for path in paths if path and isinstance(path, str))
     yield from (("a source", path) for path in (*filter(None, given), *sources) if path.exists())
     yield from (("a folder of results", clip / "store") for clip in clips if (clip / "store").is_dir())
+
+
+def sources_of_results(clip: Path) -> list[dict[str, Any]]:
+    """What is known of those sources of a clip that a result in its store was made of."""
+    stamps = (read_json(stamp).get("inputs") for stamp in (clip / "store").glob(f"*/{STAMP}"))
+    made_of = {content for inputs in stamps if isinstance(inputs, dict) for content in inputs.values()}
+    known = (entry for entry in read_json(clip / "sources.json").values() if isinstance(entry, dict))
+    return [entry for entry in known if entry.get("sha256") in made_of - {None}]
 
 
 @contextmanager
