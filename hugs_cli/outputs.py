@@ -53,12 +53,19 @@ def protected(work: Path, given: Iterable[Path | None], place: Path) -> Iterator
     named = [path for path in given if path is not None]
     runs = (Path(os.path.realpath(link)).parents[1] for run in named if run.is_dir() for link in run.glob("train"))
     clips = [*clip_folders(work), *runs]
-    entries = (entry for clip in clips for entry in read_json(clip / "sources.json").values())
-    paths = (entry.get("path") for entry in entries if isinstance(entry, dict))
+    paths = (entry.get("path") for clip in clips for entry in sources_of_results(clip))
     sources = (Path(path) for path in paths if path and isinstance(path, str))
     yield from (("a source", path) for path in (*named, *sources) if path.exists())
     yield from (("a folder of results", clip / "store") for clip in clips if (clip / "store").is_dir())
     yield from (("a result", one) for one in place.parents if (one / STAMP).exists())
+
+
+def sources_of_results(clip: Path) -> list[dict[str, Any]]:
+    """What is known of those sources of a clip that a result in its store was made of."""
+    stamps = (read_json(stamp).get("inputs") for stamp in (clip / "store").glob(f"*/{STAMP}"))
+    made_of = {content for inputs in stamps if isinstance(inputs, dict) for content in inputs.values()}
+    known = (entry for entry in read_json(clip / "sources.json").values() if isinstance(entry, dict))
+    return [entry for entry in known if entry.get("sha256") in made_of - {None}]
 
 
 def name_of(out: Path) -> str:

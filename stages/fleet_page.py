@@ -47,7 +47,7 @@ def run(
         written=time.strftime("%Y-%m-%d %H:%M:%S %Z"),
         page=f"{time.time_ns():x}",
     )  # fmt: skip
-    _replace(job.out / f"{name}.html", text.encode())
+    _replace(job.out / f"{name}.html", text.encode(errors="replace"))
 
 
 def _sorted(states: Mapping[str, int]) -> list[str]:
@@ -60,7 +60,7 @@ def _states(states: Mapping[str, int]) -> str:
 
 def _small(row: Mapping[str, Any]) -> str:
     """Where the small picture of a row lies, seen from the work folder. Results never change, so neither does it."""
-    name = hashlib.sha256(f"{row['folder']}/{row['picture']}".encode()).hexdigest()
+    name = hashlib.sha256(os.fsencode(f"{row['folder']}/{row['picture']}")).hexdigest()
     return f"{PICTURES}/{name[:20]}.jpg"
 
 
@@ -96,8 +96,10 @@ def _replace(path: Path, data: bytes) -> None:
 def _shown(work: Path, row: Mapping[str, Any]) -> dict[str, Any]:
     """A row with its words and links."""
     small = _small(row) if row["picture"] else ""
-    place = quote(f"{row['folder']}/{row['pipeline']}")
-    pages = [(path.rpartition("/")[2].removesuffix(".html"), f"{place}/{quote(path)}") for path in row["pages"]]
+    place = quote(os.fsencode(f"{row['folder']}/{row['pipeline']}"))
+    pages = [
+        (path.rpartition("/")[2].removesuffix(".html"), f"{place}/{quote(os.fsencode(path))}") for path in row["pages"]
+    ]
     percent = "" if row["percent"] is None else f" {row['percent']} %"
     silent = "" if row["silent"] is None else f", no sign of life for {_time(row['silent'])}"
     return {
@@ -108,7 +110,7 @@ def _shown(work: Path, row: Mapping[str, Any]) -> dict[str, Any]:
         "left": "" if not row["seconds_left"] else _time(row["seconds_left"]),
         "took": "" if row["seconds"] is None else _time(row["seconds"]),
         "image": small if small and (work / small).exists() else "",
-        "log": quote(row["log"]),
+        "log": quote(os.fsencode(row["log"])),
         "pages": pages,
     }
 

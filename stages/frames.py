@@ -56,6 +56,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     cut short, or has too few frames.
     """
     from stages.formats.film_times import FilmTimes, TimesFall
+    from stages.formats.frame_names import plain
     from stages.formats.told_focal import told_focal
     from stages.formats.video import probe
 
@@ -84,7 +85,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     )
     facts = {
         "video": {
-            "path": Path(video).name,
+            "path": plain(Path(video).name),
             "width": info.width,
             "height": info.height,
             "fps": round(info.fps, 3),
@@ -195,11 +196,12 @@ def check_usable(info: VideoInfo, count: int, fate: str) -> None:
 
 def with_sources(frames: list[dict[str, Any]], video: Path) -> list[dict[str, Any]]:
     """The frames, with the picture's own name as `source` where a folder of pictures was given."""
+    from stages.formats.frame_names import plain
     from stages.formats.pictures import picture_files
 
     if not Path(video).is_dir():
         return frames
-    names = [file.stem for file in picture_files(video)]
+    names = [plain(file.stem) for file in picture_files(video)]
     return [{**frame, "source": names[frame["index"]]} for frame in frames]
 
 

@@ -110,13 +110,14 @@ def run(
 def what_is_told(job: Job, listing: Listing, smpl_fit: Path | None) -> Prior | None:
     """The focal length that the video's file tells, or else the tool that made `smpl_fit`; None if neither does."""
     from stages.estimators.cameras.intrinsics import FOCAL_SPREAD, Prior
+    from stages.formats.frame_names import plain
     from stages.formats.given_fits.recognize import fit_focal
 
     size = (listing.width, listing.height)
     if listing.focal is not None:
         told = Prior(listing.focal.share * max(size), listing.focal.spread, listing.focal.words)
     elif smpl_fit is not None and (found := fit_focal(smpl_fit, size)):
-        told = Prior(found[0], FOCAL_SPREAD, f"{found[1]}'s, {smpl_fit.name}")
+        told = Prior(found[0], FOCAL_SPREAD, f"{found[1]}'s, {plain(smpl_fit.name)}")
     else:
         return None
     job.note(f"the focal length is told: {told.said}")

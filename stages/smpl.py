@@ -123,6 +123,7 @@ def import_poses(
 ) -> tuple[BodyPoses, dict[str, Any]]:
     """Poses read from another program's file, and facts for smpl.json; says which of its people was taken."""
     from stages.estimators.bodyfit.given import import_fit
+    from stages.formats.frame_names import plain
     from stages.formats.given_fits.recognize import read_smpl_fit
 
     cameras = clip.cameras
@@ -145,7 +146,7 @@ def import_poses(
     if facts.get("tool_joints_off") is not None and facts["tool_joints_off"] > JOINTS_OFF:
         off = 100 * facts["tool_joints_off"]
         job.warn(f"the body's joints are {off:.0f} % of its height from where {fit.tool} drew them: is it SMPL's body?")
-    return poses, {"source": smpl_fit.name, **facts}
+    return poses, {"source": plain(smpl_fit.name), **facts}
 
 
 def estimate_poses(

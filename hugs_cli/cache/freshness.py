@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -270,10 +271,19 @@ class Session:
             if path is not None and name not in taken:
                 hint = "leave it out, or choose another pipeline"
                 raise UsageError(f"no stage of pipeline {self.pipeline.name} reads {SOURCES[name]}", hint)
+            if path is not None and path.is_dir() and lies_in(self.workspace.root, path):
+                hint = f"choose a folder elsewhere, as `--work {path.resolve().parent / 'work'}`"
+                raise UsageError(f"results would be written into {path}, which is a source", hint)
 
     def input_path(self, need: str, before: Mapping[str, Verdict]) -> Path | None:
         """Where an input lies: an earlier stage's folder or a source."""
         return before[need].folder if need in self.pipeline.stages else self.sources.get(need)
+
+
+def lies_in(folder: Path, source: Path) -> bool:
+    """Whether files of a folder, there already or not, would be among those of a source; hidden ones never are."""
+    own, place = Path(os.path.realpath(folder)), Path(os.path.realpath(source))
+    return own.is_relative_to(place) and not any(part[0] == "." for part in own.relative_to(place).parts)
 
 
 def changes(last: Stamp, recipe: Recipe) -> tuple[Reason, ...]:

@@ -209,7 +209,9 @@ class Workspace:
         sha256 = fingerprint.content_digest(path)
         files = fingerprint.files_under(path).values()
         size = sum(file.stat().st_size for file in files)
-        entry = {"path": place, "size": size, "files": len(files), "stat": stat, "sha256": sha256}
+        old, entry = entry, {"path": place, "size": size, "files": len(files), "stat": stat, "sha256": sha256}
+        if isinstance(old, dict) and "sha256" in old:  # results may be made of it, and it is still a source then
+            known[f"{name} {old['sha256']}"] = old
         with suppress(OSError):  # no folder yet, or one that may only be read: it costs time, not correctness
             write_json(memory, {**known, name: entry})
         return sha256
@@ -281,7 +283,7 @@ def remove(path: Path) -> None:
 def clip_name(video: Path) -> str:
     """The name of a clip's folder: the video's name without its ending; UsageError for one that names no folder."""
     video = Path(os.path.abspath(video))
-    name = video.stem if video.suffix and not video.is_dir() else video.name
+    name = os.fsencode(video.stem if video.suffix and not video.is_dir() else video.name).decode(errors="replace")
     if name in ("", ".", ".."):
         raise UsageError(f"{video} gives no name to a clip", "give a video, or a folder that has a name")
     return name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,9 +15,14 @@ from stages.formats.pictures import PICTURES, number
 ENDINGS = (*PICTURES, ".npy")
 
 
+def plain(name: str) -> str:
+    """A file's name as text that JSON and pages can hold, whatever bytes it has on the disk."""
+    return os.fsencode(name).decode(errors="replace")
+
+
 def stem(name: str | PurePath) -> str:
     """A file's name without folders and endings, its picture's ending too (frame.jpg.png -> frame)."""
-    name = PurePath(name).name
+    name = plain(PurePath(name).name)
     while PurePath(name).suffix.lower() in ENDINGS:
         name = name[: -len(PurePath(name).suffix)]
     return name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,6 +32,8 @@ def read_pixels(path: Path) -> np.ndarray:
     """
     if not Path(path).is_file():
         raise StageError(f"no picture at {path}", "check the path")
+    if (name := os.fsencode(path).decode(errors="replace")) != str(path):
+        raise StageError(f"the name of {name} is not UTF-8", "rename it, or the folder that it is in")
     config = oiio.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
     source = oiio.ImageInput.open(str(path), config)

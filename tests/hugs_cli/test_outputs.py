@@ -23,7 +23,10 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / name).mkdir(parents=True)
     for name in ("a.mp4", "masks/1.png", "other.mp4", "wave.bvh"):
         (tmp_path / name).write_text(name)
-    sources = {"video": {"path": str(tmp_path / "a.mp4")}, "mask_files": {"path": str(tmp_path / "masks")}, "x": 1}
+    video, masks = ({"path": str(tmp_path / name), "sha256": name} for name in ("a.mp4", "masks"))
+    sources = {"video": video, "mask_files": masks, "x": 1, "cameras": {"path": str(tmp_path), "sha256": "dry"}}
+    stamp = {"inputs": {"video": "a.mp4", "mask_files": "masks", "cameras": None}}
+    (tmp_path / "work/a/store/train-01234567/stamp.json").write_text(json.dumps(stamp))
     (tmp_path / "work/a/sources.json").write_text(json.dumps({**sources, "y": {"path": ""}, "z": {}}))
     return Path("work")
 
@@ -204,3 +207,10 @@ def test_pictures_are_not_drawn_over_a_file_nor_a_film_over_a_folder(work):
         check_out(Path("views"), work, (), True)
     with pytest.raises(UsageError, match=r"other\.mp4 is no folder"):
         check_out(Path("other.mp4/views"), work, (), True, is_folder=True)
+
+
+def test_sources_that_no_result_is_made_of_are_drawn_to(work):
+    """What a dry run or a run that failed was given: here the current folder, as cameras."""
+    check_out(Path("new.mp4"), work, (), False)
+    Path("work/a/store/train-01234567/stamp.json").unlink()
+    check_out(Path("a.mp4"), work, (), True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 
 import numpy as np
 import pytest
@@ -103,3 +104,10 @@ def test_a_page_that_is_written_no_more_says_so_and_stays_sorted(tmp_path):
         write(tmp_path, ROW, live=True)
         reload(tab, loaded)
         assert tab.run(still), "a new page is no old one"
+
+
+@pytest.mark.parametrize("key", ["clip", "folder", "pipeline", "problem", "log", "picture"])
+def test_a_name_that_is_no_text_hurts_nobody(tmp_path, key):
+    strange = os.fsdecode(b"Bj\xf6rn")
+    page = write(tmp_path, ROW, ROW | {key: strange, "pages": [f"{strange}.html"]})
+    assert "from-mon/dance%20%26%20more/draft/report/report.html" in page and "Bj%F6rn" in page

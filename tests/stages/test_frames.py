@@ -1,6 +1,7 @@
 """Stage frames picks sharp frames, spread in time, and refuses too little video."""
 
 import json
+import os
 import struct
 from fractions import Fraction
 
@@ -11,7 +12,9 @@ import pytest
 
 from stages import frames
 from stages.contract import Job, StageError
+from stages.formats.facts import Listing, read_facts
 from stages.formats.film_times import FilmTimes
+from stages.formats.frame_names import stem
 from stages.formats.images import read_image, write_image
 from stages.formats.video import VideoInfo, decode, write_video
 
@@ -235,3 +238,16 @@ def test_what_is_left_out_of_a_folder_is_said(tmp_path):
     assert [frame["time_s"] for frame in facts["frames"]] == [0, 0.1, 0.2, 0.3, 0.4, 0.8, 0.9, 1.0, 1.1, 1.2]
     assert any("left out 10 files" in text and f"`--masks {folder}`" in text for text in filter(None, said))
     assert any("pictures lack: 5 to 7" in text for text in filter(None, said))
+
+
+def test_names_that_are_no_text_are_read_by_the_next_stage(tmp_path):
+    video, strange = tmp_path / os.fsdecode(b"Bj\xf6rn.mp4"), os.fsdecode(b"\xf6_")
+    write_video(tmp_path / "v.mp4", panned(9), fps=30)
+    (tmp_path / "v.mp4").rename(video)
+    _, out, _ = run(tmp_path, video)
+    assert read_facts(out / "frames.json", Listing).video.path == "Bj\ufffdrn.mp4"
+    assert stem(f"{strange}3.png") == "\ufffd_3"
+    (tmp_path / strange).mkdir()
+    (tmp_path / strange / "1.png").touch()
+    with pytest.raises(StageError, match=r"the name of .*1.png is not UTF-8"):
+        frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / strange)

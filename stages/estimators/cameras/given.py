@@ -35,8 +35,15 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
     own = given.lenses[0]
     if not same_shape((own.width, own.height), (width, height)):
         hint = "give cameras of the same pictures; their size may differ, their shape not"
+        if same_shape((own.height, own.width), (width, height)):
+            hint = "they are of turned pictures: let their program run on pictures that are upright, as a player shows them"
         fact = f"cameras for {own.width}x{own.height}, frames {width}x{height}"
         raise StageError("the given cameras are not for these frames", hint, [fact])
+    if (off := shape_off((own.width, own.height), size)) > 0:
+        job.warn(
+            f"the given cameras are for {own.width}x{own.height}, a shape {off:.0f} px off that of the frames, {width}x{height}:"
+            f" where they are of undistorted or cropped pictures, give these: `hugs run PICTURES/ --cameras {path}`"
+        )
     order = list(rows.values())
     made = {lens: straighten(lens, *size) for lens in {given.lenses[i] for i in order}}
     Ks, _, shifts = zip(*(made[given.lenses[i]] for i in order), strict=True)
@@ -66,6 +73,12 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
         return grid(lens) if made[lens][1] else None
 
     return Pinholes(verdict, list(rows), given.viewmats[order], np.stack(Ks), grid_of, facts, None, cloud)
+
+
+def shape_off(theirs: tuple[int, int], ours: tuple[int, int]) -> float:
+    """By how many of our px a picture of another size (width, height) has another shape than ours; 0 within rounding."""
+    off = max(abs(theirs[0] * ours[1] / theirs[1] - ours[0]), abs(theirs[1] * ours[0] / theirs[0] - ours[1]))
+    return off if off > 1 + max(ours[0] / theirs[0], ours[1] / theirs[1]) else 0.0
 
 
 def match_frames(

@@ -14,7 +14,7 @@ import numpy as np
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing
-from stages.formats.frame_names import count_from_one, has_sources, join, matching
+from stages.formats.frame_names import count_from_one, has_sources, join, matching, plain
 from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import Object, labeled_objects, pick, ranked
 from stages.formats.given_masks.recognize import read_mask_files
@@ -70,7 +70,13 @@ def import_masks(
     encodings = chosen[0].masks.encodings()
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
     unused = (total if given.names is None else len(given.names)) - len(set(rows))
-    details = {"folder": path.name, "kind": given.kind, "inverted": inverted, "encodings": encodings, "unused": unused}
+    details = {
+        "folder": plain(path.name),
+        "kind": given.kind,
+        "inverted": inverted,
+        "encodings": encodings,
+        "unused": unused,
+    }
     size = (listing.width, listing.height)
     details |= {"person": chosen[0].id if len(chosen) == 1 else [one.id for one in chosen]}
     frames = list(zip(names, rows, strict=True))

@@ -6,6 +6,7 @@ Source: https://colmap.github.io/format.html
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -34,11 +35,13 @@ def lens_rows(path: Path) -> dict[int, Lens]:
 
 
 def picture_rows(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
-    """images.txt: (image id, quaternion w x y z and translation [7], camera id, file name) of each picture."""
-    lines = _lines(path)
-    for number, line in lines:
-        if not line:
+    """images.txt, with or without lines of features: what `picture_rows` of colmap_binary gives, StageError with the line."""
+    features = False  # whether the line may be that of the picture before; some programs write none
+    for number, line in _lines(path):
+        features, may_be = False, features
+        if not line or (may_be and is_features(line)):
             continue
+        features = True
         try:
             key, *pose, camera, name = line.split(None, 9)
             found = int(key), np.array([float(value) for value in pose]), int(camera), name
@@ -47,8 +50,16 @@ def picture_rows(path: Path) -> Iterator[tuple[int, np.ndarray, int, str]]:
             raise _wrong(path, number, line, wanted) from error
         if found[1].shape != (7,):
             raise _wrong(path, number, line, "a picture: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
-        next(lines, None)  # the picture's features
         yield found
+
+
+def is_features(line: str) -> bool:
+    """Whether a line is x, y and point id of features, and no picture, which ends with its name."""
+    parts = line.split()
+    try:
+        return len(parts) % 3 == 0 and all(map(isfinite, map(float, parts)))
+    except ValueError:
+        return False
 
 
 def point_rows(path: Path) -> Iterator[tuple[list[float], list[int]]]:

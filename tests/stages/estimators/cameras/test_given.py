@@ -492,3 +492,20 @@ def test_any_cut_of_a_binary_model_is_refused_or_whole(tmp_path, truth):
         (model / "images.bin").write_bytes(data[:size])
         with pytest.raises(StageError):
             read_camera_files(model, 96, 128)
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours", "same"),
+    [
+        ((1920, 1080), (960, 540), True),
+        ((1921, 1080), (960, 540), True),  # rounded
+        ((480, 270), (960, 540), True),
+        ((1080, 1920), (540, 960), True),
+        ((1924, 1075), (960, 540), False),  # COLMAP's undistorted pictures
+        ((1920, 1088), (1920, 1080), False),  # as they are coded
+        ((1912, 1080), (1920, 1080), False),  # cropped
+        ((1440, 1080), (1920, 1080), False),
+    ],
+)
+def test_pictures_of_another_shape_are_told_from_resized_ones(theirs, ours, same):
+    assert (given.shape_off(theirs, ours) == 0) == same
