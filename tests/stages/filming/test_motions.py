@@ -1,5 +1,7 @@
 """Motions for the people of a film: at its rate and their speed, on a floor at height 0."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -139,3 +141,26 @@ def test_what_is_no_motion_is_refused(soles, tmp_path):
     (tmp_path / "moves.txt").write_text("up and down")
     with pytest.raises(StageError, match="is no motion"):
         from_file(tmp_path / "moves.txt", Manner(30.0), soles, MODEL.parents.tolist())
+
+
+def test_a_files_rate_can_be_said_otherwise_and_its_drift_is_said(soles, tmp_path):
+    columns, trans = np.zeros((41, 72)), np.zeros((41, 3))
+    for rise, said in ((0.04, False), (0.2, True)):
+        trans[:, 1] = np.linspace(0, rise, 41)
+        np.savez(tmp_path / "move.npz", poses=columns, trans=trans, fps=20.0)
+        for fps, seconds in ((None, 2.0), (10.0, 4.0), (40.0, 1.0)):
+            manner = Manner(30.0, motion_fps=fps)
+            placed, facts = from_file(tmp_path / "move.npz", manner, soles, MODEL.parents.tolist(), MODEL.name)
+            assert len(placed.transl) == round(30 * seconds) + 1 and f"{seconds:.1f} s at" in facts[0]
+        assert any("rose and fell by" in fact for fact in facts) is said, facts
+
+
+def test_a_clips_motion_goes_on_through_frames_that_show_nobody(soles):
+    body, ground = make_poses(), make_ground(make_poses(), MODEL)
+    times, confidence = np.arange(FRAMES) * 0.1, body.confidence.copy()
+    confidence[2:4] = 0
+    whole, holed = (
+        from_clip(one, times, ground, Manner(10.0), soles) for one in (body, replace(body, confidence=confidence))
+    )
+    assert len(holed.transl) == len(whole.transl)
+    np.testing.assert_allclose(holed.body_pose[[0, 1, 4, 5]], whole.body_pose[[0, 1, 4, 5]], atol=1e-9)

@@ -9,6 +9,7 @@ import torch
 
 from stages.avatar.splats.gaussians import finite_rows
 from stages.contract import StageError
+from stages.formats.exchange import ply
 from stages.formats.exchange.ply import REQUIRED, read_ply, write_ply
 from stages.records import Scene
 
@@ -335,3 +336,10 @@ def test_without_padding_it_has_the_columns_that_it_needs(tmp_path):
         write_ply(tmp_path / "a.ply", scene(bases=bases), padded=False)
         assert len(read(tmp_path / "a.ply")) == columns
         np.testing.assert_array_equal(read_ply(tmp_path / "a.ply").shN, scene(bases=bases).shN)
+
+
+def test_opacities_at_their_bounds_are_counted_in_all_of_a_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(ply, "CHUNK", 4)
+    opacities = np.full(19, 0.5)
+    opacities[[0, 3, 4, 17]] = [0, 1, 1, 0]
+    assert list(write_ply(tmp_path / "a.ply", scene(19, opacities=opacities)).values()) == [4]
