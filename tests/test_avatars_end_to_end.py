@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -78,10 +78,8 @@ KINDS: dict[str, tuple[Callable[[Avatar], Avatar], Callable[[Path, Avatar], None
     "smpl_clothes.npz": (lambda avatar: clothed(as_smpl(avatar)), npz),
     "smpl_clothes.glb": (lambda avatar: clothed(as_smpl(avatar)), glb),
     "smpl_cloth_alone.npz": (lambda avatar: all_cloth(as_smpl(avatar)), npz),
-    "antialias.npz": (lambda avatar: replace(clothed(as_smpl(avatar)), antialias=True), npz),
-    "colours.glb": (lambda avatar: replace(avatar, shN=np.full((len(avatar), 15, 3), 0.01)), glb),
     "unsaid.npz": (as_smpl, partial(older, version=None)),
-    "before_bones.npz": (as_smpl, partial(older, version=1)),
+    "before_bones.npz": (lambda avatar: replace(avatar, antialias=True), partial(older, version=1)),
 }
 RUNS: dict[str, list[str]] = {
     "work/ann/default": [],
@@ -99,6 +97,8 @@ def made(tmp_path_factory) -> Path:
     for clip in ("ann", "bare", "two", "worn"):
         finished.make(folder, clip)
     avatar = read_avatar(folder / "work/ann/default/train/avatar.npz")
+    thin = {name: getattr(avatar, name)[::4] for name in ("quats", "scales", "opacities", "sh0", "shN", "lbs_weights")}
+    avatar = replace(avatar, means=avatar.means[::4], **thin)
     base = replace(avatar, joints=avatar.joints - [0.01, -0.225, 0.03], means=avatar.means - [0.01, -0.225, 0.03])
     for name, (change, write) in KINDS.items():
         write(folder / name, change(base))
@@ -118,10 +118,10 @@ def hugs(made, monkeypatch, capsys):
     return partial(hugs_here, made, monkeypatch, capsys)
 
 
-def film_of(people: list[str], name: str) -> str:
-    outs = ", ".join(f"{kind}: {name}{end}" for kind, end in OUTS.items())
+def film_of(people: list[str], name: str, kinds: Iterable[str] = OUTS) -> str:
+    outs = ", ".join(f"{kind}: {name}{OUTS[kind]}" for kind in kinds)
     return (
-        f"scene: work/ann/default\npeople: [{', '.join(people)}]\nfps: 4\nseconds: 0.5\nsize: [48, 64]\n"
+        f"scene: work/ann/default\npeople: [{', '.join(people)}]\nfps: 4\nseconds: 0.25\nsize: [48, 64]\n"
         f"camera: before\nout: {{{outs}, stills: {{folder: {name}_at, at: [0]}}}}\n"
     )
 
@@ -131,9 +131,9 @@ def test_every_kind_of_file_is_animated_rendered_and_loaded(kind, made, hugs):
     name = f"out_{kind.replace('.', '_')}"
     hugs("animate", "--avatar", kind, "moves.npz", "--cameras", "view.npz", "--fps", "4", "--out", f"{name}.mp4")
     hugs("render", "--avatar", kind, "--cameras", "view.npz", "--out", f"{name}_views")
-    assert (colour_of(read_image(made / f"{name}_views/000.png")[..., :3]) >= 0).sum() > 300
+    assert (colour_of(read_image(made / f"{name}_views/000.png")[..., :3]) >= 0).sum() > 100
     person = front.load_avatar(made / kind).pose()
-    assert np.isfinite(person.means).all() and len(person.means) > 1000
+    assert np.isfinite(person.means).all() and len(person.means) > 400
 
 
 def test_every_kind_of_file_is_in_a_film_in_all_that_it_is_written_as(made, hugs):
@@ -153,9 +153,8 @@ def test_every_kind_of_run_is_animated_composed_and_rendered(made, hugs):
         said = ("moves.npz", *who, "--only", "human", "--fps", "4", "--cameras", "view.npz", "--out", f"{clip}_own.mp4")
         hugs("animate", f"{clip}.mp4", *said)
         hugs("render", f"{clip}.mp4", *who, "--cameras", "view.npz", "--only", "human", "--out", f"{clip}_views")
-        also = f"avatar: {run}, who: {int((who or ['', 1])[1])}"
-        people += [f"{{{also}, motion: {motion}, at: [{len(people)}, 0]}}" for motion in ("squats", "clip")]
+        people.append(f"{{avatar: {run}, who: {int((who or ['', 1])[1])}, motion: squats, at: [{len(people)}, 0]}}")
     hugs("animate", "--avatar", "smpl_clothes.npz", "moves.npz", "--scene", "work/two/default", "--fps", "4")
-    (made / "runs.yaml").write_text(film_of(people, "runs"))
+    (made / "runs.yaml").write_text(film_of(people, "runs", ("film", "splats", "glb")))
     hugs("compose", "runs.yaml")
     assert (colour_of(read_image(made / "runs_at/000.000.png")) >= 0).sum() > 100

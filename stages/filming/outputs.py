@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -101,9 +102,8 @@ def joined(sets: list[Scene]) -> Scene:
     """Sets of Gaussians as one, with as many colours as the richest has."""
     most = max(one.shN.shape[1] for one in sets)
     rich = [np.pad(one.shN, ((0, 0), (0, most - one.shN.shape[1]), (0, 0))) for one in sets]
-    rows = {
-        n: np.concatenate([getattr(one, n) for one in sets]) for n in ("means", "quats", "scales", "opacities", "sh0")
-    }
+    names = ("means", "quats", "scales", "opacities", "sh0")
+    rows: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in sets]) for name in names}
     return Scene(**rows, shN=np.concatenate(rich), antialias=sets[-1].antialias)
 
 

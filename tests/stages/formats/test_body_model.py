@@ -203,6 +203,7 @@ def test_what_small_pickles_stand_for_is_made_once_and_within_a_budget(tmp_path,
         "letters": {"k": made(chumpy.csc, data=np.zeros(1, "S9999"), indices=[0], indptr=[0, 1], _shape=(4096, 4096))},
         "dense": {f"k{i}": made(chumpy.csc, data=np.zeros(1), indices=[0], indptr=[0, 1], _shape=(1 << 12, 1 << 12))
                   for i in range(12)},
+        "texts": {"k": made(chumpy.csc, data=np.zeros(1, "S3"), indices=[0], indptr=[0, 1, 1], _shape=(2, 2))},
         "words": {"k": made(chumpy.Ch, x=np.array(["a" * 99]))},
     }  # fmt: skip
     paths = {name: dump(tmp_path / f"{name}.pkl", content) for name, content in data.items()}
