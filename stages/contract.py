@@ -56,13 +56,15 @@ class StageError(Exception):
 
 
 @contextmanager
-def whole(out: Path, noted: Callable[[Path], None] = lambda part: None, flush: bool = False) -> Iterator[Path]:
-    """The one writer of files that others read: a path beside `out`, of its ending, whose file takes the place of `out`, or
-    of the link there, in one step when the block has ended well.
+def whole(
+    out: Path, noted: Callable[[Path], None] = lambda part: None, flush: bool = False, ending: str | None = None
+) -> Iterator[Path]:
+    """The one writer of files that others read: a path beside `out`, of its ending or another, whose file takes the place of
+    `out`, or of the link there, in one step when the block has ended well.
 
     `noted` hears of it just before; `flush`: the disk has it by then. Else `out` stays as it was, and nothing else is left.
     """
-    part = out.with_name(f".hugs-{os.urandom(6).hex()}{out.suffix[-16:]}")
+    part = out.with_name(f".hugs-{os.urandom(6).hex()}{out.suffix[-16:] if ending is None else ending}")
     try:
         yield part
         if flush:

@@ -9,5 +9,5 @@ from stages.contract import whole
 
 def replace(path: Path, text: str, flush: bool = False) -> None:
     """Replace a file in one step; `flush` it to the disk before. Raises OSError, and leaves nothing, where there is no room."""
-    with whole(path, flush=flush) as part, open(part, "w", encoding="utf-8") as file:
+    with whole(path, flush=flush, ending="") as part, open(part, "w", encoding="utf-8") as file:
         file.write(text)

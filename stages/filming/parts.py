@@ -17,7 +17,7 @@ import torch
 from stages.contract import Job, whole
 
 MADE = "made.json"  # file -> what it was made of, and its digest
-OURS = re.compile(r"([0-9a-f]{24}|\.hugs-[0-9a-f]{12})\.\w+")  # names of pieces, and of files that were not ended
+OURS = re.compile(r"[0-9a-f]{24}\.\w+|\.hugs-[0-9a-f]{12}(\.\w+)?")  # names of pieces, and of files that were not ended
 
 
 def mark(*things: object) -> str:
