@@ -160,11 +160,12 @@ def other(work, tmp_path) -> Path:
     store, links = tmp_path / "A/work/kitchen/store/train-01234567", tmp_path / "A/work/kitchen/default"
     for folder in (store, links, tmp_path / "B"):
         folder.mkdir(parents=True)
-    for file in (store / "stamp.json", store / "scene.ply", tmp_path / "B/kitchen.mp4"):
+    for file in (store / "scene.ply", tmp_path / "B/kitchen.mp4"):
         file.write_text("kept")
+    (store / "stamp.json").write_text(json.dumps({"inputs": {"video": "digest"}}))
     (links / "train").symlink_to("../store/train-01234567")
     (tmp_path / "A/work/kitchen/sources.json").write_text(
-        json.dumps({"video": {"path": str(tmp_path / "B/kitchen.mp4")}})
+        json.dumps({"video": {"path": str(tmp_path / "B/kitchen.mp4"), "sha256": "digest"}})
     )
     (tmp_path / "copy").symlink_to("A/work/kitchen/default/train")
     return links

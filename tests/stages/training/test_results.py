@@ -33,7 +33,6 @@ PEOPLE = {  # how what was trained comes out, how many of 162 rows are kept, and
         6,
         "none of 162",
     ),
-    "moved by no bone": (lambda p: p._replace(weights=0 * p.weights), 162, "none of"),
     "all transparent": (lambda p: p._replace(opacities=0 * p.opacities), None, ""),
 }
 
