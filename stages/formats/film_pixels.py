@@ -6,6 +6,7 @@ PyAV before 17 leaves a matrix that is named to swscale's default, BT.601: colou
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import av
 import numpy as np
@@ -18,7 +19,7 @@ QUARTER = 90  # degrees
 
 def turn_of(frame: av.VideoFrame) -> tuple[int, bool]:
     """Quarter turns counter-clockwise that put a frame upright, and whether it is still mirrored then."""
-    stored = frame.side_data.get("DISPLAYMATRIX")
+    stored: Any = frame.side_data.get("DISPLAYMATRIX")
     if stored is None:
         return 0, False
     a, b, _, c, d = np.frombuffer(bytes(stored), np.int32)[:5].astype(float)  # x -> a x + c y, y -> b x + d y, y down
@@ -49,6 +50,6 @@ def patch_off() -> int:
         box.mux(stream.encode(frame))
         box.mux(stream.encode(None))
     film.seek(0)
-    with av.open(film) as box:
-        shown = rgb_of(next(box.decode(video=0)), 32)
+    with av.open(film, "r") as written:
+        shown = rgb_of(next(written.decode(video=0)), 32)
     return int(np.abs(shown.astype(int) - [200, 40, 40]).max())

@@ -37,7 +37,7 @@ def _share(one: np.ndarray, two: np.ndarray, mask: np.ndarray, other: np.ndarray
     corners = cv2.goodFeaturesToTrack(grey[0], CORNERS, 0.01, 4)
     way = None
     if corners is not None and len(corners) >= 8:
-        there, sure, _ = cv2.calcOpticalFlowPyrLK(grey[0], grey[1], corners, None)
+        there, sure, _ = cv2.calcOpticalFlowPyrLK(grey[0], grey[1], corners, corners.copy())
         if sure.sum() >= 8:
             way, _ = cv2.estimateAffine2D(corners[sure.ravel() > 0], there[sure.ravel() > 0])
     moved = cv2.warpAffine(grey[0], np.eye(2, 3) if way is None else way, size, borderMode=cv2.BORDER_REPLICATE)
