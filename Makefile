@@ -2,8 +2,8 @@
 # make test                    the environment and the tests; HUGS_CLIPS=FOLDER names real clips, without it their tests are skipped
 # make quick                   the tests that take under a second each (WORKERS=2 processes, as with make test)
 # make hard                    the numerical hard cases: what holds each, how far from its bound
-# make mutants                 takes stabilisers out, one by one, and shows that a test notices
 # make lowest                  the oldest versions that pyproject.toml allows, in build/lowest; tests of films, masks and `ci` on them
+# make mutants                 takes stabilisers out, one by one, and shows that a test notices; FILE=stages/x.py: mistakes in that file
 # make bench WORK=work/kitchen/default   how fast it is here, with what that pipeline left; JSON in build/
 PYTHON ?= python3
 VENV   ?= .venv
@@ -30,7 +30,7 @@ hard: $(VENV)/ready
 	$(VENV)/bin/python -m tests.tools.hard_cases
 
 mutants: $(VENV)/ready
-	$(VENV)/bin/python -m tests.tools.mutants
+	$(VENV)/bin/python -m tests.tools.mutants $(FILE)
 
 lowest: $(VENV)/ready
 	$(VENV)/bin/python -m tests.tools.lowest

@@ -22,10 +22,12 @@ from hugs_cli.app_fleet import fleet
 from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
 from hugs_cli.app_view import view
 from hugs_cli.cache import child, engine
+from hugs_cli.cache import garbage as unused
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace, read_json, size_of
 from hugs_cli.console import Console, reasons_text
+from hugs_cli.direct import in_words
 from hugs_cli.options import (
     AsJson,
     BodyModel,
@@ -45,7 +47,6 @@ from hugs_cli.options import (
     open_session,
 )
 from hugs_cli.pipelines import UsageError
-from stages.contract import StageError
 
 HELP = "From a phone video to an animatable person and the scene, as 3D Gaussians."
 app = typer.Typer(
@@ -192,13 +193,13 @@ def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work"))
     if not workspace.store.is_dir():
         raise UsageError(f"no results of {video.name} in {work}", "choose the folder with `--work`")
     with workspace.lock(console.waiting):
-        for folder in workspace.garbage():
+        for folder in unused.garbage(workspace):
             freed += size_of(folder)
             said = "would remove" if dry_run else "removed"
             console.result(f"{said} {words.relative(folder)}  {words.size(size_of(folder))}")
             if not dry_run:
                 shutil.rmtree(folder)
-        for stray in workspace.strays():
+        for stray in unused.strays(workspace):
             console.say(f"{words.relative(stray)} is left alone: no run made it")
     console.result(f"{words.size(freed)} {'to free' if dry_run else 'freed'}")
 
@@ -286,12 +287,7 @@ def main() -> None:
     except RunStopped as stopped:
         Console().stopped(stopped.stage, stopped.continues)
         sys.exit(130)
-    except StageError as error:
-        Console().error(error)
-        sys.exit(2 if isinstance(error, UsageError) else 1)
-    except OSError as error:
-        said = child.file_error(error)
-        if said is None:
-            raise
+    except Exception as error:
+        said = in_words(error, f"hugs {' '.join(sys.argv[1:2])}")
         Console().error(said)
-        sys.exit(1)
+        sys.exit(2 if isinstance(said, UsageError) else 1)

@@ -59,6 +59,8 @@ def ablate(
     from hugs_cli.studies import ablate as ablations
 
     console, cases = Console(), ablations.cases(session, part or (), seeds)
+    for lacked in (one for one in ablations.lacking(session) if not part or one in part):
+        console.say(f"{lacked} is left out: pipeline {session.pipeline.name} does not have that part")
     session.check_sources()
     if not dry_run:
         session.workspace.create()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from contextlib import AbstractContextManager, nullcontext
+from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +14,9 @@ from hugs_cli import film as films
 from hugs_cli import words
 from hugs_cli.cache import engine
 from hugs_cli.cache.fingerprint import Code, digest
+from hugs_cli.cache.locks import locked
 from hugs_cli.cache.whole import replace
+from hugs_cli.cache.workspace import LOCK
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
@@ -64,8 +68,13 @@ def shoot(
 ) -> None:
     """Make a film, keeping its pieces in the folder `kept`; the paths of what was made are the result."""
     sources = [*given, *films.check_sources(film)]
-    for path in films.outputs(film):
-        check_out(path, work, sources, force, is_folder=film.out.stills is not None and path == film.out.stills.folder)
+    outs, folder = films.outputs(film), film.out.stills and film.out.stills.folder
+    for one, other in permutations(outs, 2):
+        place, inside = (Path(os.path.realpath(path)) for path in (one, other))
+        if place == inside or (one != folder and place in inside.parents):
+            raise UsageError(f"{one} and {other} cannot both be written", "give each a place of its own")
+    for path in outs:
+        check_out(path, work, sources, force, is_folder=path == folder)
     where = engine.device_of(device)
     console = Console()
     console.started(name, ())
@@ -80,9 +89,13 @@ def shoot(
 
     code = Code(work / CODE_MEMORY)
     settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
-    with remembering(films.outputs(film), work):
-        run_directly(films.MODULE, Job(kept or work, where, emit=heard), settings)
-    for path in films.outputs(film):
+    alone: AbstractContextManager[Any] = nullcontext()
+    if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
+        alone = locked(kept / LOCK, lambda holder: console.say(f"waiting: {holder} is making this film"), without=True)
+    with alone:
+        run_directly(films.MODULE, Job(kept or work, where, emit=remembering(work, heard)), settings)
+    for path in outs:
         console.result(words.relative(path))
 
 
@@ -132,6 +145,8 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     if out.exists() and not force:
         raise UsageError(f"{out} is already there", "choose another `--out`, or write over it with `--force`")
     check_out(out, work, runs, force=True)
+    if out.suffix.lower() not in (".yaml", ".yml"):
+        raise UsageError(f"cannot write {out}: a film is a .yaml", "`--out film.yaml`")
     names = [films.quoted(os.path.relpath(run, os.path.realpath(out.parent))) for run in runs]
     scene = names[0] if runs[0].is_dir() and (runs[0] / "train" / "scene.npz").exists() else None
     people = []

@@ -70,11 +70,11 @@ def render(
     check_out(out, work, (video, cameras, poses, avatar, scene), force, is_folder=True)
     where = engine.device_of(device.value)
     console = Console()
-    job = Job(out, where, emit=lambda event: console.say(event["text"]))
+    said = {"warning": "warning: "}
+    job = Job(out, where, remembering(work, lambda event: console.say(said.get(event["event"], "") + event["text"])))
     only = options.Only.human if avatar and not scene else only
     inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
-    with remembering([out], work):
-        run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
+    run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
     console.result(words.relative(out))
 
 
@@ -100,7 +100,7 @@ def animate(
         Path | None, Option(help="As for render, one or one a frame; the middle frame's if none.")
     ] = None,
     motion_fps: Annotated[
-        float | None, Option(min=0.1, help="Frames a second of the motion; the file's if none.")
+        float | None, Option(min=0.1, max=10_000, help="Frames a second of the motion; the file's if none.")
     ] = None,
     up: Annotated[options.Up | None, Option(help="Up in the file; where pelvises point if none.")] = None,
     force: Overwrite = False,

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
-from hugs_cli.cache.engine import StageFailed
 from hugs_cli.cache.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
 from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.workspace import Stamp
+from hugs_cli.direct import StageFailed
 from hugs_cli.words import ago, count, duration, number, plain
 from stages.contract import StageError
 

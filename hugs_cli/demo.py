@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
+import tempfile
 from pathlib import Path
 
 from hugs_cli.cache.fingerprint import Code, digest
@@ -21,15 +23,22 @@ def synthetic_clip(work: Path, seed: int, console: Console) -> Path:
     made_of = digest([seed, Code().digests(MODULE)])
     if video.is_file() and note.is_file() and json.loads(note.read_bytes()) == made_of:
         return video
-    folder.mkdir(parents=True, exist_ok=True)
-    note.unlink(missing_ok=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
     console.say(f"making the synthetic clip in {folder}")
-    writer = multiprocessing.get_context("spawn").Process(target=write, args=(folder, seed), daemon=True)
-    writer.start()
-    writer.join()
-    if writer.exitcode != 0:
-        raise StageError("the synthetic clip could not be made", "the lines above say why; please report them")
-    note.write_text(json.dumps(made_of))
+    with tempfile.TemporaryDirectory(
+        dir=folder.parent, prefix=".synthetic-"
+    ) as room:  # whole or not there, two at once or not
+        part = Path(room, "new")
+        part.mkdir()
+        writer = multiprocessing.get_context("spawn").Process(target=write, args=(part, seed), daemon=True)
+        writer.start()
+        writer.join()
+        if writer.exitcode != 0:
+            raise StageError("the synthetic clip could not be made", "the lines above say why; please report them")
+        (part / note.name).write_text(json.dumps(made_of))
+        if os.path.lexists(folder):
+            os.rename(folder, Path(room, "old"))
+        os.rename(part, folder)
     return video
 
 

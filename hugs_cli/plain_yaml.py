@@ -36,11 +36,18 @@ def read(text: str, most: int = MOST) -> Any:
 
 
 def check_size(text: str, most: int = MOST) -> None:
-    """ValueError for a document that is too deep, or too large with its aliases unfolded; builds nothing of it."""
+    """ValueError for a document that is too deep, too large with its aliases unfolded, or gives a key twice; builds nothing."""
     sizes: dict[str | None, int] = {}  # of what aliases stand for
     open_: list[tuple[str | None, int]] = []  # anchor of each list or mapping not yet ended, and values before it
+    keys: list[list[Any]] = []  # of each: those that it has, None for a list, and whether one came last
     count = 0
     for event in yaml.parse(text, Loader):
+        if isinstance(event, yaml.NodeEvent) and keys and keys[-1][0] is not None:
+            keys[-1][1] = not keys[-1][1]
+            if keys[-1][1] and isinstance(event, yaml.ScalarEvent) and event.value != "<<":
+                if event.value in keys[-1][0]:
+                    raise ValueError(f"{event.value} is given twice, again in line {event.start_mark.line + 1}")
+                keys[-1][0].add(event.value)
         if isinstance(event, yaml.AliasEvent):
             count += sizes.get(event.anchor, 0)
         elif isinstance(event, yaml.NodeEvent):
@@ -48,8 +55,10 @@ def check_size(text: str, most: int = MOST) -> None:
             sizes[event.anchor] = 1 if isinstance(event, yaml.ScalarEvent) else most  # most: it may not hold itself
         if isinstance(event, yaml.CollectionStartEvent):
             open_.append((event.anchor, count))
+            keys.append([set() if isinstance(event, yaml.MappingStartEvent) else None, False])
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, before = open_.pop()
+            keys.pop()
             sizes[anchor] = count - before + 1
         if len(open_) > DEEPEST:
             raise ValueError(f"more than {DEEPEST} lists and mappings in one another")

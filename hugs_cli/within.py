@@ -20,7 +20,7 @@ from hugs_cli.studies.comparison import Quiet
 from hugs_cli.words import duration
 from stages.contract import load_stage
 
-TIME = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+)s)?")
+TIME = re.compile(r"(?:([0-9]{1,6})h)?(?:([0-9]{1,6})m)?(?:([0-9]{1,6})s)?")
 CHOSEN = "within.json"  # in the pipeline's folder: the chosen settings, for a run that was cut short
 SLACK = 0.02  # of the time, that what follows training may be guessed to be late before it is made shorter
 
@@ -35,7 +35,7 @@ def seconds_of(text: str) -> int:
     hours, minutes, seconds = (int(part or 0) for part in found.groups()) if found else (0, 0, 0)
     total = 3600 * hours + 60 * minutes + seconds
     if not total:
-        raise UsageError(f"--within {text} is not a time", "write it as 10m, 90s or 1h30m")
+        raise UsageError(f"--within {text[:40]} is not a time", "write it as 10m, 90s or 1h30m")
     return total
 
 

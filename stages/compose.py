@@ -37,17 +37,26 @@ def run(job: Job, params: Params) -> None:
     from stages.filming.parts import Parts
     from stages.filming.setting import load_setting
     from stages.filming.shoot import Shoot
+    from stages.formats.budget import check_count
 
     _check_endings(params)
+    lengths = [("seconds", params.seconds or 0), ("moment", params.moment)]
+    lengths += [("start", person.start) for person in params.people]
+    lengths += [("at", second) for second in (params.out.stills.at if params.out.stills else ())]
+    for key, seconds in lengths:
+        check_count(abs(seconds) * params.fps, "pictures", f"a film with `{key}: {seconds:g}`")
     setting = load_setting(params, job.device)
+    for fact in setting.scene.said if setting.scene else ():
+        job.warn(fact)
     cast = _cast(job, params, setting)
     count = length_of(params, cast)
+    check_count(count, "pictures", "the film")
     cameras = cameras_of(params.camera, count, params.fps, params.size, setting, cast)
     for fault in faults_of(cast, setting.ground, count, params.fps):
         job.warn(fault)
     shoot = Shoot(setting, cast, cameras, params.fps)
     with tempfile.TemporaryDirectory() as passing:
-        _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code))
+        _write(job, params, shoot, Parts(job.out if params.keep else Path(passing), params.code, job))
 
 
 def length_of(film: Film, cast: Sequence[Actor]) -> int:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,9 @@ from pydantic.fields import FieldInfo
 
 
 class Params(BaseModel):
-    """Settings of one stage: frozen, unknown keys refused, docstrings under the fields shown by `hugs stages`."""
+    """Settings of one stage: frozen, finite, unknown keys refused, docstrings under the fields shown by `hugs stages`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 def speed_only(default: Any, **limits: Any) -> Any:
@@ -32,18 +34,45 @@ def changes_speed_only(setting: FieldInfo) -> bool:
     return isinstance(setting.json_schema_extra, dict) and bool(setting.json_schema_extra.get("speed_only"))
 
 
+LONGEST = 2000
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text):,} letters)"
+
+
 class StageError(Exception):
     """A stage cannot do its work.
 
     `problem` is one line: what is wrong, lower case, no full stop. `facts` are lines with numbers and names.
-    `hint` names the command or the change that helps.
+    `hint` names the command or the change that helps. Texts are cut at LONGEST letters: names in files may be of any length.
     """
 
     def __init__(self, problem: str, hint: str = "", facts: Sequence[str] = ()):
-        super().__init__(problem)
-        self.problem = problem
-        self.facts = tuple(facts)
+        self.problem = _short(problem)
+        super().__init__(self.problem)
+        self.facts = tuple(map(_short, facts))
         self.hint = hint
+
+
+@contextmanager
+def whole(out: Path, noted: Callable[[Path], None] = lambda part: None, flush: bool = False) -> Iterator[Path]:
+    """The one writer of files that others read: a path beside `out`, of its ending, whose file takes the place of `out`, or
+    of the link there, in one step when the block has ended well.
+
+    `noted` hears of it just before; `flush`: the disk has it by then. Else `out` stays as it was, and nothing else is left.
+    """
+    part = out.with_name(f".hugs-{os.urandom(6).hex()}{out.suffix[-16:]}")
+    try:
+        yield part
+        if flush:
+            with open(part, "rb") as file:
+                os.fsync(file.fileno())
+        noted(part)
+        os.replace(part, out)
+    finally:
+        with suppress(OSError):  # it is there only where something failed
+            part.unlink()
 
 
 @dataclass(frozen=True)
@@ -86,6 +115,12 @@ class Job:
     def warn(self, text: str) -> None:
         """Say what a user should know before trusting the result; shown, kept in the stamp and put in the report."""
         self.emit({"event": "warning", "text": text})
+
+    @contextmanager
+    def writes(self, out: Path) -> Iterator[Path]:
+        """`whole` for what a command is asked for; whoever listens may note what is about to appear at `out`."""
+        with whole(out, lambda part: self.emit({"event": "writes", "out": out, "part": part})) as part:
+            yield part
 
     @property
     def stop_asked(self) -> bool:

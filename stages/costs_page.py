@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from stages import contract
-from stages.contract import Job, StageError
+from stages.contract import Job, StageError, whole
 from stages.formats import page, plot
 from stages.formats.plot import Dot, Line, Panel
 
@@ -36,11 +36,11 @@ def run(
         hint = "leave out `--plot`: times and memory are compared without it"
         raise StageError("there is nothing to plot: no accuracy was measured in all of these pipelines", hint)
     figure = plot.plot(panels(result, regions), len(regions))
-    paths = {suffix: job.out / f"{params.name}.{suffix}" for suffix in ("svg", "png", "html")}
-    paths["svg"].write_text(plot.svg(figure, alone=True), encoding="utf-8")
-    paths["png"].write_bytes(plot.png(figure))
     text = page.fill("costs.html", title=params.title, plot=Markup(plot.svg(figure)), lines=table)
-    paths["html"].write_text(text, encoding="utf-8")
+    files = {"svg": plot.svg(figure, alone=True).encode(), "png": plot.png(figure), "html": text.encode()}
+    for suffix, data in files.items():
+        with whole(job.out / f"{params.name}.{suffix}") as part:
+            part.write_bytes(data)
 
 
 def panels(result: Mapping[str, Any], regions: Mapping[str, str]) -> list[Panel]:

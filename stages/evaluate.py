@@ -27,7 +27,8 @@ LOADS = contract.TORCH
 PROTOCOL = (
     "'heldout': poses of the body fit, corrected as the neighbouring training frames were. "
     "'heldout_fitted', where there is one: the pose alone is then fitted to the held-out picture, the Gaussians stay "
-    "as they are. full: whole picture (undistorted); person_crop: tight box of the mask; person_white: the person over white, "
+    "as they are. 'heldout_far': 'heldout' in the third of the frames whose poses are farthest from those of training. "
+    "full: whole picture (undistorted); person_crop: tight box of the mask; person_white: the person over white, "
     "the picture cut out by its mask, in the same box. Means over frames; PSNR over all channels at once, SSIM 11x11 "
     "with sigma 1.5, LPIPS AlexNet v0.1 on [-1,1] (lpips_legacy: on [0,1], as HUGS's code feeds it); psnr_per_channel: "
     "the mean of each channel's own. Equal pictures count 100 dB. Where the mask is empty nobody is drawn."
@@ -82,6 +83,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
 
     from stages.avatar.drawing.draw import to_uint8
     from stages.avatar.measures.lpips import Lpips
+    from stages.avatar.measures.poses import farthest
     from stages.avatar.splats.neighbours import spread_evenly
     from stages.estimators.assets import path
     from stages.filming.company import load_company, present
@@ -118,7 +120,13 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
     regions = (*REGIONS, *(MASKED_REGIONS if params.masked else ()))
+    for member, rows in zip(members, each, strict=True):
+        shows = [i for i in held if member.clip.shows_person(i)]
+        far = {clip.names[i] for i in farthest(member.clip.body.body_pose, shows, member.clip.training)}
+        rows["heldout_far"] = [row for row in rows["heldout"] if row["name"] in far]
     means, *of_others = [{protocol: _means(found, regions) for protocol, found in rows.items()} for rows in each]
+    for rows in each:
+        del rows["heldout_far"]
     gaussians = sum(len(member.learned.avatar.resting.means) for member in members)
     metrics = means | {
         "frames": len(held),
@@ -135,7 +143,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         metrics["people"] = {str(k): theirs for k, theirs in enumerate(of_others, 2)}
     (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False))
     for k, one in enumerate([means, *of_others], 1):
-        job.note(f"person {k}, " * bool(of_others) + _sentence(one["heldout"]))
+        job.note(f"person {k}, " * bool(of_others) + _sentence(one["heldout"], one["heldout_far"]))
     if not held:
         job.warn(f"nothing could be measured: no held-out frame to compare in {len(clip.names)} registered frames")
 
@@ -304,9 +312,14 @@ def _means(rows: list[dict[str, Any]], regions: tuple[str, ...]) -> dict[str, di
     return found
 
 
-def _sentence(held: dict[str, dict[str, float | None]]) -> str:
-    said = [f"{region.replace('_', ' ')} {held[region]['psnr']:.1f} dB" for region in REGIONS if held[region]["psnr"]]
-    return "held out: " + (", ".join(said) or "no person in any held-out frame")
+def _sentence(held: dict[str, dict[str, float | None]], far: dict[str, dict[str, float | None]]) -> str:
+    parts = []
+    for region in REGIONS:
+        psnr, there = held[region]["psnr"], far[region]["psnr"]
+        if psnr:
+            new = f" ({there:.1f} in the poses farthest from training)" if there and region != "full" else ""
+            parts.append(f"{region.replace('_', ' ')} {psnr:.1f} dB{new}")
+    return "held out: " + (", ".join(parts) or "no person in any held-out frame")
 
 
 def _versions() -> dict[str, str]:

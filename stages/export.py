@@ -244,7 +244,7 @@ def _lacks(job: Job, formats: set[str], people: list[Avatar], scene: Scene | Non
             f"the person's colours in {even} are those in even light: the clip's, which stays when they turn, is not in them"
         )
     antialias = any(avatar.antialias for avatar in people) or (scene is not None and scene.antialias)
-    silent = _among(formats, "ply", "glb", "usd", "sog", "ply_motion", "usd_motion")
+    silent = _among(formats, "glb", "usd", "sog", "usd_motion")
     if antialias and silent:
         job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
 

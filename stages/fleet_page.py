@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from stages import contract
-from stages.contract import Job, StageError
+from stages.contract import Job, StageError, whole
 
 ORDER = ("failed", "lost", "running", "before", "waiting", "todo", "stopped", "done", "fresh")
 WORDS = {"todo": "to do", "before": "before training done"}
@@ -90,13 +90,8 @@ def _draw(work: Path, rows: Sequence[Mapping[str, Any]], seconds: float) -> None
 
 
 def _replace(path: Path, data: bytes) -> None:
-    """Write a file whole; nothing is left where there is no room."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with whole(path) as part:
         part.write_bytes(data)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _shown(work: Path, row: Mapping[str, Any]) -> dict[str, Any]:

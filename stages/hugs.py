@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -117,8 +118,14 @@ def load_avatar(path: str | PathLike[str], device: str = "cpu") -> Avatar:
 
 
 def load_scene(path: str | PathLike[str], device: str = "cpu") -> Gaussians:
-    """The scene in a .ply, .spz or .npz of 3D Gaussians; StageError, with facts and a hint, for any other file."""
-    return Gaussians(_load_scene(read_any_scene(Path(path)), device))
+    """The scene in a .ply, .spz or .npz of 3D Gaussians; StageError, with facts and a hint, for any other file.
+
+    What of it is left out is a UserWarning.
+    """
+    scene = read_any_scene(Path(path))
+    for fact in scene.said:
+        warnings.warn(fact, stacklevel=2)
+    return Gaussians(_load_scene(scene, device))
 
 
 def camera(

@@ -170,6 +170,7 @@ class Scene:
     means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
     with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms. `antialias`: they were learned with opacities
     lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493); draw them so.
+    `said`: what the reader of their file left out, in sentences.
     """
 
     means: np.ndarray
@@ -179,6 +180,7 @@ class Scene:
     sh0: np.ndarray
     shN: np.ndarray
     antialias: bool = field(default=False, kw_only=True)
+    said: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -198,6 +200,12 @@ class Avatar(Scene):
     betas: np.ndarray
     canonical_pose: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
+
+    @property
+    def limb_weights(self) -> np.ndarray:
+        """Skinning weights [N,24] on the skeleton alone: a bone of clothes counts as the joints that carry it."""
+        own, worn = np.split(np.asarray(self.lbs_weights), [JOINTS], axis=1)
+        return own if self.clothes is None else own + worn @ np.asarray(self.clothes.carriers)
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,13 @@ LOADS = contract.TORCH
 
 
 class Params(contract.Params):
-    fps: int = Field(24, gt=0)
+    fps: int = Field(24, gt=0, le=240)
     """Frames a second of the videos."""
-    turntable_frames: int = Field(72, gt=0)
+    turntable_frames: int = Field(72, gt=0, le=10_000)
     """Pictures around the person."""
     motion: Literal["jumping_jacks", "wave", "walk_in_place", "squats"] = "jumping_jacks"
     """The motion that is not in the clip."""
-    motion_seconds: float = Field(4.0, gt=0)
+    motion_seconds: float = Field(4.0, gt=0, le=3600)
     """Length of that motion."""
 
     @field_validator("motion_seconds")

@@ -32,6 +32,7 @@ VIEWER = "../export/viewer.html"
 AGAIN = "train again: `hugs run VIDEO train --force`"
 PROTOCOLS = {
     "heldout": "held out",
+    "heldout_far": "held out, the poses farthest from training",
     "heldout_fitted": "held out, poses fitted",
 }
 
@@ -252,7 +253,8 @@ def _effects(found: Survey, gains: dict[str, Gain]) -> list[list[str]]:
     for name, effect in sorted(found.effects.items(), key=lambda item: not item[1].on):
         value = "" if effect.value is None else f"{effect.value:.3g} {effect.unit}"
         gain = gains.get(name)
-        gained = " / ".join(f"{db:+.2f} dB" for db in (gain.psnr, gain.psnr_person) if db is not None) if gain else ""
+        known = (gain.psnr, gain.psnr_person, gain.psnr_far) if gain else ()
+        gained = " / ".join(f"{db:+.2f} dB" for db in known if db is not None)
         cost = (f"{round(gain.seconds)} s" if gain.seconds > 0 else "not measurable") if gain else ""
         rows.append([name.replace("_", " "), "on" if effect.on else "off", value, f"{effect.threshold:g}"]
                     + [effect.verdict, f"{effect.confidence:.0%}", gained, cost, ", ".join(effect.frames)])  # fmt: skip

@@ -333,16 +333,16 @@ def fast_frames(poses: BodyPoses, quality: FitQuality) -> list[str]:
 
 
 def mean_known(values: np.ndarray) -> float | None:
-    """The mean of `values` without NaN, to 4 digits; None if all are NaN."""
+    """The mean of those `values` that are finite, to 4 digits; None if none is."""
     import numpy as np
 
-    finite = values[~np.isnan(values)]
+    finite = values[np.isfinite(values)]
     return round(float(finite.mean()), 4) if len(finite) else None
 
 
 def known(value: float) -> float | None:
-    """A value to 4 digits for JSON, None for NaN."""
-    return None if math.isnan(value) else round(float(value), 4)
+    """A value to 4 digits for JSON, None for one that is not finite."""
+    return round(float(value), 4) if math.isfinite(value) else None
 
 
 def count_names(names: list[str]) -> str:

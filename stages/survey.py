@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -70,13 +71,13 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     from stages.formats.images import Kept
 
     facts = read_facts(sfm / "sfm.json", Sfm)
-    kept, fitted = Kept(), (smpl / "landmarks.npz").exists()
+    kept = Kept()
     people = [replace(clip, kept=kept) for clip in load_people(sfm, smpl)]
     clip = people[0]
-    evidence = ClipEvidence(clip, facts, fitted=fitted)
+    evidence = ClipEvidence(clip, facts)
     each = [evidence]
     if len(people) > 1:
-        each = [ClipEvidence(apart(one, people), facts, fitted=fitted) for one in people]
+        each = [ClipEvidence(apart(one, people), facts) for one in people]
     measures, findings = camera_measures(facts, clip) | person_measures(clip), {}
     for done, (name, detect) in enumerate(DETECTORS.items()):
         job.progress(done, len(DETECTORS))
@@ -122,11 +123,12 @@ def decide(setting: Effect, finding: Finding) -> dict:
 
 
 def reasons(effects: dict[str, dict]) -> list[str]:
-    """The effects that are on and why, those that could not be measured, and the names of the rest, in words."""
+    """The effects that are on and why, why clothing is off, those that could not be measured, and the names of the rest."""
     lines = [f"{name.replace('_', ' ')} on ({effect['why']})" for name, effect in effects.items() if effect["on"]]
     off = {name: effect for name, effect in effects.items() if not effect["on"]}
-    lines += [f"{name.replace('_', ' ')} off ({e['why']})" for name, e in off.items() if e["value"] is None]
-    quiet = [name.replace("_", " ") for name, effect in off.items() if effect["value"] is not None]
+    why = {name: name == "clothing" or effect["value"] is None for name, effect in off.items()}
+    lines += [f"{name.replace('_', ' ')} off ({effect['why']})" for name, effect in off.items() if why[name]]
+    quiet = [name.replace("_", " ") for name in off if not why[name]]
     return lines + ([f"off: {', '.join(quiet)}"] if quiet else [])
 
 
@@ -141,9 +143,9 @@ def decide_scene(setting: Effect, verdict: str, points: int) -> tuple[bool, str]
 
 
 def measure(value: float | None, unit: str, threshold: float, verdict: str, frames: list[str] | None = None) -> dict:
-    """One of the measures of survey.json; `value` None means too little to measure, and the verdict "unknown"."""
-    if value is None:
-        verdict = "unknown"
+    """One of the measures of survey.json; `value` None or not finite: too little to measure, and the verdict "unknown"."""
+    if value is None or not math.isfinite(value):
+        value, verdict = None, "unknown"
     return {"value": value, "unit": unit, "threshold": threshold, "verdict": verdict, "frames": frames or []}
 
 
@@ -164,7 +166,7 @@ def camera_measures(facts: Sfm, clip: Clip) -> dict[str, dict]:
         centers = camera_centers(clip.viewmats)
         depth = np.median([np.median(project(clip.points, view, K)[1]) for view, K in zip(clip.viewmats, clip.Ks)])
         reach = np.linalg.norm(centers - np.median(centers, 0), axis=1)
-        ratio = float(2 * np.quantile(reach, 0.9) / depth)
+        ratio = float(2 * np.quantile(reach, 0.9) / depth) if depth > 0 else None
     return {
         "camera_parallax": measure(
             angle, "deg", MIN_PARALLAX_DEG, "good" if angle and angle >= MIN_PARALLAX_DEG else "weak"

@@ -57,8 +57,11 @@ def run(
     learned = load_learned(*given, job.device)
     if smpl is not None and params.who > 1:
         learned = casting(learned, read_body_model(smpl / "body_model.npz"), given[0].betas)
-    for fact in lacks(avatar, scene):
+    room = given[1]
+    for fact in lacks(avatar, scene, room is not None and room.antialias):
         job.note(fact)
+    for fact in room.said if room else ():
+        job.warn(fact)
     if only != "human" and train is not None and scene is None:
         check_scene(train)
     if cameras is None:
@@ -87,7 +90,6 @@ def run(
         behind = learned.shade(learned.scene, None if human is None else pose) if only != "human" else None
         image, alpha = draw(human, behind, view)
         color = image / np.maximum(alpha, 1 / 255)[..., None]
-        picture = job.out / f"{name}.png"
-        picture.unlink(missing_ok=True)  # it may be a link to somebody's picture
-        write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
+        with job.writes(job.out / f"{name}.png") as picture:
+            write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
     job.note(f"{len(views)} picture{'' if len(views) == 1 else 's'} of {only}")

@@ -145,6 +145,10 @@ def file_error(error: BaseException, out: str = "", inputs: Iterable[str | None]
     if error.errno in FORBIDDEN:
         hint = "make it readable, and the work folder writable; `--work` chooses another one"
         return StageError(f"cannot read or write {name or 'a file'}: {os.strerror(error.errno).lower()}", hint)
+    if error.errno == errno.ENAMETOOLONG:
+        return StageError(
+            f"a name is too long for this machine: {name[:60]}...", "give it a shorter one", [f"{len(name)} letters"]
+        )
     given = [path for path in inputs if path]
     if error.errno in GONE and (not out or any(name == path or name.startswith(f"{path}/") for path in given)):
         return StageError(f"{name} is gone or cannot be read", "put it back, and run again; finished stages are kept")

@@ -17,12 +17,14 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Protocol
 
-from hugs_cli.cache import child, whole
+from hugs_cli.cache import child, garbage, whole
+from hugs_cli.cache.fingerprint import files_under
 from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished, Verdict, is_code
 from hugs_cli.cache.launcher import Launcher, Outcome
-from hugs_cli.cache.workspace import LOG, STAMP, Accepted, FileFacts, Machine, Stamp, seal
+from hugs_cli.cache.workspace import LOG, OURS, STAMP, Accepted, FileFacts, Machine, Stamp, remove, seal
+from hugs_cli.direct import StageFailed, failed
 from hugs_cli.pipelines import Stage, UsageError
-from stages.contract import StageError, StageRecord
+from stages.contract import StageRecord
 
 FULL_DISK = 1 << 20  # bytes
 EARLIER = ".earlier.json"  # beside an unfinished result: what it has taken so far
@@ -49,13 +51,7 @@ class Ran:
     stamp: Stamp
 
 
-class StageFailed(StageError):
-    """A stage ended without a result: exit code 1. `traceback` is filled if the cause is a bug."""
-
-    traceback: str = ""
-
-
-class RunStopped(Exception):
+class RunStopped(BaseException):
     """The run was asked to stop and did: exit code 130."""
 
     def __init__(self, stage: str, continues: bool):
@@ -74,9 +70,9 @@ def run(session: Session, wanted: list[str], forced: frozenset[str], device: str
             name = stage.name
             verdict = session.verdict(stage, done, name in forced)
             assert verdict.recipe and verdict.folder, "every stage before it is fresh by now"
-            if verdict.stamp:
-                watcher.cached(name, verdict.stamp)
-                stamp, state = verdict.stamp, "cached"
+            if stamp := verdict.stamp or rescued(session, verdict):
+                watcher.cached(name, stamp)
+                state = "cached"
             else:
                 then = after.loads if after else None
                 stamp = make(session, stage, verdict.recipe, verdict.reasons, done, device, launcher, then, watcher)
@@ -86,6 +82,22 @@ def run(session: Session, wanted: list[str], forced: frozenset[str], device: str
             ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
         session.code.save()
     return ran
+
+
+def rescued(session: Session, verdict: Verdict) -> Stamp | None:
+    """The result of a run that was killed when it was whole and had not got its name; None if there is none, or by force."""
+    assert verdict.recipe and verdict.folder
+    part = session.workspace.part(verdict.stage, verdict.recipe.key)
+    stamp = None if Forced() in verdict.reasons or part.is_symlink() else Stamp.read(part)
+    if (
+        stamp is None
+        or stamp.key != verdict.recipe.key
+        or stamp.damage(part)
+        or {*files_under(part)} - {*OURS, *stamp.files}
+    ):
+        return None
+    session.workspace.publish(part, verdict.folder)
+    return stamp
 
 
 def make(
@@ -104,8 +116,11 @@ def make(
     `then` names the libraries that the next stage loads, None if this is the last.
     """
     part = session.workspace.part(stage.name, recipe.key)
-    if part.exists() and (not stage.resumes or Forced() in reasons):
-        shutil.rmtree(part)
+    resumes = (
+        stage.resumes and Forced() not in reasons and not any(one.is_symlink() for one in (part, *part.rglob("*")))
+    )
+    if os.path.lexists(part) and not resumes:  # runs leave no links, by which they would write elsewhere
+        remove(part)
     part.mkdir(exist_ok=True)
     (part / STAMP).unlink(missing_ok=True)
     device = device_of(device)
@@ -243,18 +258,13 @@ def stamp_of(
     )
 
 
-def failure(stage: Stage, outcome: Outcome, log: Path, continues: bool) -> Exception:
+def failure(stage: Stage, outcome: Outcome, log: Path, continues: bool) -> BaseException:
     """The error that says how a stage ended without a result; `continues`: the next run goes on where it was stopped."""
     facts = outcome.facts
     if outcome.kind == "stopped":
         return RunStopped(stage.name, continues)
-    if outcome.kind == "error":
-        return StageFailed(facts["problem"], facts["hint"], facts["facts"])
-    if outcome.kind == "crash":
-        hint = f"this is a fault in hugs, not in your clip; please report it with {log}"
-        error = StageFailed(f"stage {stage.name} has a bug: {facts['problem']}", hint)
-        error.traceback = facts.get("traceback", "")
-        return error
+    if outcome.kind in ("error", "crash"):
+        return failed({**facts, "event": outcome.kind}, f"stage {stage.name}", str(log))
     memory = f"peak memory {outcome.peak_memory_bytes / 2**30:.1f} GiB after {outcome.seconds:.0f} s"
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()][-3:]
     if not facts["signal"] > 0:
@@ -294,7 +304,7 @@ def rekey(session: Session, verdict: Verdict) -> Stamp | None:
     with uninterrupted():
         stamp.write(folder)
         os.rename(folder, new)
-        session.workspace.relink(folder, new)
+        garbage.relink(session.workspace, folder, new)
         session.workspace.log_run(stage=verdict.stage, pipeline=session.pipeline.name, result="accepted", **how)
     return stamp
 

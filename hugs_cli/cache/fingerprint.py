@@ -18,6 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from hugs_cli.cache.whole import replace
+
 FILE_NAME = re.compile(r"[\w./-]*\w\.\w{1,8}")
 MODULE_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 FORMAT = f"1 {sys.version_info[0]}.{sys.version_info[1]}"  # of the remembered digests; Python's syntax trees differ
@@ -67,9 +69,11 @@ def content_digest(path: Path) -> str:
 
 
 def stat_digest(path: Path) -> str:
-    """A cheap digest of names, sizes and times: if it is the same, the content need not be read again."""
+    """A cheap digest of names, and of which files they are, sizes and times: if it is the same, the content need not be read
+    again. Times of content can be set, and two files share them; a file's own number and the time of its last change not."""
     stats = {name: file.stat() for name, file in files_under(path).items()}
-    return digest({name: [stat.st_size, stat.st_mtime_ns] for name, stat in stats.items()})
+    told = ("st_dev", "st_ino", "st_size", "st_mtime_ns", "st_ctime_ns")
+    return digest({name: [getattr(stat, one) for one in told] for name, stat in stats.items()})
 
 
 class Code:
@@ -126,13 +130,8 @@ class Code:
         if self.memory is None or set(self.used) <= set(self.known):
             return
         modules = {**self.known, **self.used} if len(self.known) < REMEMBERED else self.used
-        part = self.memory.with_name(f"{self.memory.name}.{os.getpid()}")
-        try:
-            part.write_text(json.dumps({"format": FORMAT, "modules": modules}))
-            os.replace(part, self.memory)
-        except OSError:
-            with suppress(OSError):  # where nothing may be written, nothing may be removed
-                part.unlink()
+        with suppress(OSError):
+            replace(self.memory, json.dumps({"format": FORMAT, "modules": modules}))
 
 
 def read_memory(memory: Path) -> dict[str, Any]:

@@ -209,6 +209,8 @@ class Session:
         inputs = {need: self.input_digest(need, before) for need in sorted(stage.needs)}
         recipe = Recipe(stage.name, seed, code, params, inputs)
         folder, part = self.workspace.folder(stage.name, recipe.key), self.workspace.part(stage.name, recipe.key)
+        if linked and last and last.key == recipe.key and not folder.exists():
+            folder = linked  # it was accepted, and that was killed before it had its new name
         stamp = Stamp.read(folder)
         if stamp and stamp.key != recipe.key:
             stamp = None

@@ -7,8 +7,6 @@ work/dance/  sources.json  runs.jsonl  .lock
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import json
 import os
 import re
@@ -25,13 +23,15 @@ from pydantic import AfterValidator, TypeAdapter
 from typing_extensions import TypedDict  # as pydantic checks it, before Python 3.12
 
 from hugs_cli.cache import fingerprint
+from hugs_cli.cache.locks import locked
 from hugs_cli.cache.whole import replace
 from hugs_cli.pipelines import UsageError
+from stages.contract import whole
 
 STAMP, LOG = "stamp.json", "log.txt"
 OURS = (STAMP, LOG)  # in a result's folder, but no part of the result
 PART, OLD = ".part", ".old"
-NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)  # NFS and Lustre, as some are set up
+LOCK, USERS = ".lock", ".users.json"  # of a store; which folders of clips have it by a link
 RESULT = re.compile(r"[a-z][a-z0-9_]*-[0-9a-f]{8}(\.part|\.old)?")
 
 
@@ -145,6 +145,8 @@ class Workspace:
             self.store.mkdir(parents=True, exist_ok=True)
             self.links.mkdir(exist_ok=True)
             self.log_run()
+            if self.store.is_symlink() and (root := os.path.realpath(self.root)) not in (users := self.users()):
+                write_json(self.beside(USERS), {"users": [*users, root]})
         except OSError as error:
             hint = "choose a folder that can be written with `--work`"
             raise UsageError(f"cannot write to {self.root}", hint, [str(error.strerror)]) from error
@@ -165,10 +167,10 @@ class Workspace:
     def link(self, stage: str, folder: Path) -> None:
         """Point this pipeline's link at a result, in one step."""
         self.links.mkdir(exist_ok=True)
-        self._point(self.links / stage, folder)
+        self.point(self.links / stage, folder)
 
-    def _point(self, link: Path, folder: Path) -> None:
-        """Point a link at a result; a copy of a result that stands in the link's place goes to the store."""
+    def point(self, link: Path, folder: Path) -> None:
+        """Point any link at a result; a copy of a result that stands in the link's place goes to the store."""
         name = result_behind(link)
         if link.is_dir() and not link.is_symlink():
             if name is None:
@@ -177,12 +179,13 @@ class Workspace:
             shutil.rmtree(old, ignore_errors=True)
             shutil.move(link, old if (self.store / name).exists() else self.store / name)
             shutil.rmtree(old, ignore_errors=True)
-        elif name == folder.name:
+        elif os.path.realpath(link) == os.path.realpath(folder):
             return
-        new = link.with_name(f".{link.name}.new")
-        new.unlink(missing_ok=True)
-        new.symlink_to(os.path.join("..", "store", folder.name))
-        os.replace(new, link)
+        way, real = os.path.join("..", "store", folder.name), os.path.realpath(folder)
+        if os.path.realpath(link.parent / way) != real:  # the pipeline's folder is a link, or the clip's is another one
+            way = os.path.relpath(real, os.path.realpath(link.parent))
+        with whole(link) as new:
+            new.symlink_to(way)
 
     def publish(self, part: Path, folder: Path) -> None:
         """Give a stamped folder its final name. Replaces a damaged or forced one of that name."""
@@ -232,50 +235,29 @@ class Workspace:
         return found
 
     def log_run(self, **facts: Any) -> None:
-        """Add a line to runs.jsonl. Without facts: only test that it can be written."""
-        with open(self.root / "runs.jsonl", "a", encoding="utf-8") as file:
+        """Add a line to runs.jsonl, never to a file elsewhere. Without facts: only test that it can be written."""
+        log = self.root / "runs.jsonl"
+        if log.is_symlink() and log.is_file():
+            log.unlink()
+        with open(log, "a", encoding="utf-8") as file:
             file.write(json.dumps(facts) + "\n" if facts else "")
 
     @contextmanager
     def lock(self, waiting: Callable[[str], None]) -> Iterator[int]:
-        """Lock this clip. If another process holds it, calls `waiting` with its name and waits. Yields the handle for the child.
-
-        The lock belongs to the open file, so a stage's process that outlives a killed run still holds it. UsageError on
-        a file system without locks, unless the clip is leased.
-        """
-        handle = os.open(self.root / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                waiting(os.pread(handle, 200, 0).decode(errors="replace").strip() or "another process")
-                fcntl.flock(handle, fcntl.LOCK_EX)
-            except OSError as error:
-                if error.errno not in NO_LOCKS:
-                    raise
-                if not self.leased:
-                    hint = "choose one on another disk with `--work`, or use `hugs fleet`, which can do without"
-                    raise UsageError(f"no file can be locked in {self.root}", hint, [str(error.strerror)]) from error
-            os.ftruncate(handle, 0)
-            os.pwrite(handle, f"process {os.getpid()}".encode(), 0)
+        """Lock the store, for all folders of links that have it; see `locks.locked`. The lock belongs to the open file, so a
+        stage's process that outlives a killed run still holds it."""
+        with locked(self.beside(LOCK), waiting, without=self.leased) as handle:
             yield handle
-        finally:
-            os.close(handle)
 
-    def garbage(self) -> list[Path]:
-        """Results that no pipeline links to, and leftovers of stopped or killed runs."""
-        linked = {result_behind(link) for link in self.root.glob("*/*") if link.parent != self.store}
-        return sorted(one for one in self.store.glob("*") if is_result(one) and one.name not in linked)
+    def beside(self, name: str) -> Path:
+        """A file that belongs to the real store, wherever links to it lie: in the clip's folder, or in a store of another name."""
+        store = Path(os.path.realpath(self.store))
+        return (store.parent if store.name == "store" else store) / name
 
-    def strays(self) -> list[Path]:
-        """What lies in the store and was not made by a run."""
-        return sorted(one for one in self.store.glob("*") if not is_result(one))
-
-    def relink(self, old: Path, new: Path) -> None:
-        """Point every pipeline's link from one result to another."""
-        for link in self.root.glob("*/*"):
-            if link.parent != self.store and result_behind(link) == old.name:
-                self._point(link, new)
+    def users(self) -> set[str]:
+        """The folders of clips that have this store by a link, and are there."""
+        named = read_json(self.beside(USERS)).get("users")
+        return {one for one in named if os.path.lexists(str(one))} if isinstance(named, list) else set()
 
 
 def result_behind(link: Path) -> str | None:
@@ -283,15 +265,19 @@ def result_behind(link: Path) -> str | None:
 
     A work folder that was copied with its links resolved has a copy of the result there, with its stamp.
     """
-    if link.is_symlink():
-        return os.path.basename(os.readlink(link))
-    stamp = Stamp.read(link)
-    return f"{stamp.stage}-{stamp.key[:8]}" if stamp else None
+    stamp = None if link.is_symlink() else Stamp.read(link)
+    name = f"{stamp.stage}-{stamp.key[:8]}" if stamp else os.path.basename(os.path.realpath(link))
+    return name if (stamp or link.is_symlink()) and RESULT.fullmatch(name) else None
 
 
 def is_result(path: Path) -> bool:
     """Whether something in a store is a result of a run, finished or not."""
     return RESULT.fullmatch(path.name) is not None and path.is_dir() and not path.is_symlink()
+
+
+def remove(path: Path) -> None:
+    """Remove a folder, or only the link where it is one."""
+    path.unlink() if path.is_symlink() else shutil.rmtree(path)
 
 
 def clip_name(video: Path) -> str:

@@ -163,9 +163,17 @@ def write(work: Path, name: str, rows: Sequence[dict[str, Any]], total: dict[str
     table = csv.DictWriter(text, CSV, extrasaction="ignore", lineterminator="\n")
     table.writeheader()
     for row in rows:
-        joined = {column: "; ".join(row[column]) for column in ("effects", "warnings")}
-        table.writerow(row | joined)
+        cells = row | {column: "; ".join(row[column]) for column in ("effects", "warnings")}
+        table.writerow({name: plain_cell(cell) for name, cell in cells.items()})
     replace(work / f"{name}.csv", text.getvalue())
+
+
+def plain_cell(cell: Any) -> Any:
+    """A cell as tables show it: a text that they would take for a formula gets a ' before it."""
+    if not isinstance(cell, str):
+        return cell
+    cell = cell.replace("\r", " ")  # which ends a line, and csv does not quote it
+    return f"'{cell}" if cell.lstrip()[:1] in tuple("=+-@") else cell
 
 
 def as_json(rows: Sequence[dict[str, Any]], total: dict[str, Any]) -> str:

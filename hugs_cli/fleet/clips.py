@@ -23,7 +23,8 @@ COLUMNS = ("clip", "pipeline", "settings", "masks", "fit", "person")
 TABLES = (".csv", ".yaml", ".yml")
 LISTS = (".txt",)
 LARGEST = 2_000_000  # values of a table
-UNSAFE = re.compile(r"[^A-Za-z0-9_.-]")
+LONGEST = 240  # bytes of a folder's name, of 255 that it may have
+UNSAFE, OLD_UNSAFE = re.compile(r"[^\w.-]"), re.compile(r"[^A-Za-z0-9_.-]")  # in names of folders: now, and before
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,13 @@ class Row:
     def id(self) -> str:
         """What tells this row from all others of its fleet: safe as a file's name."""
         told = f"{self.name}.{self.pipeline}"
-        return f"{UNSAFE.sub('_', told)[:80]}.{digest([str(self.work), told])[:6]}"
+        return f"{UNSAFE.sub('_', told)[:40]}.{digest([str(self.work), told])[:12]}"
+
+    @property
+    def same(self) -> tuple[Any, ...]:
+        """Equal for rows that are one, whatever their paths count from."""
+        paths = (path and os.path.abspath(path) for path in (self.video, self.work, self.masks, self.fit))
+        return *paths, self.pipeline, self.settings, self.person
 
 
 def read(given: Iterable[str], pipeline: str, settings: Iterable[str], work: Path) -> list[Row]:
@@ -60,11 +67,12 @@ def read(given: Iterable[str], pipeline: str, settings: Iterable[str], work: Pat
 
     What a table leaves open is taken from `pipeline`, and its settings are added to `settings`.
     """
-    rows: dict[Row, None] = {}
+    rows: dict[tuple[Any, ...], Row] = {}
     for text in given:
         for entry, where in entries(text):
-            rows[row_of(entry, where, pipeline, tuple(settings), work)] = None
-    return told_apart(list(rows))
+            row = row_of(entry, where, pipeline, tuple(settings), work)
+            rows.setdefault(row.same, row)
+    return told_apart(list(rows.values()))
 
 
 def entries(text: str) -> Iterator[tuple[dict[str, Any], str]]:
@@ -173,7 +181,7 @@ def told_apart(rows: list[Row]) -> list[Row]:
     found = [replace(row, work=places[os.path.abspath(row.video)]) for row in rows]
     ids: dict[str, Row] = {}
     for row in found:
-        if ids.setdefault(row.id, row) != row:
+        if ids.setdefault(row.id, row).same != row.same:
             facts = [f"{' '.join(one.settings) or 'no settings'}, masks {one.masks}, fit {one.fit}, person {one.person}"
                      for one in (ids[row.id], row)]  # fmt: skip
             hint = "give each a pipeline of its own in a file, see `--pipelines-file`"
@@ -190,10 +198,17 @@ def clip_folders(work: Path) -> Iterator[Path]:
 def work_folders(work: Path, video: Path) -> Iterator[Path]:
     """Where results of a clip may lie: in the work folder, else in one named after the folders that the clip lies in."""
     yield work
-    parents = [UNSAFE.sub("_", part) for part in video.parent.parts[1:]]
-    for count in range(1, len(parents) + 1):
-        yield work / f"from-{'-'.join(parents[-count:])}"
-    yield work / f"from-{'-'.join([*parents, UNSAFE.sub('_', video.suffix[1:])])}"
+    for unsafe in (UNSAFE, OLD_UNSAFE):
+        parents = [unsafe.sub("_", part) for part in video.parent.parts[1:]]
+        for count in range(1, len(parents) + 1):
+            yield work / f"from-{short('-'.join(parents[-count:]))}"
+        yield work / f"from-{short('-'.join([*parents, unsafe.sub('_', video.suffix[1:])]))}"
+    yield work / f"from-{digest(str(video))[:12]}"  # no other has that
+
+
+def short(name: str) -> str:
+    """The end of a name that no folder may have."""
+    return name if len(os.fsencode(name)) < LONGEST else name[-LONGEST // 4 :]
 
 
 def recorded(root: Path) -> str | None:

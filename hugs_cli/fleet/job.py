@@ -24,6 +24,7 @@ from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
+from hugs_cli.direct import in_words
 from hugs_cli.fleet import lease as leases
 from hugs_cli.fleet.clips import Row, recorded
 from hugs_cli.fleet.lease import Lease
@@ -220,17 +221,11 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
 
 def told(error: Exception) -> dict[str, Any]:
     """How a row's file tells of a failure, and the words for the log."""
-    if isinstance(error, OSError) and not isinstance(error, StageError):
-        error = child.file_error(error) or error
-    if not isinstance(error, StageError):
-        import traceback
-
-        traceback.print_exc()
-        problem = f"hugs has a bug: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
-        return {"kind": "bug", "problem": problem, "hint": "please report it with the log", "facts": []}
-    Console().error(error)
-    kind = AGAIN if any(words in error.problem for words in OUT_OF_MEMORY) else "error"
-    return {"kind": kind, "problem": error.problem, "hint": error.hint, "facts": list(error.facts)}
+    said = in_words(error, "hugs")
+    Console().error(said)
+    bug = bool(getattr(said, "traceback", "")) and not isinstance(error, StageError)
+    kind = "bug" if bug else AGAIN if any(words in said.problem for words in OUT_OF_MEMORY) else "error"
+    return {"kind": kind, "problem": said.problem, "hint": said.hint, "facts": list(said.facts)}
 
 
 def row_of(facts: dict[str, Any]) -> Row:

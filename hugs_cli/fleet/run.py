@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import time
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from stages.contract import StageError
 
 LOOK_EVERY, PAGE_EVERY = 0.2, 2.0  # s
 PAGE_SHARE = 20  # a page is written again after at least so many times what writing it took
+CALL = re.compile(r"[0-9a-f]{12}")  # names of the folders of calls
 STOPPING = 90.0  # s until jobs that were asked to stop are ended
 
 
@@ -73,7 +75,7 @@ class Fleet:
     def lay_out(self, room: Path, me: dict[str, Any], todo: list[Planned]) -> None:
         """Write what the jobs of this call read, and take away the folders of earlier calls."""
         for old in self.folder.iterdir():
-            if old.is_dir():
+            if CALL.fullmatch(old.name):
                 shutil.rmtree(old, ignore_errors=True)  # a job of an earlier call may still write there
         for folder in (ROWS, LOGS):
             (room / folder).mkdir(parents=True)
@@ -143,8 +145,8 @@ class Press:
         why = ""
         try:
             board.write(self.fleet.common.work, self.fleet.name, rows, total, live=not over)
-        except OSError as error:  # a full disk: the clips go on, and the page comes when there is room
-            why = error.strerror or str(error)
+        except (OSError, StageError) as error:  # a full disk: the clips go on, and the page comes when there is room
+            why = getattr(error, "strerror", None) or str(error)
         if why and (over or why != self.unwritten):
             self.console.say(f"the page cannot be written: {why}")
         self.unwritten = why

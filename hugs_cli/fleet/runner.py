@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from hugs_cli.cache import child
+from hugs_cli.cache import child, whole
 from hugs_cli.fleet.history import free_megabytes
 from hugs_cli.fleet.job import LOGS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
@@ -156,7 +156,7 @@ class Snakemake:
             "threads": order.threads,
             "minutes": max(30, round(max(known) / 20)) if len(known) == len(order.todo) else MINUTES,
         }
-        (order.folder / "jobs.json").write_text(json.dumps(jobs))
+        whole.replace(order.folder / "jobs.json", json.dumps(jobs))
         command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOM / "Snakefile"), "--directory",
                    str(order.folder), "--nolock", "--rerun-incomplete", "--drop-metadata", "--rerun-triggers", "mtime",
                    "--keep-going", "--profile", profile_folder(order.profile)]  # fmt: skip

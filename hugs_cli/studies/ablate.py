@@ -21,14 +21,23 @@ NEEDS_SCENE = ("no_human_loss", "no_joint")
 
 
 def cases(session: Session, parts: Sequence[str], seeds: int) -> list[Case]:
-    """Every training of a comparison, seed by seed, the full method first; without `parts`, of all.
+    """Every training of a comparison, seed by seed, the full method first; without `parts`, of all that the pipeline has.
 
     UsageError for a part that is not known; "none" is no part.
     """
     for part in parts:
         if part not in (*ABLATIONS, "none"):
             raise unknown("part", part, [*ABLATIONS, "none"], "hugs ablate --part")
-    return comparison.cases(session, ("", *(part for part in ABLATIONS if not parts or part in parts)), seeds)
+    left_out = lacking(session)
+    chosen = (part for part in ABLATIONS if (not parts or part in parts) and part not in left_out)
+    return comparison.cases(session, ("", *chosen), seeds)
+
+
+def lacking(session: Session) -> list[str]:
+    """The parts that a pipeline does not have, or has switched off already: without them it is itself."""
+    session.pipeline.upstream(["train"])  # refuses a pipeline without it
+    train = session.pipeline.stages["train"].params
+    return [part for part, setting in ABLATIONS.items() if not getattr(train, setting, False)]
 
 
 def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:

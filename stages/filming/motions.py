@@ -13,8 +13,10 @@ from stages.avatar.motion.placing import Placed, Soles
 from stages.avatar.motion.retarget import Performance
 from stages.contract import StageError
 from stages.formats.body_model import FREE, SMPL
+from stages.formats.budget import check_count
 from stages.formats.motions import bvh, bvh_names
-from stages.formats.motions.smpl_npz import read_smpl_motion
+from stages.formats.motions.rates import usual_rate
+from stages.formats.motions.smpl_npz import FILES, read_smpl_motion
 from stages.records import BodyPoses, Ground
 
 DEFAULT_FPS = 30.0  # of a motion file that does not say
@@ -39,22 +41,38 @@ class Manner:
         return self.fps / self.speed
 
 
+def check_time(seconds: float, wanted: float, where: Path | str) -> None:
+    """StageError for a motion that takes so long, or is so slow, that its poses at `wanted` a second are too many."""
+    check_count(
+        max(seconds, 1.0) * wanted,
+        "poses",
+        where,
+        f"it takes {seconds:.4g} s: cut it, or say its rate with `--motion-fps`",
+    )
+
+
 def from_file(
     path: Path, manner: Manner, soles: Soles, parents: Sequence[int], body: str = SMPL
 ) -> tuple[Placed, list[str]]:
-    """A .bvh or .npz retargeted to the body of `soles`, and facts about it; StageError for what is no motion.
+    """A .bvh, or SMPL poses, retargeted to the body of `soles`, and facts about it; StageError for what is no motion.
 
     `body` is its name: poses of SMPL are carried over to the free body, so that limbs point as SMPL's do.
     """
     performance, rate, facts = _read(path, manner.motion_fps, soles, parents, body)
-    up = manner.up or placing.which_is_up(performance)
+    seen = placing.which_is_up(performance)
+    up = manner.up or seen
     if up is None:
         pelvis = ", ".join(f"{x:.2f}" for x in performance.rotations[:, 0, :, 1].mean(0))
         found = [f"the pelvis points along ({pelvis}) on average"]
         raise StageError(f"cannot tell which way is up in {path}", "say it with `--up`: y, -y, z or -z", found)
+    check_time((len(performance.hips) - 1) / rate, manner.wanted, path)
     performance = retarget.resample(placing.face_ahead(performance, up), rate, manner.wanted)
     placed = placing.on_floor(performance, manner.wanted, soles)
     facts.append(f"{up} is up")
+    if seen and seen != up:
+        facts.append(
+            f"the pelvis says that {seen} is up: `--up {seen}`, or none, if people do not stand on their heads"
+        )
     if placed.drift > 0.05:
         facts.append(f"its floor rose and fell by {placed.drift:.2f} m, which is taken out")
     return placed, facts
@@ -68,6 +86,7 @@ def from_clip(body: BodyPoses, times: np.ndarray, ground: Ground, manner: Manner
     rows = placing.seen_in_order(body, times)
     if len(rows) == 0:
         return None
+    check_time(times[rows[-1]] - times[rows[0]], manner.wanted, "the motion of the clip")
     performance = placing.filmed(body, rows, ground, soles)
     return placing.on_floor(retarget.resample_at(performance, times[rows], manner.wanted), manner.wanted, soles)
 
@@ -86,9 +105,9 @@ def _read(
             performance = retarget.from_skeleton(skeleton, *chains, soles.joints, parents)
         except ValueError as error:
             raise StageError(f"{path} has bones without length", bvh.HINT, [str(error)]) from error
-        notes = [f"{named.used} of {named.used + len(named.unused)} joints used"]
+        notes = [f"{named.used} of {named.used + len(named.unused)} joints used", *named.said, *found.said]
         length, own_fps = len(found), found.fps
-    elif path.suffix.lower() == ".npz":
+    elif path.suffix.lower() in FILES:
         smpl = read_smpl_motion(path)
         turns, notes = (smpl.rotvecs, smpl.transl, soles.joints), list(smpl.notes)
         carried = body == FREE and smpl.body == SMPL
@@ -96,9 +115,11 @@ def _read(
         length, own_fps = len(smpl), smpl.fps
     else:
         raise StageError(
-            f"{path} is no motion", "give a .bvh, or an .npz of SMPL poses", [f"it ends in {path.suffix!r}"]
+            f"{path} is no motion",
+            "give a .bvh, or an .npz, .pkl or .pt of SMPL poses",
+            [f"it ends in {path.suffix!r}"],
         )
-    rate = fps or own_fps
+    rate = usual_rate(f"{fps:.10g}") if fps else own_fps
     if rate is None:
         rate = DEFAULT_FPS
         notes.append(f"how fast is not said: {rate:g} frames a second taken (`--motion-fps`)")

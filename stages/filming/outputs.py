@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -47,7 +48,7 @@ def film(shoot: Shoot, out: Path, parts: Parts, alone: bool, progress: Callable[
             yield picture
             progress(done + number)
 
-    def make() -> None:
+    def make(out: Path) -> None:
         nonlocal done
         paths = []
         for piece, key in zip(pieces, keys, strict=True):
@@ -72,7 +73,7 @@ def still(shoot: Shoot, folder: Path, seconds: float, parts: Parts) -> bool:
     """A picture at a second of the film, named after it; whether it was made."""
     number = shoot.where(seconds)
     out = folder / f"{seconds:07.3f}.png"
-    return parts.bring(out, lambda: write_image(out, shoot.picture(number)), shoot.made_of([number]))
+    return parts.bring(out, lambda part: write_image(part, shoot.picture(number)), shoot.made_of([number]))
 
 
 def check_splats(out: Path) -> None:
@@ -87,12 +88,12 @@ def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> tuple[bool,
     """
     number, said = shoot.where(seconds), []
 
-    def make() -> None:
+    def make(part: Path) -> None:
         with torch.no_grad():
             sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, number, shoot.setting.shading)
         whole = joined([factored(one) for one in sets])
         down = whole if shoot.setting.ground.up[1] < 0 else turned(whole, OVER)
-        said.extend(held(out.name, SPLATS[out.suffix.lower()](out, down)))
+        said.extend(held(out.name, SPLATS[out.suffix.lower()](part, down)))
 
     return parts.bring(out, make, shoot.made_of([number])), said
 
@@ -101,9 +102,8 @@ def joined(sets: list[Scene]) -> Scene:
     """Sets of Gaussians as one, with as many colours as the richest has."""
     most = max(one.shN.shape[1] for one in sets)
     rich = [np.pad(one.shN, ((0, 0), (0, most - one.shN.shape[1]), (0, 0))) for one in sets]
-    rows = {
-        n: np.concatenate([getattr(one, n) for one in sets]) for n in ("means", "quats", "scales", "opacities", "sh0")
-    }
+    names = ("means", "quats", "scales", "opacities", "sh0")
+    rows: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in sets]) for name in names}
     return Scene(**rows, shN=np.concatenate(rich), antialias=sets[-1].antialias)
 
 
@@ -118,10 +118,10 @@ def usd(shoot: Shoot, out: Path, parts: Parts, progress: Callable[[int], None]) 
             yield turned(posed, ground.turn.T, ground.point)
             progress((before * shoot.count + number + 1) // len(shoot.cast))
 
-    def make() -> None:
+    def make(part: Path) -> None:
         scene = shoot.setting.scene
         here = {} if scene is None else {"scene": turned(scene, ground.turn.T, ground.point)}
-        write_usd(out, here, {actor.name: poses(actor, i) for i, actor in enumerate(shoot.cast)}, shoot.fps)
+        write_usd(part, here, {actor.name: poses(actor, i) for i, actor in enumerate(shoot.cast)}, shoot.fps)
 
     return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, shoot.names)
 
@@ -130,13 +130,13 @@ def glb(shoot: Shoot, out: Path, parts: Parts) -> bool:
     """Skinned people with their motions, and the scene's Gaussians, y up, floor at 0; whether it was made."""
     ground, scene = shoot.setting.ground, shoot.setting.scene
 
-    def make() -> None:
+    def make(part: Path) -> None:
         figures = []
         for actor in shoot.cast:
             rig = in_gain(actor)
             mesh = None if actor.model is None else surface_of(actor.model, rig)
             figures.append((actor.name, rig, mesh, take(shoot, actor), stand(shoot, actor)))
-        write_film_glb(out, figures, None if scene is None else turned(scene, ground.turn.T, ground.point))
+        write_film_glb(part, figures, None if scene is None else turned(scene, ground.turn.T, ground.point))
 
     return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, shoot.names)
 

@@ -22,8 +22,8 @@ def page(shoot: Shoot, out: Path, parts: Parts) -> tuple[bool, list[str]]:
     """Write the page; whether it was made, and what it lacks, in sentences."""
     lacks: list[str] = []
 
-    def make() -> None:
-        lacks.extend(viewer.write_viewer(out, exhibit(shoot, out.stem)))
+    def make(part: Path) -> None:
+        lacks.extend(viewer.write_viewer(part, exhibit(shoot, out.stem)))
 
     return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, out.stem, shoot.names), lacks
 

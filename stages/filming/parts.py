@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from stages.contract import Job, whole
+
 MADE = "made.json"  # file -> what it was made of, and its digest
+OURS = re.compile(r"([0-9a-f]{24}|\.hugs-[0-9a-f]{12})\.\w+")  # names of pieces, and of files that were not ended
 
 
 def mark(*things: object) -> str:
@@ -42,11 +46,11 @@ def _feed(digest: Any, thing: object) -> None:
 class Parts:
     """A folder in which pieces of a film wait for the next run, and a note of what the finished files were made of.
 
-    `code` stands for the program: with another one nothing that was kept counts.
+    `code` stands for the program: with another one nothing that was kept counts. `job` writes the files.
     """
 
-    def __init__(self, folder: Path, code: str):
-        self.folder, self.code = folder, code
+    def __init__(self, folder: Path, code: str, job: Job | None = None):
+        self.folder, self.code, self.job = folder, code, job or Job(folder)
         self.used: set[str] = {MADE}
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -61,23 +65,24 @@ class Parts:
         self.used.add(path.name)
         return path
 
-    def bring(self, out: Path, make: Callable[[], None], *made_of: object) -> bool:
-        """Let `make` write `out`, unless it is there as it was made of the same; whether it was made."""
-        name, key = os.path.realpath(out), mark(self.code, out.suffix, *made_of)
+    def bring(self, out: Path, make: Callable[[Path], object], *made_of: object) -> bool:
+        """Let `make` write a file that takes the place of `out`, unless it is there as it was made of the same; whether it was
+        made."""
+        name, key = os.path.join(os.path.realpath(out.parent), out.name), mark(self.code, out.suffix, *made_of)
         if out.is_file() and self.made.get(name) == [key, _digest(out)]:
             return False
         out.parent.mkdir(parents=True, exist_ok=True)
-        make()
+        with self.job.writes(out) as part:
+            make(part)
         self.made[name] = [key, _digest(out)]
-        part = self.folder / f".{MADE}.{os.getpid()}"
-        part.write_text(json.dumps(self.made, indent=1))
-        os.replace(part, self.folder / MADE)
+        with whole(self.folder / MADE) as part:
+            part.write_text(json.dumps(self.made, indent=1))
         return True
 
     def tidy(self) -> None:
-        """Remove the pieces that this run had no use for."""
+        """Remove the pieces that this run had no use for, and what killed ones left; nothing else that lies there."""
         for path in self.folder.iterdir():
-            if path.name not in self.used and path.is_file():
+            if path.name not in self.used and OURS.fullmatch(path.name):
                 with suppress(OSError):
                     path.unlink()
 

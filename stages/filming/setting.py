@@ -63,7 +63,9 @@ def load_setting(film: Film, device: str) -> Setting:
             return Setting(None, None, ground, None, None, nothing, ())
         shadow, fact = lamp_of(None, ground, film.light)
         shown = load_scene(scene, device)
-        return Setting(scene, shown, ground, _on(device, shadow), None, nothing, (*lacks(None, film.scene), *fact))
+        return Setting(
+            scene, shown, ground, _on(device, shadow), None, nothing, (*lacks(None, film.scene, scene.antialias), *fact)
+        )
     train, sfm, smpl = (film.scene / stage for stage in ("train", "sfm", "smpl"))
     ground, clip = read_ground(smpl / "ground.json"), load_clip(sfm, smpl, train)
     times = np.array(read_facts(film.scene / "frames" / "frames.json", Listing).times(clip.names))
@@ -76,7 +78,7 @@ def load_setting(film: Film, device: str) -> Setting:
     shadow, fact = lamp_of(film.scene, ground, film.light)
     if ground.points == 0:
         fact = (*fact, f"the floor of {film.scene} is {ground.how}")
-    facts = (*lacks(None, film.gaussians), *fact)
+    facts = (*lacks(None, film.gaussians, scene.antialias), *fact)
     return Setting(scene, load_scene(scene, device), ground, _on(device, shadow), clip, times, facts, shading)
 
 

@@ -52,7 +52,7 @@ class Shoot:
 
     def where(self, seconds: float) -> int:
         """The picture that a second of the film falls on; the last one for all after it."""
-        return min(self.count - 1, round(seconds * self.fps))
+        return round(min(self.count - 1, seconds * self.fps))
 
     def made_of(self, numbers: Sequence[int]) -> str:
         """A digest of all that these pictures are made of."""

@@ -5,52 +5,49 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from stages import contract
 
-Axis = tuple[float, float, float]
+DAY = 86400.0  # s
+Far = Annotated[float, Field(ge=-1e5, le=1e5)]  # m; single precision is 8 mm there
+Axis = tuple[Far, Far, Far]
 Matching = Literal["off", "auto", "always"]
-Moment = Annotated[float, Field(ge=0)]
+Moment = Annotated[float, Field(ge=0, le=DAY)]
+Times = Annotated[float, Field(ge=0.01, le=100)]
 Side = Annotated[int, Field(gt=0, le=16384)]  # px; H.264 has no larger pictures
 
 
-class Keys(contract.Params):
-    """Keys whose numbers are finite."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
-
-
-class Person(Keys):
+class Person(contract.Params):
     avatar: Path
     """The folder of a run, such as work/dance/default, or an exported avatar.npz or .glb."""
-    who: int = Field(1, ge=1)
+    who: int = Field(1, ge=1, le=1000)
     """Which of them, where the run has several people."""
     motion: str = "clip"
     """A .bvh or .npz file; clip: as they moved in their own clip; or made by formula: wave, squats, jumping_jacks,
     walk_in_place."""
-    at: tuple[float, float] | None = None
+    at: tuple[Far, Far] | None = None
     """Where their motion begins, m on the floor from where the scene's own person stood: to the left, ahead. If not said, the
     scene's own people are where they were, and others at the nearest place that is free, which is told."""
     turn: float = 0.0
     """Degrees to the left, seen from above."""
-    start: float = 0.0
+    start: float = Field(0.0, ge=-DAY, le=DAY)
     """Second of the film at which their motion begins; less than 0: it is under way when the film begins."""
-    speed: float = Field(1.0, gt=0)
+    speed: Times = 1.0
     """Times as fast as it was."""
     loop: bool = False
     """Begin again at the end; else they stand still before and after."""
-    scale: float = Field(1.0, gt=0)
+    scale: Times = 1.0
     """Times as large as they are."""
     colour: Matching | None = None
     """As the film's `colour`, for this person alone."""
-    motion_fps: float | None = Field(None, gt=0)
+    motion_fps: float | None = Field(None, ge=0.1, le=10_000)
     """Frames a second of the motion file, in place of what it says."""
     up: Literal["y", "-y", "z", "-z"] | None = None
     """The axis that points up in the motion file, in place of the direction in which its pelvis points."""
 
 
-class Floor(Keys):
+class Floor(contract.Params):
     point: Axis
     """A point of the floor, m, from which `at` counts."""
     up: Axis = (0.0, -1.0, 0.0)
@@ -59,13 +56,13 @@ class Floor(Keys):
     """The way that people look who are not turned."""
 
 
-class Stills(Keys):
+class Stills(contract.Params):
     folder: Path
     at: list[Moment] = Field(min_length=1)
     """Seconds of the film."""
 
 
-class Out(Keys):
+class Out(contract.Params):
     film: Path | None = None
     """The film, .mp4."""
     alpha: Path | None = None
@@ -82,7 +79,7 @@ class Out(Keys):
     """The scene, and the people with a sample a picture, .usdc."""
 
 
-class Film(Keys):
+class Film(contract.Params):
     scene: Path | None = None
     """The folder of a run, or a .ply, .spz or .npz of Gaussians; none: over white."""
     gaussians: Path | None = None
@@ -98,9 +95,9 @@ class Film(Keys):
     above: that; off: no shadows, even light."""
     colour: Matching = "off"
     """Match people to the scene's exposure and tint. auto: where the clips differ by more than rooms do, and tell their light."""
-    fps: float = Field(30.0, gt=0, le=240)
+    fps: float = Field(30.0, ge=0.1, le=240)
     """Pictures a second."""
-    seconds: float | None = Field(None, gt=0)
+    seconds: float | None = Field(None, gt=0, le=DAY)
     """Length of the film; as long as the longest motion if not said."""
     size: tuple[Side, Side] | None = None
     """Width and height, px; those of the scene's clip, or 640x360, if not said."""

@@ -22,6 +22,7 @@ BROKEN = (
 )
 """What Python's zipfile and numpy raise on damaged archives and headers."""
 PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+LARGEST = float(np.finfo(np.float32).max)  # what is beyond it is infinite as soon as it is drawn
 PIECE = 1 << 20
 """Bytes unpacked at a time, so that a large array is in memory once."""
 
@@ -52,6 +53,12 @@ def read_npz(path: Path, hint: str = "", only: Collection[str] = (), most: int =
         where = f"array {key!r} of {path}" if key else f"{path}"
         raise StageError(f"cannot read {where}", hint, [str(error) or type(error).__name__]) from error
     return arrays
+
+
+def npz_names(path: Path) -> list[str]:
+    """What the arrays of an .npz are called, whatever they hold."""
+    with zipfile.ZipFile(path) as archive:
+        return [name.removesuffix(".npy") for name in archive.namelist()]
 
 
 def read_npy(path: Path, hint: str = "") -> np.ndarray:
@@ -137,7 +144,8 @@ def checked(value: object, shape: tuple[int | None, ...], key: str, path: Path |
         raise StageError(f"{key} in {path} has the wrong shape", hint, facts)
     if array.dtype.kind not in "fiub":
         raise StageError(f"{key} in {path} does not hold numbers", hint, [f"its type is {array.dtype}"])
-    finite = np.isfinite(array)
+    wide = array.dtype.kind == "f" and array.dtype.itemsize > 4
+    finite = np.abs(array) <= LARGEST if wide else np.isfinite(array)
     if not finite.all():
         index = np.unravel_index(int(np.flatnonzero(~finite.ravel())[0]), found)
         facts = [f"the first of {(~finite).sum()} stands at {list(map(int, index))}: {array[index]}"]

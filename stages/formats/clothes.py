@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.formats.arrays import checked, read_npz, take
+from stages.formats.budget import check_count
 from stages.records import JOINTS, Clothes
 
 OLD = "nodes"
@@ -28,6 +29,7 @@ def clothes_of(arrays: Mapping[str, np.ndarray], name: str, hint: str) -> Clothe
     if not found or OLD in found:
         return None
     count = len(checked(take(found, "centres", name, hint), (None, 3), "centres", name, hint))
+    check_count(count, "bones of clothes", name, hint)
     features = len(checked(take(found, "low", name, hint), (None,), "low", name, hint))
     shapes = {
         "swings": (count, 6, 1 + features),

@@ -202,6 +202,7 @@ class Survey(Facts):
 class Gain(Facts):
     psnr: Number | None
     psnr_person: Number | None
+    psnr_far: Number | None = None
     seconds: Number
 
 
@@ -232,6 +233,7 @@ class Metrics(Facts):
 
     heldout: Scores
     heldout_fitted: Scores = {}
+    heldout_far: Scores = {}
     people: dict[str, dict[str, Scores]] = {}
     """Of each further person, by number: protocol -> scores."""
     gaussians: Sizes

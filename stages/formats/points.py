@@ -6,6 +6,7 @@ Ours, not trimesh's: trimesh adds a comment and an alpha channel to the file and
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,15 +67,35 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def vertex_layout(lines: list[list[str]]) -> tuple[np.dtype, int]:
     """Layout and number of the vertices, the first element of a PLY; ValueError or IndexError for any other header."""
-    starts = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
-    if not starts or lines[starts[0]][1:2] != ["vertex"]:
+    first, *_ = [*elements(lines), Element("", 0, None)]
+    if first.name != "vertex":
         raise ValueError("it does not begin with vertices")
-    end = starts[1] if len(starts) > 1 else len(lines)
-    properties = [line for line in lines[starts[0] : end] if line[:1] == ["property"]]
-    unknown = [line for line in properties if len(line) != 3 or line[1] not in TYPES]
-    if unknown:
-        raise ValueError(f"it has a {' '.join(unknown[0])}")
-    count = int(lines[starts[0]][2])
-    if count < 0:
-        raise ValueError(f"it has {count} vertices")
-    return np.dtype([(name, TYPES[kind]) for _, kind, name in properties]), count
+    if first.row is None:
+        raise ValueError("its vertices have a property list")
+    return first.row, first.rows
+
+
+class Element(NamedTuple):
+    """One table of a PLY: its name, its number of rows and their layout, little-endian; None: lists, rows of any length."""
+
+    name: str
+    rows: int
+    row: np.dtype | None
+
+
+def elements(lines: list[list[str]]) -> list[Element]:
+    """The tables that the lines of a header promise; ValueError or IndexError for a header that cannot be."""
+    starts = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
+    found = []
+    for start, end in zip(starts, [*starts[1:], len(lines)]):
+        name, count = lines[start][1], int(lines[start][2])
+        if count < 0:
+            raise ValueError(f"it has {count} rows of {name}")
+        columns = [line for line in lines[start:end] if line[:1] == ["property"]]
+        unknown = [line for line in columns if line[1] != "list" and (len(line) != 3 or line[1] not in TYPES)]
+        if unknown:
+            raise ValueError(f"it has a {' '.join(unknown[0])[:40]}")
+        plain = not any(line[1] == "list" for line in columns)
+        row = np.dtype([(name, TYPES[kind]) for _, kind, name in columns]) if plain else None
+        found.append(Element(name, count, row))
+    return found

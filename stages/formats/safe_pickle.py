@@ -14,12 +14,13 @@ import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, Literal, cast
+from typing import IO, Any, ClassVar, Literal, cast
 
 import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import BROKEN, check_letters, npy_header
+from stages.formats.budget import Budget
 
 _MODULES = ("numpy.core.multiarray", "numpy._core.multiarray")
 _BROKEN = (*BROKEN, pickle.UnpicklingError, AttributeError, ImportError, IndexError, AssertionError, struct.error)
@@ -35,6 +36,7 @@ class _Inert:
     """What stands in for an object of another package: its name and the state it was pickled with, nothing else."""
 
     kind = ""
+    budget: Budget
 
     def __new__(cls, *args: Any, **kwargs: Any) -> _Inert:
         return object.__new__(cls)
@@ -51,30 +53,40 @@ def read_pickle(path: Path, hint: str = "") -> dict[str, Any]:
 def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
     """The dictionary that numpy.save put into `path`; StageError if there is none, or if it holds more than arrays."""
 
-    def load(data: bytes) -> Any:
+    def load(data: bytes, budget: Budget) -> Any:
         _, _, dtype, start = npy_header(data)
-        content = _load(data[start:]) if dtype.hasobject else None
+        content = _load(data[start:], budget) if dtype.hasobject else None
         return content.item() if isinstance(content, np.ndarray) and content.size == 1 else content
 
     return _named(path, hint, "a .npy file", load)
 
 
-def _named(path: Path, hint: str, kind: str, load: Callable[[bytes], Any]) -> dict[str, Any]:
+def _named(path: Path, hint: str, kind: str, load: Callable[[bytes, Budget], Any]) -> dict[str, Any]:
     try:
         data = Path(path).read_bytes()
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
+    budget = Budget(path, len(data))
     try:
-        content = load(data)
+        content = load(data, budget)
     except _BROKEN as error:
         raise StageError(f"{path} is not {kind} of plain arrays", hint, [f"{error}"]) from error
     if not isinstance(content, dict):
         raise StageError(f"{path} holds a {type(content).__name__}, not named arrays", hint)
+    for key, value in content.items():
+        budget.spend(_size(value), f"{key}")
     return {str(key): plain(value, f"{key} in {path}") for key, value in content.items()}
 
 
-def _load(data: bytes) -> Any:
-    content = ArraysOnly(io.BytesIO(data), encoding="latin1").load()
+def _size(value: object) -> int:
+    """Bytes of a list of arrays that becomes one: many may be the same one in memory."""
+    if isinstance(value, (list, tuple)):
+        return sum(one.nbytes if isinstance(one, np.ndarray) else _size(one) for one in value)
+    return 0
+
+
+def _load(data: bytes, budget: Budget) -> Any:
+    content = ArraysOnly(io.BytesIO(data), encoding="latin1", budget=budget).load()
     open_, seen = [content], 0
     while open_:  # lists in lists can unfold to more than any memory holds
         value = open_.pop()
@@ -100,31 +112,44 @@ def refuse_code(value: object) -> None:
 
 
 def plain(value: object, name: str) -> Any:
-    """`value` with stand-ins turned into the arrays they hold; StageError naming `name` if that is not possible."""
+    """`value` with stand-ins turned into the arrays they hold, each once; StageError naming `name` if that is not possible."""
     if isinstance(value, _Array):
         return value.view(np.ndarray)
     if not isinstance(value, _Inert):
         return value
     state = getattr(value, "state", {})
+    if "made" not in vars(value):
+        vars(value)["made"] = _made(value, state, name)
+    return vars(value)["made"]
+
+
+def _made(value: _Inert, state: dict[str, Any], name: str) -> np.ndarray:
     try:
         if value.kind.startswith("scipy.sparse"):
-            return _dense(value.kind, state)
+            return _dense(value.kind, state, value.budget)
+        content = plain(state["x" if "chumpy.reordering" not in value.kind else "a"], name)
+        value.budget.spend(_size(content), name)
+        array = np.asarray(content)
+        if array.dtype.kind not in "fiub":
+            raise ValueError(f"it holds {array.dtype}, not numbers")
         if value.kind == "chumpy.reordering.Select":
-            chosen = np.asarray(plain(state["a"], name)).ravel()[np.asarray(state["idxs"])]
+            index = np.asarray(state["idxs"])
+            value.budget.spend(index.size * array.itemsize, f"{name}, {index.size} chosen numbers,")
+            chosen = array.ravel()[index]
             return chosen.reshape(state.get("preferred_shape", chosen.shape))
-        if value.kind == "chumpy.reordering.Reshape":
-            return np.asarray(plain(state["a"], name)).reshape(state["newshape"])
-        return np.asarray(plain(state["x"], name))
+        return array.reshape(state["newshape"]) if value.kind == "chumpy.reordering.Reshape" else array
     except (KeyError, IndexError, ValueError, TypeError, RecursionError) as error:
         facts = [f"it is a {value.kind} with {', '.join(sorted(map(str, state))) or 'no state'}: {error!r}"]
         raise StageError(f"{name} is an object whose numbers cannot be read", "", facts) from error
 
 
-def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
+def _dense(kind: str, state: dict[str, Any], budget: Budget) -> np.ndarray:
     shape = tuple(int(n) for n in (state["_shape"] if "_shape" in state else state["shape"]))
-    if math.prod(shape) > _DENSE:
-        raise ValueError(f"its shape is {shape}")
-    dense = np.zeros(shape, np.asarray(state["data"]).dtype)
+    dtype = np.asarray(state["data"]).dtype
+    if math.prod(shape) > _DENSE or dtype.kind not in "fiub":
+        raise ValueError(f"its shape is {shape} of {dtype}")
+    budget.spend(math.prod(shape) * dtype.itemsize, "a sparse matrix")
+    dense = np.zeros(shape, dtype)
     if "indptr" in state:
         lengths = np.diff(state["indptr"])
         if lengths.min() < 0 or lengths.sum() != len(state["data"]):
@@ -197,6 +222,11 @@ def _latin1(text: str, encoding: str = "latin1") -> bytes:
 class ArraysOnly(pickle._Unpickler):
     """Python's own unpickler: its memo is a dictionary, while C's is a table as large as the file asks."""
 
+    def __init__(self, file: IO[bytes], encoding: str, budget: Budget):
+        """`budget` pays for what objects unfold to."""
+        super().__init__(file, encoding=encoding)
+        self.budget = budget
+
     read: Callable[[int], bytes]
     append: Callable[[Any], None]
     stack: list[Any]
@@ -243,5 +273,5 @@ class ArraysOnly(pickle._Unpickler):
         if module.split(".")[0] == "chumpy" or (
             module.startswith("scipy.sparse") and name[:3] in ("csc", "csr", "coo")
         ):
-            return type(name, (_Inert,), {"kind": f"{module}.{name}"})
+            return type(name, (_Inert,), {"kind": f"{module}.{name}", "budget": self.budget})
         raise pickle.UnpicklingError(f"it asks for {module}.{name}, which is refused")

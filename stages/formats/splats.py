@@ -51,16 +51,8 @@ def read_scene(path: Path) -> Scene:
 
 
 def read_avatar(path: Path) -> Avatar:
-    """Read `avatar.npz`; raises StageError as `read_scene` does, and when skinning weights do not sum to one."""
-    avatar = _read(path, Avatar)
-    off = np.abs(avatar.lbs_weights.sum(1) - 1)
-    if len(off) and off.max() > 1e-3:
-        raise StageError(
-            "the avatar's skinning weights do not sum to one",
-            facts=[f"{path.name}: row {int(off.argmax())} sums to {1 + off.max():.4f}"],
-            hint=HINT,
-        )
-    return avatar
+    """Read `avatar.npz`; raises StageError as `read_scene` does, and where skinning weights are no shares."""
+    return _read(path, Avatar)
 
 
 def _read(path: Path, kind: type[S]) -> S:
@@ -118,6 +110,14 @@ def impossible(splats: Scene) -> list[str]:
     if splats.shN.shape[1] not in HIGHER:
         facts.append(f"shN has {splats.shN.shape[1]} coefficients a colour, degrees 0 to 3 have 0, 3, 8 and 15")
     if isinstance(splats, Avatar):
+        if not len(splats):
+            facts.append("it has no Gaussians")
+        low, sums = splats.lbs_weights.min(1), splats.lbs_weights.sum(1)
+        wrong = (low < -1e-6) | ~(np.abs(sums - 1) < 1e-3)
+        if wrong.any():
+            row = int(wrong.argmax())
+            told = f"row {row} sums to {sums[row]:.4f}, its least is {low[row]:.4g}"
+            facts.append(f"skinning weights of {wrong.sum()} Gaussians are below 0 or do not sum to one: {told}")
         root, *others = np.asarray(splats.parents).tolist()
         if root != -1 or not all(0 <= parent < joint for joint, parent in enumerate(others, start=1)):
             facts.append("its joints are not a tree with each parent before its child")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import Any
 import av
 import numpy as np
 
-from stages.contract import StageError
+from stages.contract import StageError, whole
 from stages.formats.film_pixels import QUARTER, rgb_of, turn_of
 from stages.formats.images import first_line, read_image
 from stages.formats.pictures import pictures_in
@@ -224,29 +222,21 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
 
     An odd width or height gets its last column or row repeated. Raises ValueError without frames or with mixed sizes.
     """
-    _write_whole(Path(path), lambda part: encode(part, frames, fps, crf))
+    with whole(Path(path)) as part:
+        encode(part, frames, fps, crf)
 
 
 def write_alpha_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     """Write uint8 [H,W,4] frames, alpha not multiplied into colour, as ProRes 4444 in MOV, which editors read."""
-    _write_whole(Path(path), lambda part: encode_alpha(part, frames, fps))
+    with whole(Path(path)) as part:
+        encode_alpha(part, frames, fps)
 
 
 def join_videos(path: Path, parts: Sequence[Path], fps: float) -> None:
     """Write films of one coding, size and rate, one after the other, as one, without coding anything again."""
     kind = "mov" if Path(path).suffix.lower() == ".mov" else "mp4"
-    _write_whole(Path(path), lambda part: _joined(part, parts, fps, kind))
-
-
-def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` make a file that appears under its name when it is whole, and not at all where that fails."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        write(part)
-        os.replace(part, path)
-    finally:
-        with suppress(OSError):  # it is there only where something failed
-            part.unlink()
+    with whole(Path(path)) as part:
+        _joined(part, parts, fps, kind)
 
 
 def encode(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int) -> None:

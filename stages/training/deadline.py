@@ -10,7 +10,7 @@ from typing import Any
 
 from stages.training.calibration import ENOUGH, FEWEST, PAUSE
 from stages.training.fit import Fit
-from stages.training.schedule import LATE, SCENE_GROWTH, SETTLE
+from stages.training.schedule import LATE, SCENE_GROWTH, SETTLE, Progress
 
 WARM_UP = 2  # steps that no clock sees
 TIMED = 4  # least steps of one timing, rounded up to whole periods of decoding and LPIPS
@@ -82,10 +82,10 @@ class Deadline:
         """Seconds left for steps."""
         return self.seconds - self.spent - self.reserve * self.pace.last - (self.pauses + self.extra) * self.pause
 
-    @property
-    def to_go(self) -> float:
-        """Seconds until the last step, pauses included."""
-        return max(0.0, self.left + self.pauses * self.pause)
+    def to_go(self, progress: Progress) -> float:
+        """Seconds until the last step, pauses included; of a training that is late, as long as its steps take."""
+        steps = (progress.total - progress.step) * self.pace.mean(progress.done)
+        return max(steps, self.left) + max(0, self.pauses) * self.pause
 
     def hurry(self) -> None:
         """Leave over only what the least that comes after training takes."""

@@ -33,7 +33,7 @@ PARTS = {
 ONLY_TAUGHT = ("transients",)  # held-out frames are drawn the same without
 TURNS = 2  # of steps with all effects and without each: the fastest of each, which nothing has disturbed, counts
 STEPS = 4  # that are timed at least, always on the same frames
-PAUSES = 3  # `effect_gains` takes as long for an effect as so many measurements of accuracy
+PAUSES = 4  # `effect_gains` takes as long for an effect as so many measurements of accuracy
 
 
 def effects_of(fit: Fit) -> list[str]:
@@ -77,8 +77,9 @@ def without(fit: Fit, effect: str) -> Iterator[None]:
             scene.shN, scene.antialias = colors
 
 
-def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | None]]:
-    """Of each effect `psnr` and `psnr_person`, dB that `frames` lose drawn without it, and `share` of a step's time it takes.
+def effect_gains(fit: Fit, frames: list[int], far: list[int]) -> dict[str, dict[str, float | None]]:
+    """Of each effect `psnr` and `psnr_person`, dB that `frames` lose drawn without it, `psnr_far`, dB that the person loses in
+    the frames `far` whose poses are unlike those of training, and `share` of a step's time it takes.
 
     The rest was trained beside it: a training without it may lose less. None where nothing tells. The training is then
     as it was, bit for bit, also where a step fails as in `Fit.advance`.
@@ -86,11 +87,11 @@ def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | Non
     effects = effects_of(fit)
     if not effects:
         return {}
-    whole, found = heldout_accuracy(fit, frames), {}
+    whole, found = _psnr(fit, frames, far), {}
     for name in effects:
         with without(fit, name):
-            drawn = heldout_accuracy(fit, frames) if name not in ONLY_TAUGHT else {}
-        found[name] = {key: _less(whole[key], drawn.get(key)) for key in ("psnr", "psnr_person")}
+            drawn = _psnr(fit, frames, far) if name not in ONLY_TAUGHT else {}
+        found[name] = {key: _less(whole[key], drawn.get(key)) for key in whole}
     before, spent = copy.deepcopy(fit.state()), dict(fit.clock.seconds)
     fit.progress.freeze()
     try:
@@ -105,6 +106,11 @@ def effect_gains(fit: Fit, frames: list[int]) -> dict[str, dict[str, float | Non
         fit.load(before)
         fit.clock.seconds = spent
     return found
+
+
+def _psnr(fit: Fit, frames: list[int], far: list[int]) -> dict[str, float | None]:
+    near = heldout_accuracy(fit, frames)
+    return {key: near[key] for key in ("psnr", "psnr_person")} | {"psnr_far": heldout_accuracy(fit, far)["psnr_person"]}
 
 
 def _seconds(fit: Fit) -> float:

@@ -18,13 +18,16 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import Splats, finite_rows, together
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
-from stages.training.finishing.bake import SHORT, Finished, finish, unseen
+from stages.training.finishing.bake import SHORT, Finished, as_trained, finish, unseen
 from stages.training.finishing.hidden import fill_hidden
 from stages.training.finishing.settle import settle
 from stages.training.finishing.swing import fit_swing
 from stages.training.fit import Fit
 from stages.training.person import PersonLearner
 from stages.training.views import Person
+
+UNFINISHED = (ValueError, IndexError, RuntimeError, ArithmeticError, MemoryError)
+"""What finishing raises where somebody cannot be finished: the training is over, and is kept."""
 
 
 class Listener(Protocol):
@@ -151,7 +154,7 @@ def _filled(fit: Fit, say: Listener) -> int:
 
     try:
         filled = fill_hidden(fit.scene, fit.full._replace(viewmats=fit.cameras().detach()), fit.train, people)
-    except (ValueError, RuntimeError, MemoryError) as error:  # the training is over, and is kept
+    except UNFINISHED as error:
         say.warn(f"what the person hides of the scene could not be filled and stays as it was before: {error}")
         return 0
     if filled:
@@ -163,7 +166,12 @@ def _filled(fit: Fit, say: Listener) -> int:
 
 def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Finished, int]:
     """The avatar of a person and their poses, how they were finished, and how many Gaussians no frame has shown."""
-    orient, body_pose, transl = fit.bodies(who)
+    learned, fitted = fit.bodies(who), (who.body.global_orient, who.body.body_pose, who.body.transl)
+    sound = finite_rows(learned)[:, None]
+    orient, body_pose, transl = (torch.where(sound, *pair) for pair in zip(learned, fitted, strict=True))
+    if not sound.all():
+        lost = [name for name, kept in zip(clip.names, sound[:, 0].tolist(), strict=True) if not kept]
+        say.warn(f"the learned pose of frames {', '.join(lost)} is not finite: that of the smpl stage is kept")
     body = who.body._replace(global_orient=orient, body_pose=body_pose, transl=transl)
     if len(fit.people) > 1:
         say.note(f"person {fit.people.index(who) + 1}:")
@@ -181,10 +189,13 @@ def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener
     """What train.json says of `effect_gains`: dB on the curve's frames, and each one's part of `seconds`."""
     facts = {}
     for name, effect in found.items():
-        gains = {key: None if effect[key] is None else round(effect[key], 3) for key in ("psnr", "psnr_person")}
+        keys = ("psnr", "psnr_person", "psnr_far")
+        gains = {key: None if effect[key] is None else round(effect[key], 3) for key in keys}
         facts[name] = gains | {"seconds": (spent := round(effect["share"] * seconds, 1))}
-        known = " / ".join(f"{gain:+.1f}" for gain in gains.values() if gain is not None)
+        known = " / ".join(f"{gains[key]:+.1f}" for key in keys[:2] if gains[key] is not None)
         gained = f"{known} dB on held-out frames, " if known else ""
+        if gains["psnr_far"] is not None:
+            gained += f"{gains['psnr_far']:+.1f} in the poses farthest from training, "
         cost = f"{round(spent)} s" if spent > 0 else "no measurable time"
         say.note(f"{name.replace('_', ' ')}: {gained}{cost} of training")
     return facts
@@ -192,7 +203,11 @@ def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener
 
 def _settle_swing(fit: Fit, body: Person, clothing: Clothing, table: Tensor, say: Listener) -> None:
     bones = [bone_transforms(body.joints, body.parents, *pose) for pose in zip(body.global_orient, body.body_pose)]
-    untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, torch.stack(bones), body.body_pose)
+    try:
+        untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, torch.stack(bones), body.body_pose)
+    except UNFINISHED as error:
+        say.warn(f"how the clothes swing could not be told from the pose: {error}")
+        return
     told = f"{100 * untold:.0f} % of their swing in the frames is not told by the pose"
     say.note(f"{len(clothing)} bones of clothes; {told}")
 
@@ -202,11 +217,15 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     seen = who.masked(fit.full)._replace(viewmats=fit.cameras())
     dressed = body._replace(antialias=fit.options.antialias)
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
-    kept = finish(baked, who.human.initial(), dressed, seen, frames)
+    try:
+        kept = finish(baked, who.human.initial(), dressed, seen, frames)
+    except UNFINISHED as error:
+        say.warn(f"the person could not be finished and stays as trained: {error}")
+        return as_trained(baked, who.human.initial())
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
     try:
         kept = kept._replace(person=settle(fit, who, kept.person, kept.known, clear))
-    except FloatingPointError as error:  # the training is over, and is kept
+    except UNFINISHED as error:
         say.warn(f"the Gaussians of the person could not settle and stay as they were before: {error}")
     if kept.reskinned:
         say.note(f"{kept.reskinned:,} Gaussians that moved with other bones than the body there move with it now")

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import torch
 
+from stages.avatar.measures.poses import farthest
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.contract import StageError, Stopped, peak_memory
 from stages.training.accuracy import heldout_accuracy
@@ -63,6 +64,13 @@ class Training:
         """The held-out frames that show the person, at most MEASURED of them."""
         clip = self.task.clip
         return spread_evenly([i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)], MEASURED)
+
+    @cached_property
+    def far(self) -> list[int]:
+        """The held-out frames whose poses are farthest from those of training, at most MEASURED of them."""
+        clip = self.task.clip
+        shown = [i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)]
+        return spread_evenly(farthest(clip.body.body_pose, shown, clip.training), MEASURED)
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint, see SAVED."""
@@ -165,7 +173,7 @@ def learn(
         if deadline and progress.step % 25 == 0 and progress.step < progress.total:
             deadline.mark(fit)
         if shown:
-            left = None if deadline is None else deadline.to_go
+            left = None if deadline is None else deadline.to_go(progress)
             hooks.progress(progress.step, progress.total, left, **shown, gaussians=sum(fit.sizes().values()))
         if checkpoint and (hooks.stop_asked or time.perf_counter() - saved > checkpoint_seconds):
             saved = time.perf_counter()
@@ -181,7 +189,7 @@ def finish(training: Training, hooks: Hooks) -> Result:
     effects: dict[str, dict[str, Any]] = {}
     if deadline is None or not deadline.hurried:
         try:
-            effects = effect_facts(effect_gains(fit, training.heldout), curve[-1]["seconds"], hooks)
+            effects = effect_facts(effect_gains(fit, training.heldout, training.far), curve[-1]["seconds"], hooks)
         except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
             hooks.warn(f"what effects are worth could not be measured: {error}")
     result = result_of(fit, training.task.clip, curve, effects, hooks, training.task.others)

@@ -4,6 +4,7 @@ Cheap commands are run. The long ones (run, demo, and what reads their results) 
 tests/hugs_cli; here they are parsed by the real command line.
 """
 
+import ast
 import importlib.util
 import re
 import shlex
@@ -104,6 +105,58 @@ CHECKS = {"hugs": check_hugs, "make": check_make, "pip": check_pip, "python": ch
 def test_commands_exist(document, command):
     program, *words = shlex.split(command)
     CHECKS[program](words, (document, command) in set(block_lines()))
+
+
+def hints() -> dict[str, str]:
+    """Each command in backticks in a text that the product may print -> the file; what is filled in reads as X."""
+    found = {}
+    for path in [*(ROOT / "stages").rglob("*.py"), *(ROOT / "hugs_cli").rglob("*.py")]:
+        tree = ast.parse(path.read_text("utf-8"))
+        parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+        for node in ast.walk(tree):
+            text = ""
+            if isinstance(node, ast.JoinedStr):
+                text = "".join(part.value if isinstance(part, ast.Constant) else "X" for part in node.values)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
+                text = node.value
+            found |= dict.fromkeys(
+                re.findall(r"`((?:hugs|pip|python|npx|ffmpeg|--[a-z]+)(?: [^`\n]+)?)`", text), path.name
+            )
+    return found
+
+
+FILLED = ("default", "train", "10m")
+ELSEWHERE = {
+    "hugs": "the program",
+    "python demo.py --save_pkl": "of WHAM",
+    "python -m ensurepip": "of Python",
+    "npx @playcanvas/splat-transform FILE out.ply": "run by hand: 2.7.1 makes .ply of .compressed.ply, .sog, .spz version 4",
+}
+OPTIONS = {
+    text for name in HUGS.commands for one in HUGS.commands[name].params for text in (*one.opts, *one.secondary_opts)
+}
+
+
+@pytest.mark.parametrize("hint", sorted(hints()))
+def test_commands_that_the_product_says_exist(hint):
+    """With any of FILLED for what is filled in; an option alone is one of a command, and a setting one of a pipeline."""
+    if hint in ELSEWHERE or hint.startswith("ffmpeg"):
+        return
+    if hint.startswith("--"):
+        words = hint.split()
+        assert {word for word in words if word.startswith("--")} <= OPTIONS
+        for stage, name in re.findall(r"--set ([a-z]+)\.([a-z_0-9]+)", hint):
+            known = [pipelines.load(one).stages.get(stage) for one in ("default", "zju", "neuman")]
+            assert stage == "stage" or any(one and name in type(one.params).model_fields for one in known)
+        return
+    problem: Exception | None = None
+    for filled in FILLED:
+        program, *words = shlex.split(re.sub(r"(?<=--within )X\b", "10m", hint))
+        try:
+            return CHECKS[program]([filled if word == "X" else word for word in words], False)
+        except Exception as error:
+            problem = error
+    raise AssertionError(hint) from problem
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import threading
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,10 @@ import av
 import numpy as np
 import pytest
 
+from hugs_cli.cache.locks import locked
+from hugs_cli.console import Console
+from stages.filming import outputs
+from stages.filming import page as pages
 from stages.filming.shoot import Shoot
 from stages.formats.exchange.glb import Glb
 from stages.formats.exchange.read import read_any_scene
@@ -117,6 +122,79 @@ def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs
     other = write(made, "b.yaml", "film: b.mp4")
     hugs(other)
     assert (made / "b.mp4").read_bytes() == first and len(drawn) == 20
+
+
+def test_a_second_compose_of_a_film_waits_for_the_first(made, hugs, monkeypatch):
+    film = write(made, "twice.yaml", "splats: twice.ply")
+    hugs(film)
+    (kept,) = (made / "work/.films").glob("twice-*")
+    held, done = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with locked(kept / ".lock", pytest.fail):
+            held.set()
+            done.wait(60)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    held.wait()
+    say = Console.say
+    monkeypatch.setattr(Console, "say", lambda self, text: done.set() if "waiting" in text else say(self, text))
+    _, err = hugs(film)
+    assert done.is_set() and "twice.ply is as it was made before" in err
+    thread.join()
+
+
+class Killed(BaseException):
+    """Nothing after it runs."""
+
+
+@pytest.mark.parametrize("at", ["page", "glb"])
+def test_a_compose_killed_after_some_of_its_files_makes_the_rest(made, hugs, monkeypatch, at):
+    out = f"film: {at}k.mp4; page: {at}k.html; stills: {{folder: {at}k, at: [0]}}; splats: {at}k.ply; glb: {at}k.glb"
+    film = write(made, f"{at}k.yaml", out, ("seconds: 2.5", "seconds: 0.5"))
+
+    def kill(*_: object) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(outputs if at != "page" else pages, at, kill)
+        hugs(film)
+    _, err = hugs(film)
+    assert f"{at}k.mp4 is as it was made before" in err and (made / f"{at}k.glb").is_file()
+
+
+@pytest.mark.parametrize("out", ["page: a.html; stills: {folder: a.html, at: [0]}",
+                                 "page: a.html; stills: {folder: a.html/b, at: [0]}",
+                                 "splats: a.ply; stills: {folder: new/../a.ply, at: [0]}"])  # fmt: skip
+def test_two_outputs_in_one_place_are_refused_before_anything_is_drawn(made, hugs, drawn, out):
+    _, err = hugs(write(made, "same.yaml", out), code=2)
+    assert "cannot both be written" in err and not drawn
+
+
+def test_results_of_a_run_in_another_work_folder_and_its_film_are_never_written_over(made, hugs, tmp_path):
+    finished.make(tmp_path, "eve")
+    run = tmp_path / "work/eve/default"
+    (tmp_path / "work/eve/sources.json").write_text(json.dumps({"video": {"path": str(tmp_path / "eve.mp4")}}))
+    (run / "train/scene.ply").write_text("kept")
+    for out in (run / "train/scene.ply", run / "train/film.ply", tmp_path / "work/eve/store/new.ply"):
+        film = write(made, "other.yaml", f"splats: {out}", ("work/bob/default", str(run)))
+        assert "is never written over" in hugs(film, "--force", code=2)[1]
+    film = write(made, "other.yaml", f"film: {tmp_path}/eve.mp4", ("work/bob/default", str(run)))
+    assert "is a source" in hugs(film, "--force", code=2)[1]
+    assert (run / "train/scene.ply").read_text() == "kept" and (tmp_path / "eve.mp4").read_text() == "pixels of eve"
+
+
+def test_a_still_takes_the_place_of_a_link_and_what_it_leads_to_stays(made, hugs):
+    (made / "linked").mkdir()
+    stored = made / "work/ann/default/frames/frames.json"
+    before = stored.read_bytes()
+    (made / "linked/000.000.png").symlink_to(stored)
+    film = write(made, "linked.yaml", "stills: {folder: linked, at: [0]}")
+    assert "linked is already there" in hugs(film, code=2)[1]
+    hugs(film, "--force")
+    assert stored.read_bytes() == before and read_image(made / "linked/000.000.png").shape == (128, 96, 3)
+    assert "linked is as it was made before" in hugs(film)[1]
 
 
 def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monkeypatch):

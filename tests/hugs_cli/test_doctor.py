@@ -34,19 +34,21 @@ def test_every_declared_dependency_is_looked_at():
     assert set(doctor.DISTRIBUTIONS.values()) == declared
 
 
-def test_missing_models_are_named_with_the_command_that_brings_them(cache):
+def test_missing_models_are_named_with_the_command_that_brings_them(cache, monkeypatch):
     found = {finding.name: finding for finding in doctor.examine()}
     for name in assets.ASSETS:
         assert not found[name].ok and found[name].hint == "hugs doctor --fetch"
         (cache / name).write_text("")
+    assert [finding.ok for finding in doctor.models()] == [True] + [False] * len(assets.ASSETS), "not what was fetched"
+    monkeypatch.setattr(assets, "present", lambda name: True)
     assert all(finding.ok for finding in doctor.models())
     assert found["torch"].ok and found["codec libx264"].ok and found["memory"].text.endswith("GiB")
 
 
 def test_fetch_brings_only_what_is_missing(cache, monkeypatch):
     first, *rest = assets.ASSETS
-    (cache / first).write_text("")
     asked = []
+    monkeypatch.setattr(assets, "present", lambda name: name == first)
     monkeypatch.setattr(assets, "fetch", lambda name, say: asked.append(name))
     doctor.fetch_missing(print)
     assert asked == rest

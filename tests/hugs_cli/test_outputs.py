@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from hugs_cli.outputs import check_out, remember_out, remembering
+from hugs_cli.cache.fingerprint import content_digest
+from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
+from stages.contract import Job
 
 
 @pytest.fixture
@@ -25,6 +29,12 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "work/a/store/train-01234567/stamp.json").write_text(json.dumps(stamp))
     (tmp_path / "work/a/sources.json").write_text(json.dumps({**sources, "y": {"path": ""}, "z": {}}))
     return Path("work")
+
+
+def draw(out: Path, work: Path, text: str = "drawn") -> None:
+    """As commands do."""
+    with Job(Path(), emit=remembering(work, pytest.fail)).writes(out) as part:
+        part.write_text(text)
 
 
 @pytest.mark.parametrize("out", ["a.mp4", "masks/x.mp4", "masks", "wave.bvh", "work/a/store/x.mp4", "work/a/store/b/c"])
@@ -64,8 +74,7 @@ def test_what_others_made_needs_force(work):
 
 def test_what_was_drawn_may_be_drawn_again_while_nobody_changes_it(work):
     out = Path("new.mp4")
-    out.write_text("drawn")
-    remember_out(out, work)
+    draw(out, work)
     check_out(out.absolute(), work, (), False)
     out.rename("moved.mp4")
     Path("moved.mp4").rename(out)
@@ -79,37 +88,115 @@ def test_a_folder_is_free_if_empty_or_as_it_was_drawn(work):
     out = Path("views")
     out.mkdir()
     check_out(out, work, (), False, is_folder=True)
-    (out / "1.png").write_text("drawn")
-    remember_out(out, work)
+    draw(out / "1.png", work)
     check_out(out, work, (), False, is_folder=True)
     (out / "note.txt").write_text("mine")
     with pytest.raises(UsageError, match="is already there"):
         check_out(out, work, (), False, is_folder=True)
 
 
-def test_what_was_drawn_before_a_drawing_was_cut_short_may_be_drawn_again(work):
-    outs = [Path("new.mp4"), Path("views"), Path("other.mp4"), Path("never.mp4")]
-    with pytest.raises(KeyboardInterrupt), remembering(outs, work):
-        Path("new.mp4").write_text("drawn")
-        Path("views").mkdir()
-        Path("views/1.png").write_text("drawn")
-        raise KeyboardInterrupt
-    check_out(outs[0], work, (), False)
-    check_out(outs[1], work, (), False, is_folder=True)
+class Killed(BaseException):
+    """Nothing after it runs."""
+
+
+@pytest.mark.parametrize("step", ["os.replace", "hugs_cli.outputs.replace"])
+@pytest.mark.parametrize("late", [False, True])
+def test_what_a_killed_command_drew_may_be_drawn_again(work, monkeypatch, step, late):
+    """Killed before or after any of its last steps: what is there then is known."""
+    module, name = step.rsplit(".", 1)
+    done = getattr(sys.modules[module], name)
+
+    def kill(*args: object) -> None:
+        if late:
+            done(*args)
+        raise Killed
+
+    out = Path("new.mp4")
+    for text in ("", "drawn before"):
+        if text:
+            draw(out, work, text)
+        for _ in range(5):
+            with monkeypatch.context() as patch, pytest.raises(Killed):
+                patch.setattr(step, kill)
+                draw(out, work, "drawn")
+            check_out(out, work, (), False)
+            assert not out.exists() or out.read_text() in (text, "drawn")
+    Path("other.mp4").write_text("not ours")
     with pytest.raises(UsageError, match="is already there"):
-        check_out(outs[2], work, (), False)
+        check_out(Path("other.mp4"), work, (), False)
 
 
-def test_only_drawings_that_are_still_there_are_remembered(work):
+def test_two_commands_at_once_note_what_both_drew(work):
+    outs = [Path(f"{number}.mp4") for number in range(40)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda out: draw(out, work), outs))
+    for out in outs:
+        check_out(out, work, (), False)
+
+
+def test_only_drawings_that_are_still_there_are_remembered(work, monkeypatch):
+    monkeypatch.setattr("hugs_cli.outputs.MOST", 1)
     for name in ("one.mp4", "two.mp4"):
-        Path(name).write_text(name)
-        remember_out(Path(name), work)
+        draw(Path(name), work)
         Path(name).unlink()
-    Path("two.mp4").write_text("two.mp4")
-    Path("three.mp4").write_text("3")
-    remember_out(Path("three.mp4"), work)
+    draw(Path("three.mp4"), work)
+    draw(Path("four.mp4"), work)
     known = json.loads((work / ".drawn.json").read_bytes())
-    assert [Path(path).name for path in known] == ["two.mp4", "three.mp4"]
+    assert [Path(path).name for path in known] == ["three.mp4", "four.mp4"]
+
+
+def test_what_an_older_version_noted_is_known(work):
+    (work / ".drawn.json").write_text(
+        json.dumps({str(Path("other.mp4").absolute()): content_digest(Path("other.mp4"))})
+    )
+    check_out(Path("other.mp4"), work, (), False)
+    draw(Path("other.mp4"), work)
+    check_out(Path("other.mp4"), work, (), False)
+
+
+@pytest.fixture
+def other(work, tmp_path) -> Path:
+    """The folder of links of a finished run in another work folder, of a film that lies elsewhere."""
+    store, links = tmp_path / "A/work/kitchen/store/train-01234567", tmp_path / "A/work/kitchen/default"
+    for folder in (store, links, tmp_path / "B"):
+        folder.mkdir(parents=True)
+    for file in (store / "stamp.json", store / "scene.ply", tmp_path / "B/kitchen.mp4"):
+        file.write_text("kept")
+    (links / "train").symlink_to("../store/train-01234567")
+    (tmp_path / "A/work/kitchen/sources.json").write_text(
+        json.dumps({"video": {"path": str(tmp_path / "B/kitchen.mp4")}})
+    )
+    (tmp_path / "copy").symlink_to("A/work/kitchen/default/train")
+    return links
+
+
+@pytest.mark.parametrize(
+    "out",
+    [
+        "A/work/kitchen/default/train/scene.ply",
+        "A/work/kitchen/store/train-01234567/new.mp4",
+        "A/work/kitchen/store/train-01234567/deeper/new.mp4",
+        "A/work/kitchen/store/new.mp4",
+        "copy/scene.ply",
+        "copy/../scene.ply",
+        "B/kitchen.mp4",
+    ],
+)
+def test_results_of_other_work_folders_and_sources_of_runs_are_refused_even_with_force(work, other, out):
+    with pytest.raises(UsageError, match="is never written over"):
+        check_out(Path(out), work, (other,), True)
+
+
+def test_a_link_in_the_place_of_an_output_gives_way_and_what_it_leads_to_stays(work):
+    Path("views").mkdir()
+    Path("views/1.png").symlink_to("../a.mp4")
+    Path("views/2.png").hardlink_to("wave.bvh")
+    Path("views/3.png").symlink_to("nowhere")
+    for name in ("1", "2", "3"):
+        draw(Path(f"views/{name}.png"), work)
+        assert Path(f"views/{name}.png").read_text() == "drawn" and not Path(f"views/{name}.png").is_symlink()
+    assert Path("a.mp4").read_text() == "a.mp4" and Path("wave.bvh").read_text() == "wave.bvh"
+    check_out(Path("views"), work, (), False, is_folder=True)
 
 
 def test_pictures_are_not_drawn_over_a_file_nor_a_film_over_a_folder(work):

@@ -162,3 +162,26 @@ def test_a_file_that_is_too_deep_or_unfolds_without_end_is_refused_at_once(tmp_p
 def test_a_setting_that_is_too_deep_is_refused(refused):
     error = refused(overrides=(f"one.word={'[' * 5_000}",))
     assert error.problem.endswith("[[[...: the value is not understood") and "in one another" in error.facts[0]
+
+
+@pytest.mark.parametrize("value", [".inf", "-.inf", ".nan", "1e400"])
+def test_no_setting_of_any_stage_is_endless(value):
+    """A length that never ends took all memory, or ended in a traceback."""
+    numbers = [
+        f"{stage}.{name}"
+        for stage, one in load("default").stages.items()
+        for name, field in type(one.params).model_fields.items()
+        if field.annotation in (float, float | None)
+    ]
+    assert len(numbers) > 5
+    for name in numbers:
+        with pytest.raises(UsageError):
+            load("default", [f"{name}={value}"])
+
+
+@pytest.mark.parametrize(
+    "setting", ["render.motion_seconds=1e12", "render.fps=100000", "render.turntable_frames=10000000"]
+)
+def test_films_of_the_result_have_a_length_that_ends(setting):
+    with pytest.raises(UsageError):
+        load("default", [setting])

@@ -59,6 +59,32 @@ def test_ten_thousand_values_are_read_and_no_more():
         read(f"{{a: &a [{'1, ' * 90}], b: [{'*a, ' * 120}]}}")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: 1\na: 2",
+        "{a: 1, a: 2}",
+        "x: [{b: 1, c: {b: 3}, b: 2}]",
+        "a: &k {q: 1, 'q': 2}",
+        "? a\n: 1\n? a\n: [2]",
+        "'': 1\n'': 2",
+    ],
+)
+def test_a_key_that_is_given_twice_is_an_error(text):
+    with pytest.raises(ValueError, match="is given twice, again in line"):
+        read(text)
+
+
+def test_equal_keys_of_other_mappings_and_equal_values_are_none(tmp_path):
+    assert read("{a: a, b: {a: a, b: [a, a, {a: a}]}, c: a}") == {
+        "a": "a",
+        "b": {"a": "a", "b": ["a", "a", {"a": "a"}]},
+        "c": "a",
+    }
+    merged = "a: &a {x: 1, y: 2}\nb: &b {<<: *a, y: 3}\nc: {<<: *b, x: 4}\n"
+    assert read(merged)["c"] == {"x": 4, "y": 3}
+
+
 def test_broken_text_is_an_error():
     for text in ("[", "a: *nowhere", "a: b: c", "!!python/name:os.system x", "--- a\n--- b"):
         with pytest.raises(yaml.YAMLError):

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from hugs_cli import within
+from hugs_cli import options, within
 from hugs_cli.pipelines import UsageError
 from hugs_cli.studies.calibration import STAGE_START
 from tests.made.flow import Flow
@@ -98,7 +98,7 @@ def test_times_are_read(text, seconds):
     assert within.seconds_of(text) == seconds
 
 
-@pytest.mark.parametrize("text", ["", "0m", "10", "5 m", "-5m", "1.5h", "m", "30s2m"])
+@pytest.mark.parametrize("text", ["", "0m", "10", "5 m", "-5m", "1.5h", "m", "30s2m", "9" * 5000 + "m", "\u0661m"])
 def test_what_is_no_time_is_refused(text):
     with pytest.raises(UsageError, match="is not a time"):
         within.seconds_of(text)
@@ -228,3 +228,16 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
     assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(timed) == before
     timed.edit("train", "more = 1", "more = 2")
     assert "`hugs accept clip.mp4 --pipeline tiny.60s` (and" in run(timed, "--within", "60s")[1]
+
+
+@pytest.mark.parametrize("given", [1.0, 0.5, 0.2])
+def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
+    monkeypatch.setattr(within, "share", lambda: given)
+    monkeypatch.syspath_prepend(clip.folder)
+    session = options.open_session(
+        clip.folder / "clip.mp4", "tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml"
+    )
+    promise = within.Promise(session, list(session.pipeline.stages), 60)
+    guess = promise._guess(frozenset(), begun=False)
+    assert guess["share"] == given and guess["before"] == pytest.approx(STAGE_START / given, abs=0.06)
+    assert guess["from"] == pytest.approx((within.LEAST * within.STEP + 2 * STAGE_START) / given, abs=0.06)

@@ -52,16 +52,19 @@ def neuman(
     seed: int = 0,
     crf: int | None = None,
     wears: Sequence[str] = (),
+    clip: synthetic.SyntheticClip | None = None,
 ) -> Made:
     """A NeuMan sequence called bike; poses have scales that differ by up to 8 % and look right from their own camera.
 
     `noise` is the standard deviation of what is added to the poses: in radians to joint angles, and of the mean
     distance to the camera to places. `camera_noise` is the same for the cameras: radians, and of the mean distance from
-    the person. With `crf` the pictures are what is left of them in a video coded so. `wears`: see `synthetic.make_clip`.
+    the person. With `crf` the pictures are what is left of them in a video coded so. `wears`: see `synthetic.make_clip`,
+    which makes the clip where none is given.
     """
     model = read_body_model()
-    size = {"frames": frames, "width": width, "height": height}
-    clip = synthetic.make_clip(model, seed=seed, effects=effects, wears=wears, **size)
+    if clip is None:
+        size = {"frames": frames, "width": width, "height": height}
+        clip = synthetic.make_clip(model, seed=seed, effects=effects, wears=wears, **size)
     views = clip.frames
     made = Made(folder / "bike", folder / "truth")
     write_truth(made.truth, clip)

@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,11 +34,15 @@ def make(folder: Path, clip: str = "clip", shift: tuple[float, float, float] = (
     for name in STAGES:
         shutil.copytree(made[name], store / f"{name}-01234567")
         (links / name).symlink_to(f"../store/{name}-01234567")
-        made_of = {"seed": 0, "code": {}, "params": {}, "inputs": film, "content": "", "files": {}, "seconds": 1.0}
-        machine = {"host": "h", "device": "cpu", "system": "s", "processors": 1, "versions": {}}
-        made_by = {"made": "2026-01-01T00:00:00+00:00", "peak_memory_bytes": 0, "machine": machine}
-        Stamp(name, "", **made_of, **made_by).write(store / f"{name}-01234567")
+        stamp(name, inputs=film).write(store / f"{name}-01234567")
     return links
+
+
+def stamp(stage: str, key: str = "", **facts: Any) -> Stamp:
+    """A stamp of a result, of nothing in particular."""
+    made_of = {"seed": 0, "code": {}, "params": {}, "inputs": {}, "content": "", "files": {}, "seconds": 1.0} | facts
+    machine = {"host": "h", "device": "cpu", "system": "s", "processors": 1, "versions": {}}
+    return Stamp(stage, key, **made_of, made="2026-01-01T00:00:00+00:00", peak_memory_bytes=0, machine=machine)
 
 
 def move_pelvis(made: dict[str, Path], shift: np.ndarray) -> None:

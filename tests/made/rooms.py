@@ -13,6 +13,7 @@ from stages.avatar.cameras import lens
 from stages.avatar.cameras import pinhole as cameras
 from stages.contract import Job
 from stages.formats.images import write_image, write_mask
+from tests.made.possible import impossible
 
 WIDTH, HEIGHT, FOCAL, K1 = 320, 240, 300.0, 0.06
 
@@ -101,4 +102,6 @@ def run(folder, smpl_fit: Path | None = None, **settings) -> tuple[dict, list[di
     out.mkdir()
     job = Job(out, emit=events.append)
     sfm.run(job, sfm.Params(**settings), frames=folder / "frames", masks=folder / "masks", smpl_fit=smpl_fit)
-    return json.loads((out / "sfm.json").read_text()), events
+    facts = json.loads((out / "sfm.json").read_text())
+    assert not impossible(facts, WIDTH, HEIGHT)
+    return facts, events

@@ -1,5 +1,6 @@
 """`hugs animate`, which draws through the stage compose: where people stand, where they look, what is said."""
 
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -8,16 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages import export
+from stages import compose, export
 from stages.avatar.motion.formulas import MOTIONS
-from stages.contract import Job
+from stages.contract import Job, StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.clip import load_clip
+from stages.formats.exchange.ply import write_ply
 from stages.formats.images import read_pixels
 from stages.formats.people import folder_of
 from stages.formats.poses import read_poses, write_poses
-from stages.formats.splats import read_avatar, write_splats
+from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.formats.video import decode
 from stages.records import Cameras
 from tests.made import bvh as bvh_made
@@ -305,3 +307,36 @@ def write_motion(folder):
     orient, pose, transl = (t.numpy().astype(float) for t in MOTIONS["wave"](1.0, 10))
     np.savez(folder / "moves.npz", poses=np.concatenate([orient, pose], 1), trans=transl, fps=10.0)
     return folder / "moves.npz"
+
+
+@pytest.mark.parametrize(
+    ("film", "person", "said"),
+    [
+        ({"seconds": 1e18}, {}, "`seconds: 1e+18` has too many pictures"),
+        ({"seconds": 1e308}, {}, "`seconds: 1e+308` has too many pictures"),
+        ({"moment": 1e300}, {}, "`moment: 1e+300` has too many"),
+        ({"out": {"stills": {"folder": "a", "at": [0, 1e300]}}}, {}, "`at: 1e+300` has too many"),
+        ({}, {"start": 1e15}, "`start: 1e+15` has too many"),
+        ({}, {"start": -1e15}, "`start: -1e+15` has too many"),
+        ({}, {"speed": 1e-12}, "wave has too many poses"),
+        ({}, {"speed": 1e-12, "motion": "amass.npz"}, "amass.npz has too many poses"),
+        ({}, {"speed": 1e-12, "motion": "clip"}, "the motion of the clip has too many"),
+        ({"fps": 240}, {"start": 899}, "the film has too many"),
+    ],
+)
+def test_a_film_of_any_length_is_refused_before_memory_is_taken(trained, monkeypatch, film, person, said):
+    monkeypatch.chdir(trained)
+    people = [{"avatar": "work/clip/default", "motion": "wave"} | person]
+    with pytest.raises(StageError, match=re.escape(said)) as refused:
+        compose.run(Job(trained), compose.Params(people=people, **film))
+    assert "are the most" in refused.value.facts[1]
+
+
+def test_what_of_a_scene_is_left_out_is_a_warning_wherever_it_is_drawn(trained, hugs):
+    scene = read_scene(trained / "work/clip/default/train/scene.npz")
+    means = np.array(scene.means)
+    write_ply(trained / "few.ply", replace(scene, means=np.where(np.arange(len(means))[:, None] == 5, np.nan, means)))
+    said = f"warning: few.ply: 1 of {len(scene)} Gaussians cannot be drawn and are left out: rows 5"
+    view = ("--cameras", "work/clip/default/sfm/cameras.npz")
+    assert said in hugs("wave.bvh", "--fps", "1", "--out", "few.mp4", "--scene", "few.ply")[1]
+    assert said in hugs("--out", "few", "--scene", "few.ply", *view, command="render")[1]

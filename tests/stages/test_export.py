@@ -96,11 +96,11 @@ def test_what_a_viewer_cannot_show_is_said_once(out):
 
 
 def test_only_formats_that_lack_something_are_said_to_lack_it(clip, tmp_path):
-    """Page and glb hang clothes; the page knows of anti-aliasing, .spz of the second only."""
+    """Page and glb hang clothes; page, .ply and .spz know of anti-aliasing."""
     for formats, clothes, antialias in (
         (["viewer"], None, None),
         (["spz"], "stand still in spz", None),
-        (["ply", "glb", "spz_motion"], "stand still in ply", "by ply, glb:"),
+        (["ply", "glb", "spz_motion"], "stand still in ply", "by glb:"),
     ):
         said = made(clip, tmp_path / "-".join(formats), formats=formats)
         for wanted, about in ((clothes, "clothes have"), (antialias, "learned with anti-aliasing")):

@@ -65,7 +65,7 @@ def drawn(train, tmp_path, names, only, body=None):
     out = tmp_path / "out"
     notes = []
     cameras(tmp_path / "c.npz", names)
-    job = Job(out, emit=lambda event: notes.append(event["text"]))
+    job = Job(out, emit=lambda event: notes.append(event["text"]) if event["event"] == "note" else None)
     views.run(job, views.Params(only=only), train=train, cameras=tmp_path / "c.npz", poses=body)
     assert notes == [f"{len(names)} picture{'s' * (len(names) > 1)} of {only}"]
     return [read_pixels(out / f"{name}.png") for name in names]

@@ -32,6 +32,7 @@ from stages.formats.points import write_points
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses
 from tests.made import bodyfit_clips
+from tests.made.possible import impossible
 
 MODEL = read_body_model()
 LIMBS = [4, 5, 7, 8, 16, 17, 18, 19, 20, 21]
@@ -65,7 +66,14 @@ def run(folder, frames, sfm, **sources):
     said = []
     folder.mkdir(exist_ok=True)
     smpl.run(Job(out=folder, emit=said.append), smpl.Params(), frames=frames, sfm=sfm, **sources)
-    return read_poses(folder / "body.npz"), json.loads((folder / "smpl.json").read_text()), said
+    facts = json.loads((folder / "smpl.json").read_text())
+    assert not impossible(facts, bodyfit_clips.WIDTH, bodyfit_clips.HEIGHT)
+    return read_poses(folder / "body.npz"), facts, said
+
+
+def test_what_is_not_finite_is_not_known():
+    assert [smpl.known(value) for value in (0.12345, np.nan, np.inf, -np.inf)] == [0.1235, None, None, None]
+    assert smpl.mean_known(np.array([1.0, np.nan, np.inf, 3.0])) == 2 and smpl.mean_known(np.array([np.inf])) is None
 
 
 def world_joints(poses):

@@ -14,7 +14,9 @@ from stages.estimators.bodyfit.posed import posed_bodies
 from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.finding import compare, unmeasured
 from stages.formats.clip import load_people
+from stages.formats.facts import Sfm
 from tests.made import company, tiny
+from tests.made.possible import impossible
 
 EFFECTS = {"view_dependence", "exposure", "lens", "rolling_shutter", "motion_blur", "shadow", "clothing"}
 EFFECTS |= {"pose_refinement", "camera_refinement", "sky", "transients", "antialias", "shading"}
@@ -75,6 +77,27 @@ def test_confidence_grows_with_the_distance_from_the_threshold():
     assert not doubtful.called_for and doubtful.verdict == "no" and doubtful.confidence == 0.5
 
 
+def test_what_is_not_finite_was_not_measured():
+    for value in (np.nan, np.inf, -np.inf):
+        found = compare(value, "px", 1.0, ("yes", "no"), ["a"])
+        assert found == unmeasured("px", 1.0, "the measurement failed") and not impossible(found.entry(), 9, 9)
+        assert survey.measure(value, "px", 1.0, "good") == survey.measure(None, "px", 1.0, "good")
+    assert survey.measure(0.5, "px", 1.0, "good")["verdict"] == "good"
+
+
+LOST = {"behind": [0, 0, -5.0], "in the camera": [0, 0, 0.0], "in its plane": [5.0, 0, 1e-300], "far": [0, 0, 1e300]}
+
+
+@pytest.mark.parametrize("where", LOST)
+def test_measures_of_cameras_are_possible_wherever_their_points_are(where, body_clip):
+    clip = replace(load_people(*body_clip)[0], points=np.tile(LOST[where], (200, 1)))
+    facts = Sfm(verdict="moving", distortion={"max_shift_px": 0.0}, reprojection_px=0.5, median_triangulation_deg=2.0)
+    found = survey.camera_measures(facts, clip)
+    assert not impossible(found, clip.width, clip.height)
+    ratio = found["baseline"]["value"]
+    assert ratio is None or ratio >= 0, ratio
+
+
 @pytest.fixture
 def body_clip(tmp_path):
     """A tiny clip: the free body stands 3 m before a camera; its mask is its own silhouette."""
@@ -119,6 +142,7 @@ def test_the_stage_on_a_static_clip(body_clip, tmp_path):
     out.mkdir()
     survey.run(Job(out, emit=events.append), survey.Params(), frames=tmp_path, masks=tmp_path, sfm=sfm, smpl=smpl)
     found = json.loads((out / "survey.json").read_text())
+    assert not impossible(found, 96, 128)
     assert found["decisions"] == dict.fromkeys(EFFECTS | {"scene"}, False) and found["starts"] == {}
     assert found["effects"]["pose_refinement"]["value"] == pytest.approx(0)
     assert found["measures"]["camera_parallax"]["verdict"] == "unknown"

@@ -575,18 +575,19 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
 def test_an_effect_that_the_clock_does_not_see_is_not_said_to_save_time(tmp_path):
     said = []
     found = {
-        "shadow": {"psnr": 2.6, "psnr_person": 0.5, "share": -0.046},
-        "exposure": {"psnr": 1.0, "psnr_person": 1.0, "share": 0.1},
+        "shadow": {"psnr": 2.6, "psnr_person": 0.5, "psnr_far": -0.3, "share": -0.046},
+        "exposure": {"psnr": 1.0, "psnr_person": 1.0, "psnr_far": None, "share": 0.1},
     }
     told = effect_facts(found, 100.0, Job(tmp_path, emit=lambda event: said.append(event["text"])))
     assert [effect["seconds"] for effect in told.values()] == [-4.6, 10.0], "as measured"
-    assert said[0] == "shadow: +2.6 / +0.5 dB on held-out frames, no measurable time of training"
+    where = "-0.3 in the poses farthest from training"
+    assert said[0] == f"shadow: +2.6 / +0.5 dB on held-out frames, {where}, no measurable time of training"
     assert said[1] == "exposure: +1.0 / +1.0 dB on held-out frames, 10 s of training"
 
 
 @pytest.mark.slow
 def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path, inputs, monkeypatch):
-    def breaks(fit, frames):
+    def breaks(fit, frames, far):
         raise FloatingPointError("too many bad steps")
 
     monkeypatch.setattr("stages.training.run.effect_gains", breaks)

@@ -1,6 +1,7 @@
 """Takes stabilisers out of the code, one by one, and shows that the test of each turns red.
 
     python -m tests.tools.mutants        prints a table (`make mutants`); exit code 1 if any test stayed green
+    python -m tests.tools.mutants FILE   small mistakes of every kind in one file, see file_mutants.py (`make mutants FILE=...`)
 
 Every row of MUTANTS puts back a mistake that is easily made: the entries of the torture set of the hard cases (14-1 to
 14-16), and single cases. Two copies of the tree are worked on at a time, each with a cache of its own for compiled kernels.
@@ -700,13 +701,23 @@ def copy_tree(to: Path) -> Path:
     return to
 
 
+def ran(tree: Path, seconds: float | None, *arguments: str) -> tuple[int, list[str]]:
+    """Pytest in the tree, up to its first failure: its exit code, 1 where it takes longer, and the lines that it prints."""
+    environment = {"PYTHONPATH": str(tree), "HUGS_CACHE": str(tree / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *arguments]
+    try:
+        done = subprocess.run(
+            command, cwd=tree, env=os.environ | environment, capture_output=True, text=True, timeout=seconds
+        )
+    except subprocess.TimeoutExpired:
+        return 1, [f"no end after {seconds:.0f} s"]
+    return done.returncode, (done.stdout + done.stderr).strip().splitlines() or [f"exit code {done.returncode}"]
+
+
 def outcome(tree: Path, *nodes: str) -> str:
     """What pytest says of the tests in the tree: red, GREEN, or its last line where it could not run them."""
-    environment = {"PYTHONPATH": str(tree), "HUGS_CACHE": str(tree / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *nodes]
-    done = subprocess.run(command, cwd=tree, env=os.environ | environment, capture_output=True, text=True)
-    lines = (done.stdout + done.stderr).strip().splitlines() or [f"exit code {done.returncode}"]
-    return {0: "GREEN", 1: "red"}.get(done.returncode, lines[-1])
+    code, lines = ran(tree, None, *nodes)
+    return {0: "GREEN", 1: "red"}.get(code, lines[-1])
 
 
 def judge(mutant: Mutant, trees: SimpleQueue[Path]) -> str:
@@ -724,6 +735,10 @@ def judge(mutant: Mutant, trees: SimpleQueue[Path]) -> str:
 def main() -> int:
     """Judge all mutants, or those whose name contains a word of the command line, and print the table."""
     words = sys.argv[1:]
+    if words and words[0].endswith(".py"):
+        from tests.tools import file_mutants
+
+        return file_mutants.main(*words[:1], *map(int, words[1:]))
     chosen = [m for m in MUTANTS if not words or any(word in m.name for word in words)]
     with tempfile.TemporaryDirectory(prefix="hugs-mutants-") as scratch, ThreadPoolExecutor(WORKERS) as pool:
         trees: SimpleQueue[Path] = SimpleQueue()

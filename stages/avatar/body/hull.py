@@ -1,7 +1,10 @@
 """Where cloth and hair stand off the body: what the masks of many frames leave of the space around a body at rest.
 
 A visual hull (Laurentini 1994), carved in the rest pose: the skeleton carries each point of a grid to every frame, with
-skinning weights that spread from the skin into space. Where the body itself covers a point, a frame says nothing of it.
+skinning weights that spread from the skin into space. Where the body itself covers a point, a frame shows nothing of it.
+Nor does it in a narrow gap between two limbs: a thigh that never leaves the other is no skirt. Cloth stands further off the
+body's outline than errors of a body fit and the thickness of shirt and trousers explain (FAR); around such a piece all that
+the masks hold is cloth.
 """
 
 from __future__ import annotations
@@ -11,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.ndimage import binary_closing, gaussian_filter, label, zoom
+from scipy.ndimage import binary_closing, distance_transform_edt, gaussian_filter, label, zoom
 from scipy.spatial import cKDTree
 
+from stages.avatar.body.joints import ANKLES, ELBOWS, FEET, HANDS, HIPS, KNEES, SHOULDERS, WRISTS
 from stages.avatar.splats.neighbours import farthest_points
 
 REACH = 0.32  # m from the skin: as far as cloth is looked for
@@ -21,10 +25,15 @@ CELL = 0.025  # m, of the grid
 SOURCES = 512  # patches of skin from which weights spread
 CLOTH = 0.5  # share of the frames from one side that must have a point inside the mask
 SIDES = 8  # directions of sight, by azimuth, in which a point must be inside: of two opposite ones either tells
-EACH, SAY = 2.0, 4.0  # frames with a say: of a side that counts, and of all, at least
+EACH, SAY = 2.0, 4.0  # frames that show a point: of a side that counts, and of all, at least
 LOOKS = 1 / 16  # of all frames, that look from a side, at least
 CLEAR = 0.03  # m off the skin from which a surface is cloth, not skin
-LEAST = 30  # cells of a piece of cloth, at least
+FAR = 0.03  # m off the body's outline: what never shows so far off is shirt, trousers or an error of the fit
+NEAREST = 0.3  # m from the camera: nearer bodies show gaps as if they were here
+GAP = 0.06  # m: half the width of gaps between limbs that show no cloth
+LIMBS = *zip(HIPS, KNEES, ANKLES, FEET), *zip(SHOULDERS, ELBOWS, WRISTS, HANDS)
+ONE_LIMB = 0.7  # of the skinning weights of a piece of cloth: so much of one limb is of it alone
+LEAST = 10  # cells of a piece of cloth that show FAR off the body, at least
 CLOSED = 3  # cells: half the width of gaps that are closed
 
 
@@ -117,46 +126,103 @@ class Sight(NamedTuple):
 
 
 class Carved(NamedTuple):
-    """Which cells [P] are in `cloth`, and which `may` be: no side tells that they are empty, but too few frames tell."""
+    """Which cells [P] are in `cloth`, which of them show `far` off the body, and which `may` be cloth: no side shows that they
+    are empty, but too few frames show them.
+    """
 
     cloth: np.ndarray
+    far: np.ndarray
     may: np.ndarray
+
+    def volume(self, space: Space) -> float:
+        """The volume of cloth that is CLEAR of the skin, as share of the body's."""
+        return float((self.cloth & (space.away > CLEAR)).sum() / (space.away <= 0).sum())
 
 
 def carve(space: Space, sights: Iterable[Sight]) -> Carved:
-    """Cloth is what is off the body, and inside the mask in most frames of every side that can tell.
+    """Cloth is what is off the body, and inside the mask in most frames of every side that shows it.
 
     Most of all frames would not do: a point a fifth outside a round skirt is inside its outline from half of all sides. And
     from a few sides alone a body casts long shadows of itself to the front and the back: where frames look from no side
-    within the width of two, nothing is cloth.
+    within the width of two, nothing is cloth. A piece of cloth has LEAST cells that show FAR off the body.
     """
-    inside, outside, looked = np.zeros((3, SIDES, len(space.points)))
-    frames = 0
+    inside = np.zeros((2, SIDES, len(space.points)))  # beyond gaps between limbs, and FAR off the body
+    outside, looked = np.zeros((2, SIDES, len(space.points)))
+    bare, frames = np.zeros(len(space.points)), 0
     for sight in sights:
         frames += 1
-        blend = (space.weights @ sight.bones[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-        world = np.einsum("pab,pb->pa", blend[..., :3], space.points) + blend[..., 3]
-        local = world @ sight.viewmat[:3, :3].T + sight.viewmat[:3, 3]
-        at = np.floor(local[:, :2] / np.maximum(local[:, 2:], 1e-3) * np.diag(sight.K)[:2] + sight.K[:2, 2])
-        height, width = sight.mask.shape
-        shown = (local[:, 2] > 0.05) & (at >= 0).all(1) & (at < [width, height]).all(1)
-        column, row = at[shown].astype(int).T
-        eye = -sight.viewmat[:3, :3].T @ sight.viewmat[:3, 3]
-        ray = np.einsum("pba,pb->pa", blend[shown, :, :3], world[shown] - eye)
-        side = np.floor(np.arctan2(ray[:, 0], ray[:, 2]) / np.pi * SIDES).astype(int) % SIDES
-        looked[side, shown] += 1
-        tells = ~sight.body[row, column]
-        seen, side, value = np.flatnonzero(shown)[tells], side[tells], sight.mask[row[tells], column[tells]]
-        inside[side, seen] += value
-        outside[side, seen] += 1 - value
-    say, unseen = inside + outside, looked < LOOKS * frames
+        rows, side, pixel, metre = _seen(space, sight)
+        looked[side, rows] += 1
+        off = ~sight.body[pixel]
+        rows, side, pixel = rows[off], side[off], tuple(part[off] for part in pixel)
+        value = sight.mask[pixel]
+        outside[side, rows] += 1 - value
+        bare[rows] += 1
+        for level, free in zip(inside, beyond(sight.body, GAP * metre, FAR * metre)):
+            level[side, rows] += value * free[pixel]
+    unseen = looked < LOOKS * frames
     blind = (unseen & np.roll(unseen, 1, 0)).any(0)
-    held = (inside > CLOTH * say) | (say < EACH)
-    may = (space.away > 0) & held.all(0) & ~(inside.sum(0) < CLOTH * say.sum(0))
-    found = may & (say.sum(0) >= SAY) & ~blind
-    pieces, _ = label(space.grid(found) | space.grid(space.away <= 0))
-    large = np.bincount(pieces[space.grid(found)], minlength=pieces.max() + 1) >= LEAST
-    return Carved(found & large[pieces.ravel()[space.rows]], may)
+    known = (bare >= SAY) & ~blind
+    may, far = (_may(one, outside) for one in inside)
+    found, far = known & may & (inside[0].sum(0) >= EACH), known & far & (inside[1].sum(0) >= SAY)
+    out = space.away > 0
+    pieces, _ = label(space.grid(found & (space.away > CLEAR)))
+    piece = pieces.ravel()[space.rows]
+    large = np.bincount(piece[far & out], minlength=pieces.max() + 1) >= LEAST
+    large[0] = False
+    for k in np.flatnonzero(large):
+        large[k] = not around_a_limb(space, piece == k)
+    cloth = found & out & (large[piece] | (space.away <= CLEAR)) & large.any()
+    return Carved(cloth, far & cloth & (space.away > CLEAR), may & out)
+
+
+def around_a_limb(space: Space, piece: np.ndarray) -> bool:
+    """Whether a piece, cells [P], is a tube around one leg or arm, such as a wide trouser leg: it goes with its limb, as skin does.
+
+    A bag beside a leg has its middle in itself, a skirt is around both legs.
+    """
+    points, carried = space.points[piece], space.weights[piece].mean(0)
+    middle = np.linalg.norm(space.points - points.mean(0), axis=1).argmin()
+    return max(carried[list(limb)].sum() for limb in LIMBS) > ONE_LIMB and space.away[middle] <= 0
+
+
+def _seen(space: Space, sight: Sight) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...], float]:
+    """The cells [S] that a frame shows, the side [S] that it sees them from, their pixels, row and column, and a metre in px."""
+    blend = (space.weights @ sight.bones[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+    world = np.einsum("pab,pb->pa", blend[..., :3], space.points) + blend[..., 3]
+    local = world @ sight.viewmat[:3, :3].T + sight.viewmat[:3, 3]
+    at = np.floor(local[:, :2] / np.maximum(local[:, 2:], 1e-3) * np.diag(sight.K)[:2] + sight.K[:2, 2])
+    height, width = sight.mask.shape
+    shown = (local[:, 2] > 0.05) & (at >= 0).all(1) & (at < [width, height]).all(1)
+    column, row = at[shown].astype(int).T
+    eye = -sight.viewmat[:3, :3].T @ sight.viewmat[:3, 3]
+    ray = np.einsum("pba,pb->pa", blend[shown, :, :3], world[shown] - eye)
+    side = np.floor(np.arctan2(ray[:, 0], ray[:, 2]) / np.pi * SIDES).astype(int) % SIDES
+    metre = sight.K[0, 0] / max(float(np.median(local[:, 2])), NEAREST)
+    return np.flatnonzero(shown), side, (row, column), metre
+
+
+def beyond(body: np.ndarray, gap: float, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels [H,W] off a silhouette [H,W] whose gaps of up to twice `gap` px are closed, and those `margin` px off it as well."""
+    free = np.ones_like(body), np.ones_like(body)
+    if not body.any():
+        return free
+    rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
+    box, pad = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], int(gap + margin) + 2
+    away = distance_transform_edt(~np.pad(body[box], pad))
+    top, left = rows[0] - pad, columns[0] - pad
+    for shown, grow in zip(free, (0.0, margin)):
+        near = distance_transform_edt(away <= gap + grow) > gap
+        near = near[max(0, -top) :, max(0, -left) :]
+        place = shown[max(0, top) :, max(0, left) :][: near.shape[0], : near.shape[1]]
+        place &= ~near[: place.shape[0], : place.shape[1]]
+    return free
+
+
+def _may(inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """Which points [P] no side, and not all together, show to be empty, by what they show [SIDES,P]."""
+    shown = inside + outside
+    return ((inside > CLOTH * shown) | (shown < EACH)).all(0) & ~(inside.sum(0) < CLOTH * shown.sum(0))
 
 
 def surface(space: Space, skin: Skin, carved: Carved, spacing: float) -> Cloth:

@@ -38,9 +38,9 @@ def border(width: int, height: int, steps: int = 64) -> np.ndarray:
 
 
 def max_shift(focal: float, k: float, width: int, height: int) -> float:
-    """The largest displacement in px that the lens causes inside the image."""
+    """The largest displacement in px that the lens causes inside the image, its diagonal at most."""
     u = (border(width, height) - [width / 2, height / 2]) / focal
-    return float(np.linalg.norm(distort(u, k) - u, axis=1).max() * focal)
+    return min(float(np.linalg.norm(distort(u, k) - u, axis=1).max() * focal), float(np.hypot(width, height)))
 
 
 def pinhole_focal(focal: float, center: np.ndarray, k: float, width: int, height: int) -> float:

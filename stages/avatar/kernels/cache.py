@@ -5,10 +5,12 @@ Numba misses an edit of a function that another file's kernel calls (numba #1833
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import re
 import shutil
+import stat
 import tempfile
 import time
 from pathlib import Path
@@ -34,7 +36,8 @@ def sources(house: Path = HOUSE) -> list[Path]:
 
 
 def folder() -> Path:
-    """A writable folder for the kernels of exactly these sources: the user's cache, or else the machine's temporary one.
+    """A writable folder for the kernels of exactly these sources, which Numba unpickles: in the user's cache, or else in the
+    machine's temporary folder; a new one for this process alone where somebody else could have filled both.
 
     Removes folders of other sources that no process has begun with for KEPT seconds.
     """
@@ -43,14 +46,27 @@ def folder() -> Path:
     for root in (home, Path(tempfile.gettempdir()) / f"hugs-{os.getuid()}"):
         place = root / "kernels" / digest
         try:
-            place.mkdir(parents=True, exist_ok=True)
+            root.mkdir(mode=0o700, parents=True, exist_ok=True)
+            place.parent.mkdir(mode=0o700, exist_ok=True)
+            place.mkdir(mode=0o700, exist_ok=True)
+            top = root.resolve() if root is home else root  # a link of the user's own is followed
+            if os.access(place, os.W_OK) and is_ours(top) and is_ours(place.parent) and is_ours(place):
+                place.touch()
+                tidy(place.parent, time.time() - KEPT)
+                return place
         except OSError:
             continue
-        if os.access(place, os.W_OK):
-            place.touch()
-            tidy(place.parent, time.time() - KEPT)
-            return place
-    raise OSError(f"no folder for compiled kernels can be written, neither in {home} nor in {tempfile.gettempdir()}")
+    own = Path(tempfile.mkdtemp(prefix="hugs-kernels-"))
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    return own
+
+
+def is_ours(place: Path) -> bool:
+    """Whether only this user (and root) can have put something into a folder, or anything in its place."""
+    info = os.lstat(place)
+    return (
+        stat.S_ISDIR(info.st_mode) and info.st_uid == os.getuid() and not info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    )
 
 
 def tidy(root: Path, before: float) -> None:

@@ -41,6 +41,8 @@ LIMBS = {
 """Joint at which a limb's bone begins -> joint at its end: these bones keep their direction in the world."""
 STANDING = 0.7
 """The zero pose is a stand where leg bones have over this mean cosine with the trunk's down."""
+ROUNDED = 0.05
+"""Of a step: where the last frame comes that much too early for another one, its time was rounded, and the frame is kept."""
 SMPL_LEG = 0.79
 """Hip to knee to ankle of SMPL's mean body, m: the scale of a motion whose body is not known."""
 
@@ -162,7 +164,7 @@ def resample_at(motion: Performance, times: np.ndarray, wanted: float) -> Perfor
     if len(times) == 1:
         return motion
     times = times - times[0]
-    new = np.arange(np.floor(times[-1] * wanted + 1e-6) + 1) / wanted
+    new = np.arange(np.floor(times[-1] * wanted + ROUNDED) + 1) / wanted
     new = new.clip(max=times[-1])
     turned = [Slerp(times, Rotation.from_matrix(motion.rotations[:, joint]))(new).as_matrix() for joint in range(24)]
     hips = np.stack([np.interp(new, times, axis) for axis in motion.hips.T], 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -47,7 +48,7 @@ def measure_quality(
     count = len(poses)
     error, share, iou = np.full(count, np.nan), np.full(count, np.nan), np.full(count, np.nan)
     if evidence is not None and pixels is not None:
-        off = np.linalg.norm(pixels - evidence.xy, axis=-1)
+        off = np.linalg.norm(pixels - evidence.xy, axis=-1).clip(max=math.hypot(cameras.width, cameras.height))
         for i in range(count):
             sure = evidence.weight[i] > 0.5
             if sure.any():

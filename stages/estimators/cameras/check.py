@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ def triangulate(job: Job, found: Pinholes, size: tuple[int, int], features: int,
         colmap_features.set_pinholes(database, found.Ks)
     colmap_features.match(database, len(files).bit_length(), growing=True, side=side)
     pairs, _ = colmap_features.read_pairs(database, files)
-    error = match_error(pairs, found.viewmats, found.Ks)
+    error = match_error(pairs, found.viewmats, found.Ks, math.hypot(*size))
     found.facts |= {"verified_pairs": len(pairs), "epipolar_px": error}
     if error is None:
         job.warn("no two frames match outside the person, so the given cameras could not be checked")
@@ -57,8 +58,8 @@ def triangulate(job: Job, found: Pinholes, size: tuple[int, int], features: int,
     job.note(f"points by COLMAP from the given cameras; matches lie {error:.2f} px off their epipolar lines (median)")
 
 
-def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray) -> float | None:
-    """Median distance in px of matched points from the epipolar lines that the cameras give; None without matches.
+def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray, most: float) -> float | None:
+    """Median distance in px, `most` at most, of matched points from their epipolar lines by the cameras; None without matches.
 
     Source: Hartley and Zisserman, Multiple View Geometry, eq. 9.1 for F and eq. 11.9 for the first-order distance.
     """
@@ -72,7 +73,7 @@ def match_error(pairs: list[Pair], viewmats: np.ndarray, Ks: np.ndarray) -> floa
         line_b, line_a = a @ F.T, b @ F
         slope = np.sqrt((line_a[:, :2] ** 2).sum(1) + (line_b[:, :2] ** 2).sum(1))
         found.append(np.abs((b * line_b).sum(1)) / np.maximum(slope, 1e-300))
-    return float(np.median(np.concatenate(found))) if found else None
+    return min(float(np.median(np.concatenate(found))), most) if found else None
 
 
 def compare_colors(job: Job, found: Pinholes, cloud: Cloud) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import pycolmap
 
 from stages.avatar.cameras import lens
-from stages.formats.given_cameras.record import Lens, widest_angles
+from stages.formats.given_cameras.record import Lens, possible_errors, widest_angles
 
 SEED = 1  # of every random draw of a mapper
 TRACKS = 100  # longest tracks a frame to map with; all take three times as long, and are as far off once refined
@@ -59,14 +59,20 @@ class Model:
         return self.reconstruction.num_points3D()
 
     @property
+    def errors(self) -> np.ndarray:
+        """Reprojection errors of the points [P] px."""
+        camera, points = next(iter(self.reconstruction.cameras.values())), self.reconstruction.points3D.values()
+        return possible_errors(np.array([point.error for point in points]), camera.width, camera.height)
+
+    @property
     def error(self) -> float:
         """Mean reprojection error in px."""
-        return self.reconstruction.compute_mean_reprojection_error()
+        return float(self.errors.mean()) if self.points else 0.0
 
     @property
     def middle_error(self) -> float:
         """Median of the points' reprojection errors in px."""
-        return float(np.median([point.error for point in self.reconstruction.points3D.values()]))
+        return float(np.median(self.errors))
 
     @property
     def poses(self) -> dict[str, np.ndarray]:

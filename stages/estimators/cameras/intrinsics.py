@@ -78,13 +78,14 @@ def weigh(focal: float, k: float, covariance: np.ndarray, side: int, prior: Prio
 
 
 def spreads(found: Adjusted, side: int) -> dict[str, float]:
-    """Standard deviations of the mean focal length in px and of k, for sfm.json: tracks drift together, as in `weigh`."""
+    """Standard deviations of the mean focal length in px and of k, itself and 1 at most: tracks drift together, as in `weigh`."""
     drift = max(TRACK_ERROR * side / found.noise, 1.0)
     knots = len(found.bundle.log_focal)
     of_log = np.sqrt(found.covariance[:knots, :knots].mean()) * drift
     focal = float(np.median(found.bundle.focals))
-    k_spread = float(np.sqrt(found.covariance[knots, knots])) * drift
-    return {"focal_spread_px": round(focal * float(of_log), 3), "k_spread": round(k_spread, 5)}
+    k_spread = np.sqrt(found.covariance[knots, knots]) * drift
+    of_focal, of_k = np.fmin([focal * of_log, k_spread], [focal, 1.0]).tolist()
+    return {"focal_spread_px": round(of_focal, 3), "k_spread": round(of_k, 5)}
 
 
 def compare_halves(model: Model, likely: Intrinsics) -> dict[str, float]:
@@ -92,7 +93,8 @@ def compare_halves(model: Model, likely: Intrinsics) -> dict[str, float]:
     halves = colmap_lens.half_focals(model.reconstruction)
     if halves is None:
         return {}
-    return {"focal_spread_px": round(float(np.hypot(likely.focal_spread, (halves[0] - halves[1]) / 2)), 3)}
+    spread = np.fmin(np.hypot(likely.focal_spread, (halves[0] - halves[1]) / 2), likely.focal)
+    return {"focal_spread_px": round(float(spread), 3)}
 
 
 def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None = None) -> dict[str, float]:

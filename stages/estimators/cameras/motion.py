@@ -72,7 +72,7 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
     if not far:
         return CameraMotion("moving", float(max(by_gap)))
     focal, k, residuals = fit_rotation_camera([pairs[i] for i in far], width, height, known)
-    residual, displacement = float(np.median(residuals)), float(np.median(moved[far]))
+    residual, displacement = np.fmin([np.median(residuals), np.median(moved[far])], np.hypot(width, height)).tolist()
     limit = min(ROTATION_PX * side, ROTATION_SHARE * displacement)
     # A flat wall seen by a sliding camera looks like a turn with ever longer focal length: one at the limit is not believed.
     believable = known is not None or focal < 0.95 * MAX_FOCAL * side

@@ -104,7 +104,8 @@ def compare(
     free_walk = _adjusted(_freed(walk.bundle), seen, prior, rolls=True)
     changes = np.median(free.off) < (1 - WORTH) * np.median(plain.off)
     behind = float((walk.bundle.points[:, 3] <= 0).mean())
-    wins = leftover(free.off, seen, 3, 2, free_walk.noise) / leftover(free_walk.off, seen, 6, 3, free_walk.noise)
+    least = max(leftover(free_walk.off, seen, 6, 3, free_walk.noise), 1e-9)  # px
+    wins = leftover(free.off, seen, 3, 2, free_walk.noise) / least
     return TurnOrWalk(free if changes else plain, walk, pairs, seen, wins, behind)
 
 

@@ -97,8 +97,9 @@ def write_points(job: Job, found: Pinholes, cloud: Cloud) -> tuple[np.ndarray, d
                 f"the points lie on a plane (thickness {flatness:.3f} of their width): the focal length is uncertain"
             )
         facts["flatness"] = flatness
+    measured = keep & (cloud.errors >= 0)  # COLMAP writes -1 for an error that nobody computed
     return keep, facts if not told else facts | {
-        "reprojection_px": float(cloud.errors[keep].mean()),
+        "reprojection_px": float(cloud.errors[measured].mean()) if measured.any() else None,
         "median_track": float(np.median(cloud.lengths[keep])),
         "median_triangulation_deg": float(np.median(cloud.angles[keep])),
     }

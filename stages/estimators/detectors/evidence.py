@@ -23,14 +23,10 @@ FRAMES = 30  # enough for a median or a share; detectors that look at pictures t
 
 @dataclass(frozen=True)
 class ClipEvidence:
-    """A clip before training, with the facts of sfm.json; what several detectors need is computed once.
-
-    `fitted`: the poses are our own fit to landmarks, not given.
-    """
+    """A clip before training, with the facts of sfm.json; what several detectors need is computed once."""
 
     clip: Clip
     facts: Sfm
-    fitted: bool = False
 
     @property
     def moving(self) -> bool:

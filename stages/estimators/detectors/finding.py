@@ -41,7 +41,9 @@ def unmeasured(unit: str, threshold: float, why: str) -> Finding:
 def compare(
     value: float, unit: str, threshold: float, words: tuple[str, str], frames: Sequence[str] = (), also: bool = True
 ) -> Finding:
-    """Called for if `value` > `threshold` and `also` holds; `words` are the verdicts for yes and no."""
+    """Called for if `value` > `threshold` and `also` holds; `words` are the verdicts for yes and no. Infinity is no value."""
+    if not np.isfinite(value):
+        return unmeasured(unit, threshold, "the measurement failed")
     called = bool(value > threshold and also)
     doubt = 0.25 ** abs(np.log2(max(value, 1e-9) / threshold)) if called or value <= threshold else 0.5
     return Finding(

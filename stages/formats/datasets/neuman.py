@@ -20,7 +20,7 @@ from stages.formats.arrays import read_npz
 from stages.formats.datasets.capture import Capture, Purpose, Shot, require
 from stages.formats.frame_names import stem
 from stages.formats.given_cameras.colmap_model import read_colmap
-from stages.formats.given_cameras.record import GivenCameras
+from stages.formats.given_cameras.record import GivenCameras, possible_errors
 from stages.formats.given_masks.values import mask_files, read_values
 from stages.formats.pictures import picture_files
 
@@ -54,7 +54,8 @@ def read_neuman(folder: Path) -> Capture:
         mask = values.astype(np.uint8) if values.dtype == np.uint8 else np.where(values > 0, 255, 0).astype(np.uint8)
         return 255 - mask if inverted else mask
 
-    error = float(model.errors.mean()) if len(model.errors) else None
+    off = possible_errors(model.errors, model.lenses[0].width, model.lenses[0].height)
+    error = float(off.mean()) if len(off) else None
     facts = {"reprojection_px": error, "median_triangulation_deg": model.median_triangulation_deg()}
     return Capture(
         dataset="neuman",

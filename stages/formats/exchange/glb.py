@@ -65,6 +65,10 @@ def write_glb(path: Path, content: dict[str, Any], arrays: Arrays) -> None:
     text = json.dumps(whole, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     length = 12 + 8 + len(text) + 8 + len(arrays.data)
+    if length >= 1 << 32:
+        raise StageError(
+            f"{path} would be too large for a GLB", "leave glb out", [f"{length:,} bytes, 4 GiB are the most"]
+        )
     with Path(path).open("wb") as file:
         file.write(struct.pack("<4sII", MAGIC, VERSION, length))
         for kind, chunk in zip(CHUNKS, (text, bytes(arrays.data)), strict=True):

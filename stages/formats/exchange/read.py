@@ -9,7 +9,7 @@ from typing import TypeVar
 from stages.contract import StageError
 from stages.formats.clothes import has_old_clothes
 from stages.formats.exchange.avatar_glb import read_avatar_glb
-from stages.formats.exchange.ply import read_ply
+from stages.formats.exchange.ply import CONVERT, read_ply
 from stages.formats.exchange.spz import read_spz
 from stages.formats.splats import read_avatar, read_scene
 from stages.formats.trained import read_trained
@@ -27,7 +27,7 @@ def read_any_avatar(path: Path) -> Avatar:
 
 def read_any_scene(path: Path) -> Scene:
     """Read a scene of Gaussians, ours or another trainer's."""
-    return _read(path, SCENES, "scene", "give a .ply or .spz of 3D Gaussians, or scene.npz")
+    return _read(path, SCENES, "scene", f"give a .ply or .spz of 3D Gaussians, or scene.npz; {CONVERT}")
 
 
 def read_given(
@@ -44,8 +44,8 @@ def read_given(
     return found if scene is None else (found[0], read_any_scene(scene), found[2])
 
 
-def lacks(avatar: Path | None, scene: Path | None) -> list[str]:
-    """What these files do not hold, or no longer say to us, in words."""
+def lacks(avatar: Path | None, scene: Path | None, antialias: bool = False) -> list[str]:
+    """What these files do not hold, or no longer say to us, in words; `antialias`: as the scene was read."""
     found = []
     if avatar is not None and avatar.suffix.lower() == ".glb":
         found.append(f"{avatar.name} holds eight bones a Gaussian; avatar.npz holds all")
@@ -53,8 +53,8 @@ def lacks(avatar: Path | None, scene: Path | None) -> list[str]:
         found.append(
             f"{avatar.name} was made before clothes had bones: they follow the skin; train again for clothes that swing"
         )
-    if scene is not None and scene.suffix.lower() == ".ply":
-        found.append(f"{scene.name} cannot say that it was learned with anti-aliasing: drawn without")
+    if scene is not None and scene.suffix.lower() == ".ply" and not antialias:
+        found.append(f"{scene.name} does not say that it was learned with anti-aliasing: drawn without")
     return found
 
 

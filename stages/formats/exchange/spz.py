@@ -17,6 +17,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.budget import Budget
+from stages.formats.exchange.ply import AGAIN, CONVERT
 from stages.records import Scene
 
 MAGIC, VERSION = b"NGSP", 3
@@ -32,7 +33,7 @@ STEPS = (8, 16)  # the bytes of degree 1 and of higher degrees are multiples of 
 LARGEST = 2**-0.5  # of a quaternion's components that are not the largest one
 CHUNK = 1 << 14  # rows made at a time
 LEVEL = 5  # of gzip: 9 saves a thousandth, and takes 15 times as long for colours of degree 3
-HINT = "give an .spz of version 2 or 3, or a .ply; `npx @playcanvas/splat-transform FILE out.ply` converts others"
+HINT = f"give an .spz of version 2 or 3, or a .ply; {CONVERT} from others"
 
 
 def write_spz(path: Path, splats: Scene) -> dict[str, int]:
@@ -114,7 +115,7 @@ def read_spz(path: Path) -> Scene:
         with_zstd = "version 4 is not packed with gzip" if _starts(path, MAGIC) else str(error)
         raise StageError(f"cannot read {path}", HINT, [with_zstd]) from error
     except (EOFError, zlib.error) as error:
-        raise StageError(f"{path} is cut short or damaged", HINT, [str(error)]) from error
+        raise StageError(f"{path} is cut short or damaged", AGAIN, [str(error)]) from error
 
 
 def _starts(path: Path, mark: bytes) -> bool:
@@ -134,7 +135,7 @@ def _read(file: gzip.GzipFile, path: Path) -> Scene:
     Budget(path, Path(path).stat().st_size).spend(count * (sum(widths) + 4 * (14 + 3 * bases)), f"{count} Gaussians")
     places, opacities, colours, scales, turns, higher = _tables(file, count, widths)
     if not flags & MORE and file.read(1):
-        raise StageError(f"{path} is longer than its header says", HINT, [f"{count} Gaussians of degree {degree}"])
+        raise StageError(f"{path} is longer than its header says", AGAIN, [f"{count} Gaussians of degree {degree}"])
     whole = np.zeros((count, 3, 4), np.uint8)
     whole[..., 1:] = places.reshape(count, 3, 3)
     unpack: Callable[[np.ndarray], np.ndarray] = _unpack_turns if version == VERSION else _unpack_turns_2

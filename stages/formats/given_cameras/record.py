@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -97,11 +98,23 @@ def without_points(
     )
 
 
+def possible_errors(errors: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Those reprojection errors [P] px that are known, the picture's diagonal at most.
+
+    COLMAP writes -1 for an error that nobody computed, and 1e154 px for a point behind a camera.
+    """
+    return errors[errors >= 0].clip(max=math.hypot(width, height))
+
+
+RAYS = 512  # of a point, at most: each is compared with each
+
+
 def widest_angles(points: np.ndarray, tracks: Sequence[np.ndarray], centers: np.ndarray) -> np.ndarray:
     """The widest angle in degrees [P] at which cameras at `centers` [C,3] see each of `points` [P,3]."""
     widest = []
     for point, track in zip(points, tracks, strict=True):
-        rays = centers[track] - point
+        seen = np.unique(track)
+        rays = centers[seen[:: len(seen) // RAYS + 1]] - point
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)  # a point may lie in a camera
         chords = np.linalg.norm(rays[:, None] - rays[None], axis=-1)
         widest.append(np.degrees(2 * np.arcsin(np.clip(chords.max(initial=0) / 2, 0, 1))))

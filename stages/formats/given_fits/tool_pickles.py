@@ -180,8 +180,8 @@ class ToolObjects(ArraysOnly):
         storage: Callable[[np.dtype, str, int], np.ndarray] | None = None,
         encoding: str = "latin1",
     ):
-        super().__init__(file, encoding=encoding)
-        self.file, self.budget, self.storage = file, budget, storage
+        super().__init__(file, encoding, budget)
+        self.file, self.storage = file, storage
 
     def persistent_load(self, key: object) -> np.ndarray:
         if not isinstance(key, tuple) or len(key) < 5:

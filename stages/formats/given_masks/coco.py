@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.budget import Budget
+from stages.formats.budget import Budget, check_count
 from stages.formats.frame_names import stem
 from stages.formats.given_masks.mask_set import MaskSet, Values
 from stages.formats.given_masks.track_boxes import BoxTracker, box_of
@@ -80,6 +80,8 @@ def read_coco(path: Path) -> MaskSet:
     else:
         for row, mask_id, part in _track(order, images, shown):
             parts[mask_id][row].append(part)
+
+    check_count(len(parts), "tracks", path, "leave out what is nobody")
 
     def read(person: str, i: int) -> Values | None:
         if i not in parts[person]:

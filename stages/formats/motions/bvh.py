@@ -14,11 +14,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.budget import Budget
+from stages.formats.budget import Budget, check_count
+from stages.formats.motions.rates import usual_rate
 
 HINT = "export the motion as BVH again; a text with HIERARCHY, then MOTION, one line of numbers a frame"
 DIGITS = 18  # of a number of frames; Python refuses to read thousands of them
 JOINT = 96  # bytes of a joint in a frame: its place and its rotation
+SHORT = 0.05  # share of the frames promised that may be missing at the end, or one frame
+ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"H\0": "utf-16-le", b"\0H": "utf-16-be"}
 CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 
 
@@ -28,7 +31,7 @@ class Bvh:
 
     `names` [J], "" for an End Site; `parents` [J], before their children, the root's is -1; `places` [F,J,3] in the
     parent's axes, the OFFSET where no channel moves it; `rotations` [F,J,3,3] from a joint's axes to its parent's;
-    `fps` frames a second.
+    `fps` frames a second. `said`: what of the file was taken otherwise than it says, in sentences.
     """
 
     names: tuple[str, ...]
@@ -36,6 +39,7 @@ class Bvh:
     places: np.ndarray
     rotations: np.ndarray
     fps: float
+    said: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.places)
@@ -47,17 +51,32 @@ def read_bvh(path: Path) -> Bvh:
     A position channel replaces the offset along its axis. A BVH does not say its unit of length.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = text_of(path.read_bytes())
     except FileNotFoundError as error:
         raise StageError(f"no file {path}", HINT) from error
-    except UnicodeDecodeError as error:
+    except ValueError as error:
         raise StageError(f"{path} is not a text", HINT, [str(error)]) from error
     lines = _Lines(path, text)
     skeleton = _skeleton(lines)
-    fps, rows = _motion(lines, sum(map(len, skeleton.channels)))
+    fps, rows, said = _motion(lines, sum(map(len, skeleton.channels)))
     joints = len(skeleton.names)
     Budget(path, len(text)).spend(JOINT * joints * len(rows), f"{joints} joints in {len(rows)} frames")
-    return _bvh(skeleton, fps, rows)
+    return _bvh(skeleton, fps, rows, said)
+
+
+def text_of(data: bytes) -> str:
+    """The text in a file: UTF-8 or UTF-16, else Shift-JIS, as dance programs of Japan write, else Latin-1; ValueError if none."""
+    named = ENCODINGS.get(data[:2])
+    for encoding in [named] if named else ["utf-8-sig", "cp932", "latin-1"]:
+        try:
+            text = data.decode(encoding).removeprefix("\ufeff")
+            break
+        except UnicodeDecodeError as error:
+            if named:
+                raise ValueError(f"it begins like {named}, but {error.reason} at byte {error.start}") from error
+    if "\0" in text:
+        raise ValueError("it holds zero bytes")
+    return text
 
 
 class _Lines:
@@ -118,6 +137,7 @@ class _Skeleton:
 
     def __init__(self) -> None:
         self.names: list[str] = []
+        self.known: set[str] = set()
         self.parents: list[int] = []
         self.offsets: list[list[float]] = []
         self.channels: list[list[str]] = []
@@ -147,10 +167,13 @@ def _joint(lines: _Lines, skeleton: _Skeleton, parent: int, words: list[str]) ->
     name = " ".join(words)
     if not name:
         raise lines.refuse("the name of a joint")
-    if name in skeleton.names:
+    if name in skeleton.known:
         raise lines.refuse("a name of its own for each joint", f"{name!r} twice")
+    check_count(len(skeleton.names) + 1, "joints", f"the skeleton of {lines.path}", "leave out what is no body")
+    check_count(len(name), "letters", f"a name in line {lines.number} of {lines.path}", "rename the joint")
     lines.keyword("{")
     skeleton.names.append(name)
+    skeleton.known.add(name)
     skeleton.parents.append(parent)
     skeleton.offsets.append(lines.numbers(lines.keyword("OFFSET"), 3, "x y z"))
     count, *channels = lines.keyword("CHANNELS") or ["none"]
@@ -175,28 +198,27 @@ def _end(lines: _Lines, skeleton: _Skeleton, parent: int) -> None:
     lines.keyword("}")
 
 
-def _motion(lines: _Lines, width: int) -> tuple[float, np.ndarray]:
-    """Frames a second, and the numbers [F,width] of all frames."""
+def _motion(lines: _Lines, width: int) -> tuple[float, np.ndarray, tuple[str, ...]]:
+    """Frames a second, the numbers [F,width] of all frames, and what is to be said where these are not as many as promised."""
     lines.keyword("MOTION")
     words = lines.keyword("Frames:")
     if len(words) != 1 or not words[0].isdecimal() or len(words[0]) > DIGITS or int(words[0]) == 0:
         raise lines.refuse("a whole number of frames, at least 1")
     count = int(words[0])
-    (seconds,) = lines.numbers(lines.keyword("Frame", "Time:"), 1, "seconds from frame to frame")
+    (seconds,) = lines.numbers(told := lines.keyword("Frame", "Time:"), 1, "seconds from frame to frame")
     if seconds <= 0:
         raise lines.refuse("a time above 0 s from frame to frame")
     rows: list[list[float]] = []
     while lines.more():
-        if len(rows) == count:
-            raise lines.refuse(f"the end of the file after {count} frames")
         rows.append(lines.numbers(lines.words, width, f"the channels of frame {len(rows)}"))
-    if len(rows) != count:
+    if len(rows) < count - max(1, SHORT * count) or not rows:
         facts = [f"after line {lines.number}: {len(rows)} frames of {count}"]
         raise StageError(f"{lines.path} ends too soon", HINT, facts)
-    return 1 / seconds, np.array(rows).reshape(count, width)
+    said = () if len(rows) == count else (f"it says {count} frames and holds {len(rows)}: these are taken",)
+    return usual_rate(told[0], seconds=True), np.array(rows).reshape(len(rows), width), said
 
 
-def _bvh(skeleton: _Skeleton, fps: float, rows: np.ndarray) -> Bvh:
+def _bvh(skeleton: _Skeleton, fps: float, rows: np.ndarray, said: tuple[str, ...]) -> Bvh:
     places = np.tile(np.array(skeleton.offsets), (len(rows), 1, 1))
     rotations = np.tile(np.eye(3), (*places.shape[:2], 1, 1))
     first = 0
@@ -210,4 +232,4 @@ def _bvh(skeleton: _Skeleton, fps: float, rows: np.ndarray) -> Bvh:
         if order:  # the first one named turns last: R = R1 R2 R3
             angles = np.stack([values[f"{axis}rotation"] for axis in order], 1)
             rotations[:, joint] = Rotation.from_euler(order, angles, degrees=True).as_matrix()
-    return Bvh(tuple(skeleton.names), np.array(skeleton.parents), places, rotations, fps)
+    return Bvh(tuple(skeleton.names), np.array(skeleton.parents), places, rotations, fps, said)

@@ -1,13 +1,18 @@
-"""Which joint of a BVH skeleton is which of SMPL's: limbs by their names, the trunk by what connects them."""
+"""Which joint of a BVH skeleton is which of SMPL's: limbs by their names, the trunk by what connects them.
+
+Where names do not say it, or say what the tree cannot be, the tree does: see `bvh_tree.py`.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from stages.contract import StageError
 from stages.formats.motions.bvh import Bvh
+from stages.formats.motions.bvh_tree import ancestors, by_tree
 from stages.records import JOINT_NAMES
 
 SYNONYMS = {  # SMPL's joint: what others call it, the clearest word first; claimed in this order, each joint once
@@ -16,13 +21,14 @@ SYNONYMS = {  # SMPL's joint: what others call it, the clearest word first; clai
     "ankle": "ankle foot",
     "foot": "toebase toe toes toe0 ball foot",
     "shoulder": "upperarm uparm arm shldr shoulder",
-    "elbow": "forearm lowerarm loarm elbow",
+    "elbow": "forearm lowerarm lowarm loarm elbow",
     "wrist": "wrist hand",
     "collar": "collar clavicle shoulder",
 }
 """Families: MotionBuilder and Mixamo (LeftUpLeg), CMU (LeftHip), Biped (Bip01 L Thigh), Rigify (thigh.L), Unreal
 (thigh_l), Poser (lThigh, lShldr), SMPL (L_Hip, where the foot is what others call the toes)."""
 NEEDED = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+LISTED = 400  # letters of the names that an error lists
 HINT = "rename the joints as Mixamo does: Hips, LeftUpLeg, LeftLeg, LeftFoot, LeftArm, LeftForeArm, LeftHand, Head"
 
 
@@ -32,7 +38,7 @@ class BodyMap:
 
     `limbs`: SMPL joint -> joint. `pelvis` is where both legs meet; `spine` goes from there (left out) to where both
     arms meet, `neck` from there (left out) to the head; either may be empty. `used` counts all these, `unused` are the names
-    of the others.
+    of the others. `said`: how limbs were found where their names did not say it.
     """
 
     limbs: dict[int, int]
@@ -41,11 +47,37 @@ class BodyMap:
     neck: tuple[int, ...]
     used: int
     unused: tuple[str, ...]
+    said: tuple[str, ...] = ()
 
 
 def map_body(bvh: Bvh, path: Path) -> BodyMap:
     """Find the body in a skeleton; StageError with the names found where a leg or an arm is missing."""
     words = {_words(name): i for i, name in reversed(list(enumerate(bvh.names))) if name}
+    parents = bvh.parents.tolist()
+    limbs, missing = _by_names(words)
+    head = words.get(("", "head"))
+    said: tuple[str, ...] = ()
+    if missing or not _outwards(limbs, parents):
+        found = by_tree(bvh, lambda name: _words(name)[0])
+        if found is None:
+            facts = [f"missing: {', '.join(missing) or 'none, but they do not hang on each other'}"]
+            facts.append(f"joints: {', '.join(filter(None, bvh.names))[:LISTED]}")
+            raise StageError(f"no person's legs and arms in {path}", HINT, facts)
+        limbs, head = found.limbs, found.head if head is None else head
+        said = (_told(limbs, bvh, found.sides),)
+    up = {i: ancestors(parents, i) for i in {*limbs.values(), *([] if head is None else [head])}}
+    left, right = (limbs[JOINT_NAMES.index(f"{side}_hip")] for side in ("left", "right"))
+    pelvis = _meet(up[left], up[right])
+    chest = _meet(*(up[limbs[JOINT_NAMES.index(f"{side}_shoulder")]] for side in ("left", "right")))
+    up |= {i: ancestors(parents, i) for i in (pelvis, chest)}
+    spine, neck = _path(up[pelvis], up[chest]), _path(up[chest], up[chest if head is None else head])
+    used = {*limbs.values(), pelvis, *spine, *neck}
+    unused = tuple(name for i, name in enumerate(bvh.names) if name and i not in used)
+    return BodyMap(limbs, pelvis, spine, neck, len(used), unused, said)
+
+
+def _by_names(words: Mapping[tuple[str, str], int]) -> tuple[dict[int, int], list[str]]:
+    """SMPL joint -> joint of the limbs, and which needed ones have no name."""
     limbs: dict[int, int] = {}
     missing: list[str] = []
     for side in ("left", "right"):
@@ -57,18 +89,23 @@ def map_body(bvh: Bvh, path: Path) -> BodyMap:
                 limbs[JOINT_NAMES.index(f"{side}_{part}")] = found[0]
             elif part in NEEDED:
                 missing.append(f"{side} {part}")
-    if missing:
-        facts = [f"missing: {', '.join(missing)}", f"joints: {', '.join(filter(None, bvh.names))}"]
-        raise StageError(f"no person's legs and arms in {path}", HINT, facts)
-    up = {i: _ancestors(bvh, i) for i in range(len(bvh.names))}
-    left, right = (limbs[JOINT_NAMES.index(f"{side}_hip")] for side in ("left", "right"))
-    pelvis = _meet(up[left], up[right])
-    chest = _meet(*(up[limbs[JOINT_NAMES.index(f"{side}_shoulder")]] for side in ("left", "right")))
-    head = words.get(("", "head"), chest)
-    spine, neck = _path(up[pelvis], up[chest]), _path(up[chest], up[head])
-    used = {*limbs.values(), pelvis, *spine, *neck}
-    unused = tuple(name for i, name in enumerate(bvh.names) if name and i not in used)
-    return BodyMap(limbs, pelvis, spine, neck, len(used), unused)
+    return limbs, missing
+
+
+def _outwards(limbs: Mapping[int, int], parents: list[int]) -> bool:
+    """Whether each arm and leg goes on outwards, as the tree has it."""
+    for side in ("left", "right"):
+        for chain in (NEEDED[:3], NEEDED[3:]):
+            inner, middle, outer = (limbs[JOINT_NAMES.index(f"{side}_{part}")] for part in chain)
+            line = ancestors(parents, outer)
+            if inner not in line or middle not in line or line.index(inner) >= line.index(middle):
+                return False
+    return True
+
+
+def _told(limbs: Mapping[int, int], bvh: Bvh, sides: str) -> str:
+    parts = [f"left {part} {bvh.names[limbs[JOINT_NAMES.index(f'left_{part}')]] or 'end'}" for part in NEEDED]
+    return f"names do not say which joint is which: taken by the tree, left and right by {sides}: {', '.join(parts)}"
 
 
 def _words(name: str) -> tuple[str, str]:
@@ -90,14 +127,6 @@ def _words(name: str) -> tuple[str, str]:
 
 def _plain(text: str) -> str:
     return re.sub(r"[\s_.-]", "", text).lower()
-
-
-def _ancestors(bvh: Bvh, joint: int) -> list[int]:
-    """The joints from the root down to `joint`, both included."""
-    line = [joint]
-    while bvh.parents[line[0]] >= 0:
-        line.insert(0, int(bvh.parents[line[0]]))
-    return line
 
 
 def _meet(a: list[int], b: list[int]) -> int:

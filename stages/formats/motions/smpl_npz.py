@@ -1,35 +1,51 @@
-"""SMPL motions of other programs: the .npz families, read only for the body's motion.
+"""SMPL motions of other programs: arrays in .npz, .pkl and .pt, read only for the body's motion.
 
-| family   | keys                                                                               | metres        |
-|----------|------------------------------------------------------------------------------------|---------------|
-| AMASS    | poses [F,156] (SMPL-H), [F,165] (SMPL-X) or [F,72], trans, mocap_framerate         | yes           |
-| AIST++   | smpl_poses [F,72], smpl_trans, smpl_scaling; 60 frames a second                    | trans/scaling |
-| others   | poses [F,72] or global_orient, body_pose; trans or transl; maybe fps               | yes           |
+| family           | keys                                                                                  | metres        |
+|------------------|---------------------------------------------------------------------------------------|---------------|
+| AMASS            | poses [F,156] (SMPL-H), [F,165] (SMPL-X) or [F,72], trans, mocap_framerate            | yes           |
+| HuMoR, SLAHMR    | root_orient, pose_body [F,63], trans, fps; of several people [P,F,...]                | yes           |
+| SMPL-X           | global_orient, body_pose [F,63], transl, mocap_frame_rate                             | yes           |
+| GVHMR            | smpl_params_global, with the same                                                     | yes           |
+| WHAM             | by person: pose_world [F,72], trans_world                                             | yes           |
+| AIST++           | smpl_poses [F,72], smpl_trans, smpl_scaling; 60 frames a second                       | trans/scaling |
+| others           | poses [F,66] or [F,72], or global_orient, body_pose [F,69]; trans or transl; maybe fps | yes           |
 
-Sources: https://amass.is.tue.mpg.de, https://google.github.io/aistplusplus_dataset. None says which way is up: AMASS
-has z up, AIST++ y, fits in a camera's frame -y.
+Sources: https://amass.is.tue.mpg.de, https://github.com/davrempe/humor, https://github.com/vye16/slahmr,
+https://github.com/zju3dv/GVHMR, https://google.github.io/aistplusplus_dataset. None says which way is up: AMASS and HuMoR have
+z up, AIST++ and GVHMR y, fits in a camera's frame -y.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, read_npz, take
+from stages.formats.arrays import as_array, checked, npz_names, read_npz, take
 from stages.formats.body_model import SMPL
+from stages.formats.budget import check_count
+from stages.formats.given_fits.tool_pickles import read_tool_file
+from stages.formats.motions.rates import usual_rate
 from stages.formats.poses import whose
 
-HINT = "an SMPL motion needs poses [F,72] (AMASS: 156 or 165, AIST++: smpl_poses) and trans [F,3]"
+HINT = (
+    "an SMPL motion needs trans or transl [F,3] and poses [F,72] (AMASS: 156 or 165), or global_orient [F,3] (root_orient) "
+    "and body_pose [F,63 or 69] (pose_body)"
+)
 BODY = 22  # joints that SMPL, SMPL-H and SMPL-X share; SMPL's two more are stiff hands
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 AIST_FPS = 60.0
-_MOTION = ("poses", "smpl_poses", "global_orient", "body_pose", "trans", "transl", "smpl_trans", "smpl_scaling")
+STEPS = ("trans", "transl", "smpl_trans", "trans_world")
+WHOLE = ("poses", "smpl_poses", "pose_world")
+ROOT, REST = ("global_orient", "root_orient"), ("body_pose", "pose_body")
+WIDTHS = (72, 66, 156, 165)
+_MOTION = (*STEPS, *WHOLE, *ROOT, *REST, "smpl_scaling")
 KEYS = (*_MOTION, *RATES, "body", "world_from_sfm")
 """All that is read: SMPL-X files of AMASS hold pickles too."""
+FILES = (".npz", ".pkl", ".pt")
 
 
 @dataclass(frozen=True)
@@ -52,31 +68,64 @@ class SmplMotion:
 
 def read_smpl_motion(path: Path) -> SmplMotion:
     """Read any of the families above; StageError with the key, what was found and what was wanted."""
-    arrays = read_npz(path, HINT, KEYS)
+    arrays, notes = _arrays(path)
     aist = "smpl_poses" in arrays
-    key = "smpl_trans" if aist else next((key for key in ("trans", "transl") if key in arrays), "trans")
+    key = _first(STEPS, arrays) or "trans"
     transl = checked(take(arrays, key, path, HINT), (None, 3), key, path, HINT).astype(np.float64)
     if not len(transl):
         raise StageError(f"{path} holds no frame", HINT, [f"{key} is 0x3"])
+    check_count(len(transl), "poses", path)
     if aist:
         transl = transl / _positive(arrays, "smpl_scaling", path)
-    poses, notes = _poses(arrays, len(transl), path)
-    rate = next((key for key in RATES if key in arrays), None)
-    fps = _positive(arrays, rate, path) if rate else AIST_FPS if aist else None
-    return SmplMotion(poses, transl, fps, notes, whose(arrays, path))
+    poses, more = _poses(arrays, len(transl), path)
+    rate = _first(RATES, arrays)
+    if rate:
+        _positive(arrays, rate, path)
+    fps = usual_rate(str(arrays[rate].reshape(-1)[0])) if rate else AIST_FPS if aist else None
+    return SmplMotion(poses, transl, fps, (*notes, *more), whose(arrays, path))
+
+
+def _first(keys: Iterable[str], arrays: Mapping[str, np.ndarray]) -> str | None:
+    return next((key for key in keys if key in arrays), None)
+
+
+def _arrays(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """The arrays of one person's motion, by name, and what else the file holds, in words."""
+    notes: tuple[str, ...] = ()
+    if path.suffix.lower() == ".npz":
+        arrays = read_npz(path, HINT, KEYS)
+        if not arrays:
+            raise StageError(
+                f"{path} has no motion", HINT, [f"it holds {', '.join(npz_names(path)[:20]) or 'nothing'}"]
+            )
+    else:
+        content = read_tool_file(path, HINT)
+        content = content.get("smpl_params_global", content) if isinstance(content, Mapping) else {}
+        people = list(content.values()) if all(isinstance(one, Mapping) for one in content.values()) else []
+        if people:
+            content, notes = people[0], _of_people(len(people))
+        arrays = {str(key): as_array(value, str(key), path, HINT) for key, value in content.items()}
+    steps = arrays.get(_first(STEPS, arrays) or "")
+    if steps is not None and steps.ndim == 3 and len(steps):  # several people in arrays of one more axis
+        notes = _of_people(len(steps))
+        arrays |= {key: array[0] for key, array in arrays.items() if key in _MOTION and array.ndim > 1}
+    return arrays, notes
+
+
+def _of_people(count: int) -> tuple[str, ...]:
+    return (f"it holds {count} people: the first is taken",) if count > 1 else ()
 
 
 def _poses(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
     """All 24 rotation vectors [F,24,3], and what was left out."""
-    key = "smpl_poses" if "smpl_poses" in arrays else "poses"
-    if key not in arrays and "body_pose" in arrays:
-        key, width = "body_pose", 72
-        poses = np.concatenate(
-            [_flat(arrays, part, count, (n,), path) for part, n in (("global_orient", 3), (key, 69))], 1
-        )
+    key, rest = _first(WHOLE, arrays) or "poses", _first(REST, arrays)
+    if key not in arrays and rest:
+        root = _first(ROOT, arrays) or ROOT[0]
+        parts = _flat(arrays, root, count, (3,), path), _flat(arrays, rest, count, (69, 63), path)
+        key, poses = rest, np.concatenate(parts, 1)
     else:
-        poses = _flat(arrays, key, count, (72, 156, 165), path)
-        width = poses.shape[1]
+        poses = _flat(arrays, key, count, WIDTHS, path)
+    width = poses.shape[1]
     kept = 24 if width == 72 else BODY
     whole = np.zeros((count, 24, 3))
     whole[:, :kept] = poses[:, : 3 * kept].reshape(count, kept, 3)
@@ -85,14 +134,18 @@ def _poses(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> tuple[np
         frame, joint = (int(i) for i in np.unravel_index(angles.argmax(), angles.shape))
         facts = [f"frame {frame}, joint {joint} turns by {angles.max():.1f}"]
         raise StageError(f"{key} in {path} looks like degrees", "rotation vectors are in radians", facts)
-    left_out = {156: ("fingers left out",), 165: ("fingers and face left out",)}
+    left_out = {
+        156: ("fingers left out",),
+        165: ("fingers and face left out",),
+        66: ("hands are not in it: held straight",),
+    }
     return whole, left_out.get(width, ())
 
 
 def _flat(arrays: Mapping[str, np.ndarray], key: str, count: int, widths: tuple[int, ...], path: Path) -> np.ndarray:
     """Rotation vectors [F,J,3] or [F,3J] as float64 [F,3J], where 3J is one of `widths`."""
     array = take(arrays, key, path, HINT)
-    flat = array.reshape(len(array), -1) if array.ndim == 3 and len(array) else array
+    flat = array.reshape(len(array), -1) if array.ndim == 3 and len(array) and array.size else array
     width = flat.shape[1] if flat.ndim == 2 and flat.shape[1] in widths else widths[0]
     return checked(flat, (count, width), key, path, HINT).astype(np.float64)
 

@@ -29,7 +29,7 @@ MODULES = (
 """They import each other as hugs/NAME."""
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
-    "img-src data: blob:; connect-src data: blob:; worker-src blob: data:"
+    "img-src data: blob:; connect-src data: blob:; worker-src blob: data:; base-uri 'none'; form-action 'none'"
 )
 """What the browser lets the page load: only what is in it."""
 TEN_BITS = 1023  # of the root of a skinning weight, so that many small ones count; the page divides by the sum

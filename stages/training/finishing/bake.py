@@ -74,7 +74,10 @@ def finish(person: Canonical, begun: Canonical, body: Person, views: Views, fram
     whole, length = finite_rows(person), begun.scales.amax(1)
     kept, length = Canonical(*(part[whole] for part in person)), length[whole]
     stray = far_from_surface(kept.means, body.surface()[0])
-    stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
+    if not stray.all():
+        stray[~stray] = floating(Canonical(*(part[~stray] for part in kept)), body)
+    if stray.all():
+        raise ValueError(f"none of {len(person.means):,} Gaussians is finite and on the body")
     kept, snapped = snap_to_surface(Canonical(*(part[~stray] for part in kept)), body, views, frames)
     kept, shortened = shorten(kept, SHORT * length[~stray])
     kept, known = recolor(kept, body, views, frames)
@@ -85,6 +88,14 @@ def finish(person: Canonical, begun: Canonical, body: Person, views: Views, fram
     leant = int((known.own < 0.5).sum())
     known = Known(*(torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in known))
     return Finished(done, known, reskinned, int((~whole).sum()), int(stray.sum()), snapped, shortened, leant, lining)
+
+
+def as_trained(person: Canonical, begun: Canonical) -> Finished:
+    """The person unfinished, but for rows that are not finite; where none is, as they have `begun`."""
+    whole = finite_rows(person)
+    kept = Canonical(*(part[whole] for part in person)) if whole.any() else begun
+    none = torch.zeros_like(kept.scales)
+    return Finished(kept, Known(none[:, 0], none, none[:, 0]), 0, int((~whole).sum()), 0, 0, 0, 0, 0)
 
 
 def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:

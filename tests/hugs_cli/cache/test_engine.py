@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import time
 
@@ -262,6 +263,32 @@ def test_half_written_part_is_emptied_unless_the_stage_resumes(made):
     assert list(made.ran()) == ["two", "three", "four"]  # what three kept is new content for four
     assert not (made.work / "clip/default/two/rubbish").exists()
     assert (made.work / "clip/default/three/rubbish").exists()
+
+
+@pytest.mark.slow
+def test_a_run_killed_when_a_result_was_whole_and_had_no_name_keeps_it(made):
+    for stage in ("two", "three"):
+        folder = (made.work / f"clip/default/{stage}").resolve()
+        folder.rename(folder.with_name(folder.name + ".part"))
+    assert made.ran() == {} and made.text("four") == WHOLE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("deep", [False, True])
+def test_nothing_is_written_through_the_links_of_a_part_that_somebody_else_left(made, deep):
+    """The log of a stage is added to; a work folder from elsewhere may have a link there, or in the part's own place."""
+    precious = made.folder / "precious"
+    precious.mkdir()
+    (precious / "log.txt").write_text("precious")
+    for stage in ("two", "three"):
+        folder = (made.work / f"clip/default/{stage}").resolve()
+        part = folder.with_name(folder.name + ".part")
+        shutil.rmtree(folder)
+        part.mkdir() if deep else part.symlink_to(precious)
+        if deep:
+            (part / "log.txt").symlink_to(precious / "log.txt")
+    assert list(made.ran()) == ["two", "three"]
+    assert (precious / "log.txt").read_text() == "precious" and len(list(precious.iterdir())) == 1
 
 
 @pytest.mark.slow

@@ -144,6 +144,51 @@ def test_digests_of_folders_follow_names_and_bytes(tmp_path):
     assert content_digest(folder) == content
 
 
+def exchanged(one: Path, other: Path) -> None:
+    one.rename(one.with_name("aside"))
+    other.rename(one)
+    one.with_name("aside").rename(other)
+
+
+def written_over(one: Path, other: Path) -> None:
+    file = next(one.rglob("*.npy"))
+    time = file.stat().st_mtime_ns
+    file.write_text("EDIT")
+    os.utime(file, ns=(time, time))
+
+
+CHANGES = {
+    "folders exchanged by mv": exchanged,
+    "folders below exchanged by mv": lambda one, other: exchanged(one / "deep", other / "deep"),
+    "files exchanged by mv": lambda one, other: exchanged(one / "deep/0.npy", other / "deep/0.npy"),
+    "written over, time set back": written_over,
+    "unpacked again, as tar, zip and rsync do": lambda one, other: (shutil.rmtree(one), shutil.copytree(other, one)),
+    "a hard link in its place": lambda one, other: (
+        (one / "deep/0.npy").unlink(), (one / "deep/0.npy").hardlink_to(other / "deep/0.npy")),
+    "a link in its place": lambda one, other: (
+        (one / "deep/0.npy").unlink(), (one / "deep/0.npy").symlink_to((other / "deep/0.npy").absolute())),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", [*CHANGES, "a link that leads elsewhere"])
+def test_other_content_of_equal_sizes_and_times_is_read_again(tmp_path, how):
+    """What only looks the same: npy and bmp have one size, and zip, tar, rsync and git set times."""
+    one, other, link = tmp_path / "008", tmp_path / "010", tmp_path / "masks"
+    for folder, text in ((one, "AAAA"), (other, "BBBB")):
+        (folder / "deep").mkdir(parents=True)
+        (folder / "deep/0.npy").write_text(text)
+        os.utime(folder / "deep/0.npy", ns=(10**18, 10**18))
+    link.symlink_to(one)
+    before, same = (stat_digest(link), content_digest(link)), stat_digest(link)
+    assert same == before[0]
+    if how in CHANGES:
+        CHANGES[how](one, other)
+    else:
+        link.unlink()
+        link.symlink_to(other)
+    assert content_digest(link) != before[1] and stat_digest(link) != before[0]
+
+
 @pytest.fixture
 def pool(tmp_path):
     """A data set whose folder `images` is a link to a folder elsewhere, with one more inside."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -95,6 +96,19 @@ def test_kinds_leave_out_what_differs_from_clip_to_clip():
     assert kind_of("", "no video at clips/x.mp4") == "no video at ..."
 
 
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", '=HYPERLINK("x")'])
+def test_no_text_of_the_table_is_a_formula(show, text):
+    rows = [
+        row | {"clip": text, "problem": text, "warnings": [text], "effects": [text], "psnr": -1.5}
+        for row in show.rows()
+    ]
+    board.write(show.work, "fleet", rows, totals(rows, 1), live=False)
+    with open(show.work / "fleet.csv", newline="") as file:
+        for row in csv.DictReader(file):
+            assert {row[name] for name in ("clip", "problem", "warnings", "effects")} == {"'" + text.replace("\r", " ")}
+            assert row["psnr"] == "-1.5", "numbers stay"
+
+
 def test_page_and_table_hold_the_same(show):
     text = "<script>alert(1)</script>"
     report(show, 0, state="failed", stage="train", kind="error", problem=text, hint="film again", facts=["1 < 2"])
@@ -102,6 +116,8 @@ def test_page_and_table_hold_the_same(show):
     total = totals(rows, 1)
     board.write(show.work, "fleet", rows, total, live=True)
     page = (show.work / "fleet.html").read_text()
+    own = re.search(r"script-src 'nonce-([0-9a-f]+)';", page)
+    assert own and page.count("<script") == page.count(f'<script nonce="{own[1]}">') == 1
     assert text not in page and "&lt;script&gt;alert(1)" in page and "film again" in page and "location.reload" in page
     assert total["failures"] == {"train: ...": 1, "its job never began": 1}
     with open(show.work / "fleet.csv", newline="") as file:

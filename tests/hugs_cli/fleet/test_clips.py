@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hugs_cli.fleet.clips import read
+from hugs_cli.fleet.clips import Row, read
 from hugs_cli.pipelines import UsageError
 
 
@@ -53,6 +53,67 @@ def test_a_clip_keeps_the_folder_that_has_its_results(here):
     assert rows("mon/dance.mp4")[0].root.as_posix() == "work/from-mon/dance"
     (here / "tue/dance.mp4").rename(here / "dance.mp4")  # moved: its results go with it
     assert rows("dance.mp4")[0].root.as_posix() == "work/dance"
+
+
+@pytest.mark.parametrize("again", ["{here}/mon/dance.mp4", "./mon/dance.mp4", "tue/../mon/dance.mp4", "mon//dance.mp4"])
+def test_a_clip_by_two_names_is_one_and_with_two_settings_refused(here, again):
+    again = again.format(here=here)
+    (here / "list.txt").write_text(f"mon/dance.mp4\n{again}\n")
+    for given in ((("mon/dance.mp4", again),), ("list.txt",)):
+        assert len(rows(*(given[0] if isinstance(given[0], tuple) else given))) == 1
+    (here / "twice.csv").write_text(f"clip,settings\nmon/dance.mp4,\n{again},train.steps=1\n")
+    with pytest.raises(UsageError, match="is there twice"):
+        rows("twice.csv")
+    for name in ("m1", "m2"):
+        (here / name).mkdir()
+    (here / "masks.csv").write_text(f"clip,masks\nmon/dance.mp4,m1\n{again},{here}/m1\n")
+    assert len(rows("masks.csv")) == 1
+    (here / "masks.csv").write_text(f"clip,masks\nmon/dance.mp4,m1\n{again},{here}/m2\n")
+    with pytest.raises(UsageError, match="is there twice"):
+        rows("masks.csv")
+
+
+def test_ids_of_many_clips_in_any_script_are_all_their_own_and_fit_into_a_file_name():
+    letters = [chr(0x4E00 + number) for number in range(10_000)]
+    many = [
+        Row(Path("".join(letters[number : number + 6]) + ".mp4"), Path("work"), "default") for number in range(9_990)
+    ]
+    assert len({row.id for row in many}) == len(many)
+    assert letters[0] in many[0].id and Row(Path("a b/c#d.mp4"), Path("w"), "p").id.startswith("c_d.p.")
+    assert all(
+        len(f"{row.id}.before.log".encode()) < 255 for row in (*many, Row(Path("\U00020000" * 200), Path("w"), "p"))
+    )
+
+
+def test_clips_of_one_name_below_folders_of_any_script_each_get_a_folder(here):
+    places = ["\u6708", "\u706b", "\u6c34", "\u6728", "a?", "a*", "a|", "x" * 250, "\u6708" * 80]
+    for place in places:
+        for ending in ("mp4", "mov"):
+            Path(place).mkdir(exist_ok=True)
+            Path(place, f"dance.{ending}").write_text(place)
+    found = rows(*(f"{place}/dance.{ending}" for place in places for ending in ("mp4", "mov")))
+    roots = {str(row.root) for row in found}
+    assert len(roots) == len(found) == 18 and "work/from-\u706b/dance" in roots
+    assert all(len(part.encode()) < 255 for root in roots for part in root.split("/"))
+
+
+def test_who_has_results_keeps_their_folder_whoever_is_named_first(here):
+    """Also where the other's would be put there, for it has none yet."""
+    (here / "work/dance").mkdir(parents=True)
+    entry = {"video": {"path": str(here / "tue/dance.mp4")}}
+    (here / "work/dance/sources.json").write_text(json.dumps(entry))
+    for given in (("mon/dance.mp4", "tue/dance.mp4"), ("tue/dance.mp4", "mon/dance.mp4")):
+        roots = {str(row.video): row.root.as_posix() for row in rows(*given)}
+        assert roots == {"tue/dance.mp4": "work/dance", "mon/dance.mp4": "work/from-mon/dance"}
+
+
+def test_clips_that_differ_in_their_ending_alone_have_a_folder_each(here):
+    for ending in (".mkv", ".avi", ".webm"):
+        (here / f"tue/jump{ending}").touch()
+    for name in ("jump", "from-tue/jump"):
+        (here / "work" / name).mkdir(parents=True)
+    found = rows(*(f"tue/jump{ending}" for ending in (".mp4", ".mov", ".mkv", ".avi", ".webm")))
+    assert len({row.root for row in found}) == 5
 
 
 def test_a_list(here):

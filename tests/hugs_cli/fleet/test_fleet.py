@@ -27,7 +27,7 @@ WEAK = "import fcntl\nfcntl.flock = lambda *_: None\n"  # sitecustomize: a file 
 FULL = """import builtins
 keep = builtins.open
 def full(file, mode="r", *more, **how):
-    if ("/rows/" in str(file) or "/.fleet." in str(file)) and "r" not in mode:
+    if ("/rows/" in str(file) or str(file).endswith(".csv")) and "r" not in mode:
         raise OSError(28, "No space left on device")
     return keep(file, mode, *more, **how)
 builtins.open = full

@@ -2,6 +2,7 @@
 
 import json
 
+from hugs_cli.fleet import history as histories
 from hugs_cli.fleet.history import OWN_MB, UNMEASURED_MB, free_megabytes, history
 
 
@@ -27,6 +28,18 @@ def test_clips_of_the_same_name_count_too(tmp_path):
         run = {"pipeline": "draft", "stage": "train", "result": "done", "peak_memory_bytes": 0, "seconds": seconds}
         (tmp_path / place / "runs.jsonl").write_text(json.dumps(run))
     assert history(tmp_path).expected("draft", ["train"]) == 20
+
+
+def test_so_many_clips_are_read_and_no_more(tmp_path, monkeypatch):
+    """A fleet of 100,000 clips is planned before its histories could be read."""
+    read: list[str] = []
+    monkeypatch.setattr(histories, "CLIPS", 3)
+    monkeypatch.setattr(histories, "runs", lambda file: read.append(file.parent.name) or [])
+    for k in range(9):
+        (tmp_path / f"clip{k}").mkdir()
+        (tmp_path / f"clip{k}/runs.jsonl").touch()
+    history(tmp_path)
+    assert len(read) == 3
 
 
 def test_an_empty_folder_tells_nothing(tmp_path):

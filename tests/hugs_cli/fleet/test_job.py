@@ -31,7 +31,7 @@ class Room:
     """The folder of one call, with a plan of some clips, and jobs started by hand."""
 
     def __init__(self, fleet: Fleet, common: Common, **row: Any):
-        self.fleet, self.path = fleet, fleet.work / ".fleet" / "fleet" / "call"
+        self.fleet, self.path = fleet, fleet.work / ".fleet" / "fleet" / "ca11ca11ca11"
         self.row = Row(Path("clips/c00000.mp4"), Path("work"), "short", **row)
         call = Call("fleet", common, [], History({}, {}), False, 1, None)
         call.folder.mkdir(parents=True)

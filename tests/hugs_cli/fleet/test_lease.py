@@ -187,3 +187,30 @@ def test_a_fleet_elsewhere_is_believed_alive_only_if_it_touches_its_lease(path, 
     assert not lives(path) and clock.now > 1000.0 + DEAD_AFTER
     clock.later.append((clock.now + 10, lambda: os.utime(path, (5, 5))))
     assert lives(path)
+
+
+def test_who_waits_is_told_once(path, clock):
+    other, told = elsewhere(), []
+    assert take(path, other)
+    clock.later = [(1000.0 + 1 + k, lambda: Lease(path, other).touch()) for k in range(9)]
+    clock.later.append((1012.0, lambda: remove(path, other)))
+    with lease(path, told.append):
+        assert len(told) == 1 and "elsewhere" in told[0]
+
+
+def test_nobody_lives_of_whom_it_is_not_known_when_they_began():
+    """Neither a process that is gone nor one that nothing is known of has begun."""
+    for began in ("", "0", None):
+        assert is_alive(identity() | {"pid": 2**22 + 1, "began": began}) is False
+
+
+def test_a_process_of_which_only_the_exit_code_is_left_is_dead():
+    if (child := os.fork()) == 0:
+        os._exit(0)
+    alive = identity() | {"pid": child, "began": leases.began(os.getpid())}
+    try:
+        while os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT) is None:
+            pass
+        assert leases.began(child) == "" and is_alive(alive | {"began": ""}) is False
+    finally:
+        os.waitpid(child, 0)

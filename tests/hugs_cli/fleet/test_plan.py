@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -52,6 +54,33 @@ def test_code_and_pipeline_are_read_once(fleet, common, monkeypatch):
         (fleet.work / name / "store").mkdir(parents=True)
     found = plan([row("c00000"), row("c00001")], common, NONE, split=False)
     assert [one.state for one in found] == ["todo", "todo"] and len(opened) == 1 and looked == ["flow.one"]
+
+
+def test_rows_that_differ_in_the_person_alone_are_not_one(fleet, common, monkeypatch):
+    opened = []
+    monkeypatch.setattr(
+        plans, "session_of", lambda one, common: opened.append(one.person) or plans.Session.__new__(plans.Session)
+    )
+    monkeypatch.setattr(plans, "replace", lambda session, **more: session)
+    monkeypatch.setattr(plans.Session, "sources", {}, raising=False)
+    open_ = plans.opener(common)
+    for person in ("1", "2", None, "1"):
+        open_(row("c00000", person=person))
+    assert opened == ["1", "2", None]
+
+
+def test_what_is_shown_of_a_finished_row(tmp_path):
+    """The effects that were called for, without the scene, which is none; a frame of the middle of the clip."""
+    folders = {name: tmp_path / f"{name}-0123" for name in ("frames", "survey")}
+    for folder in folders.values():
+        folder.mkdir()
+    decisions = {"scene": True, "shadow": True, "sky": False, "lens": True}
+    (folders["survey"] / "survey.json").write_text(json.dumps({"decisions": decisions}))
+    files = {f"images/{i:06d}.png": "" for i in range(7)} | {"frames.json": ""}
+    stamps = {name: SimpleNamespace(files=files, seconds=1.5, peak_memory_bytes=7, warnings=[]) for name in folders}
+    shown = plans.result_of(stamps, folders)
+    assert shown["effects"] == ["shadow", "lens"] and shown["picture"] == "frames-0123/images/000003.png"
+    assert shown["seconds"] == 3 and shown["psnr"] is None and shown["pages"] == []
 
 
 def test_a_pipeline_without_training_cannot_be_split(fleet, common):

@@ -34,8 +34,9 @@ def test_a_fleet_that_another_call_took_the_place_of_ends(call):
 
 def test_what_earlier_calls_left_is_taken_away(call):
     """Also what jobs still write, which is no longer heard."""
-    call.lay_out(call.folder / "old", {}, [])
-    (call.folder / "old" / "logs" / "a.log").touch()
+    call.lay_out(call.folder / "01d01d01d01d", {}, [])
+    (call.folder / "notes").mkdir()  # of somebody
+    (call.folder / "01d01d01d01d" / "logs" / "a.log").touch()
     with leases.lease(call.folder / leases.NAME, pytest.fail):
         call.lay_out(call.folder / "new", {}, [])
-        assert sorted(path.name for path in call.folder.iterdir()) == [leases.NAME, "new"]
+        assert sorted(path.name for path in call.folder.iterdir()) == [leases.NAME, "new", "notes"]

@@ -42,6 +42,30 @@ def test_a_dry_run_lists_every_training_and_runs_none(clip):
     assert len(json.loads(ablate_(clip, "--dry-run", "--json")[0])) == 18
 
 
+@pytest.mark.parametrize("how", ["pipeline", "module"])
+def test_a_part_that_the_pipeline_does_not_have_is_left_out_and_named(clip, how):
+    """Switched off in its pipeline or not known to its training: without it, it is itself."""
+    file = clip.folder / "pipelines.yaml"
+    if how == "pipeline":
+        file.write_text(
+            file.read_text().replace(
+                "train: {needs: [one],", "train: {needs: [one], params: {triplane: false, joint: false},"
+            )
+        )
+    else:
+        clip.edit("train", "    triplane: bool = True\n    joint: bool = True\n", "")
+    out, err = ablate_(clip, "--dry-run", "--seeds", "1")
+    assert [row.split()[0] for row in out.splitlines()[1:]] == [
+        "tiny",
+        "tiny.no_lbs",
+        "tiny.no_densify",
+        "tiny.no_human_loss",
+    ]
+    assert [line.split()[0] for line in err.splitlines()] == ["no_triplane", "no_joint"] and "tiny does not have" in err
+    out, err = ablate_(clip, "--dry-run", "--seeds", "1", "--part", "no_joint")
+    assert [row.split()[0] for row in out.splitlines()[1:]] == ["tiny"]
+
+
 @pytest.mark.slow
 def test_parts_can_be_chosen_or_none_for_the_spread_of_seeds_alone(ablated):
     out, _ = ablate_(ablated, "--dry-run", "--seeds", "1", "--part", "no_lbs", "--part", "no_joint")

@@ -151,6 +151,12 @@ def test_pipelines_that_were_run_are_compared_drawn_and_told_as_json(clip):
     assert [row["pipeline"] for row in result["rows"]] == ["quick", "tiny"] and result["clip"] == "clip.mp4"
     assert [row["seconds"]["train"] for row in result["rows"]] == [10, 40], "what training says, if that is more"
     assert result["rows"][1]["db_per_minute"]["full"] == pytest.approx(8.0, rel=0.05), "4 dB in half a minute"
+    file = clip.folder / "pipelines.yaml"
+    file.write_text(f"{file.read_text()}z_again:\n  doc: The same.\n  extends: tiny\n")
+    clip.hugs("--pipeline", "z_again")
+    again = json.loads(clip.hugs("--json", command="costs")[0])
+    assert [row["pipeline"] for row in again["rows"]] == ["quick", "tiny"], "one training is shown once"
+    assert "z_again: the training of tiny, shown once" in again["notes"]
     clip.hugs("train", "--pipeline", "quick", "--set", "train.steps=101")
     _, err = clip.hugs(command="costs", code=2)
     assert "trained again since it was measured: quick" in err

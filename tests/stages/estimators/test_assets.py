@@ -2,8 +2,10 @@
 
 import hashlib
 import io
+import os
 import pickle
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,3 +107,35 @@ def test_a_pickle_that_runs_code_is_refused(tmp_path):
 
     with pytest.raises(pickle.UnpicklingError, match="must not ask for"):
         assets.lpips_arrays(pickle.dumps({"x": Evil()}))
+
+
+@pytest.mark.parametrize("content", [b"weights", b"version of a pointer to a large file"])
+def test_what_lies_in_the_cache_and_was_not_fetched_is_not_taken_and_is_replaced(tiny, content):
+    assets.cache().mkdir()
+    (assets.cache() / "a.bin").write_bytes(content)
+    assert not assets.present("a.bin")
+    with pytest.raises(StageError, match="not on this machine") as error:
+        assets.path("a.bin")
+    assert "not the tested one" in error.value.facts[-1]
+    assert assets.fetch("a.bin", lambda line: None).read_bytes() == b"weights a"
+
+
+def test_arrays_are_known_however_they_are_packed_and_a_changed_one_is_not(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUGS_CACHE", str(tmp_path))
+    file, values = tmp_path / "lpips_alex.npz", {"b": np.arange(4.0), "a": np.ones(3)}
+    digests = []
+    for save, arrays in (
+        (np.savez, values),
+        (np.savez_compressed, dict(reversed(values.items()))),
+        (np.savez, values | {"a": np.zeros(3)}),
+    ):
+        save(file, **arrays)
+        digests.append(assets._digest(file, len(digests)))
+    assert digests[0] == digests[1] != digests[2]
+    asset = assets.ASSETS["lpips_alex.npz"]
+    monkeypatch.setattr(assets, "ASSETS", {asset.name: replace(asset, arrays=digests[2])})
+    assert assets.present(asset.name)
+    for damage in (file.read_bytes()[:-30], b"PK", b""):
+        file.write_bytes(damage)
+        os.utime(file, ns=(0, 100 + len(damage)))
+        assert not assets.present(asset.name)

@@ -1,13 +1,14 @@
 """Cameras of a film: people stay in view, and paths are those that were asked for."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from stages.avatar.cameras.pinhole import project
 from stages.contract import StageError
-from stages.filming.cameras import cameras_of
+from stages.filming.cameras import CROWN, _crowd, cameras_of
 from stages.filming.cast import cast
 from stages.filming.setting import load_setting
 from stages.filming.spec import Film, Person
@@ -98,3 +99,32 @@ def test_without_a_clip_its_camera_cannot_be_had(stage, kind):
     with pytest.raises(StageError, match="no clip whose camera") as refused:
         cameras_of(kind, 4, FPS, None, replace(setting, clip=None), people)
     assert "orbit" in refused.value.hint
+
+
+def test_a_crown_is_as_much_higher_as_somebody_is_larger(stage):
+    setting, (actor, _) = stage
+    up = setting.ground.up
+    for scale in (0.5, 1.0, 3.0):
+        large = replace(actor, scale=scale)
+        found = _crowd(2, [large, actor], up)
+        assert found.shape == (2, 50, 3)
+        heads = found[:, 48:] - np.concatenate([one.joints(range(2))[:, 15:16] for one in (large, actor)], 1)
+        np.testing.assert_allclose(heads @ up, np.tile(CROWN * np.array([scale, 1.0]), (2, 1)))
+
+
+@pytest.mark.parametrize("fps", [5.0, 20.0, 60.0])
+def test_following_is_as_calm_at_any_number_of_pictures_a_second(stage, fps):
+    setting, ground, count = stage[0], stage[0].ground, round(4 * fps)
+
+    def leaps(pictures):
+        """2 m to the side, in the middle of 4 s."""
+        way = np.where(np.arange(count) < count // 2, -1.0, 1.0)[list(pictures), None, None]
+        return ground.point + ground.turn @ np.array([0, 1.0, 0]) + way * ground.turn[:, 0] + np.zeros((1, 24, 1))
+
+    cameras = cameras_of("follow", count, fps, None, setting, [SimpleNamespace(joints=leaps, scale=1.0)])
+    ahead = np.stack([camera.viewmat.numpy()[2, :3] for camera in cameras])
+    share = ((ahead - ahead[0]) @ (ahead[-1] - ahead[0])) / ((ahead[-1] - ahead[0]) ** 2).sum()
+    assert np.diff(share).min() >= -1e-6
+    at = lambda seconds: share[round((2 + seconds) * fps)]  # noqa: E731
+    assert 0.05 < at(-0.6) < 0.3 and 0.7 < at(0.6) < 0.95, "a standard deviation of 0.6 s"
+    assert at(-1.8) < 0.02 and at(1.8) > 0.98

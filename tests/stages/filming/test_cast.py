@@ -119,3 +119,14 @@ def test_a_file_has_no_clip_to_move_as_in(run):
 def test_all_of_a_person_is_where_it_is_drawn(run):
     actor = cast(Person(avatar=run, motion="wave"), "a", SLOPE, FPS, "meta")
     assert {part.device.type for part in (*actor.casters(0), *actor.splats(0)[:4])} == {"meta"}
+
+
+def test_a_motion_begins_with_the_picture_nearest_to_its_start_and_a_loop_was_going_on_before(run):
+    once, loop = (
+        cast(Person(avatar=run, motion="squats", start=0.29, loop=loop), "a", SLOPE, FPS, "cpu")
+        for loop in (False, True)
+    )
+    count = len(once.transl)
+    assert once.first == loop.first == 9, "of 0.29 s at 30 a second"
+    assert [once.row(picture) for picture in (0, 8, 9, 10, 9 + count)] == [0, 0, 0, 1, count - 1]
+    assert [loop.row(picture) for picture in (0, 8, 9, 10, 9 + count)] == [count - 9, count - 1, 0, 1, 0]

@@ -1,12 +1,15 @@
 """People in each other and under the floor are seen before anything is drawn."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
+from stages.avatar.effects.shadow import Casters
 from stages.filming.cast import cast
-from stages.filming.checks import faults_of, lowest, overlap
+from stages.filming.checks import SUNK, TOUCH, faults_of, lowest, overlap
 from stages.filming.spec import Person
 from stages.formats.ground import read_ground
 from stages.records import Ground
@@ -48,3 +51,20 @@ def test_a_person_under_the_floor_is_named_with_the_distance(tiny):
     assert (
         fault.startswith("ann is under the floor by ") and abs(float(fault.split(" by ")[1].split(" cm")[0]) - 30) < 4
     )
+
+
+def of_balls(name: str, *balls: tuple[np.ndarray, np.ndarray]) -> SimpleNamespace:
+    parts = Casters(*(torch.as_tensor(np.concatenate(part)) for part in zip(*balls, strict=True)))
+    return SimpleNamespace(name=name, casters=lambda picture: parts)
+
+
+@pytest.mark.parametrize(("deep", "said"), [(TOUCH - 0.01, False), (TOUCH + 0.01, True)])
+def test_a_touch_is_no_fault_and_a_limb_that_is_not_there_touches_nobody(deep, said):
+    gone = np.array([[0, 0.5, 0.0]]), np.zeros((1, 3, 3))
+    ann, bob = of_balls("ann", ball(0, 0.2)), of_balls("bob", ball(0.4 - deep, 0.2))
+    assert bool(faults_of([ann, bob], LEVEL, 1, 30.0)) is said
+    below = np.array([[0, -1.0, 0.0]]), np.zeros((1, 3, 3))
+    assert faults_of([ann, of_balls("bob", ball(2, 0.2), gone, below)], LEVEL, 1, 30.0) == []
+    for sunk in (SUNK - 0.01, SUNK + 0.01):
+        low = of_balls("bob", (np.array([[2, 0.2 - sunk, 0]]), ball(0, 0.2)[1]))
+        assert bool(faults_of([ann, low], LEVEL, 1, 30.0)) is (sunk > SUNK)

@@ -43,6 +43,14 @@ def test_what_a_camera_multiplies_colours_by_is_measured(gain):
 def test_dark_and_clipped_pixels_tell_nothing():
     assert look_of(np.zeros((5000, 3), np.uint8)) is None and look_of(np.full((5000, 3), 255, np.uint8)) is None
     assert look_of(room(0)[:900]) is None
+    plain = look_of(room(0))
+    for channel in range(3):
+        for value in (0, 19, 251, 255):
+            spoiled = room(1)[:6000]
+            spoiled[:, channel] = value
+            assert look_of(spoiled) is None, "one channel is enough"
+            both = look_of(np.concatenate([room(0), spoiled]))
+            assert both.exposure == plain.exposure and (both.tint == plain.tint).all() and both.sure == plain.sure
 
 
 def test_a_lawn_or_a_wall_of_one_colour_tells_no_light_and_the_person_is_left_as_they_are():

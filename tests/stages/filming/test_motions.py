@@ -1,5 +1,7 @@
 """Motions for the people of a film: at its rate and their speed, on a floor at height 0."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -86,7 +88,79 @@ def test_limbs_point_where_smpls_point_though_the_free_body_rests_otherwise(sole
     assert off.max() < 0.01
 
 
+@pytest.mark.parametrize("time", ["0.033333", "0.0333", "0.03333333", "0.033"])
+@pytest.mark.parametrize("frames", [2, 21, 200])
+def test_no_frame_is_lost_where_the_time_was_rounded(soles, tmp_path, time, frames):
+    local = np.tile(np.eye(3), (frames, 24, 1, 1))
+    path = bvh_made.write_bvh(tmp_path / "m.bvh", soles.joints, local, np.zeros((frames, 3)), bvh_made.a_pose(), fps=30)
+    path.write_text(path.read_text().replace("Frame Time: 0.03333333", f"Frame Time: {time}"))
+    placed, facts = from_file(path, Manner(30.0), soles, MODEL.parents.tolist())
+    assert len(placed.transl) == frames and "at 30 fps" in facts[0]
+
+
+@pytest.mark.parametrize("fps", [29.97, 23.976, 59.94, 60.0])
+def test_a_rate_that_is_said_is_rounded_like_any_other(soles, tmp_path, fps):
+    np.savez(tmp_path / "m.npz", poses=np.zeros((600, 72)), trans=np.zeros((600, 3)))
+    placed, _ = from_file(tmp_path / "m.npz", Manner(fps, motion_fps=fps), soles, MODEL.parents.tolist())
+    assert len(placed.transl) == 600
+
+
+@pytest.mark.parametrize("seconds", [100_000, 1e9, 1e300, 5000])
+def test_a_motion_that_claims_to_take_for_ever_is_refused_before_memory_is_taken(soles, tmp_path, seconds):
+    local = np.tile(np.eye(3), (3, 24, 1, 1))
+    path = bvh_made.write_bvh(tmp_path / "m.bvh", soles.joints, local, np.zeros((3, 3)), bvh_made.a_pose(), fps=30)
+    path.write_text(path.read_text().replace("Frame Time: 0.03333333", f"Frame Time: {seconds}"))
+    with pytest.raises(StageError, match="has too many") as refused:
+        from_file(path, Manner(30.0), soles, MODEL.parents.tolist())
+    assert "108,000 are the most" in refused.value.facts[1] and "--motion-fps" in refused.value.hint
+    np.savez(tmp_path / "m.npz", poses=np.zeros((3, 72)), trans=np.zeros((3, 3)), fps=1 / seconds)
+    with pytest.raises(StageError, match=r"has too many|above 0"):
+        from_file(tmp_path / "m.npz", Manner(30.0), soles, MODEL.parents.tolist())
+    with pytest.raises(StageError, match="has too many"):
+        from_file(tmp_path / "m.npz", Manner(30.0, 1e-12, motion_fps=30.0), soles, MODEL.parents.tolist())
+    times = np.linspace(0, seconds, FRAMES)
+    with pytest.raises(StageError, match="the motion of the clip has too many poses"):
+        from_clip(make_poses(), times, make_ground(make_poses(), MODEL), Manner(30.0), soles)
+
+
+@pytest.mark.parametrize(
+    ("stands", "said"), [("z", "-y"), ("y", "z"), ("z", "y"), ("-y", "y"), ("y", "y"), ("z", None)]
+)
+def test_an_up_that_the_pelvis_contradicts_is_said_with_the_axis_that_it_has(soles, tmp_path, stands, said):
+    turn = {"y": [0, 0, 0], "-y": [np.pi, 0, 0], "z": [np.pi / 2, 0, 0]}[stands]
+    poses = np.zeros((9, 72))
+    poses[:, :3] = turn
+    np.savez(tmp_path / "m.npz", poses=poses, trans=np.zeros((9, 3)), fps=30)
+    _, facts = from_file(tmp_path / "m.npz", Manner(30.0, up=said), soles, MODEL.parents.tolist())
+    contradicted = [fact for fact in facts if "the pelvis says" in fact]
+    assert len(contradicted) == (said not in (None, stands))
+    assert all(f"--up {stands}" in fact for fact in contradicted) and f"{said or stands} is up" in facts
+
+
 def test_what_is_no_motion_is_refused(soles, tmp_path):
     (tmp_path / "moves.txt").write_text("up and down")
     with pytest.raises(StageError, match="is no motion"):
         from_file(tmp_path / "moves.txt", Manner(30.0), soles, MODEL.parents.tolist())
+
+
+def test_a_files_rate_can_be_said_otherwise_and_its_drift_is_said(soles, tmp_path):
+    columns, trans = np.zeros((41, 72)), np.zeros((41, 3))
+    for rise, said in ((0.04, False), (0.2, True)):
+        trans[:, 1] = np.linspace(0, rise, 41)
+        np.savez(tmp_path / "move.npz", poses=columns, trans=trans, fps=20.0)
+        for fps, seconds in ((None, 2.0), (10.0, 4.0), (40.0, 1.0)):
+            manner = Manner(30.0, motion_fps=fps)
+            placed, facts = from_file(tmp_path / "move.npz", manner, soles, MODEL.parents.tolist(), MODEL.name)
+            assert len(placed.transl) == round(30 * seconds) + 1 and f"{seconds:.1f} s at" in facts[0]
+        assert any("rose and fell by" in fact for fact in facts) is said, facts
+
+
+def test_a_clips_motion_goes_on_through_frames_that_show_nobody(soles):
+    body, ground = make_poses(), make_ground(make_poses(), MODEL)
+    times, confidence = np.arange(FRAMES) * 0.1, body.confidence.copy()
+    confidence[2:4] = 0
+    whole, holed = (
+        from_clip(one, times, ground, Manner(10.0), soles) for one in (body, replace(body, confidence=confidence))
+    )
+    assert len(holed.transl) == len(whole.transl)
+    np.testing.assert_allclose(holed.body_pose[[0, 1, 4, 5]], whole.body_pose[[0, 1, 4, 5]], atol=1e-9)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stages import compose
 from stages.compose import names_of
@@ -16,10 +17,12 @@ from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast
 from stages.filming.page import page
 from stages.filming.parts import Parts
+from stages.filming.picture import everybody
 from stages.filming.setting import load_setting
 from stages.filming.shoot import Shoot
 from stages.filming.spec import Film, Person
 from stages.formats import viewer
+from tests.made import finished
 
 FPS = 4.0
 
@@ -68,6 +71,33 @@ def test_usd_has_a_sample_a_picture_y_up_with_the_floor_at_0(shoot, tmp_path):
             assert abs(found[:, 1].min()) < 0.05, "soles at 0"
     scene = stage.GetPrimAtPath("/World/scene").GetAttribute("positions").Get()
     assert len(scene) == len(shoot.setting.scene)
+
+
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_splats_are_y_down_whichever_way_the_scene_is(shoot, tmp_path, monkeypatch, up):
+    got = []
+    monkeypatch.setitem(outputs.SPLATS, ".ply", lambda out, scene: (got.append(scene), out.touch(), {})[-1])
+    level = replace(shoot.setting.ground, up=np.array([0, up, 0.0]))
+    outputs.splats(
+        replace(shoot, setting=replace(shoot.setting, ground=level)), tmp_path / "a.ply", 1.0, Parts(tmp_path, "")
+    )
+    sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, shoot.where(1.0), None)
+    means = np.concatenate([one.means.numpy() for one in sets])
+    np.testing.assert_allclose(got[0].means, means * ([1, -1, -1] if up > 0 else 1), atol=1e-6)
+
+
+def test_the_pelvis_of_a_glb_is_where_the_film_has_it(tmp_path):
+    """Of a body whose pelvis is not at the origin at rest, turned, aside, and twice as large."""
+    run = finished.make(tmp_path)
+    ann = Person(avatar=run, motion="squats", at=(0.4, -0.3), turn=50, scale=2.0)
+    setting = load_setting(Film(scene=run, people=[ann]), "cpu")
+    actor = cast(ann, "ann", setting.ground, FPS, "cpu")
+    assert np.abs(actor.soles.joints[0]).max() > 0.1
+    one = Shoot(setting, [actor], cameras_of("still", 6, FPS, (48, 64), setting, [actor]), FPS)
+    place, quat, scale = outputs.stand(one, actor)
+    there = np.array(place) + scale * Rotation.from_quat(quat).apply(outputs.take(one, actor).pelvis)
+    expected = (actor.joints(range(6))[:, 0] - setting.ground.point) @ setting.ground.turn
+    np.testing.assert_allclose(there, expected, atol=1e-5)
 
 
 def test_files_that_name_people_are_made_again_when_these_are_called_otherwise(shoot, tmp_path, monkeypatch):

@@ -35,7 +35,7 @@ def test_a_file_is_made_once_and_again_when_it_or_its_stuff_has_changed(tmp_path
 
     def run(*stuff, code="1"):
         return Parts(tmp_path / "kept", code).bring(
-            out, lambda: (count.append(1), out.write_text(f"film {len(count)}")), *stuff
+            out, lambda part: (count.append(1), part.write_text(f"film {len(count)}")), *stuff
         )
 
     assert run("a") and not run("a") and run("b") and run("b", code="2") and not run("b", code="2")
@@ -50,12 +50,14 @@ def test_a_file_is_made_once_and_again_when_it_or_its_stuff_has_changed(tmp_path
 def test_a_file_that_could_not_be_made_is_not_remembered(tmp_path):
     parts, out = Parts(tmp_path / "kept", ""), tmp_path / "film.mp4"
 
-    def fail():
+    def fail(part):
+        part.write_text("fi")
         raise OSError("full")
 
     with pytest.raises(OSError):
         parts.bring(out, fail, 1)
-    assert parts.bring(out, lambda: out.write_text("film"), 1)
+    assert not out.exists() and not list(tmp_path.glob(".*"))
+    assert parts.bring(out, lambda part: part.write_text("film"), 1)
 
 
 def test_pieces_that_a_run_had_no_use_for_are_removed(tmp_path):
@@ -68,3 +70,20 @@ def test_pieces_that_a_run_had_no_use_for_are_removed(tmp_path):
     assert Parts(tmp_path, "2").piece(".mp4", 1) != used
     again.tidy()
     assert used.exists() and not old.exists()
+
+
+def test_nothing_else_is_removed_and_no_file_is_written_through_a_link(tmp_path):
+    """The folder of pieces may be a link to one that holds other things."""
+    (tmp_path / "documents").mkdir()
+    (tmp_path / "kept").symlink_to("documents")
+    theirs = ["letter.txt", "0123456789abcdef01234567", "film.mp4", ".lock", "A" * 24 + ".mp4"]
+    ours = ["0123456789abcdef01234567.mp4", ".hugs-0123456789ab.mov"]
+    for name in (*theirs, *ours):
+        (tmp_path / "kept" / name).write_text("kept")
+    parts = Parts(tmp_path / "kept", "")
+    (tmp_path / "000.000.png").symlink_to("documents/letter.txt")
+    assert parts.bring(tmp_path / "000.000.png", lambda part: part.write_text("drawn"), 1)
+    parts.tidy()
+    assert (tmp_path / "documents/letter.txt").read_text() == "kept"
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {*theirs, MADE}
+    assert not Parts(tmp_path / "kept", "").bring(tmp_path / "000.000.png", pytest.fail, 1)

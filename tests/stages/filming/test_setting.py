@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from stages.avatar.effects.shadow import DARKNESS
 from stages.contract import StageError
 from stages.filming.setting import DIM, lamp_of, load_setting
 from stages.filming.spec import Film, Floor, Person
@@ -52,6 +53,13 @@ def test_else_as_the_survey_saw_it(run):
     shadow, said = lamp_of(run, read_ground(run / "smpl" / "ground.json"), "auto")
     np.testing.assert_allclose(shadow.light(), [0, -0.6, 0.8], atol=1e-6)
     assert shadow.darkness.sigmoid().item() == pytest.approx(0.21) and said == ()
+
+
+@pytest.mark.parametrize(("share", "cast"), [(0.999, DARKNESS), (1.0, DARKNESS), (5.0, DARKNESS), (0.0, 0.05)])
+def test_a_shadow_takes_neither_all_light_nor_none_whatever_the_survey_saw(run, share, cast):
+    survey(run, start=[0.0, -0.6, 0.8, share])
+    shadow, _ = lamp_of(run, read_ground(run / "smpl" / "ground.json"), "auto")
+    assert shadow.darkness.sigmoid().item() == pytest.approx(cast)
 
 
 def test_where_the_survey_saw_none_none_is_cast_and_that_is_said(run):

@@ -12,7 +12,7 @@ from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.model.scene import load_scene
 from stages.filming.setting import Setting
 from stages.filming.spec import Film, Person
-from stages.filming.standing import APART, free_places
+from stages.filming.standing import APART, CLOSE, SHOWN, _in_the_way, free_places
 from stages.records import Ground, Scene
 
 LEVEL = Ground(np.zeros(3), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), 1, 0, 0, 0, "")
@@ -107,3 +107,26 @@ def test_where_everything_is_full_it_is_the_place_with_least_in_the_way():
     ]
     x, _ = placed(setting_of(*full, seen=False), Person(avatar=ANN), Person(avatar=BOB))[1]
     assert x > 0
+
+
+def in_the_way(spot: tuple[float, float], *taken: tuple[float, float]) -> float:
+    return _in_the_way(spot, taken, setting_of(), np.inf)
+
+
+def test_who_stands_before_another_hides_them_however_near_the_camera_is():
+    people = Person(avatar=ANN, at=(0, 2.5)), Person(avatar=BOB)
+    assert abs(placed(setting_of(), *people)[1][0]) > 0.3, "she stands 2.2 m before the camera, 5 m away"
+    assert in_the_way((0, 0), (0, 2.5)) > 1 > in_the_way((2.0, 0), (-1.2, 2.5))
+    assert in_the_way((2.0, 0), (0, 4.9)) < 1, "who stands in the camera hides nobody"
+
+
+@pytest.mark.parametrize("z", [1.5, 2.0, 2.5])
+def test_who_is_much_nearer_to_the_camera_than_another_fills_the_picture(z):
+    assert in_the_way((1.0, z), (-1.5, 0)) == pytest.approx((5 - 0.3) / (5 - 0.3 - z) / CLOSE)
+    assert in_the_way((-1.5, 0), (1.0, z)) < 1, "who is farther away does not"
+
+
+def test_half_out_of_the_picture_is_worse_than_a_little():
+    far = {x: in_the_way((x, 0)) for x in (3.0, 4.6, 4.8, 5.0, 5.2)}
+    assert far[3.0] < 1 and (np.diff(list(far.values())) >= 0).all()
+    assert 1 < far[5.0] < np.inf and far[5.2] > 1 / (1 - SHOWN) / 2 and in_the_way((9.0, 0)) == np.inf

@@ -3,6 +3,7 @@
 import copyreg
 import pickle
 import sys
+import tracemalloc
 import types
 
 import numpy as np
@@ -187,6 +188,35 @@ def test_numbers_that_cannot_be_read_are_named(tmp_path, chumpy):
     path = dump(tmp_path / "a.pkl", dict(smpl_arrays(), shapedirs=made(chumpy.Ch, y=3)))
     with pytest.raises(StageError, match="shapedirs in"):
         read_body_model(path)
+
+
+def test_what_small_pickles_stand_for_is_made_once_and_within_a_budget(tmp_path, chumpy):
+    """Names may share one object, lists one array, and a sparse matrix says any shape."""
+    few = np.zeros(1 << 16)
+    one = made(chumpy.Select, a=[1.0], idxs=np.zeros(1 << 20, np.int64))
+    grown = [made(chumpy.Select, a=[1.0], idxs=few.astype(np.int64)) for _ in range(3)]
+    data = {
+        "shared": {f"k{i}": one for i in range(2000)},
+        "apart": {f"k{i}": made(chumpy.Select, a=[1.0], idxs=made(chumpy.Ch, x=grown)) for i in range(2)},
+        "listed": {"k": [few] * 4000},
+        "nested": {"k": made(chumpy.Ch, x=[[few] * 60] * 60)},
+        "letters": {"k": made(chumpy.csc, data=np.zeros(1, "S9999"), indices=[0], indptr=[0, 1], _shape=(4096, 4096))},
+        "dense": {f"k{i}": made(chumpy.csc, data=np.zeros(1), indices=[0], indptr=[0, 1], _shape=(1 << 12, 1 << 12))
+                  for i in range(12)},
+        "texts": {"k": made(chumpy.csc, data=np.zeros(1, "S3"), indices=[0], indptr=[0, 1, 1], _shape=(2, 2))},
+        "words": {"k": made(chumpy.Ch, x=np.array(["a" * 99]))},
+    }  # fmt: skip
+    paths = {name: dump(tmp_path / f"{name}.pkl", content) for name, content in data.items()}
+    chumpy.forget()
+    found = read_pickle(paths.pop("shared"))
+    assert len(found) == 2000 and len({id(array) for array in found.values()}) == 1
+    tracemalloc.start()
+    for name, path in paths.items():
+        with pytest.raises(StageError, match=r"too much memory|cannot be read|not a pickle") as refused:
+            read_pickle(path)
+        assert name not in ("listed", "nested", "dense") or "too much memory" in refused.value.problem
+        assert tracemalloc.get_traced_memory()[1] < 1.3e9, name
+    tracemalloc.stop()
 
 
 def broken(**changes):

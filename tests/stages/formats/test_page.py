@@ -1,5 +1,7 @@
 """Pages from templates: no text from outside becomes markup, and an edit of a template makes reports stale."""
 
+import base64
+import hashlib
 import re
 
 import numpy as np
@@ -10,6 +12,8 @@ from hugs_cli.cache.fingerprint import Code
 from stages.formats import page
 from stages.formats.video import write_video
 
+POLICY = re.compile(r"""Policy" content="default-src 'none'; script-src [^*]*; img-src 'self' file: data:;"""
+                    r""" media-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'">""")  # fmt: skip
 EVIL = "<script>\"&'"
 
 
@@ -34,8 +38,18 @@ def test_text_never_becomes_markup(tmp_path):
         (report(figures), 80),
         (page.fill("costs.html", title=EVIL, plot=EVIL, lines=[EVIL]), 4),
     ):
-        assert "<script" not in text and text.count("&lt;script&gt;&#34;&amp;&#39;") >= places
+        assert "<script" not in text and POLICY.search(text) and text.count("&lt;script&gt;&#34;&amp;&#39;") >= places
         assert not re.search(r'(src|href)="(?!data:|&lt;script)', text)
+
+
+def test_pages_run_their_own_lines_and_no_others():
+    text = report()
+    allowed = re.search(r"script-src 'unsafe-hashes' 'sha256-([^']+)';", text)
+    lines = set(re.findall(r'\son[a-z]+="([^"]*)"', text))
+    assert allowed and [base64.b64encode(hashlib.sha256(line.encode()).digest()).decode() for line in lines] == [
+        allowed[1]
+    ]
+    assert "script-src 'none';" in page.fill("costs.html", title=EVIL, plot=EVIL, lines=[EVIL])
 
 
 def test_a_cell_that_looks_like_a_bar_is_text_and_bars_have_the_width_of_their_share():

@@ -48,10 +48,10 @@ def test_l08_broken_files_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "fact"),
     [
-        (b"vertex 4", b"vertex -4", "-4 vertices"),
+        (b"vertex 4", b"vertex -4", "-4 rows of vertex"),
         (b"vertex 4", b"vertex many", "invalid literal"),
         (b"vertex 4", b"vertex", "out of range"),
-        (b"float x", b"list uchar int x", "it has a property list uchar int x"),
+        (b"float x", b"list uchar int x", "a property list"),
         (b"float y", b"float x", "field 'x' occurs more than once"),
         (b"element vertex 4\n", b"", "does not begin with vertices"),
     ],

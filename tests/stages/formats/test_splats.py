@@ -55,7 +55,7 @@ def test_k02_l01_damage_is_named(tmp_path):
         read_avatar(path)
     assert "means" in error.value.facts[1]
     np.savez(path, **(avatar() | {"lbs_weights": np.full((5, 24), 0.05, np.float32)}))
-    with pytest.raises(StageError, match="do not sum to one"):
+    with pytest.raises(StageError, match="damaged"):
         read_avatar(path)
 
 
@@ -77,6 +77,9 @@ def test_a19_a_zero_quaternion_is_no_rotation(tmp_path):
             "2 Gaussians have an opacity that is not in 0..1, the first is row 3",
         ),
         ({"shN": np.zeros((5, 5, 3))}, "shN has 5 coefficients a colour"),
+        ({"lbs_weights": np.full((5, 24), 0.05)}, "5 Gaussians are below 0 or do not sum to one: row 0 sums to 1.2"),
+        ({"lbs_weights": np.eye(24)[:5] * 6 - np.eye(24)[1:6] * 5}, "row 0 sums to 1.0000, its least is -5"),
+        ({"lbs_weights": np.eye(24)[:5] * 1e30 - np.eye(24)[1:6] * 1e30}, "are below 0"),
         ({"parents": np.roll(np.arange(24) - 1, 1)}, "not a tree"),
         ({"parents": np.arange(24)}, "not a tree"),
         ({"parents": np.r_[-1, 99, np.arange(1, 23)]}, "not a tree"),
@@ -88,6 +91,34 @@ def test_what_no_avatar_can_have_is_refused_by_name(tmp_path, change, said):
     with pytest.raises(StageError, match=r"theirs.npz is damaged") as refused:
         read_avatar(tmp_path / "theirs.npz")
     assert said in refused.value.facts[0]
+
+
+@pytest.mark.parametrize("name", ["means", "scales", "sh0", "lbs_weights", "joints", "betas", "canonical_pose"])
+@pytest.mark.parametrize("value", [1e300, -1e39, np.inf])
+def test_numbers_that_no_float32_holds_are_refused(tmp_path, name, value):
+    arrays = {key: np.array(array, np.float64) for key, array in avatar().items()}
+    arrays[name].flat[0] = value
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(StageError, match=r"not finite|damaged"):
+        read_avatar(tmp_path / "a.npz")
+
+
+def test_an_avatar_of_nobody_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", **{key: value[:0] if len(value) == 5 else value for key, value in avatar().items()})
+    with pytest.raises(StageError, match="damaged") as refused:
+        read_avatar(tmp_path / "a.npz")
+    assert "it has no Gaussians" in refused.value.facts
+
+
+def test_clothes_have_as_many_bones_as_a_byte_numbers(tmp_path):
+    for count, well in ((232, True), (233, False)):
+        write_splats(tmp_path / "a.npz", dress(Avatar(**avatar()), some_clothes(count)))
+        if well:
+            assert len(read_avatar(tmp_path / "a.npz").clothes) == count
+            continue
+        with pytest.raises(StageError, match="has too many") as refused:
+            read_avatar(tmp_path / "a.npz")
+        assert refused.value.facts == ("233 bones of clothes", "232 are the most")
 
 
 def test_files_of_earlier_versions_are_read_and_newer_ones_refused(tmp_path):

@@ -4,7 +4,7 @@ import pytest
 
 from stages.training.calibration import ENOUGH, FEWEST, short_of
 from stages.training.deadline import Deadline, Pace, rehearse
-from stages.training.schedule import SETTLE
+from stages.training.schedule import SETTLE, Progress
 from stages.training.settings import Params
 from tests.made.training import fit_of, make_clip, run, same
 
@@ -165,6 +165,19 @@ def test_a_training_that_becomes_too_slow_leaves_less_over_and_takes_the_fewest_
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("late", [-100.0, -1.0, 0.0, 1.0])
+def test_what_is_left_of_a_late_training_is_what_its_steps_take(monkeypatch, late):
+    Time(monkeypatch)
+    deadline = Deadline(60.0, reserve=0, least=0, began=late - 60.0, pauses=2)
+    deadline.pace, deadline.pause = Pace((1.0, 1.0), (1.0, 1.0), 0.0), 3.0
+    progress = Progress(100, joint=True)
+    assert deadline.to_go(progress) == pytest.approx(106)
+    progress.step = 90
+    assert deadline.to_go(progress) == pytest.approx(16)
+    progress.step, deadline.pauses = 100, 0
+    assert deadline.to_go(progress) == max(0, late)
+
+
 def test_slow_steps_are_timed_no_longer_than_the_time_can_bear(clip, monkeypatch):
     """A made-up clock: a step takes ten seconds."""
     clock, fit, taken = Time(monkeypatch), fit_of(clip), []

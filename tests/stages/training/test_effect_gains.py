@@ -51,7 +51,7 @@ def test_it_leaves_no_trace(clip):
     fit, other = everything(clip), everything(clip)
     run(fit, 9), run(other, 9)
     spent = dict(fit.clock.seconds)
-    found = effect_gains(fit, HELD_OUT)
+    found = effect_gains(fit, HELD_OUT, HELD_OUT[:1])
     assert list(found) == effects_of(fit)
     assert set(found) == {"pose_refinement", "exposure", "antialias", "clothing", "transients", "view_dependence"}
     assert same(fit, other) and fit.progress.total == other.progress.total and fit.clock.seconds == spent
@@ -78,11 +78,12 @@ def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
     """A made-up clock: three pictures take three times as long as one."""
     fit = changing(clip)
     monkeypatch.setattr("stages.training.effect_gains._seconds", lambda fit: 3.0 if fit.effects.blurs else 1.0)
-    whole = heldout_accuracy(fit, HELD_OUT)
-    found = effect_gains(fit, HELD_OUT)
+    whole, far = heldout_accuracy(fit, HELD_OUT), heldout_accuracy(fit, HELD_OUT[:1])
+    found = effect_gains(fit, HELD_OUT, HELD_OUT[:1])
     for effect in ("shadow", "clothing", "exposure"):
         with without(fit, effect):
             assert found[effect]["psnr_person"] == whole["psnr_person"] - heldout_accuracy(fit, HELD_OUT)["psnr_person"]
+            assert found[effect]["psnr_far"] == far["psnr_person"] - heldout_accuracy(fit, HELD_OUT[:1])["psnr_person"]
     assert found["transients"]["psnr"] is None
     shares = {name: effect["share"] for name, effect in found.items()}
     assert shares.pop("motion_blur") == pytest.approx(2 / 3) and set(shares.values()) == {0.0}
@@ -91,7 +92,7 @@ def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
 def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
     fit = fit_of(clip, scene=False, refine_pose=False, exposure=False)
     monkeypatch.setattr(fit, "advance", lambda: pytest.fail("a step was taken"))
-    assert effects_of(fit) == [] and effect_gains(fit, HELD_OUT) == {}
+    assert effects_of(fit) == [] and effect_gains(fit, HELD_OUT, HELD_OUT[:1]) == {}
     body, times = fit.person.body, {"motion_blur": False, "rolling_shutter": False}
     lit = torch.tensor([0.0, 0, -1]), casters(body.vertices, body.weights[:, :24])
     fit.effects = FrameEffects.starting(*lit, 0.5, **times)
@@ -105,7 +106,7 @@ def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
 def test_without_held_out_frames_there_is_only_a_cost(clip):
     fit = everything(clip, 6)
     run(fit, 6)
-    found = effect_gains(fit, [])
+    found = effect_gains(fit, [], [])
     assert all(effect["psnr"] is None and effect["share"] < 1 for effect in found.values())
 
 
@@ -120,5 +121,5 @@ def test_a_step_that_fails_while_it_is_timed_leaves_no_trace(clip, monkeypatch):
 
     monkeypatch.setattr(fit, "advance", breaks)
     with pytest.raises(FloatingPointError):
-        effect_gains(fit, HELD_OUT)
+        effect_gains(fit, HELD_OUT, HELD_OUT[:1])
     assert same(fit, other) and fit.progress.total == other.progress.total

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.avatar.body.hull import CELL, CLEAR, Sight, Skin, Space, carve, space_around, surface
+from stages.avatar.body.hull import CELL, CLEAR, Sight, Skin, Space, beyond, carve, space_around, surface
 from stages.avatar.cameras.pinhole import look_at, pinhole
 
 SIDE = 96
@@ -20,7 +20,12 @@ def column(x: float, radius: float, top: float, bottom: float, count: int = 900)
 
 @pytest.fixture(scope="module")
 def legs() -> Skin:
-    (left, out), (right, outer) = column(0.12, 0.07, 0.5, -0.5), column(-0.12, 0.07, 0.5, -0.5)
+    return two_legs()
+
+
+def two_legs(apart: float = 0.12) -> Skin:
+    """Two upright legs, `apart` m each from the middle."""
+    (left, out), (right, outer) = column(apart, 0.07, 0.5, -0.5), column(-apart, 0.07, 0.5, -0.5)
     weights = np.zeros((len(left) + len(right), 24))
     weights[: len(left), 1] = weights[len(left) :, 2] = 1
     return Skin(np.concatenate([left, right]), np.concatenate([out, outer]), weights)
@@ -31,18 +36,20 @@ def space(legs) -> Space:
     return space_around(legs)
 
 
-def pictures(legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi) -> list[Sight]:
-    """Twelve frames from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2.
+def pictures(
+    legs: Skin, skirt: float | None, step: float = 0.0, arc: float = 2 * np.pi, apart: float = 0.12, frames: int = 12
+) -> list[Sight]:
+    """`frames` from an `arc` around; `skirt`: the radius of a tube from 0.2 down to -0.2.
 
     The left leg steps aside by up to `step`.
     """
     found = []
-    for i, turn in enumerate(np.linspace(0, arc, 12, endpoint=False)):
+    for i, turn in enumerate(np.linspace(0, arc, frames, endpoint=False)):
         bones = np.tile(np.eye(4), (24, 1, 1))
         bones[1, 0, 3] = step * (i % 3) / 2
         view = look_at(2.5 * np.array([np.sin(turn), 0.1, np.cos(turn)]), np.zeros(3), np.array([0.0, 1, 0]))
         rays = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), -1)
-        body = covers(view, rays, 0.12 + bones[1, 0, 3], 0.07, 0.5) | covers(view, rays, -0.12, 0.07, 0.5)
+        body = covers(view, rays, apart + bones[1, 0, 3], 0.07, 0.5) | covers(view, rays, -apart, 0.07, 0.5)
         worn = body if skirt is None else body | covers(view, rays, bones[1, 0, 3] / 2, skirt, 0.2)
         found.append(Sight(bones, view, K, worn * 1.0, body))
     return found
@@ -114,3 +121,81 @@ def test_finer_points_are_nearer_to_each_other(legs, space):
     carved = carve(space, pictures(legs, 0.3))
     coarse, fine = (surface(space, legs, carved, spacing) for spacing in (CELL, CELL / 2))
     assert fine.spacing == pytest.approx(CELL / 2, rel=0.02) and 3 < len(fine.points) / len(coarse.points) < 5
+
+
+def trousers(legs: Skin, off: float, webbed: bool = False, apart: float = 0.12, frames: int = 12) -> list[Sight]:
+    """Frames of legs whose masks reach `off` m beyond them, and, if `webbed`, fill what is between the two."""
+    found = []
+    for sight in pictures(legs, None, apart=apart, frames=frames):
+        rays = np.zeros((SIDE, SIDE))
+        left, right = (covers(sight.viewmat, rays, x, 0.07 + off, 0.5) for x in (apart, -apart))
+        mask = left | right
+        if webbed:
+            import cv2
+
+            edge = np.argwhere(mask)[:, ::-1].astype(np.int32)
+            mask = cv2.fillConvexPoly(mask.astype(np.uint8), cv2.convexHull(edge), 1).astype(bool)
+        found.append(sight._replace(mask=mask * 1.0))
+    return found
+
+
+def bagged(legs: Skin, beside: float) -> list[Sight]:
+    """Twelve frames of legs with a bag `beside` the left one, m from its middle."""
+    bag = (covers(one.viewmat, one.body, 0.12 + beside, 0.06, 0.12) for one in pictures(legs, None))
+    return [one._replace(mask=(one.body | more) * 1.0) for one, more in zip(pictures(legs, None), bag)]
+
+
+@pytest.mark.parametrize("off", [0.0, 0.02, 0.03])
+def test_trousers_that_stand_no_further_off_than_a_fit_errs_are_no_cloth(legs, space, off):
+    carved = carve(space, trousers(legs, off))
+    assert not carved.cloth.any() and not carved.far.any() and carved.volume(space) == 0
+
+
+def test_wide_trouser_legs_go_with_their_limbs_as_skin_does(monkeypatch):
+    apart = two_legs(0.22)
+    space, worn = space_around(apart), trousers(apart, 0.07, apart=0.22, frames=32)
+    assert not carve(space, worn).cloth.any()
+    monkeypatch.setattr("stages.avatar.body.hull.ONE_LIMB", 1.1)
+    assert carve(space, worn).far.any(), "else this test says nothing"
+
+
+def test_a_bag_beside_one_leg_is_found(legs, space):
+    carved = carve(space, bagged(legs, 0.15))
+    assert carved.volume(space) > 0 and space.points[carved.far, 0].min() > 0.12
+
+
+@pytest.mark.parametrize("by", [(0.01, 0, 0), (-0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01), (0, 0, -0.01)])
+def test_what_is_found_does_not_hang_on_a_centimetre_of_the_fit(legs, space, by):
+    """Bodies, not masks, a centimetre off: the bag is always there, trousers never are."""
+    moved = np.eye(4)
+    moved[:3, 3] = by
+
+    def fitted(sights: list[Sight]) -> list[Sight]:
+        return [one._replace(bones=one.bones @ moved) for one in sights]
+
+    assert carve(space, fitted(bagged(legs, 0.15))).volume(space) > 0
+    assert carve(space, fitted(trousers(legs, 0.02))).volume(space) == 0
+
+
+def test_what_never_leaves_the_gap_between_two_limbs_is_no_cloth(legs, space, monkeypatch):
+    """Two thighs that no frame separates made a web of cloth, torn by every step."""
+    assert not carve(space, trousers(legs, 0.0, webbed=True)).cloth.any()
+    monkeypatch.setattr("stages.avatar.body.hull.GAP", 0.0)
+    monkeypatch.setattr("stages.avatar.body.hull.FAR", 0.0)
+    assert carve(space, trousers(legs, 0.0, webbed=True)).cloth.any(), "else this test says nothing"
+
+
+def test_gaps_are_closed_and_outlines_grown_by_so_many_pixels():
+    body = np.zeros((40, 60), bool)
+    body[10:30, 5:15] = body[10:30, 23:33] = True  # a gap of 8 px
+    near, far = beyond(body, 5.0, 3.0)
+    assert not near[12:28, 15:23].any() and near[5, 19] and near[20, 34] and near[20, 4]
+    assert not far[20, 33:36].any() and far[20, 37] and not far[20, 3:5].any() and far[20, 1]
+    open_gap, _ = beyond(body, 3.0, 3.0)
+    assert open_gap[12:28, 15:23].all() and (open_gap == ~body).all()
+    for empty in beyond(np.zeros_like(body), 5.0, 3.0):
+        assert empty.all()
+    corner = np.zeros_like(body)
+    corner[:4, :4] = True
+    near, far = beyond(corner, 5.0, 3.0)
+    assert not near[:4, :4].any() and not far[:6, :6].any() and far[0, 8]

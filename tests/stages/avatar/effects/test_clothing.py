@@ -8,7 +8,7 @@ import torch
 
 from stages.avatar.body.joints import HIPS, KNEES
 from stages.avatar.body.smpl import Body
-from stages.avatar.effects.clothing import APART, BONES, FEATURES, UNLIKE, Clothing, Hung, bones_for
+from stages.avatar.effects.clothing import APART, BONES, FEATURES, PUSHED, UNLIKE, Clothing, Hung, bones_for
 from stages.avatar.model.person import bone_transforms
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model
@@ -80,6 +80,14 @@ def test_bones_are_few_apart_and_share_the_cloth_that_is_loose():
     torch.testing.assert_close(hung.carriers.sum(1), torch.ones(len(hung.centres)))
 
 
+@pytest.mark.parametrize("size", [0.01, 0.09, 0.35])
+def test_bones_are_apart_however_small_the_cloth_is(size):
+    points = size * torch.rand(200, 3, generator=torch.Generator().manual_seed(2))
+    hung, _ = bones_for(points, torch.full((200,), 0.1), torch.eye(24)[torch.zeros(200, dtype=torch.long)])
+    gaps = torch.pdist(hung.centres)
+    assert len(hung.centres) >= 1 and (gaps > APART).all() and (len(hung.centres) > 1) == (size > 0.1)
+
+
 def test_cloth_on_the_skin_has_no_bones():
     points, _, weights = tube()
     hung, spread = bones_for(points, torch.full_like(points[:, 0], 0.01), weights)
@@ -115,6 +123,13 @@ def test_cloth_beside_a_leg_goes_with_it_as_straight_as_the_leg_moves_towards_it
     for hip in (-0.5, -1.2):
         pushed = coat.pushed(skeleton(bent(hip), (0.0, 0.4, 0.0), coat.joints))[:, LEFT_HIP]
         torch.testing.assert_close(pushed, AROUND.cos().clamp_min(0), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("hip", [-1e-4, -1e-3, -0.02, 0.02, 1e-3])
+def test_a_thigh_that_hardly_moves_hardly_pushes(coat, hip):
+    """As much as it moves, up to PUSHED of its length: what a pose is off by moves no cloth."""
+    pushed = coat.pushed(skeleton(bent(hip), (0.0, 0.0, 0.0), coat.joints))[:, LEFT_HIP]
+    assert pushed.max() == pytest.approx(abs(np.sin(hip)) / PUSHED, rel=0.05, abs=1e-6)
 
 
 def test_cloth_goes_over_from_hanging_to_the_leg_without_a_jump(coat):

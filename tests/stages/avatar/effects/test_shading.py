@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stages.avatar.effects.frames import FrameEffects, load_effects
-from stages.avatar.effects.shading import BANDS, STEEPEST, Shading
+from stages.avatar.effects.shading import BANDS, HOLD, STEEPEST, Shading
 from stages.avatar.splats.gaussians import Splats, facing
 from stages.avatar.splats.sh import SH_C0, spread_directions
 from stages.contract import StageError
@@ -74,6 +74,7 @@ def test_what_no_frame_tells_stays_even():
     shading = lamp(bands(1.0))
     shading.prior().backward()
     assert (shading.bands.grad * shading.bands > 0).all()
+    assert lamp(torch.full((BANDS, 3), 2.0)).prior().item() == pytest.approx(4 * HOLD)
 
 
 def test_off_it_is_the_very_same_person():

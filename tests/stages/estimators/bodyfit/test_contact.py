@@ -45,6 +45,17 @@ def test_a_foot_stands_where_it_is_slow_and_on_the_floor():
     assert not stance(feet[:1], None, TIMES[:1]).any(), "one frame shows no foot standing"
 
 
+@pytest.mark.parametrize("frame", [0, 1, 2, 3, 4, 5])
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_foot_stands_on_through_one_frame_that_errs(frame, side):
+    feet = torch.zeros(6, 2, 4, 3)
+    feet[frame, side, :, 0] = 0.3  # there and back at 3 m/s
+    stands = stance(feet, None, TIMES)
+    assert (stands[:, 1 - side] > 0.9).all()
+    inside = slice(1, 5)
+    assert (stands[inside, side] > 0.9).all(), "between its neighbours it has not moved"
+
+
 def test_a_standing_foot_that_slides_costs_and_a_moving_one_does_not():
     feet = torch.zeros(6, 2, 4, 3)
     feet[3:, 0, :, 0] = 2 * STILL

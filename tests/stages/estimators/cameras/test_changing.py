@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from stages.avatar.cameras.pinhole import camera_centers
 from stages.contract import Job
 from stages.estimators.cameras import colmap_lens
-from stages.estimators.cameras.adjustment import adjust, between_knots
+from stages.estimators.cameras.adjustment import BEHIND, _Solver, adjust, between_knots
 from stages.estimators.cameras.changing import KNOTS, model_changes
 from stages.estimators.cameras.colmap import Model
 from stages.estimators.cameras.intrinsics import usual
@@ -142,3 +142,13 @@ def test_a_bundle_that_is_a_little_off_comes_back_to_the_one_that_was_seen():
     away = replace(bundle, points=bundle.points + 1e-3, log_focal=bundle.log_focal + 0.01, k=0.01)
     found = adjust(away, seen, False, FOCAL, 10.0)
     assert found.off.max() < 0.05 and found.bundle.focals[0] == pytest.approx(FOCAL, rel=2e-3)
+
+
+def test_a_point_behind_its_camera_costs_as_if_it_were_far_out_of_the_picture():
+    bundle, seen, _ = colmap_lens.bundle_of(model_of(points=60, noise=0.0), (WIDTH, HEIGHT), 60)
+    points = bundle.points.copy()
+    points[7] *= [1, 1, 1, -1]  # seen in the same place, but from behind
+    solver, away = _Solver(bundle, seen, False, np.log(FOCAL), 1.0), replace(bundle, points=points)
+    there, off = seen.point == 7, solver.errors(away)
+    assert there.any() and (off[there] == BEHIND).all() and np.abs(off[~there]).max() < 1
+    assert solver.cost(away, off) > solver.cost(bundle, solver.errors(bundle)) + 10 * there.sum()

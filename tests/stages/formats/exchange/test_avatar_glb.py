@@ -21,9 +21,17 @@ from stages.avatar.drawing.takes import _poses, hung
 from stages.avatar.motion.takes import made_takes
 from stages.contract import StageError
 from stages.formats.body_model import read_body_model
-from stages.formats.exchange.avatar_glb import SPLATS, read_avatar_glb, write_avatar_glb
+from stages.formats.exchange.avatar_glb import (
+    SPLATS,
+    _linear,
+    _surface,
+    read_avatar_glb,
+    write_avatar_glb,
+    write_film_glb,
+)
 from stages.formats.exchange.bone_names import bone_names
 from stages.formats.exchange.glb import Arrays, Glb, write_glb
+from stages.records import Mesh
 from tests.made.clothes import dress, some_clothes
 from tests.made.tiny import make_avatar
 
@@ -315,3 +323,53 @@ def test_blender_poses_mesh_and_gaussians_as_we_do(tmp_path, held):
     for name, away in found["motions"].items():
         held(away["body"][1], 1.5, f"largest distance of a vertex in {name}, mm")
         held(away["gaussians"][0], 0.5, f"mean distance of Gaussians in {name}, mm")
+
+
+def test_in_a_film_each_person_has_a_motion_and_a_size_of_their_own(avatar, tmp_path):
+    rig = rig_of(avatar)
+    takes = made_takes(rig.joints[0])[:2]
+    places, quat = ([0.5, 0.0, 1.0], [-2.0, 0.0, 0.0]), [0.0, 0.0, 0.0, 1.0]
+    figures = [(f"p{k}", rig, None, take, (places[k], quat, 1.0 + k)) for k, take in enumerate(takes)]
+    write_film_glb(tmp_path / "a.glb", figures, None)
+    glb = Glb(tmp_path / "a.glb")
+    (moves,), nodes = glb.content["animations"], glb.content["nodes"]
+    for k, take in enumerate(takes):
+        (stand,) = (node for node in nodes if node["name"] == f"p{k}")
+        assert stand["translation"] == places[k] and stand["scale"] == [1.0 + k] * 3
+        first = stand["children"][0]
+        for channel in moves["channels"]:
+            joint, sampler = channel["target"]["node"] - first, moves["samplers"][channel["sampler"]]
+            if 0 <= joint < 24:
+                turns = (
+                    take.pelvis
+                    if channel["target"]["path"] == "translation"
+                    else take.rotations[:, joint, [1, 2, 3, 0]]
+                )
+                np.testing.assert_allclose(array(glb, sampler["output"]), turns, atol=1e-6)
+                np.testing.assert_allclose(array(glb, sampler["input"])[:, 0], take.times, atol=1e-6)
+
+
+@pytest.mark.parametrize(("count", "kind"), [(300, 5123), ((1 << 16) - 1, 5123), (1 << 16, 5125), (70_000, 5125)])
+def test_a_mesh_of_many_vertices_has_wider_indices(count, kind):
+    rows, arrays = np.zeros((count, 3)), Arrays()
+    mesh = Mesh(
+        rows, rows, np.array([[0, 1, count - 1]]), rows, np.zeros((count, 4), np.uint8), np.zeros((count, 4), np.uint8)
+    )
+    made = arrays.accessors[_surface(mesh, arrays)["indices"]]
+    assert made["componentType"] == kind
+    view = arrays.views[made["bufferView"]]
+    assert np.frombuffer(arrays.data, TYPES[kind], 3, view["byteOffset"])[2] == count - 1
+
+
+def test_dark_colours_are_linear_below_the_power_law():
+    dark = np.array([[0.0, 0.02, 0.04], [0.05, 0.5, 1.0]])
+    expected = np.array([[0, 0.02 / 12.92, 0.04 / 12.92], [0.00393593, 0.21404114, 1]])
+    np.testing.assert_allclose(_linear(dark, np.ones(2))[:, :3] / 65535, expected, atol=1e-5)
+
+
+def test_a_quaternion_of_zeros_is_refused(avatar, tmp_path):
+    quats = avatar.quats.copy()
+    write_avatar_glb(tmp_path / "a.glb", replace(rig_of(avatar), quats=0 * quats), None, [], "smpl", FLOOR)
+    with pytest.raises(StageError, match="is damaged") as refused:
+        read_avatar_glb(tmp_path / "a.glb")
+    assert "a quaternion is zero" in refused.value.facts[0]

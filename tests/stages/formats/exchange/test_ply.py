@@ -1,6 +1,7 @@
 """Gaussians as .ply: the layout that viewers read, and what cannot be written."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 
 from stages.avatar.splats.gaussians import finite_rows
 from stages.contract import StageError
+from stages.formats.exchange import ply
 from stages.formats.exchange.ply import REQUIRED, read_ply, write_ply
 from stages.records import Scene
 
@@ -152,6 +154,156 @@ def test_what_is_no_set_of_gaussians_is_refused(tmp_path, change, said):
 
 
 @pytest.mark.parametrize(
+    ("rows", "share"),
+    [
+        ({(17, "x"): np.nan, (60, "scale_1"): -np.inf}, "2 of 200"),
+        ({(5, f"rot_{i}"): 0 for i in range(4)}, "1 of 200"),
+        ({(i, "scale_2"): 1e4 for i in range(10)}, "10 of 200"),
+        ({(i, "f_dc_1"): np.inf for i in range(11)}, None),
+    ],
+)
+def test_a_few_rows_that_cannot_be_drawn_are_left_out_and_said(tmp_path, rows, share):
+    path = foreign(tmp_path / "a.ply", list(REQUIRED), n=200, rows=rows | {(i, "y"): i for i in range(200)})
+    wrong = sorted({row for row, _ in rows})
+    if share is None:
+        with pytest.raises(StageError, match="11 Gaussians of 200") as refused:
+            read_ply(path)
+        assert refused.value.facts[-1] == "up to 5% of all would be left out"
+        return
+    back = read_ply(path)
+    assert back.said == (
+        f"a.ply: {share} Gaussians cannot be drawn and are left out: rows {', '.join(map(str, wrong))}",
+    )
+    np.testing.assert_array_equal(back.means[:, 1], np.delete(np.arange(200), wrong))
+
+
+def as_written(path, table, form, newline="\n", comments=(), before=(), after=()):
+    """A PLY of these columns in any form; `before` and `after` the vertices elements of two rows: (name, kind, values)."""
+
+    def promised(name, kind, values):
+        lists = ["property list uchar int n"] if kind == "list" else [f"property {kind} v"]
+        return [f"element {name} {len(values)}", *lists]
+
+    def content(kind, values):
+        if form == "ascii":
+            return "".join(
+                f"{len(v)} {' '.join(map(str, v))}\n" if kind == "list" else f"{v}\n" for v in values
+            ).encode()
+        order = ">" if "big" in form else "<"
+        if kind == "list":
+            return b"".join(bytes([len(v)]) + np.array(v, f"{order}i4").tobytes() for v in values)
+        return np.array(values, {"float": f"{order}f4", "uchar": "u1"}[kind]).tobytes()
+
+    rows = np.stack(list(table.values()), 1)
+    head = ["ply", f"format {form} 1.0", *(f"comment {text}" for text in comments)]
+    head += [line for one in before for line in promised(*one)]
+    head += [f"element vertex {len(rows)}", *(f"property float {name}" for name in table)]
+    head += [line for one in after for line in promised(*one)]
+    text = "".join(" ".join(repr(float(x)) for x in row) + newline for row in rows).encode()
+    body = text if form == "ascii" else rows.astype(">f4" if "big" in form else "<f4").tobytes()
+    parts = [content(kind, values) for _, kind, values in before] + [body]
+    parts += [content(kind, values) for _, kind, values in after]
+    path.write_bytes((newline.join([*head, "end_header"]) + newline).encode() + b"".join(parts))
+    return path
+
+
+FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
+FLOATS, SHORT, LISTS = (
+    ("extrinsic", "float", [1.5, 2]),
+    ("version", "uchar", [1, 13, 10]),
+    ("face", "list", [[1, 2], [3]]),
+)
+
+
+def columns_of(n=300, names=REQUIRED):
+    rng = np.random.default_rng(3)
+    return {name: rng.normal(size=n).astype(np.float32) for name in names}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [((), ()), ((), (FLOATS, SHORT)), ((SHORT, FLOATS), ()), ((FLOATS,), (LISTS, SHORT)), ((LISTS,), (SHORT,))],
+)
+def test_every_form_with_any_other_elements_is_read(tmp_path, form, newline, before, after):
+    table = columns_of()
+    path = as_written(tmp_path / "a.ply", table, form, newline, before=before, after=after)
+    if before == (LISTS,) and form != "ascii":
+        with pytest.raises(StageError, match="header") as refused:
+            read_ply(path)
+        assert "lists" in refused.value.facts[0]
+        return
+    if newline == "\r" and form == "ascii" and before:
+        return  # lines that Python does not part are not skipped
+    back = read_ply(path)
+    for column, name in enumerate("xyz"):
+        np.testing.assert_array_equal(back.means[:, column], table[name])
+    np.testing.assert_allclose(back.scales[:, 2], np.exp(table["scale_2"]), rtol=1e-6)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_one_row_more_or_less_than_promised_is_refused_in_every_form(tmp_path, form):
+    path = as_written(tmp_path / "a.ply", columns_of(), form)
+    for count in (b"299", b"301", b"99999999999"):
+        path.with_name("b.ply").write_bytes(path.read_bytes().replace(b"vertex 300", b"vertex " + count, 1))
+        with pytest.raises(StageError, match="another length than its header says"):
+            read_ply(path.with_name("b.ply"))
+
+
+@pytest.mark.parametrize(
+    ("comments", "antialias"),
+    [
+        ((), False),
+        (("Exported from Brush", "SplatRenderMode: mip"), True),
+        (("SPLATRENDERMODE:  MIP ",), True),
+        (("SplatRenderMode: default",), False),
+        (("antialiased 1",), True),
+        (("antialiased 0",), False),
+        (("SplatRenderMode: mip", "antialiased 0"), False),
+        (("is not SplatRenderMode: mip",), False),
+    ],
+)
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_a_comment_says_that_they_were_learned_with_antialiasing(tmp_path, comments, antialias, newline):
+    path = as_written(tmp_path / "a.ply", columns_of(), "binary_little_endian", newline, comments)
+    assert read_ply(path).antialias is antialias
+
+
+def test_what_we_write_says_so_and_is_as_before_without(tmp_path):
+    for antialias in (False, True):
+        write_ply(tmp_path / "a.ply", replace(scene(), antialias=antialias))
+        assert read_ply(tmp_path / "a.ply").antialias is antialias
+        assert (b"comment SplatRenderMode: mip\n" in (tmp_path / "a.ply").read_bytes()) is antialias
+
+
+def test_gaussians_with_a_filter_are_as_wide_and_faint_as_what_was_learned(tmp_path):
+    """Mip-Splatting's smoothing, as a convolution on a grid: the same integral, and the width of both together."""
+    table = columns_of() | {"filter_3D": np.full(300, 0.4, np.float32)}
+    table |= {f"scale_{axis}": 0.3 * table[f"scale_{axis}"] for axis in range(3)}
+    back = read_ply(as_written(tmp_path / "a.ply", table, "ascii"))
+    x = np.linspace(-12, 12, 4801)
+    assert back.antialias
+    for row in (3, 70, 200):
+        opacity = 1 / (1 + np.exp(-table["opacity"][row]))
+        for axis in range(3):
+            own = np.exp(-0.5 * (x / np.exp(table[f"scale_{axis}"][row])) ** 2)
+            smooth = np.exp(-0.5 * (x / 0.4) ** 2)
+            wide = np.convolve(own, smooth / smooth.sum(), "same")
+            opacity *= wide.max()
+            width = np.sqrt((wide * x**2).sum() / wide.sum())
+            assert back.scales[row, axis] == pytest.approx(width, rel=2e-2)
+        assert back.opacities[row] == pytest.approx(opacity, rel=2e-2)
+
+
+def test_flat_gaussians_are_thin_discs_across_their_third_axis(tmp_path):
+    table = columns_of(names=[name for name in REQUIRED if name != "scale_2"])
+    back = read_ply(as_written(tmp_path / "a.ply", table, "binary_little_endian"))
+    two = np.exp(np.stack([table["scale_0"], table["scale_1"]], 1))
+    np.testing.assert_allclose(back.scales, np.column_stack([two, two.min(1) / 1000]), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         (b"vertex 4", b"vertex 5", "another length"),
@@ -159,7 +311,9 @@ def test_what_is_no_set_of_gaussians_is_refused(tmp_path, change, said):
         (b"vertex 4", b"vertex 99999999999", "another length"),
         (b"vertex 4", b"vertex -4", "header"),
         (b"vertex 4", b"vertex " + b"9" * 5000, "header"),
-        (b"little", b"big", "binary_big_endian"),
+        (b"vertex 4", b"vertices 4", "header"),
+        (b"binary_little_endian", b"binary_middle_endian", "unknown form"),
+        (b"binary_little_endian", b"ascii", "another length"),
         (b"end_header", b"endheader", "no PLY"),
         (b"ply\n", b"plx\n", "no PLY"),
     ],
@@ -182,3 +336,10 @@ def test_without_padding_it_has_the_columns_that_it_needs(tmp_path):
         write_ply(tmp_path / "a.ply", scene(bases=bases), padded=False)
         assert len(read(tmp_path / "a.ply")) == columns
         np.testing.assert_array_equal(read_ply(tmp_path / "a.ply").shN, scene(bases=bases).shN)
+
+
+def test_opacities_at_their_bounds_are_counted_in_all_of_a_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(ply, "CHUNK", 4)
+    opacities = np.full(19, 0.5)
+    opacities[[0, 3, 4, 17]] = [0, 1, 1, 0]
+    assert list(write_ply(tmp_path / "a.ply", scene(19, opacities=opacities)).values()) == [4]

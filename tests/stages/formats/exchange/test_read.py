@@ -38,6 +38,7 @@ def test_what_a_format_cannot_hold_is_said(tiny):
     assert lacks(tiny["train"] / "avatar.npz", Path("scene.spz")) == lacks(None, None) == []
     glb, ply = lacks(Path("x/avatar.GLB"), Path("room.ply"))
     assert "avatar.GLB holds eight bones" in glb and "anti-aliasing" in ply
+    assert lacks(None, Path("room.ply"), antialias=True) == []
 
 
 def test_clothes_of_before_they_had_bones_are_left_out_and_that_is_said(tiny, tmp_path):

@@ -10,7 +10,7 @@ import torch
 
 from stages.avatar.body.rotations import angle_between, matrix_from_quat
 from stages.contract import StageError
-from stages.formats.exchange.spz import HEAD, MAGIC, read_spz, write_spz
+from stages.formats.exchange.spz import HEAD, MAGIC, MORE, STEPS, read_spz, write_spz
 from stages.records import Scene
 
 
@@ -139,3 +139,29 @@ def test_memory_does_not_grow_with_the_file(tmp_path, held):
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     held((peaks[1] - peaks[0]) / 100_000, 30, "bytes a Gaussian of 56")
+
+
+def test_higher_colours_are_multiples_of_a_step_and_so_pack_well(tmp_path):
+    splats = some(300, degree=3)
+    write_spz(tmp_path / "a.spz", splats)
+    whole = np.rint(read_spz(tmp_path / "a.spz").shN * 128) + 128
+    for part, step in ((whole[:, :3], STEPS[0]), (whole[:, 3:], STEPS[1])):
+        assert (part % step == 0)[part < 255].all() and len(np.unique(part)) > 5
+
+
+@pytest.mark.parametrize("value", [1.2, -1.2])
+def test_colours_that_depend_too_much_on_the_view_are_counted_whichever_way(tmp_path, value):
+    splats = some(9, degree=1)
+    splats.shN[3, 1, 2] = value
+    assert write_spz(tmp_path / "a.spz", splats) == {"with colours that depend too much on the view": 1}
+
+
+def test_what_extensions_add_after_the_tables_is_left(tmp_path):
+    write_spz(tmp_path / "a.spz", some(5))
+    data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
+    (tmp_path / "b.spz").write_bytes(gzip.compress(bytes(data) + b"more"))
+    with pytest.raises(StageError, match="longer than its header says"):
+        read_spz(tmp_path / "b.spz")
+    data[HEAD.size - 2] |= MORE
+    (tmp_path / "b.spz").write_bytes(gzip.compress(bytes(data) + b"more"))
+    assert np.array_equal(read_spz(tmp_path / "b.spz").means, read_spz(tmp_path / "a.spz").means)

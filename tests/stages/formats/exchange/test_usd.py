@@ -59,3 +59,12 @@ def test_a_motion_has_a_sample_a_frame(tmp_path, held):
     places = prim.GetAttribute("positionsh")
     assert places.GetTimeSamples() == [0, 1, 2] and stage.GetTimeCodesPerSecond() == 24
     held(np.abs(np.array(places.Get(2)).astype(float) - some(2).means).max(), 2e-3, "half floats, m")
+
+
+def test_the_box_holds_gaussians_to_three_sigmas(tmp_path):
+    splats = some(n=1)
+    write_usd(tmp_path / "a.usdc", {"person": splats})
+    _, prim = opened(tmp_path / "a.usdc")
+    low, high = (np.array(corner) for corner in prim.GetAttribute("extent").Get())
+    np.testing.assert_allclose((high - low) / 2, np.full(3, 3 * splats.scales.max()), rtol=1e-4)
+    np.testing.assert_allclose((high + low) / 2, splats.means[0], atol=1e-5)

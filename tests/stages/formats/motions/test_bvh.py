@@ -92,7 +92,7 @@ def test_line_ends_case_and_byte_order_marks_do_not_matter(tmp_path):
         ("90 0 0 0 0 1", "90 0 0 0 0", 23, "9 numbers (the channels of frame 0)", "8 numbers"),
         ("60 2", "60 x", 24, "the channels of frame 1", "'x'"),
         ("60 2", "60 nan", 24, "finite numbers", "nan"),
-        ("60 2\n", "60 2\n1 2 3\n", 25, "the end of the file after 2 frames", "1 2 3"),
+        ("60 2\n", "60 2\n1 2 3\n", 25, "9 numbers (the channels of frame 2)", "3 numbers"),
     ],
 )
 def test_broken_files_are_refused_with_line_and_expectation(tmp_path, old, new, line, expected, found):
@@ -109,15 +109,73 @@ def test_broken_files_are_refused_with_line_and_expectation(tmp_path, old, new, 
     [
         ("", "ends too soon", "after line 0: expected HIERARCHY"),
         (GOOD[: GOOD.index("  JOINT Slider")], "ends too soon", "expected JOINT, End Site or a closing brace"),
-        (GOOD[: GOOD.index("11 20")], "ends too soon", "after line 23: 1 frames of 2"),
+        (
+            GOOD[: GOOD.index("11 20")].replace("Frames: 2", "Frames: 4"),
+            "ends too soon",
+            "after line 23: 1 frames of 4",
+        ),
+        (GOOD[: GOOD.index("10 20")], "ends too soon", "after line 22: 0 frames of 2"),
         (GOOD.replace("Frames: 2", f"Frames: {10**17}"), "ends too soon", f"2 frames of {10**17}"),
-        (b"HIERARCHY \xff\xfe\x00", "is not a text", "utf-8"),
+        (b"HIERARCHY \xff\xfe\x00", "is not a text", "zero bytes"),
     ],
 )
 def test_cut_files_are_refused(tmp_path, text, problem, fact):
     with pytest.raises(StageError, match=problem) as refused:
         read_bvh(write(tmp_path, text))
     assert fact in refused.value.facts[0]
+
+
+@pytest.mark.parametrize(
+    ("promised", "there", "taken"),
+    [
+        (20, 21, True),
+        (21, 20, True),
+        (2, 30, True),
+        (100, 95, True),
+        (100, 94, False),
+        (3, 1, False),
+        (10**17, 2, False),
+    ],
+)
+def test_rows_that_are_not_as_many_as_promised_are_taken_and_said_or_refused(tmp_path, promised, there, taken):
+    rows = "".join(f"{i} 20 30 0 0 0 0 0 1\n" for i in range(there))
+    head = GOOD[: GOOD.index("10 20")].replace("Frames: 2", f"Frames: {promised}")
+    if not taken:
+        with pytest.raises(StageError, match="ends too soon") as refused:
+            read_bvh(write(tmp_path, head + rows))
+        assert f"{there} frames of {promised}" in refused.value.facts[0]
+        return
+    bvh = read_bvh(write(tmp_path, head + rows))
+    assert len(bvh) == there and bvh.places[-1, 0, 0] == there - 1
+    assert bvh.said == (f"it says {promised} frames and holds {there}: these are taken",)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp932", "latin-1"])
+def test_a_text_in_any_encoding_is_read(tmp_path, encoding):
+    name = {"latin-1": "Hüfte", "cp932": "能力"}.get(encoding, "Hüfte能")  # a byte of the second letter is a brace
+    bvh = read_bvh(write(tmp_path, GOOD.replace("Knee", name).encode(encoding)))
+    np.testing.assert_array_equal(bvh.rotations, read_bvh(write(tmp_path, GOOD)).rotations)
+    assert bvh.names[0] == "Bip01 Pelvis" and (bvh.names[1] == name or encoding == "latin-1") and bvh.said == ()
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfeH\0I", b"\xff\xfe\0\xd8H\0", b"PK\3\4\0\0"])
+def test_what_is_no_text_is_refused(tmp_path, data):
+    with pytest.raises(StageError, match="is not a text"):
+        read_bvh(write(tmp_path, data))
+
+
+def test_names_and_skeletons_of_any_length_are_refused_at_once(tmp_path):
+    with pytest.raises(StageError, match="a name in line 2") as refused:
+        read_bvh(write(tmp_path, GOOD.replace("Bip01 Pelvis", "x" * 1_000_000)))
+    assert refused.value.facts == ("1,000,000 letters", "1,000 are the most")
+    many = "".join(f"JOINT j{i} {{ OFFSET 0 1 0\nCHANNELS 0\n" for i in range(6000))
+    with pytest.raises(StageError, match="the skeleton of"):
+        read_bvh(write(tmp_path, f"HIERARCHY\nROOT r {{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n{many}"))
+    wide = "".join(f"JOINT {i}{'y' * 900} {{ OFFSET 0 1 0\nCHANNELS 0 }}\n" for i in range(200))
+    text = f"HIERARCHY\nROOT r {{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n{wide}}}\nMOTION\nFrames: 1\nFrame Time: 1\n0\n"
+    with pytest.raises(StageError, match="no person") as refused:
+        map_body(read_bvh(write(tmp_path, text)), tmp_path)
+    assert max(map(len, refused.value.facts)) < 500
 
 
 def test_a_thousand_joints_in_a_row_are_no_trouble(tmp_path):

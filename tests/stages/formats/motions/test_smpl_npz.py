@@ -1,5 +1,7 @@
 """SMPL motions of other programs."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -23,11 +25,27 @@ def read(tmp_path, **arrays):
         ({"poses": POSES[:, :72], "trans": TRANS}, 24, None),
         ({"poses": POSES[:, :72].reshape(N, 24, 3), "transl": TRANS, "fps": 25}, 24, 25),
         ({"poses": POSES[:, :156], "trans": TRANS, "mocap_framerate": 120.0, "gender": "male"}, 22, 120),
-        ({"poses": POSES, "trans": TRANS, "mocap_frame_rate": np.array([59.94])}, 22, 59.94),
+        ({"poses": POSES, "trans": TRANS, "mocap_frame_rate": np.array([59.94])}, 22, 60000 / 1001),
         ({"smpl_poses": POSES[:, :72], "smpl_trans": TRANS * 93.8, "smpl_scaling": [93.8]}, 24, 60),
         ({"global_orient": POSES[:, :3], "body_pose": POSES[:, 3:72], "transl": TRANS}, 24, None),
+        ({"poses": POSES[:, :66], "trans": TRANS}, 22, None),
+        (
+            {"root_orient": POSES[:, :3], "pose_body": POSES[:, 3:66], "trans": TRANS, "fps": 30, "floor": TRANS[0]},
+            22,
+            30,
+        ),
+        (
+            {"global_orient": POSES[:, :3], "body_pose": POSES[:, 3:66], "transl": TRANS, "mocap_frame_rate": 30.0},
+            22,
+            30,
+        ),
+        (
+            {"global_orient": POSES[:, None, :3], "body_pose": POSES[:, 3:66].reshape(N, 21, 3), "transl": TRANS},
+            22,
+            None,
+        ),
     ],
-    ids=["plain", "joints", "AMASS SMPL-H", "AMASS SMPL-X", "AIST++", "body.npz"],
+    ids=["plain", "joints", "AMASS SMPL-H", "AMASS SMPL-X", "AIST++", "body.npz", "66", "HuMoR", "SMPL-X", "21 joints"],
 )
 def test_the_families(tmp_path, arrays, kept, fps):
     motion = read(tmp_path, **arrays)
@@ -36,6 +54,43 @@ def test_the_families(tmp_path, arrays, kept, fps):
     np.testing.assert_allclose(motion.transl, TRANS, atol=1e-12)
     assert motion.fps == (fps and pytest.approx(fps)) and len(motion) == N
     assert bool(motion.notes) == (kept == 22)
+
+
+WORLD = {"global_orient": POSES[:, :3], "body_pose": POSES[:, 3:66], "transl": TRANS}
+FILES = {
+    "AIST++": {
+        "smpl_poses": POSES[:, :72],
+        "smpl_trans": TRANS * 93.8,
+        "smpl_scaling": np.array([93.8]),
+        "smpl_loss": 1.5,
+    },
+    "HuMoR": {"root_orient": POSES[:, :3], "pose_body": POSES[:, 3:66], "trans": TRANS, "fps": 30},
+    "GVHMR": {"smpl_params_global": WORLD, "smpl_params_incam": WORLD | {"transl": TRANS + 1}, "K_fullimg": np.eye(3)},
+    "WHAM": {4: {"pose_world": POSES[:, :72], "trans_world": TRANS, "frame_ids": np.arange(N)}, 7: {}},
+    "SLAHMR": {
+        "root_orient": np.stack([POSES[:, :3], POSES[:, 3:6]]),
+        "pose_body": np.stack([POSES[:, 3:66], POSES[:, 6:69]]),
+        "trans": np.stack([TRANS, -TRANS]),
+    },
+}
+
+
+@pytest.mark.parametrize("tool", FILES)
+def test_pickles_of_other_programs(tmp_path, tool):
+    for path in (tmp_path / "m.pkl", tmp_path / "m.pt"):
+        path.write_bytes(pickle.dumps(FILES[tool]))
+        motion = read_smpl_motion(path)
+        np.testing.assert_allclose(motion.rotvecs[:, :22], POSES[:, :66].reshape(N, 22, 3))
+        np.testing.assert_allclose(motion.transl, TRANS, atol=1e-12)
+        assert ("it holds 2 people: the first is taken" in motion.notes) == (tool in ("WHAM", "SLAHMR"))
+    if tool == "SLAHMR":
+        assert len(read(tmp_path, **FILES[tool])) == N
+
+
+def test_what_a_file_holds_is_said_whatever_it_is(tmp_path):
+    with pytest.raises(StageError, match="has no motion") as refused:
+        read(tmp_path, joints=TRANS, names=np.array([{}], dtype=object), image=TRANS)
+    assert refused.value.facts == ("it holds joints, names, image",)
 
 
 def test_pickles_beside_the_motion_are_not_opened(tmp_path):

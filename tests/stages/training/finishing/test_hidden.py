@@ -94,6 +94,16 @@ def test_what_a_frame_shows_stays():
     assert fill_hidden(scene, views, [1], nobody) > 0, "one frame alone does not show it"
 
 
+def test_a_camera_that_looks_the_other_way_shows_nothing_of_what_is_behind_it():
+    scene, views = wall([0.0, 0.0, 0.0])
+    views.viewmats[1, [0, 2], [0, 2]] = -1.0  # turned about
+    views.viewmats[2, [1, 2], [1, 2]] = -1.0  # tipped over
+    views.masks[1:] = 0
+    splats = scene.splats().detach()
+    alone, among = (never_seen(splats, views, 0, frames, None)[0] for frames in ([0], [0, 1, 2]))
+    assert alone.sum() > 500 and (among == alone).all()
+
+
 @pytest.mark.parametrize("mask", [0, 255])
 def test_without_anybody_or_anything_around_all_stays(mask):
     scene, views = wall([0.0, 0.05])

@@ -55,6 +55,16 @@ def test_the_lining_has_the_colour_of_the_skin_above_it(standing, torn):
     assert (image[opaque] - red).abs().max() < 0.03
 
 
+def test_what_is_seen_through_colours_no_lining(standing):
+    person, where = standing
+    faint = person._replace(opacities=torch.full_like(person.opacities, 0.4), sh=-person.sh)
+    both = Canonical(*(torch.cat(pair) for pair in zip(person, faint, strict=True)))
+    inner, _ = _lining(both, where, torch.zeros(len(where.surface()[0]), dtype=torch.long))
+    assert torch.allclose(inner.sh, person.sh[:1], atol=1e-6)
+    inner, _ = _lining(faint, where, torch.zeros(len(where.surface()[0]), dtype=torch.long))
+    assert torch.allclose(inner.sh, faint.sh[:1], atol=1e-6), "where nobody is opaque, the most opaque do"
+
+
 def test_the_lining_never_shows_beside_the_masks(standing, torn):
     (person, where), (left, kept, _) = standing, torn
     masks = silhouettes(person, where)
