@@ -2,6 +2,7 @@
 # make test                    the environment and the tests; HUGS_CLIPS=FOLDER names real clips, without it their tests are skipped
 # make quick                   the tests that take under a second each (WORKERS=2 processes, as with make test)
 # make hard                    the numerical hard cases: what holds each, how far from its bound
+# make lowest                  the oldest versions that pyproject.toml allows, in build/lowest; tests of films, masks and `ci` on them
 # make mutants                 takes stabilisers out, one by one, and shows that a test notices; FILE=stages/x.py: mistakes in that file
 # make bench WORK=work/kitchen/default   how fast it is here, with what that pipeline left; JSON in build/
 PYTHON ?= python3
@@ -31,6 +32,9 @@ hard: $(VENV)/ready
 mutants: $(VENV)/ready
 	$(VENV)/bin/python -m tests.tools.mutants $(FILE)
 
+lowest: $(VENV)/ready
+	$(VENV)/bin/python -m tests.tools.lowest
+
 bench: $(VENV)/ready
 	@mkdir -p build
 	$(VENV)/bin/python -m tests.benchmarks.rasterizer --work $(WORK) --json build/rasterizer.json
@@ -44,4 +48,4 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test,fleet]'
 	touch $@
 
-.PHONY: run test quick hard mutants bench
+.PHONY: run test quick hard mutants lowest bench

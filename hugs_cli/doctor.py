@@ -24,6 +24,7 @@ DISTRIBUTIONS = {
     **{name: name for name in ("typer", "pydantic", "typing_extensions", "jinja2", "matplotlib")},
     "yaml": "PyYAML",
 }
+HINTS = {"free body": "clone the repository again", "film colours": "pip install --upgrade av"}
 MEMORY_NEEDED, DISK_NEEDED = 6 * 2**30, 2 * 2**30  # to run all stages; for the results of one clip and copies
 
 
@@ -110,11 +111,11 @@ def codecs() -> list[Finding]:
 
 
 def models() -> list[Finding]:
-    """The body that ships with hugs, and the model files that are fetched."""
+    """The body that ships with hugs, how films are decoded, and the model files that are fetched."""
     found: list[Finding] = []
 
     def heard(event: dict[str, Any]) -> None:
-        hint = "hugs doctor --fetch" if found else "clone the repository again"  # the free body comes first
+        hint = HINTS.get(event["name"], "hugs doctor --fetch")
         found.append(Finding(event["name"], event["here"], event["why"], hint))
 
     run_directly("stages.models", Job(Path(), emit=heard))

@@ -1,4 +1,4 @@
-"""The model files that the stages need. No pipeline names it; `hugs doctor` runs it."""
+"""The model files that the stages need, and whether films keep their colours. No pipeline names it; `hugs doctor` runs it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 from stages import contract
 from stages.contract import Job
 
+SAME = 3  # of 255, by which the colours of a film may be off
+
 
 class Params(contract.Params):
     fetch: bool = False
@@ -14,11 +16,16 @@ class Params(contract.Params):
 
 
 def run(job: Job, params: Params) -> None:
-    """Report each model file in an event of its own; StageError where one cannot be fetched."""
+    """Report each model file, and how films are decoded, in an event of its own; StageError where one cannot be fetched."""
     from stages.estimators import assets
+    from stages.formats.film_pixels import patch_off
 
     body = Path(assets.__file__).with_name("free_body.npz")
     job.emit({"event": "model", "name": "free body", "here": body.is_file(), "why": "ships with hugs"})
+    off = patch_off()
+    job.emit(
+        {"event": "model", "name": "film colours", "here": off <= SAME, "why": f"{off} of 255 off in a tagged patch"}
+    )
     for name, asset in assets.ASSETS.items():
         if params.fetch and not assets.present(name):
             assets.fetch(name, job.note)

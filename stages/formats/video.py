@@ -105,15 +105,17 @@ def probe(path: Path) -> VideoInfo:
     if Path(path).is_dir():
         inside = pictures_in(path)
         height, width = read_image(inside.files[0]).shape[:2]
-        size, times = (width, height), tuple(inside.steps.tolist())
-        said = {"notes": tuple(inside.notes), "doubts": tuple(inside.doubts)}
-        return VideoInfo(str(path), *size, 1.0, len(times), times[-1] + 1, 0, "sdr", times=times, **said)
+        size, steps = (width, height), tuple(inside.steps.tolist())
+        notes, doubts = tuple(inside.notes), tuple(inside.doubts)
+        return VideoInfo(
+            str(path), *size, 1.0, len(steps), steps[-1] + 1, 0, "sdr", times=steps, notes=notes, doubts=doubts
+        )
     container, stream = open_video(path)
     with container:
         base, average = stream.time_base, stream.average_rate
         declared, pixel, tracks = declared_frames(stream), pixel_shape(stream), container.streams.video
         others = ", ".join(f"{one.width}x{one.height} {one.name}" for one in tracks if one is not stream)
-        notes = (f"of {len(tracks)} video tracks {stream.width}x{stream.height} {stream.name} is taken, not {others}",)
+        chosen = (f"of {len(tracks)} video tracks {stream.width}x{stream.height} {stream.name} is taken, not {others}",)
         try:
             found = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
         except av.error.FFmpegError as error:
@@ -141,7 +143,7 @@ def probe(path: Path) -> VideoInfo:
     frames = declared or len(times)
     duration = span + (1 / rate if rate > 0 else 0.0)
     numbers = (rate, frames, duration, rotation * QUARTER)
-    counted, notes = float(average or rate), notes if others else ()
+    counted, notes = float(average or rate), chosen if others else ()
     return VideoInfo(str(path), width, height, *numbers, transfer, pixel, mirrored, shown, counted, notes)
 
 

@@ -7,6 +7,7 @@ import av
 import numpy as np
 import pytest
 
+from stages.formats import film_pixels
 from stages.formats.video import decode, open_video, probe, write_video
 
 WEIGHTS = {"BT.709": (0.2126, 0.0722), "BT.601": (0.299, 0.114), "BT.2020": (0.2627, 0.0593), "240M": (0.212, 0.087)}
@@ -104,3 +105,9 @@ def test_of_several_tracks_the_largest_is_the_film(tmp_path, sizes):
     container, stream = open_video(tmp_path / "v.mov")
     with container:
         assert stream.index == sizes.index(best)
+
+
+def test_the_patch_that_doctor_decodes_tells_wrong_colours(monkeypatch):
+    assert film_pixels.patch_off() <= 3
+    monkeypatch.setattr(film_pixels, "MATRICES", {1: film_pixels.BT601})
+    assert film_pixels.patch_off() > 10
