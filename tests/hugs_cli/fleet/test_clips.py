@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hugs_cli.fleet.clips import Row, read
+from hugs_cli.fleet.clips import Row, read, work_folders
 from hugs_cli.pipelines import UsageError
 
 
@@ -107,13 +107,16 @@ def test_who_has_results_keeps_their_folder_whoever_is_named_first(here):
         assert roots == {"tue/dance.mp4": "work/dance", "mon/dance.mp4": "work/from-mon/dance"}
 
 
-def test_clips_that_differ_in_their_ending_alone_have_a_folder_each(here):
-    for ending in (".mkv", ".avi", ".webm"):
-        (here / f"tue/jump{ending}").touch()
-    for name in ("jump", "from-tue/jump"):
-        (here / "work" / name).mkdir(parents=True)
-    found = rows(*(f"tue/jump{ending}" for ending in (".mp4", ".mov", ".mkv", ".avi", ".webm")))
-    assert len({row.root for row in found}) == 5
+def test_a_clip_keeps_a_folder_of_its_own_though_the_plain_one_is_free(here):
+    (here / "work/from-tue/dance").mkdir(parents=True)
+    entry = {"video": {"path": str(here / "tue/dance.mp4")}}
+    (here / "work/from-tue/dance/sources.json").write_text(json.dumps(entry))
+    assert [row.root.as_posix() for row in rows("tue/dance.mp4")] == ["work/from-tue/dance"]
+
+
+def test_clips_that_differ_in_their_ending_alone_have_a_folder_each():
+    found = list(work_folders(Path("work"), Path("/a/jump.mov")))
+    assert found == [Path("work"), Path("work/from-a"), Path("work/from-a-mov")]
 
 
 def test_a_list(here):

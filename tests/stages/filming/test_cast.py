@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.filming.cast import cast, in_colour
+from stages.filming.cast import cast, in_colour, moved
 from stages.filming.spec import Person
 from stages.formats.ground import read_ground
 from stages.formats.poses import read_poses
@@ -130,3 +130,15 @@ def test_a_motion_begins_with_the_picture_nearest_to_its_start_and_a_loop_was_go
     assert once.first == loop.first == 9, "of 0.29 s at 30 a second"
     assert [once.row(picture) for picture in (0, 8, 9, 10, 9 + count)] == [0, 0, 0, 1, count - 1]
     assert [loop.row(picture) for picture in (0, 8, 9, 10, 9 + count)] == [count - 9, count - 1, 0, 1, 0]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5])
+def test_all_of_somebody_who_is_moved_moves(run, scale):
+    actor, way = (
+        cast(Person(avatar=run, motion="wave", scale=scale), "a", SLOPE, FPS, "cpu"),
+        np.array([0.3, -1.0, 2.0]),
+    )
+    there = moved(actor, way)
+    np.testing.assert_allclose(there.joints([0, 9]) - actor.joints([0, 9]), np.tile(way, (2, 24, 1)), atol=1e-6)
+    for one, other in ((actor.splats(9).means, there.splats(9).means), (actor.casters(9)[0], there.casters(9)[0])):
+        np.testing.assert_allclose(other - one, np.tile(way, (len(one), 1)), atol=1e-5)

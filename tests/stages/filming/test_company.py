@@ -2,15 +2,20 @@
 
 import json
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from stages import evaluate, export, render, report
 from stages.avatar.drawing.rig import rig_of
+from stages.avatar.effects.speeds import FrameMotion
+from stages.avatar.splats.gaussians import Splats
 from stages.contract import Job, StageError
+from stages.filming import company as module
 from stages.filming.cast import cast
-from stages.filming.company import floor_under, load_company, present
+from stages.filming.company import casters_of, floor_under, load_company, moving, present
 from stages.filming.spec import Person
 from stages.formats.clip import load_people
 from stages.formats.facts import Metrics, Seconds, Smpl, read_facts
@@ -31,6 +36,20 @@ def clip(tmp_path_factory):
 
 def needs(clip, *names):
     return {name: clip[name] for name in names}
+
+
+def test_people_move_together_each_as_they_do():
+    means = [torch.arange(3.0 * n).view(n, 3) for n in (2, 3)]
+    people = [
+        Splats(m, torch.eye(3).expand(len(m), 3, 3), torch.ones(len(m)), torch.zeros(len(m), 1, 3)) for m in means
+    ]
+    camera, (one, other) = FrameMotion(torch.eye(3, 4), None, torch.eye(3), 9), means
+    ann, bob = (camera._replace(person=speeds + 1) for speeds in (one, other))
+    assert moving(None, [(people[0], None)]) is None and moving(camera, []) is camera
+    assert torch.equal(moving(camera, [(people[0], ann)]).person, one + 1), "somebody alone moves, too"
+    both = moving(camera, [(people[0], ann), (people[1], None)]).person
+    assert torch.equal(both, torch.cat([one + 1, 0 * other]))
+    assert torch.equal(moving(camera, [(people[0], ann), (people[1], bob)]).person, torch.cat([one + 1, other + 1]))
 
 
 def test_each_frame_has_those_whom_it_shows(clip):
@@ -157,3 +176,14 @@ def test_the_picture_of_both_is_the_frame(clip):
     strip = next(render._beside_truth(members, [tiny.EMPTY], {}))
     assert np.abs(strip[:, : tiny.WIDTH].astype(int) - strip[:, tiny.WIDTH :]).mean() < 1.5
     assert (strip[:, : tiny.WIDTH] == read_image(clip["sfm"] / "images" / f"{tiny.NAMES[tiny.EMPTY]}.png")).all()
+
+
+def test_the_shadow_of_a_further_person_is_that_of_their_own_body(clip, monkeypatch):
+    first, other = load_people(clip["sfm"], clip["smpl"], clip["train"])
+    stout = replace(other, body=replace(other.body, betas=np.array([2.0, -3.0] + [0.0] * 8)))
+    monkeypatch.setattr(module, "load_people", lambda *folders: [first, stout])
+    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    theirs = members[1].learned.parts.middles
+    mine, own = (casters_of(one.body_model, one.body.betas).middles for one in (first, stout))
+    np.testing.assert_allclose(theirs, own, atol=1e-6)
+    assert (mine - own).abs().max() > 0.01

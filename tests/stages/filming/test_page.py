@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import torch
 
+from stages.avatar.effects.shading import BANDS, Shading
 from stages.avatar.effects.shadow import Casters, Shadow
 from stages.avatar.model.scene import load_scene
 from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast, in_colour
-from stages.filming.page import page
+from stages.filming.page import figure, lamp, page
 from stages.filming.parts import Parts
 from stages.filming.setting import load_setting
 from stages.filming.shoot import Shoot
@@ -65,3 +66,22 @@ def test_all_people_move_as_in_the_film_before_its_camera(shoot, tmp_path):
         assert shown.run("hugs.player.people.length") == 2 and shown.said == []
     finally:
         shown.close()
+
+
+def test_each_stands_in_the_page_as_turned_and_as_large_as_in_the_film(shoot):
+    aside = np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]])
+    for actor in shoot.cast:
+        turned = replace(actor, turn=actor.turn @ aside)
+        shown = figure(shoot, turned)
+        assert shown.scale == actor.scale
+        np.testing.assert_array_equal(shown.turn, turned.turn)
+        np.testing.assert_array_equal(shown.spot, actor.place)
+
+
+@pytest.mark.parametrize("cast_shadow", [True, False])
+def test_the_light_on_people_is_in_the_page_whether_or_not_a_shadow_falls(shoot, cast_shadow):
+    light = Shading(torch.linspace(-0.3, 0.3, 3 * BANDS).view(BANDS, 3))
+    setting = replace(shoot.setting, shading=light, shadow=shoot.setting.shadow if cast_shadow else None)
+    shown = lamp(replace(shoot, setting=setting))
+    np.testing.assert_array_equal(shown.shading, light.bands.detach().numpy())
+    assert (shown.light is not None) is cast_shadow
