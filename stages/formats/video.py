@@ -137,7 +137,7 @@ def probe(path: Path) -> VideoInfo:
     width, height = (wide, first.height) if rotation % 2 == 0 else (first.height, wide)
     start = first.pts if first.pts is not None else times[0] if times else 0
     shown = tuple(float((time - start) * base) for time in times) if base else ()
-    span = float((times[-1] - times[0]) * base) if shown else 0.0
+    span = float((times[-1] - times[0]) * base) if shown and base else 0.0
     rate = (len(times) - 1) / span if span > 0 else float(average or 0)
     transfer = HIGH_DYNAMIC_RANGE.get(int(first.color_trc), "sdr")
     frames = declared or len(times)
