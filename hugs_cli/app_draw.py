@@ -71,7 +71,9 @@ def render(
     where = engine.device_of(device.value)
     console = Console()
     said = {"warning": "warning: "}
-    job = Job(out, where, emit=remembering(work, lambda event: console.say(said.get(event["event"], "") + event["text"])))
+    job = Job(
+        out, where, emit=remembering(work, lambda event: console.say(said.get(event["event"], "") + event["text"]))
+    )
     only = options.Only.human if avatar and not scene else only
     inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
     run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
