@@ -21,6 +21,7 @@ from tests.benchmarks.rasterizer import Torch, distance
 from tests.benchmarks.real_views import Hips, angle_between
 from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
+from tests.made import one_pose
 from tests.made.clothes import dress, some_clothes
 from tests.made.tiny import make_avatar
 from tests.made.training import fit_of, make_clip, run
@@ -63,7 +64,7 @@ def test_benchmarks_that_are_run_by_hand_speak_of_what_there_is(tmp_path):
     """Settings, effects and lines of code that they name exist: one that named a setting long gone had rotted unseen."""
     assert set(effects.STRENGTHS) == set(DETECTORS)
     assert set(effect_models.EFFECTS) <= set(DETECTORS)
-    assert set(loose.GARMENTS) == {*MAKERS, "none"}
+    assert set(loose.GARMENTS) == {*MAKERS, "none", *one_pose.KINDS}
     train.Params(**effect_models.PARAMS)
     train.Params(**loose.PARAMS)
     for case in approximations.CASES.values():
