@@ -13,6 +13,7 @@ import av
 import numpy as np
 import pytest
 
+from hugs_cli.cache.fingerprint import content_digest
 from hugs_cli.cache.locks import locked
 from hugs_cli.console import Console
 from stages.filming import outputs
@@ -175,7 +176,8 @@ def test_two_outputs_in_one_place_are_refused_before_anything_is_drawn(made, hug
 def test_results_of_a_run_in_another_work_folder_and_its_film_are_never_written_over(made, hugs, tmp_path):
     finished.make(tmp_path, "eve")
     run = tmp_path / "work/eve/default"
-    (tmp_path / "work/eve/sources.json").write_text(json.dumps({"video": {"path": str(tmp_path / "eve.mp4")}}))
+    source = {"path": str(tmp_path / "eve.mp4"), "sha256": content_digest(tmp_path / "eve.mp4")}
+    (tmp_path / "work/eve/sources.json").write_text(json.dumps({"video": source}))
     (run / "train/scene.ply").write_text("kept")
     for out in (run / "train/scene.ply", run / "train/film.ply", tmp_path / "work/eve/store/new.ply"):
         film = write(made, "other.yaml", f"splats: {out}", ("work/bob/default", str(run)))

@@ -39,7 +39,9 @@ def test_missing_models_are_named_with_the_command_that_brings_them(cache, monke
     for name in assets.ASSETS:
         assert not found[name].ok and found[name].hint == "hugs doctor --fetch"
         (cache / name).write_text("")
-    assert [finding.ok for finding in doctor.models()] == [True] + [False] * len(assets.ASSETS), "not what was fetched"
+    assert [finding.ok for finding in doctor.models()] == [True, True] + [False] * len(assets.ASSETS), (
+        "not what was fetched"
+    )
     monkeypatch.setattr(assets, "present", lambda name: True)
     assert all(finding.ok for finding in doctor.models())
     assert found["torch"].ok and found["codec libx264"].ok and found["memory"].text.endswith("GiB")

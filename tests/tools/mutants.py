@@ -455,16 +455,16 @@ MUTANTS = (
     ),
     Mutant(
         "a stamp written in place",
-        "hugs_cli/cache/whole.py",
-        'part = path.with_name(f".{path.name}.{os.getpid()}")',
-        "part = path",
+        "stages/contract.py",
+        'part = out.with_name(f".hugs-{os.urandom(6).hex()}{out.suffix[-16:] if ending is None else ending}")',
+        "part = out",
         "tests/hugs_cli/cache/test_workspace.py::a_small_file_is_replaced_in_one_step",
     ),
     Mutant(
         "a checkpoint that survives --force",
         "hugs_cli/cache/engine.py",
-        "if part.exists() and (not stage.resumes or Forced() in reasons):",
-        "if part.exists() and not stage.resumes:",
+        "stage.resumes and Forced() not in reasons and not any(",
+        "stage.resumes and not any(",
         "tests/hugs_cli/cache/test_engine.py::force_discards_what_a_stage_would_go_on_from",
     ),
     Mutant(
@@ -581,7 +581,7 @@ MUTANTS = (
     ),
     Mutant(
         "L08 a name of thousands of digits",
-        "stages/formats/frame_names.py",
+        "stages/formats/pictures.py",
         " if digits and len(digits[-1]) <= DIGITS else",
         " if digits else",
         "tests/stages/formats/given_masks/test_values.py::names_and_ids_of_odd_digits_are_compared_and_no_more",
