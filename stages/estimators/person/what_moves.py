@@ -7,9 +7,11 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from stages.estimators.corners import Choice, follow
+
 PAIRS = 10  # of frames that are compared
 SIDE = 240  # px of the longer side, at which they are
-CORNERS = 200
+CORNERS = Choice(most=200, apart=4, quality=0.01, returns=1.0)
 LEAST = 10.0  # grey levels by which one pixel in 200 differs, for something to move
 ELSEWHERE = 0.4  # of what the mask would cover by its area alone: so little of what moves lies in masks of other frames
 NEARLY_ALL = 0.8  # of the pairs
@@ -34,12 +36,10 @@ def _share(one: np.ndarray, two: np.ndarray, mask: np.ndarray, other: np.ndarray
         cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY) for image in (one, two)
     ]
     covered = cv2.resize(np.maximum(mask, other), size, interpolation=cv2.INTER_AREA) > 127
-    corners = cv2.goodFeaturesToTrack(grey[0], CORNERS, 0.01, 4)
-    way = None
-    if corners is not None and len(corners) >= 8:
-        there, sure, _ = cv2.calcOpticalFlowPyrLK(grey[0], grey[1], corners, corners.copy())
-        if sure.sum() >= 8:
-            way, _ = cv2.estimateAffine2D(corners[sure.ravel() > 0], there[sure.ravel() > 0])
+    everywhere = np.ones_like(covered)
+    (_, before), (rows, after) = follow([(picture, everywhere) for picture in grey], CORNERS)
+    again = rows < len(before)
+    way = cv2.estimateAffine2D(before[rows[again]], after[again])[0] if again.sum() >= 8 else None
     moved = cv2.warpAffine(grey[0], np.eye(2, 3) if way is None else way, size, borderMode=cv2.BORDER_REPLICATE)
     change = cv2.GaussianBlur(abs(moved.astype(np.float32) - grey[1]), (0, 0), 2)
     change = np.maximum(change - 2 * np.median(change), 0)
