@@ -2,9 +2,9 @@
 
 A visual hull (Laurentini 1994), carved in the rest pose: the skeleton carries each point of a grid to every frame, with
 skinning weights that spread from the skin into space. Where the body itself covers a point, a frame shows nothing of it.
-Nor does a mask that fills a narrow gap between two limbs: a thigh that never leaves the other is no skirt. Cloth stands further off the
-body's outline than errors of a body fit and the thickness of shirt and trousers explain (FAR); around such a piece all that
-the masks hold is cloth.
+Nor does a mask that fills a narrow gap between two limbs: a thigh that never leaves the other is no skirt. Cloth stands
+further off the body's outline than errors of a body fit and the thickness of shirt and trousers explain (FAR); around such a
+piece all that the masks hold is cloth.
 """
 
 from __future__ import annotations
