@@ -17,9 +17,9 @@ from stages.training.settings import Params
 
 if TYPE_CHECKING:
     from stages.avatar.measures.lpips import Lpips
+    from stages.training.beginning.start import Task
     from stages.training.results import Result
     from stages.training.run import Breakdown
-    from stages.training.start import Task
 
 RESUMES, LOADS = True, ADAM
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
@@ -67,7 +67,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 def _task(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> Task:
     from stages.formats.clip import load_people
     from stages.formats.facts import Survey, read_facts
-    from stages.training.start import Task
+    from stages.training.beginning.start import Task
 
     facts = read_facts(survey / "survey.json", Survey)
     (clip, *others), perceptual = load_people(sfm, smpl), _perceptual(params, job.device)
@@ -147,8 +147,8 @@ def replay(path: Path) -> None:
     import torch
 
     from stages.formats.failure import read_failure
+    from stages.training.beginning.start import build
     from stages.training.checkpoint import BROKEN
-    from stages.training.start import build
 
     state, facts = read_failure(path)
     torch.set_num_threads(facts.threads)

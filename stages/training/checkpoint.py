@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from stages.contract import StageError
-from stages.training.fit import Fit
+from stages.training.step.fit import Fit
 
 BROKEN = (OSError, RuntimeError, LookupError, ValueError, TypeError, EOFError, AttributeError, pickle.UnpicklingError)
 """What torch raises on a checkpoint that is damaged, of another model, or asks for code."""

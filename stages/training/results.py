@@ -18,12 +18,13 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import Splats, finite_rows, together
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
-from stages.training.finishing.bake import SHORT, Finished, as_trained, finish, unseen
+from stages.training.finishing.bake import SHORT, Finished, as_trained, finish
 from stages.training.finishing.hidden import fill_hidden
 from stages.training.finishing.settle import settle
 from stages.training.finishing.swing import fit_swing
-from stages.training.fit import Fit
-from stages.training.person import PersonLearner
+from stages.training.seen import unseen
+from stages.training.step.fit import Fit
+from stages.training.step.person import PersonLearner
 from stages.training.views import Person
 
 UNFINISHED = (ValueError, IndexError, RuntimeError, ArithmeticError, MemoryError)

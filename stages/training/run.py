@@ -12,14 +12,14 @@ import torch
 from stages.avatar.measures.poses import farthest
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.contract import StageError, Stopped, peak_memory
-from stages.training.accuracy import heldout_accuracy
-from stages.training.budget import Choice, fit_into_time
+from stages.training.beginning.start import Task, build
 from stages.training.checkpoint import Checkpoint
-from stages.training.deadline import Deadline
-from stages.training.effect_gains import PAUSES, effect_gains, effects_of
-from stages.training.fit import Fit
 from stages.training.results import Listener, Result, effect_facts, result_of
-from stages.training.start import Task, build
+from stages.training.step.fit import Fit
+from stages.training.timing.accuracy import heldout_accuracy
+from stages.training.timing.budget import Choice, fit_into_time
+from stages.training.timing.deadline import Deadline
+from stages.training.timing.effect_gains import PAUSES, effect_gains, effects_of
 
 MEASURED = 6  # held-out frames on the accuracy curve
 LOOK = "a wrong mask or body fit is the usual cause: look at what `masks` and `smpl` said; else try `--seed 1`"

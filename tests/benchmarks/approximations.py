@@ -104,8 +104,8 @@ def trained(folder: Path, settings: dict[str, Any], steps: int, seed: int) -> di
     from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import fetch
     from stages.formats.clip import load_clip
-    from stages.training.accuracy import heldout_accuracy
-    from stages.training.start import Task, build
+    from stages.training.beginning.start import Task, build
+    from stages.training.timing.accuracy import heldout_accuracy
     from tests.benchmarks.host import clock, summary
     from tests.benchmarks.workloads import surveyed
 

@@ -24,9 +24,9 @@ from stages.estimators.assets import fetch
 from stages.formats.clip import Clip, load_clip
 from stages.formats.splits import write_split
 from stages.records import Effects
-from stages.training.accuracy import heldout_accuracy
+from stages.training.beginning.start import Task, build
 from stages.training.results import result_of
-from stages.training.start import Task, build
+from stages.training.timing.accuracy import heldout_accuracy
 from tests.benchmarks.host import tell
 from tests.benchmarks.loose import Shown, finished
 from tests.benchmarks.workloads import surveyed

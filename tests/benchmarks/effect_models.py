@@ -32,10 +32,10 @@ from stages.estimators.detectors.evidence import ClipEvidence
 from stages.formats.clip import load_clip
 from stages.formats.facts import Sfm, read_facts
 from stages.synthetic.effects import ClipEffects
-from stages.training.accuracy import heldout_accuracy
-from stages.training.fit import Fit
-from stages.training.refine import BodyCorrections, FrameCorrections
-from stages.training.start import Task, build
+from stages.training.beginning.start import Task, build
+from stages.training.step.fit import Fit
+from stages.training.step.refine import BodyCorrections, FrameCorrections
+from stages.training.timing.accuracy import heldout_accuracy
 from stages.training.views import Views
 from tests.made import datasets
 

@@ -27,10 +27,10 @@ from stages.avatar.measures.lpips import Lpips
 from stages.avatar.splats.compose import compose
 from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
-from stages.training import densify, losses, optimizers, schedule
-from stages.training import fit as fit_module
-from stages.training.accuracy import heldout_accuracy
-from stages.training.start import Task, build
+from stages.training.beginning.start import Task, build
+from stages.training.step import densify, losses, optimizers, schedule
+from stages.training.step import fit as fit_module
+from stages.training.timing.accuracy import heldout_accuracy
 from tests.benchmarks import mcmc
 from tests.benchmarks.workloads import surveyed
 

@@ -48,10 +48,10 @@ from stages.formats.images import read_image, read_mask, write_image
 from stages.formats.poses import read_poses
 from stages.formats.splats import write_splats
 from stages.records import BodyPoses, Effects
-from stages.training.accuracy import heldout_accuracy
-from stages.training.fit import Fit
+from stages.training.beginning.start import Task, build
 from stages.training.results import result_of
-from stages.training.start import Task, build
+from stages.training.step.fit import Fit
+from stages.training.timing.accuracy import heldout_accuracy
 from tests.made import datasets, one_pose
 from tests.made.truth import align, in_result_world
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from stages.avatar.rasterize import gaussian_axes
-from stages.training.densify import Plan, _regrow
-from stages.training.fit import Fit
+from stages.training.step.densify import Plan, _regrow
+from stages.training.step.fit import Fit
 
 NOISE = 5e5  # times the rate of positions
 STEEP, FAINT = 100.0, 0.995  # who walks: 1 / (1 + exp(-STEEP (1 - opacity - FAINT)))

@@ -32,8 +32,8 @@ from stages.contract import Job, peak_memory
 from stages.formats.clip import load_people
 from stages.formats.images import write_image
 from stages.masks import apart
-from stages.training.fit import Fit
-from stages.training.start import Task, build
+from stages.training.beginning.start import Task, build
+from stages.training.step.fit import Fit
 from tests.benchmarks.host import tell
 from tests.made.pair import Pair, make_pair, write_stages
 from tests.made.truth import psnr

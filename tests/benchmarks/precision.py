@@ -22,9 +22,9 @@ from torch import Tensor
 
 from stages.avatar.measures.ssim import ssim_reference
 from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, reference
-from stages.training import losses
-from stages.training.accuracy import heldout_accuracy
-from stages.training.fit import Fit
+from stages.training.step import losses
+from stages.training.step.fit import Fit
+from stages.training.timing.accuracy import heldout_accuracy
 from tests.benchmarks.host import clock
 from tests.made.training import make_clip, models, settings
 

@@ -21,8 +21,8 @@ from stages.avatar.measures.metrics import person_crop, scores
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.formats.clip import load_clip
-from stages.training.fit import Fit
-from stages.training.start import Task, build
+from stages.training.beginning.start import Task, build
+from stages.training.step.fit import Fit
 from tests.benchmarks.workloads import surveyed
 
 

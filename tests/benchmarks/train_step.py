@@ -36,8 +36,8 @@ from stages.avatar.splats.gaussians import Splats
 from stages.formats.clip import load_clip
 from stages.formats.splats import read_scene
 from stages.records import Scene
-from stages.training import densify, fit, layers, losses, person
-from stages.training.start import Task, build
+from stages.training.beginning.start import Task, build
+from stages.training.step import densify, fit, layers, losses, person
 from tests.benchmarks.host import machine, summary
 from tests.benchmarks.workloads import surveyed
 

@@ -49,7 +49,7 @@ def stamp(stage: str, **facts) -> Stamp:
         "stage": stage,
         "key": "3f2a9c1b77",
         "seed": 0,
-        "code": {"stages.train": "1", "stages.training.losses": "2", "stages.contract": "3"},
+        "code": {"stages.train": "1", "stages.training.step.losses": "2", "stages.contract": "3"},
         "params": {"steps": 7000, "sh_degree": 1, "lr": 0.1},
         "inputs": {"frames": "a", "sfm": "b", "body_model": None},
         "content": "c",
@@ -74,7 +74,7 @@ def a_run(console: Console, clock: list[float]) -> None:
     console.ended(
         "survey", Outcome("done", seconds=1.04, notes=notes, warnings=["the feet leave the picture in 12 frames"])
     )
-    console.started("train", (CodeChanged("stages.training.losses", "edited"),))
+    console.started("train", (CodeChanged("stages.training.step.losses", "edited"),))
     for done, passed in ((10, 0.1), (2000, 70.0), (4200, 146.0)):
         clock[0] = 100 + passed
         numbers = {"psnr": 27.14, "gaussians": 142_012, "memory_bytes": int(2.1 * 2**30)}
@@ -143,7 +143,7 @@ def test_why_and_status():
     console = Console(out, io.StringIO())
     last = stamp("train")
     reasons = (
-        CodeChanged("stages.training.losses", "edited"),
+        CodeChanged("stages.training.step.losses", "edited"),
         ParamChanged("steps", 7000, 15000),
         InputChanged("sfm"),
         SeedChanged(0, 1),

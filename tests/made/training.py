@@ -14,10 +14,10 @@ from stages.avatar.model.person import bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
-from stages.training.fit import Fit
-from stages.training.schedule import Options
 from stages.training.settings import Params
-from stages.training.transients import Transients
+from stages.training.step.fit import Fit
+from stages.training.step.schedule import Options
+from stages.training.step.transients import Transients
 from stages.training.views import Person, Views
 from tests.made.clothes import dressed
 from tests.made.skeleton import PARENTS

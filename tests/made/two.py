@@ -12,9 +12,9 @@ from stages.avatar.rasterize import Camera, Gaussians, rasterize
 from stages.avatar.splats.compose import draw_together
 from stages.avatar.splats.gaussians import together
 from stages.avatar.splats.sh import sh_from_rgb
-from stages.training.fit import Fit
-from stages.training.outlines import Outline, outlines
-from stages.training.person import Another
+from stages.training.step.fit import Fit
+from stages.training.step.outlines import Outline, outlines
+from stages.training.step.person import Another
 from stages.training.views import Person, Views
 from tests.made.skeleton import PARENTS
 from tests.made.skin import on_vertices

@@ -34,16 +34,16 @@ from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
 from stages.formats.trained import read_trained
 from stages.records import Avatar, BodyPoses, Cameras
-from stages.training import losses
+from stages.training.beginning.start import build
 from stages.training.checkpoint import Checkpoint
-from stages.training.deadline import Pace
 from stages.training.finishing import settle
 from stages.training.finishing.bake import SHORT, floating, shorten
 from stages.training.finishing.depths import snap_to_surface
-from stages.training.fit import Fit
 from stages.training.results import effect_facts, result_of
 from stages.training.run import SAVED, Training, begin, finish, learn
-from stages.training.start import build
+from stages.training.step import losses
+from stages.training.step.fit import Fit
+from stages.training.timing.deadline import Pace
 
 FRAMES, WIDTH, HEIGHT = 8, 48, 40
 STARTS = {"shadow": [0.6, 0.0, -0.8, 0.3]}
@@ -64,7 +64,7 @@ PARAMS = train.Params(
 def once():
     """What effects cost is measured once, not as often as gives a true number (tests/stages/training/test_effect_gains.py)."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stages.training.effect_gains.TURNS", 1)
+        patch.setattr("stages.training.timing.effect_gains.TURNS", 1)
         yield
 
 
@@ -271,7 +271,7 @@ def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_aga
         return fit
 
     monkeypatch.setattr("stages.training.run.build", faint)
-    monkeypatch.setattr("stages.training.start.build", faint)
+    monkeypatch.setattr("stages.training.beginning.start.build", faint)
     job = fresh(tmp_path, "job")
     with pytest.raises(StageError, match="training broke down") as error:
         train.run(job, PARAMS, **inputs)
@@ -548,10 +548,10 @@ def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
 def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_path, inputs, monkeypatch):
     """A made-up clock: a step takes a second, whatever this machine is doing."""
     now = [0.0]
-    monkeypatch.setattr("stages.training.deadline.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("stages.training.deadline.rehearse", lambda *a: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
-    monkeypatch.setattr("stages.training.deadline.PAUSE", 0.0)
-    monkeypatch.setattr("stages.training.effect_gains._seconds", lambda fit: 1.0)
+    monkeypatch.setattr("stages.training.timing.deadline.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("stages.training.timing.deadline.rehearse", lambda *a: Pace((1.0, 1.0), (1.0, 1.0), 0.4))
+    monkeypatch.setattr("stages.training.timing.deadline.PAUSE", 0.0)
+    monkeypatch.setattr("stages.training.timing.effect_gains._seconds", lambda fit: 1.0)
     for module in ("budget", "deadline"):
         monkeypatch.setattr(f"stages.training.{module}.FEWEST", 10)
     advance = Fit.advance
@@ -671,7 +671,7 @@ def test_a_training_that_breaks_down_while_it_is_timed_says_so(tmp_path, inputs,
     def broken(*a):
         raise FloatingPointError("20 bad steps in a row")
 
-    monkeypatch.setattr("stages.training.deadline.rehearse", broken)
+    monkeypatch.setattr("stages.training.timing.deadline.rehearse", broken)
     with pytest.raises(StageError, match="broke down in its first steps") as error:
         train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={"seconds": 60.0}), **inputs)
     assert error.value.facts == ("20 bad steps in a row",)

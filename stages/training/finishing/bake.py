@@ -16,10 +16,9 @@ from stages.training.finishing.lining import add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
 from stages.training.finishing.unseen import FAR, on_body, unseen_colors
+from stages.training.seen import far_from_surface
 from stages.training.views import Person, Views
 
-OFF_BODY = 0.1  # metres from the body; hair and clothes seldom reach beyond
-SEEN = 1e-3  # of the mean sum of colour gradients, under which no frame has shown a Gaussian
 EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; with 0.05, and DOUBT 0.02, it looks the same
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
@@ -98,12 +97,6 @@ def as_trained(person: Canonical, begun: Canonical) -> Finished:
     return Finished(kept, Known(none[:, 0], none, none[:, 0]), 0, int((~whole).sum()), 0, 0, 0, 0, 0)
 
 
-def far_from_surface(means: Tensor, surface: Tensor) -> Tensor:
-    """Which of the canonical means[N,3] are farther than OFF_BODY from all points of the `surface`[S,3] of skin and cloth."""
-    distance, _ = nearest(surface, means, 1)
-    return distance[:, 0] > OFF_BODY
-
-
 def floating(person: Canonical, body: Person) -> Tensor:
     """Which rows [N] are no part of a surface: far from their neighbours by the body's spacing there (APART) and by
     their own size (SMALL), or THICK across the skin.
@@ -121,21 +114,6 @@ def shorten(person: Canonical, most: Tensor) -> tuple[Canonical, int]:
     """Cut axes whose sigma is longer than `most`[N] m; also how many Gaussians have such."""
     most = most[:, None]
     return person._replace(scales=torch.minimum(person.scales, most)), int((person.scales > most).any(1).sum())
-
-
-def as_body_where_unseen(decoded: Canonical, initial: Canonical, color_grad_sum: Tensor) -> Canonical:
-    """The `decoded` person, but with the `initial` values in rows that no training frame has shown.
-
-    There the networks' features are still random.
-    """
-    never = unseen(color_grad_sum)
-    pairs = zip(initial, decoded, strict=True)
-    return Canonical(*(torch.where(never.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in pairs))
-
-
-def unseen(color_grad_sum: Tensor) -> Tensor:
-    """Which rows [N] no training frame has shown, by the sums [N] >= 0 of the gradients of their colours."""
-    return color_grad_sum <= SEEN * color_grad_sum.mean()
 
 
 def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Known]:

@@ -17,9 +17,9 @@ from stages.avatar.rasterize.rendering import BLUR, PIXEL
 from stages.avatar.splats.compose import compose, painted_pixels
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
-from stages.training.finishing.behind import HIDDEN, beside_and_behind
 from stages.training.finishing.completion import complete, membrane
-from stages.training.losses import dilated
+from stages.training.step.behind import HIDDEN, beside_and_behind
+from stages.training.step.losses import dilated
 from stages.training.views import LOOKS, Views
 
 PLACES = 3  # that are filled, at most: somebody may stand here, then there

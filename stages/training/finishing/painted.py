@@ -14,10 +14,9 @@ from stages.avatar.rasterize.rendering import BLUR, NEAR
 from stages.avatar.splats.compose import painted_pixels
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
-from stages.training.losses import dilated
+from stages.training.seen import EDGE
+from stages.training.step.losses import dilated
 from stages.training.views import Person, Views, person_frames
-
-EDGE = 0.006  # of the longer side: the width inside an outline where colours are not the person's alone
 
 
 class Painted(NamedTuple):

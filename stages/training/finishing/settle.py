@@ -15,10 +15,10 @@ from stages.avatar.model.human import COLOR
 from stages.avatar.model.person import Canonical, Resting, rest
 from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.avatar.splats.neighbours import nearest
-from stages.training import losses
-from stages.training.company import Company
 from stages.training.finishing.bake import Known
-from stages.training.person import PersonLearner
+from stages.training.step import losses
+from stages.training.step.company import Company
+from stages.training.step.person import PersonLearner
 from stages.training.views import person_box, person_frames
 
 STEPS = 256

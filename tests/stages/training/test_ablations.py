@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from stages.avatar.model.human import COLOR
-from stages.training import losses
-from stages.training.fit import Fit
-from stages.training.schedule import phases
+from stages.training.step import losses
+from stages.training.step.fit import Fit
+from stages.training.step.schedule import phases
 from tests.made.training import TRAIN, ellipsoid, make_clip, models, run, settings, states, stored
 
 clip = pytest.fixture(scope="module")(make_clip)

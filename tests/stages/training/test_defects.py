@@ -13,9 +13,9 @@ from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
-from stages.training import densify, losses
-from stages.training.patches import SIDE
-from stages.training.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
+from stages.training.step import densify, losses
+from stages.training.step.patches import SIDE
+from stages.training.step.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
 from tests.made.lpips_weights import small_weights
 from tests.made.skin import on_vertices
 from tests.made.training import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, states

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from stages.avatar.effects.frames import FrameEffects
-from stages.training.transients import Transients
+from stages.training.step.transients import Transients
 from tests.made.training import TRAIN, everything, fit_of, make_clip, run, same, stored
 
 clip = pytest.fixture(scope="module")(make_clip)

@@ -9,10 +9,10 @@ from stages.avatar.measures.ssim import ssim, ssim_reference
 from stages.avatar.model.scene import MOVABLE, SceneModel, scene_extent
 from stages.avatar.rasterize import Camera, Gaussians, rasterize
 from stages.avatar.splats.sh import sh_colors, sh_from_rgb
-from stages.training import losses
-from stages.training.densify import Growth, Rules, grow_scene
-from stages.training.optimizers import optimizers
-from stages.training.refine import FrameCorrections
+from stages.training.step import losses
+from stages.training.step.densify import Growth, Rules, grow_scene
+from stages.training.step.optimizers import optimizers
+from stages.training.step.refine import FrameCorrections
 from tests.made.training import fit_of, make_clip, run
 
 clip = pytest.fixture(scope="module")(make_clip)

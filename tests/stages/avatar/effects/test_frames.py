@@ -16,9 +16,9 @@ from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.body_model import read_body_model
 from stages.records import Effects
-from stages.training.accuracy import heldout_accuracy
-from stages.training.fit import Fit
-from stages.training.refine import FrameCorrections, agreement
+from stages.training.step.fit import Fit
+from stages.training.step.refine import FrameCorrections, agreement
+from stages.training.timing.accuracy import heldout_accuracy
 from tests.made import tiny
 from tests.made.training import HEIGHT, TRAIN, WIDTH, ellipsoid, fit_of, make_clip, models, run, same, settings, stored
 

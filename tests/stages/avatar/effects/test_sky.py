@@ -5,9 +5,9 @@ import torch
 
 from stages.avatar.effects.sky import CELLS, RADIUS, open_sky, shell
 from stages.avatar.model.scene import SceneModel, fill_points
-from stages.training.densify import Growth, Rules, grow_scene
-from stages.training.optimizers import optimizers
-from stages.training.refine import FrameCorrections
+from stages.training.step.densify import Growth, Rules, grow_scene
+from stages.training.step.optimizers import optimizers
+from stages.training.step.refine import FrameCorrections
 
 WIDTH, HEIGHT = 60, 48
 K = np.array([[50.0, 0, WIDTH / 2], [0, 50, HEIGHT / 2], [0, 0, 1]])

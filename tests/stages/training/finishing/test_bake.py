@@ -226,11 +226,3 @@ def test_finishing_cuts_axes_by_the_length_they_began_with(standing):
     assert done.strays == (~stay).sum() < 0.05 * len(stay) and done.shortened == stay[::3].sum() > 1000
     kept = done.person.scales[: -done.lining]
     assert torch.equal(kept, torch.minimum(needles, most[:, None])[stay])
-
-
-def test_rows_never_shown_are_as_the_body_says():
-    parts = [torch.randn(3, *shape) for shape in ((3,), (3, 3), (3,), (), (1, 3), (24,))]
-    a, b = Canonical(*parts), Canonical(*(-part for part in parts))
-    out = bake.as_body_where_unseen(a, b, torch.tensor([1.0, 0.0, 1e-4]))
-    for x, y, z in zip(out, a, b, strict=True):
-        assert torch.equal(x, torch.cat([y[:1], z[1:]]))

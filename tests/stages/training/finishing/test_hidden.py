@@ -7,9 +7,9 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import compose
 from stages.avatar.splats.sh import sh_from_rgb
-from stages.training.finishing.behind import beside_and_behind
 from stages.training.finishing.hidden import THICK, fill_hidden, never_seen
-from stages.training.losses import dilated
+from stages.training.step.behind import beside_and_behind
+from stages.training.step.losses import dilated
 from stages.training.views import Views
 
 SIZE, FOCAL, AWAY = 96, 90.0, 4.0

@@ -10,7 +10,7 @@ from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import lining
 from stages.training.finishing.lining import OUT, UNDER_CLOTH, UNDER_SKIN, _gaps, _lining, add_lining
 from stages.training.finishing.painted import count_pixels
-from stages.training.losses import dilated
+from stages.training.step.losses import dilated
 from stages.training.views import Person
 from tests.made.standing import EYES, SIZE, drawn, silhouettes, stand_red, views
 

@@ -6,11 +6,11 @@ import torch
 from stages.avatar.body.smpl import DA_POSE
 from stages.avatar.model.person import Canonical, bone_transforms, rest
 from stages.avatar.splats.neighbours import nearest
-from stages.training.accuracy import heldout_accuracy
 from stages.training.finishing import settle as module
 from stages.training.finishing.bake import Known
 from stages.training.finishing.settle import SEAM, Change, settle, uneven
-from stages.training.fit import Fit
+from stages.training.step.fit import Fit
+from stages.training.timing.accuracy import heldout_accuracy
 from tests.made.skeleton import PARENTS
 from tests.made.training import TRAIN, ellipsoid, make_clip, models, settings
 from tests.made.two import fit_of_two, make_two
