@@ -17,10 +17,9 @@ from stages.formats.facts import MASKED_REGIONS, REGIONS
 if TYPE_CHECKING:
     import torch
 
-    from stages.avatar.drawing.draw import Learned, Pose
+    from stages.avatar.drawing.avatar import PosedAvatar
+    from stages.avatar.drawing.cast import Cast, Moment
     from stages.avatar.measures.lpips import Lpips
-    from stages.avatar.splats.gaussians import Splats
-    from stages.filming.company import Member
     from stages.formats.clip import Clip
 
 LOADS = contract.TORCH
@@ -81,37 +80,40 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     """Write metrics.json, and heldout/*.png: the clip, the result, the person alone."""
     import numpy as np
 
-    from stages.avatar.drawing.draw import to_uint8
+    from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.measures.lpips import Lpips
     from stages.avatar.measures.poses import farthest
     from stages.avatar.splats.neighbours import spread_evenly
     from stages.estimators.assets import path
-    from stages.filming.company import load_company, present
+    from stages.filming.clip_cast import load_cast
     from stages.formats.facts import Trained, read_facts
     from stages.formats.images import write_image
     from stages.formats.people import folder_of
 
     began = time.perf_counter()
-    members = load_company(sfm, smpl, train, job.device)
-    clip, scene = members[0].clip, members[0].learned.scene
+    clips, cast = load_cast(sfm, smpl, train, job.device)
+    clip, scene = clips[0], cast.scene
     facts = read_facts(train / "train.json", Trained)
     with np.load(path("lpips_alex.npz")) as weights:
         lpips = Lpips(weights).to(job.device)
-    held = [int(i) for i in np.flatnonzero(clip.heldout) if scene is not None or present(members, int(i))]
+    held = [
+        int(i)
+        for i in np.flatnonzero(clip.heldout)
+        if scene is not None or any(one.shows_person(int(i)) for one in clips)
+    ]
     shown = set(spread_evenly(held, SHOWN))
     (job.out / "heldout").mkdir()
     protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
-    each: list[dict[str, list[dict[str, Any]]]] = [{protocol: [] for protocol in protocols} for _ in members]
-    for done, (member, i) in enumerate((member, i) for member in members for i in held):
-        job.progress(done, len(held) * len(members))
-        rows, strips = each[member.clip.person - 1], folder_of(job.out, member.clip.person) / "heldout"
+    each: list[dict[str, list[dict[str, Any]]]] = [{protocol: [] for protocol in protocols} for _ in clips]
+    for done, (k, i) in enumerate((k, i) for k in range(len(clips)) for i in held):
+        job.progress(done, len(held) * len(clips))
+        rows, strips = each[k], folder_of(job.out, k + 1) / "heldout"
         strips.mkdir(parents=True, exist_ok=True)
-        others = [one for one in present(members, i) if one.clip.person != member.clip.person]
-        shot = Shot(*member, i, facts.exposure.get(clip.names[i]), job.device, others)
+        shot = Shot(clips, cast, k, i, facts.exposure.get(clip.names[i]))
         for protocol in protocols:
-            pose = shot.pose if protocol == "heldout" else fit_pose(shot, params.fit_steps)
-            drawn = shot.draw(pose)
-            found = dict(_scores(shot, drawn, lpips)) | dict(_masked(shot, pose, lpips) if params.masked else ())
+            moment = shot.moment if protocol == "heldout" else fit_pose(shot, params.fit_steps)
+            drawn = shot.draw(moment)
+            found = dict(_scores(shot, drawn, lpips)) | dict(_masked(shot, moment, lpips) if params.masked else ())
             rows[protocol].append({"name": clip.names[i]} | found)
             if protocol == "heldout" and i in shown:
                 strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
@@ -120,14 +122,14 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
     regions = (*REGIONS, *(MASKED_REGIONS if params.masked else ()))
-    for member, rows in zip(members, each, strict=True):
-        shows = [i for i in held if member.clip.shows_person(i)]
-        far = {clip.names[i] for i in farthest(member.clip.body.body_pose, shows, member.clip.training)}
+    for one, rows in zip(clips, each, strict=True):
+        shows = [i for i in held if one.shows_person(i)]
+        far = {clip.names[i] for i in farthest(one.body.body_pose, shows, one.training)}
         rows["heldout_far"] = [row for row in rows["heldout"] if row["name"] in far]
     means, *of_others = [{protocol: _means(found, regions) for protocol, found in rows.items()} for rows in each]
     for rows in each:
         del rows["heldout_far"]
-    gaussians = sum(len(member.learned.avatar.resting.means) for member in members)
+    gaussians = sum(len(one.avatar.resting.means) for one in cast.people)
     metrics = means | {
         "frames": len(held),
         "gaussians": {"human": gaussians, "scene": len(scene.means) if scene else 0},
@@ -142,70 +144,67 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     if of_others:
         metrics["people"] = {str(k): theirs for k, theirs in enumerate(of_others, 2)}
     (job.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False))
-    for k, one in enumerate([means, *of_others], 1):
-        job.note(f"person {k}, " * bool(of_others) + _sentence(one["heldout"], one["heldout_far"]))
+    for number, theirs in enumerate([means, *of_others], 1):
+        job.note(f"person {number}, " * bool(of_others) + _sentence(theirs["heldout"], theirs["heldout_far"]))
     if not held:
         job.warn(f"nothing could be measured: no held-out frame to compare in {len(clip.names)} registered frames")
 
 
 class Shot:
-    """One held-out frame: its picture, its mask, its camera, the person's pose before any fitting, and `others` there."""
+    """One held-out frame as person `k` is measured in it: picture, mask, camera, and the `moment` before any fitting."""
 
-    def __init__(
-        self,
-        clip: Clip,
-        learned: Learned,
-        i: int,
-        gain: list[float] | None,
-        device: str,
-        others: Sequence[Member] = (),
-    ):
+    def __init__(self, clips: Sequence[Clip], cast: Cast[PosedAvatar], k: int, i: int, gain: list[float] | None):
         import numpy as np
         import torch
 
-        from stages.avatar.drawing.draw import motion_at, pose_of
         from stages.avatar.measures.metrics import person_crop
 
-        like = learned.avatar.joints
-        self.learned = learned
+        clip, self.person, self.i = clips[k], cast.people[k], i
+        like = self.person.transl
+        there = [n for n, one in enumerate(cast.people) if one.shown(i)]
+        self.row, self.lit = there.index(k) if k in there else None, cast.effects.lit
+        with torch.no_grad():
+            self.moment = cast.at(i)
         self.image = torch.tensor(clip.images(i)).to(like) / 255
         self.mask = torch.tensor(clip.own_mask(i)).to(like) / 255
-        self.others, self.speeds = [one.splats(i) for one in others], [one.motion(i) for one in others]
-        theirs = [torch.tensor(one.clip.own_mask(i)).to(like) for one in others]
+        theirs = [torch.tensor(clips[n].own_mask(i)).to(like) for n in there if n != k]
         self.theirs = torch.stack([0 * self.mask, *theirs]).amax(0)[..., None] > 0
         self.viewmat, self.K = (torch.as_tensor(np.asarray(m)).to(like) for m in (clip.viewmats[i], clip.Ks[i]))
         self.gain = torch.as_tensor(gain or [1.0, 1.0, 1.0]).to(like)
         self.box = person_crop(self.mask)
-        self.pose: Pose = pose_of(clip.body, i)
-        own = [learned.stance(self.pose)] if self.box else []
-        shadows = [*own, *(one.stance(i) for one in others)]
-        self.scene = learned.effects.shade(learned.scene, *shadows)  # they are not fitted
-        self.motion = motion_at(learned, clip.world_cameras, clip.split.moments, clip.body, i, self.box is not None)
 
-    def render(self, human: Splats | None, scene: Splats | None, box: tuple[slice, slice], white: bool) -> torch.Tensor:
-        """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black; others are in the scene."""
-        from stages.avatar.drawing.draw import exposed
+    def posed(self, *pose: torch.Tensor) -> Moment:
+        """The moment with the person in another pose [3], [69], [3]; shadows and speeds stay, as they are not fitted."""
+        from dataclasses import replace
+
+        orient, body_pose, transl = (part[None] for part in pose)
+        people = list(self.moment.people)
+        people[self.row or 0] = self.lit(
+            replace(self.person, global_orient=orient, body_pose=body_pose, transl=transl).splats(0)
+        )
+        return self.moment._replace(people=people)
+
+    def alone(self, moment: Moment) -> Moment:
+        """The person of a moment alone, or nobody."""
+        rows = [] if self.row is None else [self.row]
+        speeds = None if moment.speeds is None else [moment.speeds[row] for row in rows]
+        return moment._replace(people=[moment.people[row] for row in rows], scene=None, speeds=speeds)
+
+    def render(self, moment: Moment, box: tuple[slice, slice], white: bool) -> torch.Tensor:
+        """The pixels of `box` (rows, columns) at the frame's exposure, [h,w,3], over white or black."""
+        from stages.avatar.drawing.pixels import exposed
         from stages.avatar.rasterize import Camera, Layer
-        from stages.avatar.splats.gaussians import together
-        from stages.filming.company import moving
 
-        motion = self.motion
-        if scene is not None and self.others:
-            each = [(human, motion)] if human is not None else []
-            each += zip(self.others, self.speeds, strict=True)
-            human, motion = together([splats for splats, _ in each]), moving(motion, each)
         rows, columns = box
         K = self.K.clone()
         K[0, 2] -= columns.start
         K[1, 2] -= rows.start
         size = columns.stop - columns.start, rows.stop - rows.start
         ground = self.gain.new_full((3,), float(white))
-        (drawn,) = self.learned.effects.draw(
-            human, scene, motion, Camera(self.viewmat, K, *size), [Layer(background=ground)]
-        )
+        (drawn,) = moment.draw(Camera(self.viewmat, K, *size), [Layer(background=ground)])
         return exposed(drawn.image, drawn.alpha, ground, self.gain)
 
-    def draw(self, pose: Pose) -> tuple[torch.Tensor, torch.Tensor]:
+    def draw(self, moment: Moment) -> tuple[torch.Tensor, torch.Tensor]:
         """Person and scene together, and the person alone over white; both [H,W,3] within 0..1.
 
         Without a scene the two are the same; where the mask shows nobody, nobody is drawn.
@@ -214,51 +213,48 @@ class Shot:
 
         everything = (slice(0, self.mask.shape[0]), slice(0, self.mask.shape[1]))
         with torch.no_grad():
-            human = self.learned.person(pose) if self.box else None
-            alone = (
-                self.render(human, None, everything, white=True).clamp(0, 1) if human else torch.ones_like(self.image)
-            )
-            alone = torch.where(self.theirs, 1.0, alone)
-            both = alone
-            if self.learned.scene is not None:
-                both = self.render(human, self.scene, everything, white=False).clamp(0, 1)
+            alone = torch.ones_like(self.image)
+            if self.row is not None:
+                alone = self.render(self.alone(moment), everything, white=True).clamp(0, 1)
+            both = alone = torch.where(self.theirs, 1.0, alone)
+            if moment.scene is not None:
+                both = self.render(moment, everything, white=False).clamp(0, 1)
         return both, alone
 
 
-def fit_pose(shot: Shot, steps: int) -> Pose:
-    """The best pose in `steps` of Adam on the absolute difference around the person; no Gaussian moves."""
+def fit_pose(shot: Shot, steps: int) -> Moment:
+    """The moment in the best pose in `steps` of Adam on the absolute difference around the person; no Gaussian moves."""
     import torch
 
-    from stages.avatar.drawing.avatar import pose_avatar
     from stages.avatar.measures.metrics import over_white
 
-    if shot.box is None:
-        return shot.pose
+    if shot.row is None or shot.box is None:
+        return shot.moment
     (rows, columns), (height, width) = shot.box, shot.mask.shape
     box = (
         slice(max(0, rows.start - MARGIN), min(height, rows.stop + MARGIN)),
         slice(max(0, columns.start - MARGIN), min(width, columns.stop + MARGIN)),
     )
-    like = shot.learned.avatar.joints
-    orient, body, transl = (torch.as_tensor(p).to(like).requires_grad_() for p in shot.pose)
-    groups = [{"params": [orient, body], "lr": LR_POSE["turn"]}, {"params": [transl], "lr": LR_POSE["place"]}]
+    began = (shot.person.global_orient, shot.person.body_pose, shot.person.transl)
+    pose = [part[shot.i].clone().requires_grad_() for part in began]
+    groups = [{"params": pose[:2], "lr": LR_POSE["turn"]}, {"params": pose[2:], "lr": LR_POSE["place"]}]
     optimiser = torch.optim.Adam(groups, betas=MOMENTUM)
     falling = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.0, max(1, steps))
-    alone = shot.learned.scene is None
+    alone = shot.moment.scene is None
     truth = (over_white(shot.image, shot.mask) if alone else shot.image)[box]
     known = (~shot.theirs if alone else torch.ones_like(shot.theirs))[box]  # alone: not where another may hide them
-    best, least = shot.pose, float("inf")
+    best, least = [part.detach().clone() for part in pose], float("inf")
     for _ in range(steps):
         optimiser.zero_grad()
-        human = shot.learned.effects.lit(pose_avatar(shot.learned.avatar, orient, body, transl))
-        loss = ((shot.render(human, shot.scene, box, white=alone) - truth) * known).abs().mean()
+        moment = shot.posed(*pose)
+        loss = ((shot.render(shot.alone(moment) if alone else moment, box, white=alone) - truth) * known).abs().mean()
         if loss.item() < least:
-            now = [p.detach().cpu().numpy().copy() for p in (orient, body, transl)]
-            best, least = (now[0], now[1], now[2]), loss.item()
+            best, least = [part.detach().clone() for part in pose], loss.item()
         loss.backward()
         optimiser.step()
         falling.step()
-    return best
+    with torch.no_grad():
+        return shot.posed(*best)
 
 
 def _finite(image: torch.Tensor, truth: torch.Tensor, lpips: Lpips | None) -> dict[str, float | None]:
@@ -276,7 +272,7 @@ def _scores(
     from stages.avatar.measures.metrics import over_white
 
     both, alone = drawn
-    if shot.learned.scene is not None:
+    if shot.moment.scene is not None:
         yield "full", _finite(both, shot.image, lpips)
         if shot.box is not None:
             yield "person_crop", _finite(both[shot.box], shot.image[shot.box], lpips)
@@ -285,7 +281,7 @@ def _scores(
         yield "person_white", _finite(alone[shot.box], white[shot.box], lpips)
 
 
-def _masked(shot: Shot, pose: Pose, lpips: Lpips | None) -> Iterator[tuple[str, dict[str, float | None]]]:
+def _masked(shot: Shot, moment: Moment, lpips: Lpips | None) -> Iterator[tuple[str, dict[str, float | None]]]:
     """Scores of the person over black against the picture, both times the mask: whole, and in its box."""
     import torch
 
@@ -293,7 +289,7 @@ def _masked(shot: Shot, pose: Pose, lpips: Lpips | None) -> Iterator[tuple[str, 
         return
     everything = (slice(0, shot.mask.shape[0]), slice(0, shot.mask.shape[1]))
     with torch.no_grad():
-        alone = shot.render(shot.learned.person(pose), None, everything, white=False).clamp(0, 1)
+        alone = shot.render(shot.alone(moment), everything, white=False).clamp(0, 1)
     found, truth = (picture * shot.mask[..., None] for picture in (alone, shot.image))
     yield "masked_full", _finite(found, truth, lpips)
     yield "masked_crop", _finite(found[shot.box], truth[shot.box], lpips)

@@ -265,7 +265,7 @@ def _viewer(
     import numpy as np
 
     from stages.avatar.motion.moves import clip_move, made_moves
-    from stages.filming.company import casters_of, floor_under
+    from stages.filming.clip_cast import floor_under, with_casters
     from stages.formats import viewer
     from stages.formats.clip import load_people
     from stages.formats.effects import read_effects
@@ -286,12 +286,8 @@ def _viewer(
     effects = read_effects(train / "effects.npz")
     times, figures = np.array(listing.times(clip.names)), []
     for one, (avatar, rig, soles) in zip(people, cast, strict=True):
-        parts, floor = None, floor_under(one, rig, ground)
-        if effects.middles is not None and effects.covariances is not None:
-            parts = effects.middles, effects.covariances
-            if one is not clip:
-                theirs = casters_of(one.body_model, one.body.betas)
-                parts = theirs.middles.numpy(), theirs.covariances.numpy()
+        floor = floor_under(one, rig, ground)
+        parts = None if effects.light is None else with_casters(avatar, one.body_model).casters
         moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
         stand, absent = (ground.turn, floor.point), np.flatnonzero(one.body.confidence <= 0).tolist()
         figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, *stand, sole, parts, absent=absent))

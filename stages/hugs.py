@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from stages import records
 from stages.avatar.cameras.pinhole import look_at, pinhole
-from stages.avatar.drawing import draw as drawing
 from stages.avatar.drawing.avatar import Baked, pose_avatar
 from stages.avatar.drawing.avatar import load_avatar as _load
+from stages.avatar.drawing.cast import Moment
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.model.scene import load_scene as _load_scene
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.factor import factored
@@ -148,10 +149,10 @@ def draw(
 
     Effects of a clip, such as the person's shadow, are not drawn; `hugs render` draws them.
     """
-    human, behind = (one.splats if one else None for one in (person, scene))
-    return drawing.draw(human, behind, camera, background)
+    behind = None if scene is None else scene.splats
+    return Moment([] if person is None else [person.splats], behind).picture(camera, background)
 
 
 def write_image(path: str | PathLike[str], image: np.ndarray) -> None:
     """Write a picture of `draw` as .png."""
-    _write(Path(path), drawing.to_uint8(image))
+    _write(Path(path), to_uint8(image))

@@ -192,6 +192,8 @@ class Avatar(Scene):
 
     lbs_weights[N,24+K] (rows sum to 1), joints[24,3] rest joints at `betas`, parents[24] (root -1), betas[10],
     canonical_pose[69] axis-angle of the pose in which the Gaussians stand; K: the bones of `clothes`, 0 with None.
+    `casters` cast the shadow: middles [24,3] m and covariances [24,3,3] m^2 of the body's parts at rest; None in files of
+    before 0.3.0 and of other programs.
     """
 
     lbs_weights: np.ndarray
@@ -200,6 +202,7 @@ class Avatar(Scene):
     betas: np.ndarray
     canonical_pose: np.ndarray
     clothes: Clothes | None = field(default=None, kw_only=True)
+    casters: tuple[np.ndarray, np.ndarray] | None = field(default=None, kw_only=True)
 
     @property
     def limb_weights(self) -> np.ndarray:
@@ -298,12 +301,11 @@ class Take:
 class Effects:
     """Effects as learned from a clip; None if off.
 
-    The person's shadow: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of
-    all light that comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the
-    share of its covariance that casts; `middles` [24,3] m and `covariances` [24,3,3] m^2 of the body's parts at rest. Of the
-    time between two frames `shutter` is the share in which the shutter is
-    open, `readout` that in which the rows are read, negative from below. `shading` [8,3]: the log of the light on the person,
-    a colour each, in spherical harmonics of degree 1 and 2 of the world's directions.
+    Shadows: `light` [3], the direction towards the light in the world, of length 1; `darkness`, the share of all light that
+    comes from there; `softness` of edges in m; `density`, the optical depth through a limb, and `size`, the share of its
+    covariance that casts. Of the time between two frames `shutter` is the share in which the shutter is open, `readout` that
+    in which the rows are read, negative from below. `shading` [8,3]: the log of the light on the person, a colour each, in
+    spherical harmonics of degree 1 and 2 of the world's directions.
     """
 
     light: np.ndarray | None = None
@@ -311,8 +313,6 @@ class Effects:
     softness: float | None = None
     density: float | None = None
     size: float | None = None
-    middles: np.ndarray | None = None
-    covariances: np.ndarray | None = None
     shutter: float | None = None
     readout: float | None = None
     shading: np.ndarray | None = None

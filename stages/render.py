@@ -14,9 +14,9 @@ from stages.contract import Job
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.avatar.drawing.draw import Learned
+    from stages.avatar.drawing.avatar import PosedAvatar
+    from stages.avatar.drawing.cast import Cast
     from stages.avatar.motion.placing import Soles
-    from stages.filming.company import Member
     from stages.formats.clip import Clip
     from stages.records import Ground
 
@@ -67,89 +67,90 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
 
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
-    from stages.filming.company import floor_under, load_company, present
+    from stages.filming.clip_cast import floor_under, load_cast
     from stages.formats.facts import Trained, read_facts
     from stages.formats.ground import read_ground
     from stages.formats.people import folder_of
     from stages.formats.splats import read_avatar
     from stages.formats.video import write_video
 
-    ground, members = read_ground(smpl / "ground.json"), load_company(sfm, smpl, train, job.device)
-    (clip, learned), fps = members[0], float(params.fps)
-    shots: dict[str, tuple[Iterator[np.ndarray], float]] = {}
-    for member in members:
-        number = member.clip.person
-        place = folder_of(Path(), number)
+    ground, (clips, cast), fps = (
+        read_ground(smpl / "ground.json"),
+        load_cast(sfm, smpl, train, job.device),
+        float(params.fps),
+    )
+    clip, shots = clips[0], dict[str, tuple[Iterator[np.ndarray], float]]()
+    for one, who in zip(clips, cast.people, strict=True):
+        place = folder_of(Path(), one.person)
         (job.out / place).mkdir(parents=True, exist_ok=True)
-        rig = rig_of(read_avatar(folder_of(train, number) / "avatar.npz"))
-        floor = floor_under(member.clip, rig, ground)
-        motion = _motion(member.clip, member.learned, floor, Soles.of_rig(rig), params)
-        shots[str(place / "turntable")] = (_turntable(member.learned, params.turntable_frames), fps)
+        rig = rig_of(read_avatar(folder_of(train, one.person) / "avatar.npz"))
+        motion = _motion(one, who, cast, floor_under(one, rig, ground), Soles.of_rig(rig), params)
+        shots[str(place / "turntable")] = (_turntable(who, params.turntable_frames), fps)
         shots[str(place / "motion")] = (motion, fps)
-    held = [int(i) for i in np.flatnonzero(clip.heldout) if learned.scene is not None or present(members, int(i))]
+    shown = [cast.scene is not None or any(one.shows_person(i) for one in clips) for i in range(len(clip.names))]
+    held = [int(i) for i in np.flatnonzero(clip.heldout & shown)]
     if held:
         gains = read_facts(train / "train.json", Trained).exposure
-        shots["heldout"] = (_beside_truth(members, held, gains), 4.0)
-    if learned.scene is not None:
-        shots["scene"] = (_empty(clip, learned), fps / 2)
+        shots["heldout"] = (_beside_truth(clip, cast, held, gains), 4.0)
+    if cast.scene is not None:
+        shots["scene"] = (_empty(clip, cast), fps / 2)
     for done, (name, (pictures, rate)) in enumerate(shots.items()):
         job.progress(done, len(shots))
         write_video(job.out / f"{name}.mp4", pictures, rate)
     job.note(", ".join(f"{name}.mp4" for name in shots))
 
 
-def _beside_truth(members: list[Member], order: list[int], gains: dict[str, list[float]]) -> Iterator[np.ndarray]:
+def _beside_truth(clip: Clip, cast: Cast, order: list[int], gains: dict[str, list[float]]) -> Iterator[np.ndarray]:
     """The clip on the left; on the right ours, as the same camera, its shutter and its exposure (`gains` by frame) take it.
 
     Without a scene it is over white. Frames that show nobody are drawn without the person.
     """
     import numpy as np
 
-    from stages.avatar.drawing.draw import draw, exposed, to_uint8
+    from stages.avatar.drawing.pixels import exposed, to_uint8
     from stages.avatar.rasterize import Camera
-    from stages.avatar.splats.gaussians import together
-    from stages.filming.company import moving, present
 
-    clip, learned = members[0]
     for i in order:
-        there = present(members, i)
-        people = [member.splats(i) for member in there]
-        human, scene = together(people), learned.effects.shade(learned.scene, *(member.stance(i) for member in there))
-        motion = moving(members[0].motion(i), [(s, m.motion(i)) for s, m in zip(people, there, strict=True)])
-        camera = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
-        white = 0.0 if learned.scene else 1.0
-        drawn = draw(human, scene, camera, white, learned.effects, motion)
+        camera, white = Camera.of(clip.viewmats[i], clip.Ks[i], clip.width, clip.height), 0.0 if cast.scene else 1.0
         gain = np.array(gains.get(clip.names[i], [1.0, 1.0, 1.0]), np.float32)
+        drawn = cast.at(i).picture(camera, white)
         yield np.concatenate([clip.images(i), to_uint8(exposed(*drawn, white, gain))], 1)
 
 
-def _empty(clip: Clip, learned: Learned) -> Iterator[np.ndarray]:
-    from stages.avatar.drawing.draw import draw, to_uint8
+def _empty(clip: Clip, cast: Cast) -> Iterator[np.ndarray]:
+    from stages.avatar.drawing.cast import Moment
+    from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.rasterize import Camera
 
     for viewmat, K in zip(clip.viewmats, clip.Ks, strict=True):
-        yield to_uint8(draw(None, learned.scene, Camera.of(viewmat, K, clip.width, clip.height))[0])
+        yield to_uint8(Moment((), cast.scene).picture(Camera.of(viewmat, K, clip.width, clip.height))[0])
 
 
-def _turntable(learned: Learned, count: int) -> Iterator[np.ndarray]:
+def _turntable(who: PosedAvatar, count: int) -> Iterator[np.ndarray]:
     """The person, standing relaxed, from all sides over white, in even light."""
-    from stages.avatar.drawing.draw import draw, to_uint8
+    from stages.avatar.drawing.avatar import PosedAvatar
+    from stages.avatar.drawing.cast import Moment
+    from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.drawing.turntable import around, standing
-    from stages.avatar.effects.frames import FrameEffects
 
-    human = learned._replace(effects=FrameEffects()).person(standing())
+    human = PosedAvatar.of(who.avatar, *standing()).splats(0)
     for camera in around(human.means.cpu().numpy(), count):
-        yield to_uint8(draw(human, None, camera, 1.0)[0])
+        yield to_uint8(Moment([human]).picture(camera, 1.0)[0])
 
 
-def _motion(clip: Clip, learned: Learned, ground: Ground, soles: Soles, params: Params) -> Iterator[np.ndarray]:
+def _motion(
+    clip: Clip, who: PosedAvatar, cast: Cast, ground: Ground, soles: Soles, params: Params
+) -> Iterator[np.ndarray]:
     """The person in a new motion on the floor where they stood in the clip, seen by the camera of the middle frame."""
-    from stages.avatar.drawing.draw import perform
+    from stages.avatar.drawing.avatar import PosedAvatar
+    from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.motion.moves import made_move
     from stages.avatar.rasterize import Camera
 
     move = made_move(params.motion, ground, soles, params.motion_seconds, params.fps)
     middle = len(clip.names) // 2
     camera = Camera.of(clip.viewmats[middle], clip.Ks[middle], clip.width, clip.height)
-    poses = (move.rotvecs[:, :3], move.rotvecs[:, 3:], move.steps)
-    yield from perform(learned, learned.scene, poses, [camera] * len(move.steps))
+    moving = PosedAvatar.of(who.avatar, move.rotvecs[:, :3], move.rotvecs[:, 3:], move.steps)
+    scene = cast._replace(people=[moving], speeds=None)
+    for number in range(len(move.steps)):
+        yield to_uint8(scene.at(number).picture(camera, 0.0 if cast.scene else 1.0)[0])

@@ -70,8 +70,8 @@ def _task(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> Task
     from stages.training.beginning.start import Task
 
     facts = read_facts(survey / "survey.json", Survey)
-    (clip, *others), perceptual = load_people(sfm, smpl), _perceptual(params, job.device)
-    return Task(clip, params, facts.decisions, facts.starts, job.seed, job.device, perceptual, others)
+    clips, perceptual = load_people(sfm, smpl), _perceptual(params, job.device)
+    return Task(clips, params, facts.decisions, facts.starts, job.seed, job.device, perceptual)
 
 
 def _perceptual(params: Params, device: str) -> Lpips | None:
@@ -98,7 +98,7 @@ def write(out: Path, result: Result) -> None:
     from stages.formats.splats import write_splats
     from stages.training.run import COLUMNS
 
-    for person, (avatar, body) in enumerate([(result.avatar, result.body), *result.others], 1):
+    for person, (avatar, body) in enumerate(result.people, 1):
         folder = folder_of(out, person)
         folder.mkdir(parents=True, exist_ok=True)
         write_splats(folder / "avatar.npz", avatar)

@@ -41,10 +41,14 @@ def run(
     """
     import numpy as np
 
-    from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+    from stages.avatar.drawing.avatar import PosedAvatar, load_avatar
+    from stages.avatar.drawing.cast import Cast
+    from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.drawing.turntable import around, standing
+    from stages.avatar.effects.frames import load_effects
+    from stages.avatar.model.scene import load_scene
     from stages.avatar.rasterize import Camera
-    from stages.filming.company import casting
+    from stages.filming.clip_cast import with_casters
     from stages.formats.body_model import read_body_model
     from stages.formats.cameras import read_cameras
     from stages.formats.exchange.read import lacks, read_given
@@ -53,11 +57,9 @@ def run(
     from stages.formats.trained import check_scene, read_trained_poses
 
     only = params.only
-    given = read_given(train, avatar, scene, params.who)
-    learned = load_learned(*given, job.device)
-    if smpl is not None and params.who > 1:
-        learned = casting(learned, read_body_model(smpl / "body_model.npz"), given[0].betas)
-    room = given[1]
+    given, room, effects = read_given(train, avatar, scene, params.who)
+    model = None if smpl is None else read_body_model(smpl / "body_model.npz")
+    baked = load_avatar(with_casters(given, model), job.device)
     for fact in lacks(avatar, scene, room is not None and room.antialias):
         job.note(fact)
     for fact in room.said if room else ():
@@ -65,7 +67,7 @@ def run(
     if only != "human" and train is not None and scene is None:
         check_scene(train)
     if cameras is None:
-        seen = around(learned.person(standing()).means.cpu().numpy(), params.turntable)
+        seen = around(PosedAvatar.of(baked, *standing()).splats(0).means.cpu().numpy(), params.turntable)
         views = {f"{i:03d}": view for i, view in enumerate(seen)}
     else:
         path = read_cameras(cameras)
@@ -84,11 +86,12 @@ def run(
             )
         rows = list(zip(told.global_orient, told.body_pose, told.transl, strict=True))
         chosen = rows * len(views) if len(rows) == 1 else rows
+    people = [] if only == "scene" else [PosedAvatar.of(baked, *(np.stack(part) for part in zip(*chosen, strict=True)))]
+    behind = None if room is None or only == "human" else load_scene(room, job.device)
+    cast = Cast(people, behind, load_effects(effects).to(job.device))
     job.out.mkdir(parents=True, exist_ok=True)
-    for (name, view), pose in zip(views.items(), chosen, strict=True):
-        human = learned.person(pose) if only != "scene" else None
-        behind = learned.shade(learned.scene, None if human is None else pose) if only != "human" else None
-        image, alpha = draw(human, behind, view)
+    for number, (name, view) in enumerate(views.items()):
+        image, alpha = cast.at(number).picture(view)
         color = image / np.maximum(alpha, 1 / 255)[..., None]
         with job.writes(job.out / f"{name}.png") as picture:
             write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))

@@ -13,17 +13,16 @@ import torch
 from stages import records
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.avatar import Baked, bones_of, load_avatar, posed_by
-from stages.avatar.drawing.draw import Pose
 from stages.avatar.drawing.rig import rig_of
-from stages.avatar.effects.shadow import Casters, casters
+from stages.avatar.effects.shadow import Casters
 from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.moves import by_formula
-from stages.avatar.motion.placing import SOLID, Placed, Soles, put
+from stages.avatar.motion.placing import Placed, Soles, put
 from stages.avatar.motion.takes import SECONDS
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import with_gain
 from stages.contract import StageError
-from stages.filming.company import casters_of
+from stages.filming.clip_cast import with_casters
 from stages.filming.motions import Manner, check_time, from_clip, from_file
 from stages.filming.spec import Person
 from stages.formats.body_model import read_body_model
@@ -43,7 +42,7 @@ class Actor:
 
     `global_orient` [P,3], `body_pose` [P,69] and `transl` [P,3] m are the poses of their motion, `fps` a second, in the film's
     world, as if they were as large as they are; `scale` enlarges about `place` [3] m on the floor. `first` is the picture at
-    which the motion begins. `parts` cast their shadow. `gain` [3] is what their colours are multiplied by. `model` is the body
+    which the motion begins. `gain` [3] is what their colours are multiplied by. `model` is the body
     that they were learned on, None where that is not known.
     """
 
@@ -53,7 +52,6 @@ class Actor:
     rig: records.Rig
     baked: Baked
     soles: Soles
-    parts: Casters
     placed: Placed
     global_orient: np.ndarray
     body_pose: np.ndarray
@@ -72,7 +70,7 @@ class Actor:
         row, count = picture - self.first, len(self.transl)
         return row % count if self.loop else min(max(row, 0), count - 1)
 
-    def pose(self, picture: int) -> Pose:
+    def pose(self, picture: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The pose that a picture shows."""
         row = self.row(picture)
         return self.global_orient[row], self.body_pose[row], self.transl[row]
@@ -82,7 +80,7 @@ class Actor:
         return self.bones[self.row(picture), len(self.baked.parents) :]
 
     def splats(self, picture: int) -> Splats:
-        """Their Gaussians in the film's world."""
+        """Their Gaussians in the film's world, in even light."""
         transl = torch.as_tensor(self.transl[self.row(picture)]).to(self.baked.joints)
         shown = posed_by(self.baked, self.bones[self.row(picture)], transl)
         if self.scale == 1:
@@ -90,10 +88,18 @@ class Actor:
         about = torch.as_tensor(self.place).to(shown.means)
         return shown._replace(means=about + self.scale * (shown.means - about), axes=self.scale * shown.axes)
 
+    def shown(self, picture: int) -> bool:
+        """Always: a person of a film is in all its pictures."""
+        return True
+
+    def means(self, picture: int) -> None:
+        """Not known: a film's pictures have no motion blur."""
+
     def casters(self, picture: int) -> Casters:
         """What casts their shadow."""
+        assert self.baked.casters is not None, "`cast` sees to it"
         transl = torch.as_tensor(self.transl[self.row(picture)]).to(self.baked.joints)
-        posed = self.parts.posed(self.bones[self.row(picture), : len(self.baked.parents)], transl)
+        posed = self.baked.casters.posed(self.bones[self.row(picture), : len(self.baked.parents)], transl)
         about = torch.as_tensor(self.place).to(posed.middles)
         return Casters(about + self.scale * (posed.middles - about), self.scale**2 * posed.covariances)
 
@@ -122,10 +128,11 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         raise StageError(f"{person.avatar} holds one person, and not {person.who}", "leave out `who:`")
     own = None if run is None else trained_of(run / "train", person.who)
     record = read_avatar(own / "avatar.npz") if own else read_any_avatar(person.avatar)
+    model = _model(run, record)
+    record = with_casters(record, model)
     rig, baked = rig_of(record), load_avatar(record, device)
     soles = Soles.of_rig(rig)
     manner = Manner(fps, person.speed, person.motion_fps, person.up)
-    model = _model(run, record)
     if person.motion in MOTIONS:
         check_time(SECONDS, manner.wanted, person.motion)
         if round(SECONDS * manner.wanted) < 2:
@@ -153,7 +160,6 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
         rig=rig,
         baked=baked,
         soles=soles,
-        parts=Casters(*(part.to(baked.joints) for part in _parts(model, record, rig))),
         placed=placed,
         global_orient=orient,
         body_pose=pose,
@@ -201,11 +207,3 @@ def _model(run: Path | None, record: records.Avatar) -> records.BodyModel | None
     free = read_body_model()
     _, joints = Body(free).rest(torch.as_tensor(record.betas).float())
     return free if float((joints - torch.as_tensor(record.joints)).norm(dim=1).max()) < SAME else None
-
-
-def _parts(model: records.BodyModel | None, record: records.Avatar, rig: records.Rig) -> Casters:
-    """What casts the shadow, at rest: the body or, where that is not known, the Gaussians."""
-    if model is not None:
-        return casters_of(model, record.betas)
-    solid = rig.opacities > SOLID
-    return casters(torch.as_tensor(rig.means[solid]), torch.as_tensor(record.limb_weights[solid]).float())

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stages.avatar.cameras.pinhole import look_at, pinhole
-from stages.avatar.drawing.draw import draw
+from stages.avatar.drawing.cast import Moment
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.clip import Clip
@@ -85,7 +85,7 @@ def look_of_scene(scene: Splats, ground: Ground) -> Look | None:
     K, found = pinhole(0.5 * SIDE, SIDE, SIDE), []
     for angle in np.linspace(0, 2 * np.pi, AROUND, endpoint=False):
         way = ground.turn @ np.array([np.sin(angle), 0, np.cos(angle)])
-        image, alpha = draw(None, scene, Camera.of(look_at(eye, eye + way, ground.up), K, SIDE, SIDE))
+        image, alpha = Moment((), scene).picture(Camera.of(look_at(eye, eye + way, ground.up), K, SIDE, SIDE))
         found.append(np.rint(image.clip(0, 1) * 255)[alpha > 0.95])
     return look_of(np.concatenate(found))
 

@@ -20,7 +20,6 @@ from stages.avatar.splats.turn import OVER, turned
 from stages.contract import StageError
 from stages.filming.cast import Actor
 from stages.filming.parts import Parts, spans
-from stages.filming.picture import everybody
 from stages.filming.shoot import Shoot
 from stages.formats.exchange.avatar_glb import Stand, write_film_glb
 from stages.formats.exchange.limits import held
@@ -89,9 +88,7 @@ def splats(shoot: Shoot, out: Path, seconds: float, parts: Parts) -> tuple[bool,
     number, said = shoot.where(seconds), []
 
     def make(part: Path) -> None:
-        with torch.no_grad():
-            sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, number, shoot.setting.shading)
-        whole = joined([factored(one) for one in sets])
+        whole = joined([factored(one) for one in shoot.at(number).sets])
         down = whole if shoot.setting.ground.up[1] < 0 else turned(whole, OVER)
         said.extend(held(out.name, SPLATS[out.suffix.lower()](part, down)))
 

@@ -7,7 +7,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from stages.avatar.motion.moves import made_moves
 from stages.filming.cast import Actor
@@ -58,7 +57,6 @@ def figure(shoot: Shoot, actor: Actor) -> viewer.Figure:
     rows = [actor.row(number) for number in range(shoot.count)]
     rotvecs = np.concatenate([actor.global_orient[rows], actor.body_pose[rows]], 1)
     own = replace(shoot.setting.ground, point=actor.place, up=actor.turn[:, 1], ahead=actor.turn[:, 2])
-    middles, spreads = (torch.as_tensor(part).cpu().numpy() for part in actor.parts)
     return viewer.Figure(
         rig=in_gain(actor),
         weights=actor.record.lbs_weights,
@@ -66,7 +64,7 @@ def figure(shoot: Shoot, actor: Actor) -> viewer.Figure:
         turn=actor.turn,
         spot=actor.place,
         soles=actor.soles.at_rest(),
-        parts=(middles, spreads),
+        parts=actor.record.casters,
         scale=actor.scale,
     )
 
@@ -77,5 +75,4 @@ def lamp(shoot: Shoot) -> Effects:
     bands = None if shading is None else shading.bands.detach().cpu().numpy()
     if shadow is None or shoot.setting.scene is None:
         return Effects(shading=bands)
-    known = {name: value for name, value in shadow.known().items() if name not in ("middles", "covariances")}
-    return Effects(**known, shading=bands)
+    return Effects(**shadow.known(), shading=bands)

@@ -10,7 +10,7 @@ import torch
 
 from stages.avatar.effects.frames import load_effects
 from stages.avatar.effects.shading import Shading
-from stages.avatar.effects.shadow import DARKNESS, Casters, Shadow
+from stages.avatar.effects.shadow import DARKNESS, Shadow
 from stages.avatar.model.scene import load_scene
 from stages.avatar.splats.gaussians import Splats
 from stages.contract import StageError
@@ -103,8 +103,7 @@ def lamp_of(run: Path | None, ground: Ground, light: str) -> tuple[Shadow | None
 
     As training learned it; or towards the lamp that the survey saw; none where it saw that there is none; else from above.
     """
-    above, nobody = torch.as_tensor(ground.up).float(), Casters(torch.zeros(24, 3), torch.zeros(24, 3, 3))
-    overhead = Shadow(above, nobody, DIM, SOFT).requires_grad_(False)
+    overhead = Shadow(torch.as_tensor(ground.up).float(), DIM, SOFT).requires_grad_(False)
     if light == "off":
         return None, ()
     if run is None or light == "above":
@@ -119,5 +118,5 @@ def lamp_of(run: Path | None, ground: Ground, light: str) -> tuple[Shadow | None
     start = survey.starts.get("shadow")
     if measured is not None and measured.on and start is not None:
         lamp = torch.as_tensor(start[:3]).float()
-        return Shadow(lamp, nobody, min(max(start[3], 0.05), DARKNESS)).requires_grad_(False), ()
+        return Shadow(lamp, min(max(start[3], 0.05), DARKNESS)).requires_grad_(False), ()
     return overhead, ("the scene's survey could not see its lamp: shadows fall from above",)

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 
-from stages.avatar.drawing.draw import to_uint8
+from stages.avatar.drawing.cast import Cast, Moment
+from stages.avatar.drawing.pixels import to_uint8
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.rasterize import Camera
 from stages.filming.cast import Actor
 from stages.filming.parts import mark
-from stages.filming.picture import draw_picture
 from stages.filming.setting import Setting
 
 
@@ -34,17 +36,27 @@ class Shoot:
         """What the people are called."""
         return [actor.name for actor in self.cast]
 
+    def at(self, number: int) -> Moment:
+        """What a picture shows, before it is drawn."""
+        with torch.no_grad():
+            return Cast(self.cast, self.setting.splats, self._light, mutual=True).at(number)
+
     def picture(self, number: int) -> np.ndarray:
         """A picture, uint8 [H,W,3]: in the scene, or over white."""
         white = 1.0 if self.setting.splats is None else 0.0
-        scene, shadow, shading = self.setting.splats, self.setting.shadow, self.setting.shading
-        return to_uint8(draw_picture(scene, shadow, self.cast, number, self.cameras[number], white, shading)[0])
+        return to_uint8(self.at(number).picture(self.cameras[number], white)[0])
 
     def people(self, number: int) -> np.ndarray:
-        """The people of a picture alone, uint8 [H,W,4], alpha not multiplied into colour."""
-        image, alpha = draw_picture(None, None, self.cast, number, self.cameras[number], 0.0, self.setting.shading)
+        """The people of a picture alone, without shadows, uint8 [H,W,4], alpha not multiplied into colour."""
+        with torch.no_grad():
+            alone = Cast(self.cast, None, FrameEffects(shading=self.setting.shading)).at(number)
+        image, alpha = alone.picture(self.cameras[number])
         color = image / np.maximum(alpha, 1 / 255)[..., None]
         return to_uint8(np.concatenate([color, alpha[..., None]], 2))
+
+    @cached_property
+    def _light(self) -> FrameEffects:
+        return FrameEffects(self.setting.shadow, shading=self.setting.shading)
 
     def pictures(self, numbers: range, alone: bool) -> Iterator[np.ndarray]:
         """Pictures in their order, of the people `alone` or of all."""
@@ -71,5 +83,5 @@ class Shoot:
             clothing = actor.baked.clothing
             cloth = None if clothing is None else [*clothing.buffers(), *clothing.parameters()]
             rest = list(actor.baked.resting), actor.baked.joints, actor.baked.parents, actor.baked.antialias
-            people.append([*rest, cloth, list(actor.parts), actor.place, actor.turn, actor.scale])
+            people.append([*rest, cloth, list(actor.baked.casters or ()), actor.place, actor.turn, actor.scale])
         return mark(None if scene is None else list(scene), lamp, light, people)

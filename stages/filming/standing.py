@@ -7,8 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 import torch
 
+from stages.avatar.drawing.cast import Moment
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import draw_together
 from stages.filming.setting import Setting
 from stages.filming.spec import Film, Person
 from stages.formats.clip import Clip
@@ -123,9 +123,7 @@ def _hidden(box: np.ndarray, near: float, view: np.ndarray, K: np.ndarray, size:
     if setting.splats is None:
         return 0.0
     depths = setting.splats.means @ torch.as_tensor(view[2, :3]).to(setting.splats.means) + view[2, 3]
-    means, axes, opacities, sh = (part[depths < near] for part in setting.splats[:4])
-    before = setting.splats._replace(means=means, axes=axes, opacities=opacities, sh=sh, rotations=None)
-    with torch.no_grad():
-        (drawn,) = draw_together([before], Camera.of(view, K, *size).to(means))
+    before = setting.splats.rows(depths < near)
+    _, alpha = Moment((), before).picture(Camera.of(view, K, *size))
     (left, top), (right, bottom) = np.floor(box[0]).astype(int), np.ceil(box[1]).astype(int)
-    return float(drawn.alpha[top:bottom, left:right].mean())
+    return float(alpha[top:bottom, left:right].mean())

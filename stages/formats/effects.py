@@ -13,8 +13,9 @@ from stages.formats.arrays import checked, read_npz, write_npz
 from stages.records import Effects
 
 HINT = "train again: `hugs run VIDEO train --force`"
-SHADOW = ("light", "darkness", "softness", "density", "size", "middles", "covariances")
-_SHAPES = {"light": (3,), "middles": (24, 3), "covariances": (24, 3, 3), "shading": (8, 3)}
+SHADOW = ("light", "darkness", "softness", "density", "size")
+OLDER = {"middles", "covariances"}  # of who casts: in avatar.npz since 0.3.0
+_SHAPES = {"light": (3,), "shading": (8, 3)}
 _LIMITS = {
     "darkness": (0, 1),
     "softness": (0, 1e3),
@@ -35,7 +36,7 @@ def read_effects(path: Path) -> Effects:
     """Read an effects.npz; where there is none, all effects are off. StageError for an incomplete shadow or impossible values."""
     if not path.exists():
         return Effects()
-    found = read_npz(path, HINT)
+    found = {name: array for name, array in read_npz(path, HINT).items() if name not in OLDER}
     names = [f.name for f in fields(Effects)]
     unknown = sorted(found.keys() - set(names))
     if unknown:

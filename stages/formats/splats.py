@@ -28,13 +28,15 @@ _ROWS = {
 }
 _REST = {"joints": (24, 3), "parents": (24,), "betas": (10,), "canonical_pose": (69,)}
 
+CASTERS = {"caster_middles": (JOINTS, 3), "caster_covariances": (JOINTS, 3, 3)}
+
 S = TypeVar("S", bound=Scene)
 
 
 def write_splats(path: Path, splats: Scene | Avatar) -> None:
     """Write a scene or an avatar as an .npz of float32 arrays (parents int32), without pickles.
 
-    `antialias` and `clothes` get arrays only where set; `version` is that which first had clothes with bones, else 1.
+    `antialias`, `clothes` and `casters` get arrays only where set; `version` is that which first had clothes with bones, else 1.
     """
     arrays = {name: np.asarray(getattr(splats, name)) for name in _always(type(splats))}
     arrays["version"] = np.asarray(1)
@@ -42,6 +44,8 @@ def write_splats(path: Path, splats: Scene | Avatar) -> None:
         arrays["antialias"] = np.ones(())
     if isinstance(splats, Avatar) and splats.clothes is not None:
         arrays |= splats.clothes.arrays() | {"version": np.asarray(VERSION)}
+    if isinstance(splats, Avatar) and splats.casters is not None:
+        arrays |= dict(zip(CASTERS, splats.casters, strict=True))
     write_npz(path, {k: v.astype(np.int32 if k in WHOLE else np.float32) for k, v in arrays.items()})
 
 
@@ -68,6 +72,8 @@ def _read(path: Path, kind: type[S]) -> S:
     }
     if kind is Avatar:
         more["clothes"] = clothes_of(data, path.name, HINT)
+        if all(name in data for name in CASTERS):
+            more["casters"] = tuple(checked(data[n], shape, n, path.name, HINT) for n, shape in CASTERS.items())
     missing = [n for n in names if n not in data]
     if missing:
         raise StageError(

@@ -15,7 +15,7 @@ from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import bone_transforms
 from stages.avatar.model.scene import SceneModel
-from stages.avatar.splats.gaussians import Splats, finite_rows, together
+from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
 from stages.training.finishing.bake import SHORT, Finished, as_trained, finish
@@ -41,20 +41,18 @@ class Listener(Protocol):
 
 @dataclass(frozen=True)
 class Result:
-    """A trained clip.
+    """A trained clip: avatar and poses of each of its people, in their order.
 
-    `others` has avatar and poses of each further person. `scene` is None where there is none; `effects` and `cameras` (SfM
-    units) are None where none were learned. `curve` has a row for each measurement of accuracy, `facts` are those of train.json.
+    `scene` is None where there is none; `effects` and `cameras` (SfM units) are None where none were learned. `curve` has a row
+    for each measurement of accuracy, `facts` are those of train.json.
     """
 
-    avatar: Avatar
+    people: Sequence[tuple[Avatar, BodyPoses]]
     scene: Scene | None
-    body: BodyPoses
     effects: Effects | None
     cameras: Cameras | None
     curve: list[dict[str, Any]]
     facts: dict[str, Any]
-    others: Sequence[tuple[Avatar, BodyPoses]] = ()
 
 
 def learned_numbers(effects: FrameEffects, scene: SceneModel | None) -> dict[str, float]:
@@ -64,22 +62,16 @@ def learned_numbers(effects: FrameEffects, scene: SceneModel | None) -> dict[str
 
 
 def result_of(
-    fit: Fit,
-    clip: Clip,
-    curve: list[dict[str, Any]],
-    effects: dict[str, dict[str, Any]],
-    say: Listener,
-    others: Sequence[Clip] = (),
+    fit: Fit, clips: Sequence[Clip], curve: list[dict[str, Any]], effects: dict[str, dict[str, Any]], say: Listener
 ) -> Result:
-    """Finish what was trained on a clip; `effects` is what train.json says of their gains, `say` hears about the rest.
-
-    `others` is the same clip with the bodies of further people.
+    """Finish what was trained on `clips`, the same with the body of each person; `effects` is what train.json has of their gains,
+    `say` hears about the rest.
     """
-    filled = _filled(fit, say)
-    people = [_person(fit, who, one, say) for who, one in zip(fit.people, (clip, *others))]
-    (avatar, poses, _, _), *rest = people
+    filled, clip = _filled(fit, say), clips[0]
+    people = [_person(fit, who, one, say) for who, one in zip(fit.people, clips, strict=True)]
+    kept, each = [done for _, _, done, _ in people], [(avatar, poses) for avatar, poses, _, _ in people]
     scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
-    broken = invalid + sum(kept.broken for _, _, kept, _ in people)
+    broken = invalid + sum(one.broken for one in kept)
     settled = fit.densifier.settled
     behind = 0 if settled is None else int(settled.sum())
     if behind:
@@ -111,17 +103,17 @@ def result_of(
         "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
         "effects": effects,
         "extent_m": fit.options.extent,
-        "gaussians": fit.sizes() | {"human": len(avatar) + sum(len(one[0]) for one in rest)},
+        "gaussians": fit.sizes() | {"human": sum(len(avatar) for avatar, _ in each)},
         "broken": broken,
-        "reskinned": sum(kept.reskinned for _, _, kept, _ in people),
-        "strays": sum(kept.strays for _, _, kept, _ in people),
-        "evened": sum(kept.snapped for _, _, kept, _ in people),
-        "shortened": sum(kept.shortened for _, _, kept, _ in people),
-        "leant": sum(kept.recolored for _, _, kept, _ in people),
+        "reskinned": sum(one.reskinned for one in kept),
+        "strays": sum(one.strays for one in kept),
+        "evened": sum(one.snapped for one in kept),
+        "shortened": sum(one.shortened for one in kept),
+        "leant": sum(one.recolored for one in kept),
         "unseen": sum(never for *_, never in people),
         "behind": behind,
         "filled": filled,
-        "lining": sum(kept.lining for _, _, kept, _ in people),
+        "lining": sum(one.lining for one in kept),
         "left_out": fit.guard.left_out,
         "clipped": fit.guard.clipped,
         "not_drawn": fit.undrawn,
@@ -138,23 +130,16 @@ def result_of(
         )
     if fit.undrawn:
         say.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
-    if rest:
-        facts["people"] = [len(avatar), *(len(one[0]) for one in rest)]
-    more = [(one[0], one[1]) for one in rest]
-    return Result(avatar, scene, poses, Effects(**known) if known else None, cameras, curve, facts, more)
+    if len(each) > 1:
+        facts["people"] = [len(avatar) for avatar, _ in each]
+    return Result(each, scene, Effects(**known) if known else None, cameras, curve, facts)
 
 
 def _filled(fit: Fit, say: Listener) -> int:
     if fit.scene is None:
         return 0
-    resting = [(who, who.baked()[1]) for who in fit.people]
-
-    @torch.no_grad()
-    def people(frame: int) -> Splats | None:
-        return together([fit.posed(still, *fit.body(frame, who), of=who) for who, still in resting if who.shown(frame)])
-
     try:
-        filled = fill_hidden(fit.scene, fit.full._replace(viewmats=fit.cameras().detach()), fit.train, people)
+        filled = fill_hidden(fit.scene, fit.seen(), fit.train, fit.cast()._replace(scene=None))
     except UNFINISHED as error:
         say.warn(f"what the person hides of the scene could not be filled and stays as it was before: {error}")
         return 0
@@ -167,7 +152,7 @@ def _filled(fit: Fit, say: Listener) -> int:
 
 def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Finished, int]:
     """The avatar of a person and their poses, how they were finished, and how many Gaussians no frame has shown."""
-    learned, fitted = fit.bodies(who), (who.body.global_orient, who.body.body_pose, who.body.transl)
+    learned, fitted = fit.poses(who), (who.body.global_orient, who.body.body_pose, who.body.transl)
     sound = finite_rows(learned)[:, None]
     orient, body_pose, transl = (torch.where(sound, *pair) for pair in zip(learned, fitted, strict=True))
     if not sound.all():
@@ -175,7 +160,7 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Av
         say.warn(f"the learned pose of frames {', '.join(lost)} is not finite: that of the smpl stage is kept")
     body = who.body._replace(global_orient=orient, body_pose=body_pose, transl=transl)
     if len(fit.people) > 1:
-        say.note(f"person {fit.people.index(who) + 1}:")
+        say.note(f"{who.name}:")
     if body.clothing is not None and who.corrections.swing is not None:
         _settle_swing(fit, body, body.clothing, who.corrections.swing.weight, say)
     kept = _finished(fit, who, body, say)
@@ -183,7 +168,7 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Av
     if never:
         say.note(f"{never:,} Gaussians of the person that no frame shows have the place and shape of the body")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
-    return _avatar(kept, body, clip.body.betas, body.clothing, fit.options.antialias), poses, kept, never
+    return _avatar(kept, who, body, clip.body.betas, fit.options.antialias), poses, kept, never
 
 
 def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener) -> dict[str, dict[str, Any]]:
@@ -215,7 +200,7 @@ def _settle_swing(fit: Fit, body: Person, clothing: Clothing, table: Tensor, say
 
 def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Finished:
     baked, _ = who.baked()
-    seen = who.masked(fit.full)._replace(viewmats=fit.cameras())
+    seen = who.masked(fit.seen())
     dressed = body._replace(antialias=fit.options.antialias)
     frames = fit.train if who.outline is None else who.outline.clear(fit.train)
     try:
@@ -225,7 +210,9 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
         return as_trained(baked, who.human.initial())
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
     try:
-        kept = kept._replace(person=settle(fit, who, kept.person, kept.known, clear))
+        one, loss = fit.baked(who), fit.params.human_loss
+        done = settle(one, kept.person, kept.known, clear, fit.cast([one]), fit.seen(), loss)
+        kept = kept._replace(person=done)
     except UNFINISHED as error:
         say.warn(f"the Gaussians of the person could not settle and stay as they were before: {error}")
     if kept.reskinned:
@@ -245,10 +232,10 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     return kept
 
 
-def _avatar(kept: Finished, body: Person, betas: np.ndarray, clothing: Clothing | None, antialias: bool) -> Avatar:
-    person, clothes = kept.person, None
-    if clothing is not None:
-        clothes = Clothes(**{field.name: _array(getattr(clothing, field.name)) for field in fields(Clothes)})
+def _avatar(kept: Finished, who: PersonLearner, body: Person, betas: np.ndarray, antialias: bool) -> Avatar:
+    person, clothes, (middles, covariances) = kept.person, None, who.casters
+    if body.clothing is not None:
+        clothes = Clothes(**{field.name: _array(getattr(body.clothing, field.name)) for field in fields(Clothes)})
     return Avatar(
         means=_array(person.means),
         quats=_array(quat_from_matrix(person.rotations)),
@@ -263,6 +250,7 @@ def _avatar(kept: Finished, body: Person, betas: np.ndarray, clothing: Clothing 
         canonical_pose=_array(body.canonical_pose),
         antialias=antialias,
         clothes=clothes,
+        casters=(_array(middles), _array(covariances)),
     )
 
 

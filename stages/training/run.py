@@ -45,7 +45,7 @@ class Breakdown(Exception):
         super().__init__(str(error))
         self.state, self.left_out = fit.before or fit.state(), fit.guard.left_out
         self.params, self.decisions = task.params, task.decisions
-        self.step, self.frame = self.state["progress"]["step"], task.clip.names[fit.frame]
+        self.step, self.frame = self.state["progress"]["step"], task.clips[0].names[fit.frame]
 
 
 @dataclass
@@ -62,13 +62,13 @@ class Training:
     @cached_property
     def heldout(self) -> list[int]:
         """The held-out frames that show the person, at most MEASURED of them."""
-        clip = self.task.clip
+        clip = self.task.clips[0]
         return spread_evenly([i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)], MEASURED)
 
     @cached_property
     def far(self) -> list[int]:
         """The held-out frames whose poses are farthest from those of training, at most MEASURED of them."""
-        clip = self.task.clip
+        clip = self.task.clips[0]
         shown = [i for i in range(len(clip.names)) if clip.heldout[i] and clip.shows_person(i)]
         return spread_evenly(farthest(clip.body.body_pose, shown, clip.training), MEASURED)
 
@@ -192,7 +192,7 @@ def finish(training: Training, hooks: Hooks) -> Result:
             effects = effect_facts(effect_gains(fit, training.heldout, training.far), curve[-1]["seconds"], hooks)
         except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
             hooks.warn(f"what effects are worth could not be measured: {error}")
-    result = result_of(fit, training.task.clip, curve, effects, hooks, training.task.others)
+    result = result_of(fit, training.task.clips, curve, effects, hooks)
     result.facts["effects_left_out"] = list(training.choice.left_out)
     if deadline:
         result.facts["last_step_seconds"] = round(deadline.pace.last, 4)
@@ -201,6 +201,6 @@ def finish(training: Training, hooks: Hooks) -> Result:
 
 def _measured(fit: Fit, frames: list[int]) -> dict[str, Any]:
     """A row of the curve, without its step and seconds."""
-    found = heldout_accuracy(fit, frames)
+    found = heldout_accuracy(fit.cast(), fit.seen(), frames)
     numbers = {key: "" if value is None else round(value, 4) for key, value in found.items()}
     return {key: numbers[key] for key in COLUMNS[2:6]} | fit.sizes() | {"memory_bytes": peak_memory()}

@@ -26,7 +26,8 @@ NEAR = 0.05  # metres: points of the person nearer to the camera do not widen th
 class Views(NamedTuple):
     """Pictures: images uint8[F,H,W,3], masks uint8[F,H,W] (255 = person), viewmats[F,4,4] (metres), Ks[F,3,3] px.
 
-    moments int64[F], not falling: when each was taken, in frames; None: one after the other.
+    moments int64[F], not falling: when each was taken, in frames; None: one after the other. gains [F,3]: exposure of drawn
+    colours; None where it is learned.
     """
 
     images: Tensor
@@ -34,6 +35,7 @@ class Views(NamedTuple):
     viewmats: Tensor
     Ks: Tensor
     moments: Tensor | None = None
+    gains: Tensor | None = None
 
     def half(self) -> Views:
         """The same at half the resolution, by area."""
@@ -45,7 +47,7 @@ class Views(NamedTuple):
         Ks = self.Ks.clone()
         Ks[:, 0] *= width / self.masks.shape[2]
         Ks[:, 1] *= height / self.masks.shape[1]
-        return Views(images, masks, self.viewmats, Ks, self.moments)
+        return self._replace(images=images, masks=masks, Ks=Ks)
 
 
 def shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
@@ -115,12 +117,10 @@ def person_frames(body: Person, views: Views, frames: list[int]) -> list[int]:
     return spread_evenly([i for i in frames if body.confidence[i] > 0 and views.masks[i].max() > 0], LOOKS)
 
 
-def frame_speeds(views: Views, body: Person | None) -> Speeds:
-    """How camera and person move at each frame."""
-    count = len(views.images)
-    moments = np.arange(count) if views.moments is None else views.moments.cpu().numpy()
-    known = np.ones(count, bool) if body is None else (body.confidence > 0).cpu().numpy()
-    return Speeds(views.viewmats.cpu().numpy(), views.Ks, views.images.shape[1], moments, known)
+def frame_speeds(views: Views) -> Speeds:
+    """How the camera moves at each frame."""
+    moments = np.arange(len(views.images)) if views.moments is None else views.moments.cpu().numpy()
+    return Speeds(views.viewmats.cpu().numpy(), views.Ks, views.images.shape[1], moments)
 
 
 def person_box(mask: Tensor, points: Tensor, viewmat: Tensor, K: Tensor) -> tuple[int, int, int, int]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from stages import records
@@ -15,6 +18,7 @@ from stages.avatar.body.skinning import FewBones, without_zeros
 from stages.avatar.body.smpl import rest_relative_transforms
 from stages.avatar.body.stretch import Stretch, cloth_of, stretch_of
 from stages.avatar.effects.clothing import Clothing
+from stages.avatar.effects.shadow import Casters
 from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest
 from stages.avatar.splats.gaussians import Splats
 
@@ -23,6 +27,7 @@ class Baked(NamedTuple):
     """A trained avatar without any network: its Gaussians at rest, its skeleton and its clothes.
 
     `few` are its weights without zeros, None where too many bones move a Gaussian; `stretch` is how cloth grows, if there is any.
+    `casters` are at rest, None where they are not known.
     """
 
     resting: Resting
@@ -32,6 +37,7 @@ class Baked(NamedTuple):
     clothing: Clothing | None = None
     few: FewBones | None = None
     stretch: Stretch | None = None
+    casters: Casters | None = None
 
 
 def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> Baked:
@@ -59,11 +65,8 @@ def load_avatar(avatar: records.Avatar, device: str | torch.device = "cpu") -> B
         clothing=None if clothing is None else clothing.to(device),
         few=few and FewBones(*there(few)),
         stretch=cloth and Stretch(*there(stretch_of(cloth, resting.means, resting.axes))),
+        casters=avatar.casters and Casters(*there(map(to, avatar.casters))),
     )
-
-
-Pose = tuple[Tensor, Tensor, Tensor]
-"""global_orient [3], body_pose [69] rad, transl [3] m."""
 
 
 def pose_avatar(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Splats:
@@ -76,12 +79,6 @@ def posed_by(avatar: Baked, bones: Tensor, transl: Tensor) -> Splats:
     return pose(avatar.resting, bones, transl, avatar.few, avatar.stretch)._replace(antialias=avatar.antialias)
 
 
-def moving(avatar: Baked, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Iterator[Splats]:
-    """The avatar in each of P poses, global_orient[P,3], body_pose[P,69], transl[P,3], whose bones are found at once."""
-    for bones, there in zip(bones_of(avatar, global_orient, body_pose), transl, strict=True):
-        yield posed_by(avatar, bones, there)
-
-
 def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
     """All bones [...,J,4,4] from rest to poses [...,3] and [...,69], the skeleton's and those of the clothes, as they swing."""
     clothing, joints = avatar.clothing, avatar.joints
@@ -92,3 +89,47 @@ def bones_of(avatar: Baked, global_orient: Tensor, body_pose: Tensor) -> Tensor:
     vectors = torch.cat([global_orient, body_pose, swings.flatten(-2)], -1).unflatten(-1, (-1, 3))
     turns, swung = matrix_from_rotvec(vectors).split([len(joints), len(clothing)], -3)
     return clothing.swung(rest_relative_transforms(joints, turns, avatar.parents), swung, shifts)
+
+
+@dataclass(frozen=True)
+class PosedAvatar:
+    """A `Performer` of P poses, one a frame: global_orient[P,3], body_pose[P,69] axis-angle, transl[P,3] m, on the avatar's device.
+
+    Frames in which the fit trusts its pose are `known` bool[P]; those that show the person are `shows`, None: all.
+    """
+
+    avatar: Baked
+    global_orient: Tensor
+    body_pose: Tensor
+    transl: Tensor
+    known: np.ndarray | None = None
+    shows: Callable[[int], bool] | None = None
+
+    @classmethod
+    def of(cls, avatar: Baked, *pose: ArrayLike) -> PosedAvatar:
+        """An avatar in the poses [P,3], [P,69] and [P,3], or in one, of [3], [69] and [3]."""
+        parts = (torch.as_tensor(np.asarray(part)).to(avatar.joints) for part in pose)
+        return cls(avatar, *(torch.atleast_2d(part) for part in parts))
+
+    @cached_property
+    def bones(self) -> Tensor:
+        """All bones [P,J,4,4] from rest to each pose."""
+        return bones_of(self.avatar, self.global_orient, self.body_pose)
+
+    def shown(self, frame: int) -> bool:
+        """Whether the frame shows the person."""
+        return self.shows is None or self.shows(frame)
+
+    def splats(self, frame: int) -> Splats:
+        """The person's Gaussians in the world, in even light."""
+        return posed_by(self.avatar, self.bones[frame], self.transl[frame])
+
+    def casters(self, frame: int) -> Casters:
+        """What casts the person's shadow, in the world; ValueError where that is not known."""
+        if self.avatar.casters is None:
+            raise ValueError("it is not known what of the avatar casts a shadow")
+        return self.avatar.casters.posed(self.bones[frame, : len(self.avatar.parents)], self.transl[frame])
+
+    def means(self, frame: int) -> Tensor | None:
+        """Means [N,3] m of the Gaussians; None where the pose is not known."""
+        return None if self.known is not None and not self.known[frame] else self.splats(frame).means

@@ -11,13 +11,15 @@ from torch import Tensor
 
 from stages import records
 from stages.avatar.body.rotations import quat_from_matrix
-from stages.avatar.drawing.avatar import Baked, bones_of, moving
+from stages.avatar.drawing.avatar import Baked, PosedAvatar, bones_of
 from stages.avatar.splats.factor import factored
 
 
 def posed(avatar: Baked, take: records.Take) -> Iterator[records.Scene]:
     """The Gaussians at each pose of the take, y up."""
-    yield from map(factored, moving(avatar, *_poses(avatar, take)))
+    who = PosedAvatar(avatar, *_poses(avatar, take))
+    for i in range(len(take)):
+        yield factored(who.splats(i))
 
 
 def hung(avatar: Baked, take: records.Take) -> records.Take:

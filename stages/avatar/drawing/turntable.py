@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.avatar.drawing.draw import Pose
 from stages.avatar.rasterize import Camera
 
 SIDE = 640  # px
@@ -13,8 +12,8 @@ AWAY = 2.7  # of the person's height
 STAND = {2: 0.25, 5: -0.25, 47: -0.9, 50: 0.9}  # entries of body_pose, rad
 
 
-def standing() -> Pose:
-    """A relaxed stand at the origin, looking along z."""
+def standing() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """global_orient [3], body_pose [69] in rad and transl [3] of a relaxed stand at the origin, looking along z."""
     stand = np.zeros(69)
     stand[list(STAND)] = list(STAND.values())
     return np.zeros(3), stand, np.zeros(3)

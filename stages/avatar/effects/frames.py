@@ -13,10 +13,10 @@ from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.motion_blur import START, BlurredRendering, expose
 from stages.avatar.effects.rolling_shutter import roll_shutter
 from stages.avatar.effects.shading import Shading
-from stages.avatar.effects.shadow import Casters, Shadow, Stance
+from stages.avatar.effects.shadow import Casters, Shadow
 from stages.avatar.effects.speeds import FrameMotion, move, px_a_moment
 from stages.avatar.rasterize import Camera, Layer, Rendering
-from stages.avatar.splats.compose import compose
+from stages.avatar.splats.compose import draw_together
 from stages.avatar.splats.gaussians import Splats
 
 
@@ -28,24 +28,28 @@ class FrameEffects(nn.Module):
     `clothes` are the bones of clothes of those who wear such, `shading` is the light on people.
     """
 
-    def __init__(self, shadow: Shadow | None = None, shutter: float | None = None, readout: float | None = None):
+    def __init__(
+        self,
+        shadow: Shadow | None = None,
+        shutter: float | None = None,
+        readout: float | None = None,
+        shading: Shading | None = None,
+    ):
         super().__init__()
         self.shadow = shadow
         self.shutter = None if shutter is None else nn.Parameter(torch.tensor([shutter]))
         self.readout = None if readout is None else nn.Parameter(torch.tensor([readout]))
         self.clothes: nn.ModuleList | None = None
-        self.shading: Shading | None = None
+        self.shading = shading
 
     @classmethod
-    def starting(
-        cls, light: Tensor, body: Casters, shadow: float | None, motion_blur: bool, rolling_shutter: bool
-    ) -> FrameEffects:
+    def starting(cls, light: Tensor, shadow: float | None, motion_blur: bool, rolling_shutter: bool) -> FrameEffects:
         """The effects that are on, with their first values.
 
-        `light`[3] points towards the lamp as far as known, `body` is at rest, `shadow` is the share of light it takes.
+        `light`[3] points towards the lamp as far as known, `shadow` is the share of light that a body takes.
         """
         times = START if motion_blur else None, 0.0 if rolling_shutter else None
-        return cls(None if shadow is None else Shadow(light, body, shadow), *times).to(light)
+        return cls(None if shadow is None else Shadow(light, shadow), *times).to(light)
 
     @property
     def takes_time(self) -> bool:
@@ -70,41 +74,38 @@ class FrameEffects(nn.Module):
         """A person in the clip's world, in its light."""
         return person if self.shading is None else self.shading(person)
 
-    def shade(self, scene: Splats | None, *stances: Stance | None) -> Splats | None:
-        """The scene with the shadows of people who stand as `stances` say, None for nobody."""
-        there = [stance for stance in stances if stance is not None]
-        if self.shadow is None or scene is None or not there:
-            return scene
-        return self.shadow(scene, *there)
+    def shade(self, lit: Splats, bodies: Sequence[Casters]) -> Splats:
+        """Gaussians of a scene with the shadows of posed `bodies`."""
+        return lit if self.shadow is None else self.shadow(lit, bodies)
 
     @torch.no_grad()
-    def shadow_depth(self, points: Tensor, *stances: Stance | None) -> Tensor:
-        """Depth [N] of points[N,3] in the people's shadows: 0 in full light, 1 in full shadow."""
-        there = [stance for stance in stances if stance is not None]
-        if self.shadow is None or not there:
+    def shadow_depth(self, points: Tensor, bodies: Sequence[Casters]) -> Tensor:
+        """Depth [N] of points[N,3] in the shadows of posed `bodies`: 0 in full light, 1 in full shadow."""
+        if self.shadow is None or not bodies:
             return torch.zeros_like(points[:, 0])
-        return (1 - self.shadow.light_left(points, *there)) / self.shadow.darkness.sigmoid()
+        return (1 - self.shadow.light_left(points, bodies)) / self.shadow.darkness.sigmoid()
 
     def draw(
         self,
-        human: Splats | None,
-        scene: Splats | None,
+        sets: Sequence[tuple[Splats, Tensor | None]],
         motion: FrameMotion | None,
         camera: Camera,
         layers: Sequence[Layer],
     ) -> list[Rendering] | list[BlurredRendering]:
-        """As `compose`, with motion blur and rolling shutter; without a `motion` everything is drawn at one moment."""
+        """As `draw_together`, with motion blur and rolling shutter; each set moves by so much [N,3] m a moment, None: it stands.
+
+        Without a `motion` everything is drawn at one moment.
+        """
         if motion is None or not self.takes_time:
-            return compose(human, scene, camera, layers)
-        both = [None if s is None else (s, motion.of(s, own)) for s, own in ((human, motion.person), (scene, None))]
+            return draw_together([splats for splats, _ in sets], camera, layers)
+        moving = [(splats, motion.past(splats.means, own)) for splats, own in sets]
 
         def at(time: Tensor) -> list[Rendering]:
-            person, rest = (None if one is None else self._at(*one, motion, time, camera.viewmat) for one in both)
-            return compose(person, rest, camera, layers)
+            return draw_together([self._at(*one, motion, time, camera.viewmat) for one in moving], camera, layers)
 
         if self.shutter is None:
             return at(motion.field.new_zeros(1))
-        means, speeds = (torch.cat(parts) for parts in zip(*((s.means, by) for s, by in filter(None, both))))
+        means, speeds = (torch.cat(parts) for parts in zip(*((s.means, by) for s, by in moving)))
         return expose(at, self.shutter, px_a_moment(means, speeds, camera))
 
     def _at(self, splats: Splats, speeds: Tensor, motion: FrameMotion, time: Tensor, viewmat: Tensor) -> Splats:
@@ -134,9 +135,6 @@ def load_effects(effects: records.Effects) -> FrameEffects:
     shadow, known = None, effects.known()
     if "light" in known:  # and with it the rest of a shadow
         numbers = (float(known[name]) for name in ("darkness", "softness", "density", "size"))
-        body = Casters(torch.as_tensor(known["middles"]), torch.as_tensor(known["covariances"]))
-        shadow = Shadow(torch.as_tensor(known["light"]).float(), body, *numbers)
-    loaded = FrameEffects(shadow, effects.shutter, effects.readout)
-    if effects.shading is not None:
-        loaded.shading = Shading(torch.as_tensor(effects.shading).float())
-    return loaded.requires_grad_(False)
+        shadow = Shadow(torch.as_tensor(known["light"]).float(), *numbers)
+    shading = None if effects.shading is None else Shading(torch.as_tensor(effects.shading).float())
+    return FrameEffects(shadow, effects.shutter, effects.readout, shading).requires_grad_(False)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from stages.avatar.body.rotations import rotation_z_to
-from stages.avatar.model.person import bone_transforms
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import with_gain
 
@@ -32,20 +31,6 @@ class Casters(NamedTuple):
         return Casters(middles, turns @ self.covariances @ turns.mT)
 
 
-class Stance(NamedTuple):
-    """Where a body is: joints[24,3] at rest, parents, and its pose: global_orient[3], body_pose[69], transl[3] m.
-
-    `parts` at rest cast its shadow; None: those that the `Shadow` holds, of the clip's first person.
-    """
-
-    joints: Tensor
-    parents: list[int]
-    global_orient: Tensor
-    body_pose: Tensor
-    transl: Tensor
-    parts: Casters | None = None
-
-
 def casters(vertices: Tensor, weights: Tensor) -> Casters:
     """The parts of a body with vertices[V,3] m and skinning weights[V,J].
 
@@ -61,7 +46,7 @@ def casters(vertices: Tensor, weights: Tensor) -> Casters:
 
 
 class Shadow(nn.Module):
-    """The shadow of a body, its parts given at rest: the direction of the light and four numbers, learned for a clip.
+    """The shadow of bodies: the direction of the light and four numbers, learned for a clip.
 
     `slope` [2] tilts the light away from the direction `first` [3]; `darkness` (logit) is the share of all light that
     comes from there, `softness` (log m) the blur of edges, `density` (log) the optical depth through the middle of a
@@ -70,13 +55,10 @@ class Shadow(nn.Module):
     """
 
     frame: Tensor
-    middles: Tensor
-    covariances: Tensor
 
     def __init__(
         self,
         first: Tensor,
-        body: Casters,
         darkness: float = DARKNESS,
         softness: float = SOFTNESS,
         density: float = DENSITY,
@@ -84,8 +66,6 @@ class Shadow(nn.Module):
     ):
         super().__init__()
         self.register_buffer("frame", rotation_z_to(first))
-        self.register_buffer("middles", body.middles.to(first))
-        self.register_buffer("covariances", body.covariances.to(first))
         self.slope = nn.Parameter(torch.zeros(2).to(first))
         self.darkness = nn.Parameter(torch.tensor([darkness]).to(first).logit())
         self.softness = nn.Parameter(torch.tensor([softness]).to(first).log())
@@ -100,19 +80,10 @@ class Shadow(nn.Module):
     def known(self) -> dict[str, Any]:
         """The fields of `records.Effects` about the shadow."""
         found = {name: getattr(self, name).exp().item() for name in ("softness", "density", "size")}
-        found |= {name: getattr(self, name).cpu().numpy() for name in ("middles", "covariances")}
         return found | {"darkness": self.darkness.sigmoid().item(), "light": self.light().detach().cpu().numpy()}
 
-    def light_shares(self, points: Tensor, body: Casters) -> Tensor:
-        """Share [M] of the light that reaches points[M,3] past the posed `body`, from 1 - darkness to 1."""
-        return self._share(self.thickness(points, body))
-
-    def thickness(self, points: Tensor, body: Casters) -> Tensor:
-        """Optical depth [M] of the posed `body` between the lamp and points[M,3]."""
-        return self._thickness(points, body, rotation_z_to(self.light()))
-
     def _thickness(self, points: Tensor, body: Casters, turn: Tensor) -> Tensor:
-        """As `thickness`; `turn` [3,3] takes +z to the light."""
+        """Optical depth [M] of the posed `body` between the lamp and points[M,3]; `turn` [3,3] takes +z to the light."""
         at, middles = points @ turn, body.middles @ turn
         spread = self.size.exp() * (turn.T @ body.covariances @ turn)
         a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
@@ -135,33 +106,27 @@ class Shadow(nn.Module):
             near = (at[:, :2] > low).all(1) & (at[:, :2] < high).all(1)
             return (near & (at[:, 2] < middles[:, 2].amax() + REACH * ABOVE)).nonzero()[:, 0]
 
-    def light_left(self, points: Tensor, *stances: Stance) -> Tensor:
-        """As `light_shares` of points[N,3] m, for one body or more as they stand."""
-        bodies = [self._body(stance) for stance in stances]
-        if len(bodies) > 1:
-            return self.light_past(points, bodies)
+    def light_left(self, points: Tensor, bodies: Sequence[Casters]) -> Tensor:
+        """Share [N] of the light that reaches points[N,3] m past posed `bodies`, from 1 - darkness to 1.
+
+        What lies behind two is behind more.
+        """
         turn = rotation_z_to(self.light())
-        rows = self._rows_in_reach(points, bodies[0], turn)
-        shares = self._share(self._thickness(points[rows], bodies[0], turn))
-        return torch.ones_like(points[:, 0]).index_put((rows,), shares)
-
-    @torch.no_grad()
-    def _body(self, stance: Stance) -> Casters:
-        parts = stance.parts or Casters(self.middles, self.covariances)
-        return parts.posed(bone_transforms(*stance[:4]), stance.transl)
-
-    def light_past(self, points: Tensor, bodies: Iterable[Casters]) -> Tensor:
-        """Share [N] of the light that reaches points[N,3] past several posed bodies: what lies behind two is behind more."""
-        thick, turn = torch.zeros_like(points[:, 0]), rotation_z_to(self.light())
-        for body in bodies:
-            rows = self._rows_in_reach(points, body, turn)
-            thick = thick.index_add(0, rows, self._thickness(points[rows], body, turn))
-        return self._share(thick)
+        reach = [self._rows_in_reach(points, body, turn) for body in bodies]
+        thick = [self._thickness(points[rows], body, turn) for rows, body in zip(reach, bodies, strict=True)]
+        if len(bodies) == 1:  # the exponential of what is shaded alone
+            return torch.ones_like(points[:, 0]).index_put((reach[0],), self._share(thick[0]))
+        total = torch.zeros_like(points[:, 0])
+        for rows, one in zip(reach, thick, strict=True):
+            total = total.index_add(0, rows, one)
+        return self._share(total)
 
     def _share(self, thick: Tensor) -> Tensor:
         return 1 - self.darkness.sigmoid() * (1 - (-thick).exp())
 
-    def forward(self, scene: Splats, *stances: Stance) -> Splats:
-        """The scene with its colours multiplied by their share of light."""
-        share = self.light_left(scene.means.detach(), *stances)
-        return scene._replace(sh=with_gain(scene.sh, share[:, None]))
+    def forward(self, lit: Splats, bodies: Sequence[Casters]) -> Splats:
+        """Gaussians with their colours multiplied by their share of light; without bodies, as they are."""
+        if not bodies:
+            return lit
+        share = self.light_left(lit.means.detach(), bodies)
+        return lit._replace(sh=with_gain(lit.sh, share[:, None]))

@@ -46,44 +46,42 @@ def drift(viewmats: np.ndarray, near: Around, i: int) -> np.ndarray:
 
 
 class FrameMotion(NamedTuple):
-    """Motion at one frame, in m a moment: the velocity `field`[3,4] of `drift`, and the velocities `person`[N,3] of the
-    person's Gaussians in the world, None where nobody is drawn.
+    """How the camera moves at one frame: the velocity `field`[3,4] of `drift`, m a moment.
 
     K[3,3] px and `height` px are those of the whole frame, at any resolution.
     """
 
     field: Tensor
-    person: Tensor | None
     K: Tensor
     height: int
 
-    def of(self, splats: Splats, own: Tensor | None) -> Tensor:
-        """Velocities [N,3] past the camera of Gaussians that move by `own`[N,3] m a moment in the world; None: they stand."""
-        past = splats.means @ self.field[:, :3].T + self.field[:, 3]
+    def past(self, means: Tensor, own: Tensor | None) -> Tensor:
+        """Velocities [N,3] past the camera of means[N,3] that move by `own`[N,3] m a moment in the world; None: they stand."""
+        past = means @ self.field[:, :3].T + self.field[:, 3]
         return past if own is None else past + own
 
 
 class Speeds:
-    """The motion at each of F frames of a clip: viewmats[F,4,4], Ks[F,3,3] px, `height` px, moments int[F] not falling.
+    """The motion at each of F frames of a clip: viewmats[F,4,4], Ks[F,3,3] px, `height` px, moments int[F] not falling."""
 
-    `known` bool[F] marks frames with a body fit; beside a frame without one, the person stands still.
-    """
+    def __init__(self, viewmats: np.ndarray, Ks: Tensor, height: int, moments: np.ndarray):
+        self.viewmats, self.Ks, self.height, self.moments = viewmats, Ks, height, moments
 
-    def __init__(self, viewmats: np.ndarray, Ks: Tensor, height: int, moments: np.ndarray, known: np.ndarray):
-        self.viewmats, self.Ks, self.height, self.moments, self.known = viewmats, Ks, height, moments, known
+    def at(self, i: int) -> FrameMotion:
+        """How the camera moves at frame `i`."""
+        field = torch.as_tensor(drift(self.viewmats, around(self.moments, i), i)).to(self.Ks)
+        return FrameMotion(field, self.Ks[i], self.height)
 
-    def at(self, i: int, means: Callable[[int], Tensor] | None, known: np.ndarray | None = None) -> FrameMotion:
-        """The motion at frame `i`; `means(j)` [N,3] are those of a person's Gaussians in frame `j`, None for nobody.
+    @torch.no_grad()
+    def own(self, i: int, means: Callable[[int], Tensor | None]) -> Tensor | None:
+        """Velocities [N,3] m a moment of a person's Gaussians at frame `i`; `means(j)` [N,3] are theirs in frame `j`.
 
-        `known` [F] marks the frames with a body fit of another person.
+        None where a neighbour has no body fit, so no means: the person stands.
         """
-        near, own = around(self.moments, i), None
-        known = self.known if known is None else known
-        if means is not None and near.gap and known[[near.before, near.after]].all():
-            with torch.no_grad():
-                own = (means(near.after) - means(near.before)) / near.gap
-        field = torch.as_tensor(drift(self.viewmats, near, i)).to(self.Ks)
-        return FrameMotion(field, own, self.Ks[i], self.height)
+        near = around(self.moments, i)
+        if not near.gap or (after := means(near.after)) is None or (before := means(near.before)) is None:
+            return None
+        return (after - before) / near.gap
 
 
 def move(splats: Splats, speeds: Tensor, spin: Tensor, times: Tensor) -> Splats:

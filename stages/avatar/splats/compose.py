@@ -1,4 +1,4 @@
-"""The one place where person, scene and camera meet: training, rendering and evaluation all draw through it."""
+"""Sets of Gaussians drawn as one."""
 
 from __future__ import annotations
 
@@ -26,23 +26,14 @@ def painted_pixels(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) ->
     return torch.autograd.grad((drawn.image * kinds).sum(), colors)[0]
 
 
-def compose(
-    human: Splats | None, scene: Splats | None, camera: Camera, layers: Sequence[Layer] = (Layer(),)
-) -> list[Rendering]:
-    """Draw person and scene together, the person's rows first, as `draw_together`. Raises ValueError when both are None."""
-    sets = [s for s in (human, scene) if s is not None]
-    if not sets:
-        raise ValueError("compose needs a person or a scene")
-    return draw_together(sets, camera, layers)
-
-
 def draw_together(sets: Sequence[Splats], camera: Camera, layers: Sequence[Layer] = (Layer(),)) -> list[Rendering]:
     """Draw sets of Gaussians, one or more, sorted by depth as one: a picture for each layer, rows in the order of the sets.
 
-    Colours are evaluated per set, so each has its own spherical-harmonics degree; all layers share colours, projection,
-    order and `antialias`.
+    Colours are evaluated per set, so each has its own spherical-harmonics degree; all layers share colours, projection and
+    order. `antialias` is that of the last set, the scene's where there is one. ValueError without a set.
     """
-    antialias = any(s.antialias for s in sets)
+    if not sets:
+        raise ValueError("there is neither a person nor a scene to draw")
     centre = camera_centers(camera.viewmat)
     colors = [s.colors(centre) for s in sets]
     if len(sets) == 1:
@@ -53,4 +44,4 @@ def draw_together(sets: Sequence[Splats], camera: Camera, layers: Sequence[Layer
         axes = torch.cat([s.axes for s in sets])
         opacities = torch.cat([s.opacities for s in sets])
         color = torch.cat(colors)
-    return rasterize(Gaussians(means, axes, opacities, color, antialias), camera, layers)
+    return rasterize(Gaussians(means, axes, opacities, color, sets[-1].antialias), camera, layers)

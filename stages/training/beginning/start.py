@@ -32,7 +32,7 @@ from stages.training.beginning.init_colors import seen_colors
 from stages.training.settings import Params
 from stages.training.step.fit import Fit
 from stages.training.step.outlines import Outline, outlines
-from stages.training.step.person import Another
+from stages.training.step.person import Starting
 from stages.training.step.schedule import Options
 from stages.training.step.transients import Transients
 from stages.training.views import Person, Views
@@ -48,17 +48,16 @@ class Task:
     """What a training is to learn, and how.
 
     `decisions` and first values (`starts`) are those of survey.json, by effect; `perceptual` is the network of the
-    perceptual loss, where the settings ask for it. `others` is the same clip with the body and the masks of each further person.
+    perceptual loss, where the settings ask for it. `clips` is the clip with the body and the masks of each of its people.
     """
 
-    clip: Clip
+    clips: Sequence[Clip]
     params: Params
     decisions: dict[str, bool] = field(default_factory=dict)
     starts: dict[str, list[float]] = field(default_factory=dict)
     seed: int = 0
     device: str = "cpu"
     perceptual: Lpips | None = None
-    others: Sequence[Clip] = ()
 
     def chosen(self, settings: dict[str, int], left_out: Iterable[str]) -> Task:
         """The same with other settings, and without some effects."""
@@ -67,7 +66,7 @@ class Task:
 
     def frames(self) -> list[int]:
         """The frames to learn from; StageError where there is none, or none that shows a person with a body fit."""
-        clip = self.clip
+        clip = self.clips[0]
         train = [i for i in range(len(clip.names)) if clip.training[i]]
         train = spread_evenly(train, self.params.frames_used or len(train))
         if not train:
@@ -112,21 +111,18 @@ class _Start:
 
     def __init__(self, task: Task, note: Callable[[str], None]):
         self.train, self.note = task.frames(), note
-        self.clip, self.params, self.decisions, self.starts = task.clip, task.params, task.decisions, task.starts
-        self.seed, self.device, self.perceptual, self.others = task.seed, task.device, task.perceptual, task.others
+        self.clips, self.clip, self.params, self.decisions = task.clips, task.clips[0], task.params, task.decisions
+        self.starts, self.seed, self.device, self.perceptual = task.starts, task.seed, task.device, task.perceptual
         self.generator = torch.Generator().manual_seed(task.seed)
 
     def fit(self) -> Fit:
         clip, on = self.clip, self.decisions
         views = self._views()
-        person, *others = [self._person(one.body) for one in (clip, *self.others)]
-        seen = self._outlines(views, [person, *others])
-        person = self._clothed(person, views, seen[0])
-        human = self._human(person, views, seen[0])
-        more = [self._another(other, views, outline) for other, outline in zip(others, seen[1:], strict=True)]
+        bodies = [self._person(one.body) for one in self.clips]
+        people = [self._starting(*one, views) for one in zip(bodies, self._outlines(views, bodies), strict=True)]
         extent = scene_extent(self._tensor(clip.viewmats).cpu(), self._tensor(clip.points).cpu())
-        scene = self._scene([person, *others], extent) if on.get("scene", True) and len(clip.points) else None
-        most = max((human, *(one.human for one in more)), key=len)
+        scene = self._scene(bodies, extent) if on.get("scene", True) and len(clip.points) else None
+        most = max((one.human for one in people), key=len)
         caps = {"human_cap": self._cap("human", most), "scene_cap": self._cap("scene", scene)}
         options = Options(
             extent=extent,
@@ -135,10 +131,11 @@ class _Start:
             exposure=on.get("exposure", False),
             antialias=on.get("antialias", False),
         )
-        effects = self._effects(person)
+        effects = self._effects()
         transients = Transients(views, self.train) if on.get("transients", False) and scene is not None else None
-        models = views, self.train, person, human, scene, self.params.model_copy(update=caps), options
-        return Fit(*models, self.generator, self.perceptual, effects, transients, seen[0], more)
+        params = self.params.model_copy(update=caps)
+        how = params, options, self.generator, self.perceptual, effects, transients
+        return Fit(views, self.train, people, scene, *how)
 
     def _cap(self, name: str, begun: HumanModel | SceneModel | None) -> int:
         """Most Gaussians of the person or the scene: what is set, or what it begins with."""
@@ -167,13 +164,12 @@ class _Start:
         if len(people) == 1:
             return [None]
         frames = range(len(self.clip.names))
-        masks = [np.stack([one.own_mask(i) for i in frames]) for one in (self.clip, *self.others)]
+        masks = [np.stack([one.own_mask(i) for i in frames]) for one in self.clips]
         return [*outlines(views, [torch.as_tensor(one, device=self.device) for one in masks], people)]
 
-    def _another(self, person: Person, views: Views, seen: Outline | None) -> Another:
-        assert seen is not None, "there are several people"
-        body = self._clothed(person, views, seen)
-        return Another(body, self._human(body, views, seen), seen)
+    def _starting(self, body: Person, outline: Outline | None, views: Views) -> Starting:
+        body = self._clothed(body, views, outline)
+        return Starting(body, self._human(body, views, outline), outline)
 
     def _person(self, fitted: BodyPoses) -> Person:
         model = self.clip.body_model
@@ -236,7 +232,7 @@ class _Start:
         cameras, skies = (clip.viewmats[chosen], clip.Ks[chosen]), None
         if on.get("sky", False):
             skies = [open_sky(clip.points, mask, *camera) for mask, *camera in zip(masks, *cameras, strict=True)]
-        rng, bodies = np.random.default_rng(self.seed), (clip.body, *(other.body for other in self.others))
+        rng, bodies = np.random.default_rng(self.seed), [one.body for one in self.clips]
         hips = [body.transl[chosen] + who.joints[0].cpu().numpy() for body, who in zip(bodies, people, strict=True)]
         depths = [(clip.viewmats[chosen, 2, :3] * at).sum(1) for at in hips]
         places = np.take_along_axis(np.stack(hips), np.argmax(depths, 0)[None, :, None], 0)[0]  # beyond all of them
@@ -257,12 +253,12 @@ class _Start:
                 scene.add_sky(self._tensor(far), self._tensor(tints), self._tensor(middle), RADIUS * extent)
         return scene
 
-    def _effects(self, person: Person) -> FrameEffects:
-        on, orient = self.decisions, self.clip.body.global_orient
+    def _effects(self) -> FrameEffects:
+        on, orient = self.decisions, np.concatenate([one.body.global_orient for one in self.clips])
         *lamp, darkness = self.starts.get("shadow", [*mean_up(orient), DARKNESS])
-        light = torch.as_tensor(lamp).to(person.joints)
+        light = self._tensor(lamp)
         shadow = min(max(darkness, LEAST_DARK), 1 - LEAST_DARK) if on.get("shadow", False) else None
         times = {name: on.get(name, False) for name in ("motion_blur", "rolling_shutter")}
-        effects = FrameEffects.starting(light, person.casters(), shadow, **times)
+        effects = FrameEffects.starting(light, shadow, **times)
         effects.shading = Shading().to(light) if on.get("shading", False) else None
         return effects

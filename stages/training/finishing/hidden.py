@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -11,10 +11,11 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from stages.avatar.cameras.pinhole import project, unproject
+from stages.avatar.drawing.cast import Cast, Moment
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera, Rendering
 from stages.avatar.rasterize.rendering import BLUR, PIXEL
-from stages.avatar.splats.compose import compose, painted_pixels
+from stages.avatar.splats.compose import painted_pixels
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import spread_evenly
 from stages.training.finishing.completion import complete, membrane
@@ -33,8 +34,8 @@ MOST = 30_000  # of them for a place: a larger hole has fewer and larger ones
 FARTHEST = 1e4  # m: what fills a hole is no farther
 
 
-def fill_hidden(scene: SceneModel, views: Views, frames: list[int], people: Callable[[int], Splats | None]) -> int:
-    """Fill what the `people` of a frame hide of the scene in all `frames` of `views`; returns with how many Gaussians.
+def fill_hidden(scene: SceneModel, views: Views, frames: list[int], cast: Cast) -> int:
+    """Fill what the people of `cast` hide of the scene in all `frames` of `views`; returns with how many Gaussians.
 
     The picture of the frame in which most is hidden is completed from what is around, and so is inverse depth, which is
     linear on a plane; nothing comes before the people there. Gaussians go that paint there and that frames hardly show.
@@ -49,7 +50,7 @@ def fill_hidden(scene: SceneModel, views: Views, frames: list[int], people: Call
         hidden = behind.sum(0) > HIDDEN * beside.sum(0)
         most, which = behind[:, hidden].sum(1).max(0)
         key = looks[int(which)]
-        hole, inverse = never_seen(splats, views, key, frames, people(key))
+        hole, inverse = never_seen(splats, views, key, frames, cast)
         if min(float(most), hole.sum()) < least:
             break
         kinds = torch.as_tensor(np.stack([hole, ~hole, np.zeros_like(hole)], -1)).to(splats.means)
@@ -65,16 +66,15 @@ def fill_hidden(scene: SceneModel, views: Views, frames: list[int], people: Call
     return filled
 
 
-def never_seen(
-    splats: Splats, views: Views, key: int, frames: list[int], person: Splats | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where [H,W] in frame `key` the `person`, and a rim about them, hides what none of the `frames` shows; and 1 / z [H,W].
+@torch.no_grad()
+def never_seen(splats: Splats, views: Views, key: int, frames: list[int], cast: Cast) -> tuple[np.ndarray, np.ndarray]:
+    """Where [H,W] in frame `key` the people of `cast`, and a rim about them, hide what none of the `frames` shows; and 1 / z [H,W].
 
     It is taken for as deep as what is around the person, but behind them. What is not in a frame is not shown by it.
     """
     height, width = views.masks.shape[1:]
     never = _person(views, key)
-    inverse = _inverse_depth(splats, views, key, never, person)
+    inverse = _inverse_depth(splats, views, key, never, cast)
     points = unproject(np.argwhere(never)[:, ::-1] + 0.5, inverse[never], *_camera(views, key))
     left = np.arange(len(points))
     for i in frames:
@@ -91,7 +91,7 @@ def never_seen(
 
 def _surface(splats: Splats, views: Views, key: int, hole: np.ndarray, inverse: np.ndarray) -> list[Tensor] | None:
     """Points [P,3] m, colours [P,3] and sigmas [P] m that fill the hole [H,W] of frame `key`; None where nothing tells them."""
-    picture = complete(_drawn(splats, views, key).image.clamp(0, 1).cpu().numpy(), hole)
+    picture = complete(_drawn([splats], views, key).image.clamp(0, 1).cpu().numpy(), hole)
     if picture is None:
         return None
     step, at = math.ceil(math.sqrt(hole.sum() / MOST)), np.argwhere(hole)
@@ -107,15 +107,19 @@ def _person(views: Views, frame: int) -> np.ndarray:
     return (dilated(views.masks[frame].float() / 255, BESIDE) > 0.5).cpu().numpy()
 
 
-def _drawn(splats: Splats, views: Views, frame: int) -> Rendering:
+def _drawn(sets: Sequence[Splats], views: Views, frame: int) -> Rendering:
+    """Drawn at one instant."""
     height, width = views.masks.shape[1:]
-    return compose(None, splats, Camera(views.viewmats[frame], views.Ks[frame], width, height))[0]
+    (drawn,) = Moment(sets).draw(Camera(views.viewmats[frame], views.Ks[frame], width, height))
+    assert isinstance(drawn, Rendering), "nothing moves"
+    return drawn
 
 
-def _inverse_depth(splats: Splats, views: Views, frame: int, hole: np.ndarray, person: Splats | None) -> np.ndarray:
+def _inverse_depth(splats: Splats, views: Views, frame: int, hole: np.ndarray, cast: Cast) -> np.ndarray:
     """1 / z [H,W] of what is drawn, in a hole [H,W] as what is around it tells, but THICK behind the person that is nearest."""
-    inverse = membrane(_over_depth(_drawn(splats, views, frame)), hole).clip(1 / FARTHEST)
-    drawn = None if person is None else _drawn(person, views, frame)
+    inverse = membrane(_over_depth(_drawn([splats], views, frame)), hole).clip(1 / FARTHEST)
+    people = cast.at(frame).people
+    drawn = _drawn(people, views, frame) if people else None
     if drawn is None or not (there := (drawn.alpha > 0.5).cpu().numpy()).any():
         return inverse
     nearest = distance_transform_edt(~there, return_distances=False, return_indices=True)

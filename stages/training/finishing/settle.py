@@ -4,12 +4,14 @@ is made up for, and finer detail than networks know is won.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import cycle, islice
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from stages.avatar.drawing.cast import Cast
 from stages.avatar.effects.motion_blur import BlurredRendering
 from stages.avatar.model.human import COLOR
 from stages.avatar.model.person import Canonical, Resting, rest
@@ -17,9 +19,8 @@ from stages.avatar.rasterize import Camera, Layer, Rendering
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing.bake import Known
 from stages.training.step import losses
-from stages.training.step.company import Company
-from stages.training.step.person import PersonLearner
-from stages.training.views import person_box, person_frames
+from stages.training.step.person import Learning
+from stages.training.views import Views, person_box, person_frames
 
 STEPS = 256
 RATES = {"sh": 0.03, "opacity": 0.1, "size": 0.02, "place": 4e-4}  # falling to 0
@@ -69,49 +70,48 @@ class Change(NamedTuple):
         return (sum(flat) + (self.place / losses.ROUGH).square().sum(1)).mean()
 
 
-def settle(fit: Company, who: PersonLearner, person: Canonical, known: Known, frames: list[int]) -> Canonical:
-    """The finished person, changed as far as they are `known` to draw `frames` better, with and without the scene.
+def settle(
+    who: Learning, person: Canonical, known: Known, frames: list[int], cast: Cast, views: Views, human_loss: bool
+) -> Canonical:
+    """The finished `person`, changed as far as they are `known` to draw `frames` better, with and without the scene.
 
-    Poses, bones and scene stay. Pixels of other people are not compared. Without `train.human_loss` only both together are drawn.
+    Poses, bones and scene stay. Pixels of other people are not compared. Without `human_loss` only both together are drawn.
     """
-    views, seen, gains, viewmats = fit.full, who.masked(fit.full), fit.gains().detach(), fit.cameras().detach()
-    orient, body_pose, transl = (part.detach() for part in fit.bodies(who))
-    scene = None if fit.scene is None else fit.scene.splats().detach()
-    resting, scales = rest(person, who.canonical_bones), person.scales
+    learner, scales = who.who, person.scales
+    seen, resting = learner.masked(views), rest(person, learner.canonical_bones)
     first = person.sh, person.opacities, scales, person.means
     change = Change(*(torch.zeros_like(part).requires_grad_() for part in first))
     adam = torch.optim.Adam([{"params": [part], "name": name} for name, part in change._asdict().items()], eps=1e-15)
     near = nearest(person.means, person.means, NEIGHBOURS + 1)[1][:, 1:]
     generator = torch.Generator().manual_seed(0)
-    row = torch.arange(len(person.means) + (0 if scene is None else len(scene.means)), device=scales.device)
-    for step, i in enumerate(islice(cycle(person_frames(who.body, seen, frames)), STEPS)):
-        body, held = (orient[i], body_pose[i], transl[i]), change.held(known.own, known.told)
-        posed = fit.posed(held.at_rest(resting, scales), *body, of=who)
-        with torch.no_grad():
-            lit, motion = fit.effects.shade(scene, fit.stance(*body, of=who)), fit.motion(i, [who], [resting])
+    row = torch.arange(len(person.means) + (0 if cast.scene is None else len(cast.scene.means)), device=scales.device)
+    for step, i in enumerate(islice(cycle(person_frames(learner.body, seen, frames)), STEPS)):
+        held = change.held(known.own, known.told)
+        moment = cast.at(i, [replace(who, resting=held.at_rest(resting, scales))])
         image, mask, everybody = views.images[i].float() / 255, *(m[i].float() / 255 for m in (seen.masks, views.masks))
-        left, top, right, bottom = box = person_box(mask, posed.means.detach(), viewmats[i], views.Ks[i])
+        camera = Camera(views.viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
+        left, top, right, bottom = box = person_box(mask, moment.people[0].means.detach(), camera.viewmat, camera.K)
         crop = slice(top, bottom), slice(left, right)
         background = torch.rand(3, generator=generator).to(image)
         layers = {"person": Layer(row < len(person.means), box, background), "all": Layer(window=box)}
-        if scene is None:
+        if cast.scene is None:
             del layers["all"]
-        elif not fit.params.human_loss:
+        elif not human_loss:
             del layers["person"]
-        camera = Camera(viewmats[i], views.Ks[i], mask.shape[1], mask.shape[0])
-        pictures = fit.effects.draw(posed, lit, motion, camera, list(layers.values()))
+        pictures = moment.draw(camera, list(layers.values()))
         drawn: dict[str, Rendering | BlurredRendering] = dict(zip(layers, pictures))
+        gains = torch.ones_like(background) if views.gains is None else views.gains[i]
         clear, target = 1 - (everybody - mask)[crop], (image[crop], mask[crop], background)
         loss = PULL * held.pull() + EVEN * uneven(person.sh + held.sh, near, known.aslant)
         if "person" in drawn:
             alone = drawn["person"].image, drawn["person"].alpha
-            shown = losses.compared(*alone, gains[i], clear, fit.effects.blurs, target)
+            shown = losses.compared(*alone, gains, clear, cast.effects.blurs, target)
             loss = loss + ALONE * losses.person_only(*shown, *target)
         if "all" in drawn:
-            off = clear[..., None] * (drawn["all"].image * gains[i] - image[crop])
+            off = clear[..., None] * (drawn["all"].image * gains - image[crop])
             loss = loss + losses.photometric(image[crop] + off, image[crop])
         slopes = Change(*torch.autograd.grad(loss, change))
-        who.guard.contain(f"settling{who.number}", slopes._asdict())
+        learner.guard.contain(f"settling of {learner.name}", slopes._asdict())
         for part, slope in zip(change, slopes, strict=True):
             part.grad = slope
         for group in adam.param_groups:

@@ -4,49 +4,47 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from stages.avatar.drawing.cast import Cast
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
+from stages.avatar.model.person import Resting
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.gaussians import together
 from stages.training.settings import Params
 from stages.training.step import losses
 from stages.training.step.behind import inpaint_occluded
 from stages.training.step.clock import Clock
-from stages.training.step.company import Company
 from stages.training.step.densify import Densifier
 from stages.training.step.guard import Guard
-from stages.training.step.layers import DrawnFrame, Figure, layers_of, numbered
+from stages.training.step.layers import DrawnFrame, DrawnPerson, alone, layers_of, occluders
 from stages.training.step.optimizers import FRAMES, optimizers
-from stages.training.step.outlines import Outline
 from stages.training.step.patches import PatchLoss
-from stages.training.step.person import Another, PersonLearner
+from stages.training.step.person import Learning, PersonLearner, Poses, Starting, at_frame
 from stages.training.step.refine import FrameCorrections
 from stages.training.step.schedule import Options, Progress, rate
 from stages.training.step.transients import Transients
-from stages.training.views import Person, Views, frame_speeds
+from stages.training.views import Views, frame_speeds
 
 
-class Fit(Company):
+class Fit:
     """State of one training run. `train` lists the frames that may be learned from; no other is looked at.
 
-    Without a body and a model of the person, or without a scene, the other learns alone. Where `others` learn, too, the masks
-    of `views` are of everybody, and `outline` tells of the first.
+    Without people, or without a scene, the other learns alone. The masks of `views` are of all `people`.
     """
 
     def __init__(
         self,
         views: Views,
         train: list[int],
-        body: Person | None,
-        human: HumanModel | None,
+        people: Sequence[Starting],
         scene: SceneModel | None,
         params: Params,
         options: Options,
@@ -54,8 +52,6 @@ class Fit(Company):
         perceptual: Lpips | None = None,
         effects: FrameEffects | None = None,
         transients: Transients | None = None,
-        outline: Outline | None = None,
-        others: Sequence[Another] = (),
     ):
         self.full, self.small = views, views.half()
         self.train, self.scene, self.params, self.options = train, scene, params, options
@@ -63,18 +59,14 @@ class Fit(Company):
         self.half_until = params.half_until  # `rehearse` lowers it
         self.progress = Progress(params.steps, params.joint)
         self.guard, self.clock = Guard(), Clock()
-        self.people: list[PersonLearner] = []
-        if body is not None and human is not None:
-            self.people.append(PersonLearner(body, human, self.guard, outline))
-        for k, (theirs, model, seen) in enumerate(others, 1):
-            self.people.append(PersonLearner(theirs, model, self.guard, seen, numbered("human", k)))
+        self.people = [PersonLearner(one, self.guard, number) for number, one in enumerate(people, 1)]
         self.frames = FrameCorrections(len(views.images)).to(views.viewmats)
         self.trained = torch.zeros(len(views.images), dtype=torch.bool)
         self.trained[train] = True
         self.effects = (effects or FrameEffects()).to(views.viewmats)
         clothes = [p.body.clothing for p in self.people if p.body.clothing is not None]
         self.effects.clothes = nn.ModuleList(clothes).to(views.viewmats) if clothes else None
-        self.speeds = frame_speeds(views, body) if self.effects.takes_time else None
+        self.speeds = frame_speeds(views) if self.effects.takes_time else None
         self.frame, self.undrawn = train[0], 0
         self.order = torch.empty(0, dtype=torch.long)
         self.before: dict[str, Any] | None = None
@@ -150,29 +142,28 @@ class Fit(Company):
     def _draw(self, frame: int, views: Views) -> DrawnFrame | None:
         """Draw the layers that the losses of a frame need; None where it has nothing to teach."""
         image, mask = views.images[frame].float() / 255, views.masks[frame].float() / 255
-        viewmat, K = self._camera(frame), views.Ks[frame]
         height, width = mask.shape
+        camera = Camera(self._camera(frame), views.Ks[frame], width, height)
         gains = self.frames.gains(frame) if self.options.exposure else None
-        there, scene = self.drawn_people(frame, views), None
-        resting, figures, stances = [], [], []
+        there, scene, phase = self.drawn_people(frame, views), None, self.progress.phase
+        resting = []
         for learner in there:
             self.clock.start()
             resting.append(learner.resting())
             self.clock.lap("person's networks")
-            body = self.body(frame, learner)
-            person = self.posed(resting[-1], *body, frame=frame, of=learner)
-            figures.append(Figure(person, *learner.seen(views, frame)))
-            stances.append(self.stance(*body, of=learner))
-        if self.scene is not None and (self.progress.phase.scene or figures):
-            scene = self.scene.splats()
-            if not self.progress.phase.scene:
-                scene = scene.detach()
-        layers = layers_of(figures, scene, viewmat, K, self.params, self.generator)
+        if self.scene is not None and (phase.scene or there):
+            scene = self.scene.splats() if phase.scene else self.scene.splats().detach()
+        people = [
+            self.performer(who, still, partial(self.pose, who), swings=True)
+            for who, still in zip(there, resting, strict=True)
+        ]
+        moment = Cast(people, scene, self.effects, self.speeds).at(frame, people)
+        seen = [learner.seen(views, frame) for learner in there]
+        figures = [DrawnPerson(splats, *mask) for splats, mask in zip(moment.people, seen, strict=True)]
+        layers = layers_of(figures, scene, camera.viewmat, camera.K, self.params, self.generator)
         if not layers:
             return None
-        motion, lit = self.motion(frame, there, resting), self.effects.shade(scene, *stances)
-        people, camera = together([figure.splats for figure in figures]), Camera(viewmat, K, width, height)
-        pictures = self.effects.draw(people, lit, motion, camera, list(layers.values()))
+        pictures = moment.draw(camera, list(layers.values()))
         self.clock.lap("drawing")
         self.undrawn += pictures[0].dropped
         return DrawnFrame(frame, image, mask, gains, there, figures, scene, layers, dict(zip(layers, pictures)))
@@ -192,19 +183,18 @@ class Fit(Company):
             terms.append(whole)
             numbers["image"] = whole.item()
         for k, figure in enumerate(shot.figures):
-            alone, occluders = numbered("person", k), numbered("occluders", k)
-            if alone in drawn:
+            if (name := alone(k)) in drawn:
                 trust = shot.people[k].body.confidence[shot.frame]  # a doubtful pose teaches little
-                only, target = drawn[alone], shot.person_target(k)
-                known = None if figure.known is None else figure.known[shot.window(alone)]
+                only, target = drawn[name], shot.person_target(k)
+                known = None if figure.known is None else figure.known[shot.window(name)]
                 rendered, alpha = losses.compared(only.image, only.alpha, gains, known, self.effects.blurs, target)
                 apart = losses.person_only(rendered, alpha, *target)
                 terms.append(trust * apart)
                 terms.append(trust * self.patches(self.progress.step, rendered, *target))
-                numbers[alone] = apart.item()
-            if occluders in drawn:
-                there = figure.mask[shot.window(occluders)]
-                terms.append(losses.OCCLUDERS * (drawn[occluders].alpha * there).mean())
+                numbers[name] = apart.item()
+            if (name := occluders(k)) in drawn:
+                there = figure.mask[shot.window(name)]
+                terms.append(losses.OCCLUDERS * (drawn[name].alpha * there).mean())
         self.clock.lap("losses")
         swings = [p.corrections.swing_prior(shot.frame, self.train) for p in self.people]
         terms += [self.effects.prior(), *swings, *(p.pull for p in shot.people)]
@@ -224,7 +214,7 @@ class Fit(Company):
         first = 0
         for k, (learner, figure) in enumerate(zip(shot.people, shot.figures, strict=True)):
             own = slice(first, first := first + len(figure.splats.means))
-            layer = numbered("person", k) if numbered("person", k) in shot.drawn else "all"
+            layer = alone(k) if alone(k) in shot.drawn else "all"
             drawn, (height, width) = shot.drawn[layer], shot.mask[shot.window(layer)].shape
             statistics[learner.name].add(drawn.screen_grad_abs[own], drawn.radii[own], width, height)
             learner.learn_own(self.adam[learner.name])
@@ -253,12 +243,69 @@ class Fit(Company):
 
     def _inpaint(self, scene: SceneModel) -> Tensor:
         """Inpaint what the person hides or shades of the scene; returns which Gaussians, bool[N]."""
-        views, points = self.full._replace(viewmats=self.cameras()), scene.means.detach()
-        return inpaint_occluded(scene, views, self.train, lambda frame: self._shadow_depth(frame, points))
+        points = scene.means.detach()
+        return inpaint_occluded(scene, self.seen(), self.train, lambda frame: self._shadow_depth(frame, points))
 
     def _shadow_depth(self, frame: int, points: Tensor) -> Tensor:
         there = self.drawn_people(frame, self.full)
-        return self.effects.shadow_depth(points, *(self.stance(*self.body(frame, p), of=p) for p in there))
+        return self.effects.shadow_depth(points, [who.casters_in(*self.pose(who, frame)) for who in there])
+
+    # ---- what there is at a frame, with the corrections learned so far ----
+
+    def drawn_people(self, frame: int, views: Views) -> list[PersonLearner]:
+        """Who is drawn at a frame: their mask shows them, and their pose there is trusted."""
+        if not self.progress.phase.human:
+            return []
+        there = [p for p in self.people if p.body.confidence[frame] > 0]
+        return [p for p in there if (p.mask(views, frame) > 127).any()]
+
+    def performer(
+        self, who: PersonLearner, resting: Resting, pose: Callable[[int], Poses], swings: bool = False
+    ) -> Learning:
+        """Somebody at rest, as a `Cast` draws them in the poses of frames; see `Learning`."""
+        return Learning(who, resting, pose, self.options.antialias, self.effects.clothes is not None, swings)
+
+    def pose(self, who: PersonLearner, frame: int) -> Poses:
+        """global_orient[3], body_pose[69] and transl[3] of a frame, corrected where poses are refined."""
+        fitted = at_frame(who.body[:3], frame)
+        return who.corrections.body(frame, *fitted) if self.options.refine_pose else fitted
+
+    def poses(self, who: PersonLearner) -> Poses:
+        """Those of all frames: [F,3], [F,69], [F,3]; untrained frames take their neighbours' correction."""
+        if not self.options.refine_pose:
+            return who.body.global_orient, who.body.body_pose, who.body.transl
+        return who.corrections.bodies(who.body, self.trained, self.full.moments)
+
+    def _camera(self, frame: int) -> Tensor:
+        viewmat = self.full.viewmats[frame]
+        return self.frames.camera(frame, viewmat, self.trained) if self.options.refine_camera else viewmat
+
+    def cameras(self) -> Tensor:
+        """Corrected viewmats [F,4,4], of mean correction 0 over the training frames."""
+        if not self.options.refine_camera:
+            return self.full.viewmats
+        return self.frames.cameras(self.full.viewmats, self.trained, self.full.moments)
+
+    def gains(self) -> Tensor:
+        """Exposure factors [F,3], of geometric mean 1 over the training frames."""
+        if not self.options.exposure:
+            return torch.ones_like(self.frames.gain.weight)
+        return self.frames.all_gains(self.trained, self.full.moments)
+
+    @torch.no_grad()
+    def baked(self, who: PersonLearner) -> Learning:
+        """Somebody as they are baked now, in the corrected poses of all frames; no gradients."""
+        return self.performer(who, who.baked()[1], partial(at_frame, self.poses(who)))
+
+    def cast(self, people: Sequence[Learning] | None = None) -> Cast:
+        """The `people`, None: all, `baked`, and the scene; no gradients."""
+        scene = None if self.scene is None else self.scene.splats().detach()
+        there = [self.baked(who) for who in self.people] if people is None else people
+        return Cast(there, scene, self.effects, self.speeds)
+
+    def seen(self) -> Views:
+        """The frames with corrected cameras and their exposure."""
+        return self.full._replace(viewmats=self.cameras().detach(), gains=self.gains().detach())
 
     # ---- checkpoints ----
 

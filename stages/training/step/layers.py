@@ -19,8 +19,8 @@ from stages.training.views import NEAR, person_box
 CELLS = 64  # along the longer side of a picture, in which the person's nearest depth is looked up
 
 
-class Figure(NamedTuple):
-    """A person in a training frame: their `splats`, their mask[H,W] in 0..1, and known[H,W], 1 where the frame tells of them.
+class DrawnPerson(NamedTuple):
+    """A person in a training frame: their `splats`, their mask[H,W] in 0..1, and known[H,W], 1 where the frame shows whose it is.
 
     `known` None: everywhere.
     """
@@ -41,7 +41,7 @@ class DrawnFrame(NamedTuple):
     mask: Tensor
     gains: Tensor | None
     people: Sequence[PersonLearner]
-    figures: Sequence[Figure]
+    figures: Sequence[DrawnPerson]
     scene: Splats | None
     layers: dict[str, Layer]
     drawn: dict[str, Rendering | BlurredRendering]
@@ -52,17 +52,22 @@ class DrawnFrame(NamedTuple):
         left, top, right, bottom = window or (0, 0, self.mask.shape[1], self.mask.shape[0])
         return slice(top, bottom), slice(left, right)
 
-    def person_target(self, k: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-        """Image, mask and background[3] of the layer of one person alone."""
-        name = numbered("person", k)
+    def person_target(self, k: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Image, mask and background[3] of the layer of one of `people` alone."""
+        name = alone(k)
         crop, background = self.window(name), self.layers[name].background
         mask = self.figures[k].mask[crop]
         return self.image[crop], mask, self.mask.new_zeros(3) if background is None else background
 
 
-def numbered(name: str, k: int) -> str:
-    """A name for each of several people, from 0 on: human, human 2, human 3."""
-    return name if k == 0 else f"{name} {k + 1}"
+def alone(k: int) -> str:
+    """The layer of the `k`-th person drawn, alone."""
+    return f"person {k + 1}"
+
+
+def occluders(k: int) -> str:
+    """The layer of what is before the `k`-th person drawn."""
+    return f"before {alone(k)}"
 
 
 @torch.no_grad()
@@ -92,16 +97,16 @@ def foreground_occluders(scene: Splats, person: Tensor, viewmat: Tensor, K: Tens
 
 
 def layers_of(
-    figures: Sequence[Figure],
+    figures: Sequence[DrawnPerson],
     scene: Splats | None,
     viewmat: Tensor,
     K: Tensor,
     params: Params,
     generator: torch.Generator,
 ) -> dict[str, Layer]:
-    """The pictures that a step's losses need, by name: `all`, a `person` each, and `occluders` where the scene learns.
+    """The pictures that a step's losses need, by name: `all`, each person `alone`, and their `occluders` where the scene learns.
 
-    Those of further people are `numbered`. K[3,3] px of the frame; the random backgrounds come from `generator`.
+    K[3,3] px of the frame; the random backgrounds come from `generator`.
     """
     layers: dict[str, Layer] = {}
     if scene is not None:
@@ -114,9 +119,9 @@ def layers_of(
         box = person_box(figure.mask, means.detach(), viewmat, K)
         if params.human_loss:
             own = (first <= row) & (row < first + n)
-            layers[numbered("person", k)] = Layer(own, box, torch.rand(3, generator=generator).to(K), params.early_stop)
+            layers[alone(k)] = Layer(own, box, torch.rand(3, generator=generator).to(K), params.early_stop)
         if scene is not None and scene.means.requires_grad:
             before = torch.cat([row[:people] < 0, foreground_occluders(scene, means, viewmat, K, width, height)])
-            layers[numbered("occluders", k)] = Layer(before, box, stop=params.early_stop)
+            layers[occluders(k)] = Layer(before, box, stop=params.early_stop)
         first += n
     return layers

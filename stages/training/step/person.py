@@ -5,6 +5,8 @@ Gaussian's own with every frame.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -16,7 +18,8 @@ from stages.avatar.body.skinning import knn_weights
 from stages.avatar.effects.shadow import Casters
 from stages.avatar.model.decoders import OWN
 from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import Canonical, Resting, rest, taken_back
+from stages.avatar.model.person import Canonical, Resting, bone_transforms, pose, rest, taken_back
+from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 from stages.training.seen import as_body_where_unseen
 from stages.training.step import losses
@@ -26,47 +29,52 @@ from stages.training.step.refine import BodyCorrections
 from stages.training.views import Person, Views
 
 NEIGHBOURS = 8  # a surface Gaussian is held at their mean height
+Poses = tuple[Tensor, Tensor, Tensor]
+"""global_orient [...,3] and body_pose [...,69] rad, transl [...,3] m."""
 MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the body again
 
 
-class Another(NamedTuple):
-    """A further person of a clip, before training: their fitted body, model and outline."""
+class Starting(NamedTuple):
+    """A person before training: their fitted body, model and outline; without an outline they are alone."""
 
     body: Person
     human: HumanModel
-    outline: Outline
+    outline: Outline | None = None
 
 
 class PersonLearner:
-    """The model `human` of the person whose fitted `body` is known.
+    """Person `number`, from 1 on, of a clip: their fitted `body`, their model `human` and the `corrections` of their poses.
 
-    `outline` tells of them among several people, None: they are alone. `name` is theirs among the sets of Gaussians.
-    `corrections` are those of their poses.
+    `outline` has their masks among several people, None: they are alone. `name` is theirs among the sets of Gaussians.
 
-    `leaves` is what the networks say, `Shared` but at rest, with the `rotations` to there: tensors that collect gradients, None
+    `leaves` is what the networks give, `Shared` but at rest, with the `rotations` to there: tensors that collect gradients, None
     until they are decoded again. `color_grad_sum` [N] sums the gradients of each Gaussian's colour: what stays at 0 no
     frame has shown. `pull` is what the frame that is drawn pays for corrections.
     """
 
-    def __init__(
-        self, body: Person, human: HumanModel, guard: Guard, outline: Outline | None = None, name: str = "human"
-    ):
-        self.body, self.human, self.guard, self.name = body, human, guard, name
-        self.outline, self.small = outline, outline and outline.half()
-        self.number = name.removeprefix("human")
-        self.corrections = BodyCorrections(len(body.transl), body.own_bones).to(body.vertices)
-        self.canonical_bones = body.canonical_bones()
-        self.surface, _, self.surface_weights = body.surface()
+    def __init__(self, one: Starting, guard: Guard, number: int = 1):
+        self.body, self.human, self.guard, self.number = one.body, one.human, guard, number
+        self.name = f"person {number}"
+        self.outline, self.small = one.outline, one.outline and one.outline.half()
+        self.corrections = BodyCorrections(len(self.body.transl), self.body.own_bones).to(self.body.vertices)
+        self.canonical_bones = self.body.canonical_bones()
+        self.surface, _, self.surface_weights = self.body.surface()
         self.leaves: dict[str, Tensor] | None = None
         self.pull = torch.zeros(())
         self.near: Tensor | None = None
         self.reference, self.reference_at = torch.zeros(0, 24), torch.zeros(0, 3)
-        self.color_grad_sum = torch.zeros(len(human)).to(body.vertices)
+        self.color_grad_sum = torch.zeros(len(self.human)).to(self.body.vertices)
 
     @cached_property
     def casters(self) -> Casters:
-        """What of them casts a shadow, at rest."""
+        """What casts the person's shadow, at rest."""
         return self.body.casters()
+
+    @torch.no_grad()
+    def casters_in(self, global_orient: Tensor, body_pose: Tensor, transl: Tensor) -> Casters:
+        """What casts the person's shadow in a pose [3], [69], [3], in the world."""
+        bones = bone_transforms(self.body.joints, self.body.parents, global_orient, body_pose)
+        return self.casters.posed(bones, transl)
 
     def mask(self, views: Views, frame: int) -> Tensor:
         """Their mask uint8 [H,W] in a frame of `views`, whole or half."""
@@ -115,7 +123,7 @@ class PersonLearner:
     def learn_own(self, optimizer: Optimizer) -> None:
         """Take one step of the Gaussians' own corrections with the gradients of a frame."""
         own = {name: getattr(self.human.residuals, name).grad for name in OWN}
-        self.guard.contain(f"corrections{self.number}", own)
+        self.guard.contain(f"corrections of {self.name}", own)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
 
@@ -125,7 +133,7 @@ class PersonLearner:
         if leaves is None or leaves["means"].grad is None:
             return
         collected = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
-        self.guard.contain(f"person{self.number}", collected)
+        self.guard.contain(self.name, collected)
         self.color_grad_sum += collected["sh"].abs().sum((1, 2))
         prior = self.prior
         if self.shared.weights.requires_grad:
@@ -134,10 +142,10 @@ class PersonLearner:
         decoded = [self.decoded[name] for name in slopes]
         torch.autograd.backward([*decoded, prior], [*slopes.values(), torch.ones_like(prior)])
         rows = {name: getattr(owner, name) for owner, name in self.human.rows()}
-        self.guard.contain(f"places{self.number}", {name: p.grad for name, p in rows.items() if p.grad is not None})
+        self.guard.contain(f"places of {self.name}", {name: p.grad for name, p in rows.items() if p.grad is not None})
         by_row = {id(p) for p in rows.values()}
         shared = [p.grad for p in self.human.parameters() if id(p) not in by_row and p.grad is not None]
-        if self.guard.clip(f"networks{self.number}", shared):
+        if self.guard.clip(f"networks of {self.name}", shared):
             optimizer.step()
         optimizer.zero_grad(set_to_none=True)
 
@@ -187,3 +195,48 @@ class PersonLearner:
         self.leaves = self.near = None
         for name, grad in state["leaves"].items():
             self._decoded()[name].grad = grad.clone()
+
+
+def at_frame(poses: Poses, frame: int) -> Poses:
+    """The pose [3], [69], [3] of one of F frames."""
+    orient, body_pose, transl = poses
+    return orient[frame], body_pose[frame], transl[frame]
+
+
+@dataclass(frozen=True)
+class Learning:
+    """A `Performer`: somebody who learns, as they are `resting`, in the poses [3], [69], [3] of frames.
+
+    `swings`: clothes swing as corrected in the frame, else as the pose makes them; not `clothed`: they follow the skeleton.
+    """
+
+    who: PersonLearner
+    resting: Resting
+    pose: Callable[[int], Poses]
+    antialias: bool
+    clothed: bool
+    swings: bool = False
+
+    def shown(self, frame: int) -> bool:
+        """Whether the frame shows the person."""
+        return self.who.shown(frame)
+
+    def splats(self, frame: int) -> Splats:
+        """The person's Gaussians in the world, in even light."""
+        return self._posed(frame, self.swings)
+
+    def casters(self, frame: int) -> Casters:
+        """What casts the person's shadow, in the world."""
+        return self.who.casters_in(*self.pose(frame))
+
+    def means(self, frame: int) -> Tensor | None:
+        """Means [N,3] m of the Gaussians; None where no fit shows how they stand."""
+        return self._posed(frame, False).means if self.who.body.confidence[frame] > 0 else None
+
+    def _posed(self, frame: int, swings: bool) -> Splats:
+        body, (orient, body_pose, transl) = self.who.body, self.pose(frame)
+        bones = bone_transforms(body.joints, body.parents, orient, body_pose)
+        if body.clothing is not None:
+            swing = body.clothing.swing(body_pose) if self.clothed else None
+            bones = body.clothing.hang(bones, self.who.corrections.swing_of(frame if swings else None, swing))
+        return pose(self.resting, bones, transl)._replace(antialias=self.antialias)

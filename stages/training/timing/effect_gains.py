@@ -109,8 +109,9 @@ def effect_gains(fit: Fit, frames: list[int], far: list[int]) -> dict[str, dict[
 
 
 def _psnr(fit: Fit, frames: list[int], far: list[int]) -> dict[str, float | None]:
-    near = heldout_accuracy(fit, frames)
-    return {key: near[key] for key in ("psnr", "psnr_person")} | {"psnr_far": heldout_accuracy(fit, far)["psnr_person"]}
+    cast, views = fit.cast(), fit.seen()
+    near, new = (heldout_accuracy(cast, views, some) for some in (frames, far))
+    return {key: near[key] for key in ("psnr", "psnr_person")} | {"psnr_far": new["psnr_person"]}
 
 
 def _seconds(fit: Fit) -> float:
