@@ -111,7 +111,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         strips.mkdir(parents=True, exist_ok=True)
         shot = Shot(clips, cast, k, i, facts.exposure.get(clip.names[i]))
         for protocol in protocols:
-            moment = shot.moment if protocol == "heldout" else fit_pose(shot, params.fit_steps)
+            moment = shot.moment if protocol == "heldout" else shot.posed(*fit_pose(shot, params.fit_steps))
             drawn = shot.draw(moment)
             found = dict(_scores(shot, drawn, lpips)) | dict(_masked(shot, moment, lpips) if params.masked else ())
             rows[protocol].append({"name": clip.names[i]} | found)
@@ -159,10 +159,11 @@ class Shot:
 
         from stages.avatar.measures.metrics import person_crop
 
-        clip, self.person, self.i = clips[k], cast.people[k], i
+        clip, self.person = clips[k], cast.people[k]
         like = self.person.transl
         there = [n for n, one in enumerate(cast.people) if one.shown(i)]
         self.row, self.lit = there.index(k) if k in there else None, cast.effects.lit
+        self.pose = self.person.global_orient[i], self.person.body_pose[i], self.person.transl[i]
         with torch.no_grad():
             self.moment = cast.at(i)
         self.image = torch.tensor(clip.images(i)).to(like) / 255
@@ -177,11 +178,12 @@ class Shot:
         """The moment with the person in another pose [3], [69], [3]; shadows and speeds stay, as they are not fitted."""
         from dataclasses import replace
 
+        if self.row is None:
+            return self.moment
         orient, body_pose, transl = (part[None] for part in pose)
+        there = replace(self.person, global_orient=orient, body_pose=body_pose, transl=transl)
         people = list(self.moment.people)
-        people[self.row or 0] = self.lit(
-            replace(self.person, global_orient=orient, body_pose=body_pose, transl=transl).splats(0)
-        )
+        people[self.row] = self.lit(there.splats(0))
         return self.moment._replace(people=people)
 
     def alone(self, moment: Moment) -> Moment:
@@ -222,39 +224,38 @@ class Shot:
         return both, alone
 
 
-def fit_pose(shot: Shot, steps: int) -> Moment:
-    """The moment in the best pose in `steps` of Adam on the absolute difference around the person; no Gaussian moves."""
+def fit_pose(shot: Shot, steps: int) -> Sequence[torch.Tensor]:
+    """The best pose [3], [69], [3] in `steps` of Adam on the absolute difference around the person; no Gaussian moves."""
     import torch
 
     from stages.avatar.measures.metrics import over_white
 
     if shot.row is None or shot.box is None:
-        return shot.moment
+        return shot.pose
     (rows, columns), (height, width) = shot.box, shot.mask.shape
     box = (
         slice(max(0, rows.start - MARGIN), min(height, rows.stop + MARGIN)),
         slice(max(0, columns.start - MARGIN), min(width, columns.stop + MARGIN)),
     )
-    began = (shot.person.global_orient, shot.person.body_pose, shot.person.transl)
-    pose = [part[shot.i].clone().requires_grad_() for part in began]
+    pose = [part.clone().requires_grad_() for part in shot.pose]
     groups = [{"params": pose[:2], "lr": LR_POSE["turn"]}, {"params": pose[2:], "lr": LR_POSE["place"]}]
     optimiser = torch.optim.Adam(groups, betas=MOMENTUM)
     falling = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.0, max(1, steps))
     alone = shot.moment.scene is None
     truth = (over_white(shot.image, shot.mask) if alone else shot.image)[box]
     known = (~shot.theirs if alone else torch.ones_like(shot.theirs))[box]  # alone: not where another may hide them
-    best, least = [part.detach().clone() for part in pose], float("inf")
+    best, least = shot.pose, float("inf")
     for _ in range(steps):
         optimiser.zero_grad()
         moment = shot.posed(*pose)
         loss = ((shot.render(shot.alone(moment) if alone else moment, box, white=alone) - truth) * known).abs().mean()
         if loss.item() < least:
-            best, least = [part.detach().clone() for part in pose], loss.item()
+            now = [part.detach().clone() for part in pose]
+            best, least = (now[0], now[1], now[2]), loss.item()
         loss.backward()
         optimiser.step()
         falling.step()
-    with torch.no_grad():
-        return shot.posed(*best)
+    return best
 
 
 def _finite(image: torch.Tensor, truth: torch.Tensor, lpips: Lpips | None) -> dict[str, float | None]:

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.avatar.drawing.draw import draw, to_uint8
+from stages.avatar.drawing.cast import Moment
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.rasterize import Camera
-from stages.filming.company import Member, load_company
+from stages.filming.clip_cast import load_cast
 from stages.formats.body_model import read_body_model
 from stages.formats.images import write_mask
 from stages.formats.people import folder_of
@@ -45,35 +46,37 @@ def run(pair, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def people(run) -> list[Member]:
-    return load_company(run / "sfm", run / "smpl", run / "train", "cpu")
+def people(run):
+    return load_cast(run / "sfm", run / "smpl", run / "train", "cpu")
 
 
 def test_each_stands_where_they_stood(people, pair):
-    assert len(people) == 2
+    clips, _ = people
+    assert len(clips) == 2
     names, free = tuple(f"{i:06d}" for i in range(len(pair.views[0]))), read_body_model()
-    for k, (one, view) in enumerate(zip(people, pair.views, strict=True)):
+    for k, (one, view) in enumerate(zip(clips, pair.views, strict=True)):
         height, width = view.masks.shape[1:]
-        similarity = align(one.clip.world_cameras, Cameras(names, view.viewmats, view.Ks, width, height))
+        similarity = align(one.world_cameras, Cameras(names, view.viewmats, view.Ks, width, height))
         known = view.global_orient, view.body_pose, view.transl, np.ones(len(names))
         truth = BodyPoses(names, pair.betas[k], *known)
-        world, about = joint_errors(one.clip.body, truth, similarity, one.clip.body_model, free)
+        world, about = joint_errors(one.body, truth, similarity, one.body_model, free)
         print(f"person {k + 1}: {100 * world:.1f} cm in the world, {100 * about:.1f} cm about the pelvis")
         assert world < (0.15, 0.4)[k], "the second is 60 px tall and half hidden; the other stands 0.8 m away or more"
 
 
 def test_each_is_drawn_without_the_other_and_the_room_without_both(people, pair):
     found: dict[str, list[float]] = {"1": [], "2": [], "room": []}
-    cameras = people[0].clip.world_cameras
-    for row in np.flatnonzero(people[0].clip.heldout):
+    (clip, _), cast = people
+    cameras = clip.world_cameras
+    for row in np.flatnonzero(clip.heldout):
         i = int(cameras.names[row])
         camera = Camera.of(cameras.viewmats[row], cameras.Ks[row], cameras.width, cameras.height)
-        for k, one in enumerate(people):
-            drawn = to_uint8(draw(one.splats(row), None, camera, 1.0)[0])
+        for k, one in enumerate(cast.people):
+            drawn = to_uint8(Moment([one.splats(row)]).picture(camera, 1.0)[0])
             rows, columns = (np.flatnonzero(pair.whole[k, i].any(axis)) for axis in (1, 0))
             box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             found[str(k + 1)].append(psnr(drawn[box], pair.alone[k, i][box]))
-        room = to_uint8(draw(None, people[0].learned.scene, camera)[0])
+        room = to_uint8(Moment((), cast.scene).picture(camera)[0])
         stood = np.maximum(*(view.masks[i] for view in pair.views)) > 0
         found["room"].append(psnr(room[stood], pair.rooms[i][stood]))
     means = {name: float(np.mean(values)) for name, values in found.items()}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import together
 from stages.formats.cameras import read_cameras
@@ -18,6 +18,7 @@ from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Effects
 from tests.made import tiny
+from tests.made.learned import draw, load_learned
 
 ASIDE = np.array([0.75, 0.0, -0.3])  # m in a world with y down
 INKS = [1, 2, 0]

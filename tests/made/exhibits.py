@@ -9,14 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from stages import export
-from stages.avatar.body.smpl import Body
-from stages.avatar.effects.shadow import casters
 from stages.contract import Job
 from stages.formats import viewer
-from stages.formats.body_model import read_body_model
 from stages.formats.effects import write_effects
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Effects, Scene
@@ -40,15 +36,12 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     person = replace(person, lbs_weights=spread(person.lbs_weights))
     write_splats(train / "avatar.npz", dress(person, some_clothes()))
     if scene:
-        body = Body(read_body_model())
-        parts = casters(body.rest(torch.zeros(10))[0], body.lbs_weights)
         light = np.array([0.3, -0.2, -0.93])
         shadow: dict[str, Any] = {"darkness": 0.6, "softness": 0.05, "density": 2.0, "size": 0.8}
         light /= np.linalg.norm(light)
         wall = read_scene(train / "scene.npz")  # no two at one depth: which of them is in front is not defined
         rough = wall.means + np.random.default_rng(6).uniform(-0.1, 0.1, wall.means.shape) * [0, 0, 1]
         write_splats(train / "scene.npz", hazy(replace(wall, means=rough)))
-        shadow |= {"middles": parts.middles, "covariances": parts.covariances}
         shading = np.random.default_rng(7).normal(0, 0.4, (8, 3))
         write_effects(train / "effects.npz", Effects(light, **shadow, shading=shading))
     folders["export"] = folder / "export"

@@ -8,9 +8,9 @@ from stages.avatar.cameras.pinhole import look_at
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Canonical, bone_transforms, pose, rest
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import compose
 from stages.formats.body_model import read_body_model
 from stages.training.views import Person, Views
+from tests.made.learned import compose
 from tests.made.skin import on_vertices
 
 SIZE, STILL = 192, torch.zeros(3)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl import DA_POSE, Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
-from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.motion.placing import Soles
 from stages.avatar.rasterize import Camera
 from stages.contract import StageRecord
@@ -27,6 +27,7 @@ from stages.formats.points import write_points
 from stages.formats.poses import write_poses
 from stages.formats.splats import write_splats
 from stages.records import Avatar, BodyPoses, Cameras, Effects, Ground, Scene
+from tests.made.learned import draw, load_learned
 
 FRAMES, WIDTH, HEIGHT, EMPTY = 8, 96, 128, 7
 FOCAL = 100.0

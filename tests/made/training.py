@@ -7,19 +7,22 @@ import io
 import numpy as np
 import torch
 import trimesh
+from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from stages.avatar.model.human import HumanModel
-from stages.avatar.model.person import bone_transforms, pose, rest
+from stages.avatar.model.person import Resting, bone_transforms, pose, rest
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import compose
+from stages.avatar.splats.gaussians import Splats
 from stages.training.settings import Params
 from stages.training.step.fit import Fit
+from stages.training.step.person import Starting
 from stages.training.step.schedule import Options
 from stages.training.step.transients import Transients
 from stages.training.views import Person, Views
 from tests.made.clothes import dressed
+from tests.made.learned import compose
 from tests.made.skeleton import PARENTS
 from tests.made.skin import on_vertices
 
@@ -86,7 +89,13 @@ def fit_of(clip, steps: int = 40, scene: bool = True, **more) -> Fit:
     views, person = clip
     human, wall, generator = models()
     how = settings(steps, **{"exposure": True} | more)
-    return Fit(views, TRAIN, person, human, wall if scene else None, *how, generator)
+    return Fit(views, TRAIN, [Starting(person, human)], wall if scene else None, *how, generator)
+
+
+def posed(fit: Fit, resting: Resting, *pose: Tensor, frame: int | None = None) -> Splats:
+    """The first person, at rest, in a pose [3], [69], [3]; clothes as they swing in a `frame`, or in that pose."""
+    who = fit.performer(fit.people[0], resting, lambda _: pose, swings=frame is not None)
+    return fit.effects.lit(who.splats(frame or 0))
 
 
 def run(fit: Fit, until: int) -> list[float]:
@@ -135,4 +144,4 @@ def everything(clip, steps: int = 24) -> Fit:
         300.0,
     )
     how = settings(steps, exposure=True, antialias=True)
-    return Fit(views, TRAIN, person, human, scene, *how, generator, transients=Transients(views, TRAIN))
+    return Fit(views, TRAIN, [Starting(person, human)], scene, *how, generator, transients=Transients(views, TRAIN))

@@ -14,7 +14,7 @@ from stages.avatar.splats.gaussians import together
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.training.step.fit import Fit
 from stages.training.step.outlines import Outline, outlines
-from stages.training.step.person import Another
+from stages.training.step.person import Starting
 from stages.training.views import Person, Views
 from tests.made.skeleton import PARENTS
 from tests.made.skin import on_vertices
@@ -88,8 +88,6 @@ def fit_of_two(
     views, people, masks = clip
     seen: list[Outline] = outlines(views, masks, people)
     chosen = [0, 1] if alone is None else [alone]
-    (body, human, outline), *others = [(people[k], model(people[k], 1 + k), seen[k]) for k in chosen]
+    starting = [Starting(people[k], model(people[k], 1 + k), seen[k]) for k in chosen]
     how = settings(steps, **{"exposure": False} | more)
-    generator = torch.Generator().manual_seed(3)
-    rest_of = [Another(*one) for one in others]
-    return Fit(views, TRAIN, body, human, make_wall(1), *how, generator, outline=outline, others=rest_of)
+    return Fit(views, TRAIN, starting, make_wall(1), *how, torch.Generator().manual_seed(3))

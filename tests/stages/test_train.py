@@ -16,13 +16,12 @@ import torch
 
 from stages import evaluate, render, train
 from stages.avatar.drawing.avatar import load_avatar, pose_avatar
-from stages.avatar.drawing.draw import Learned, load_learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
 from stages.avatar.rasterize.rendering import T_STOP
 from stages.contract import Job, StageError, Stopped
-from stages.filming.company import Member
+from stages.filming.clip_cast import load_cast
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import write_cameras
 from stages.formats.clip import load_clip
@@ -32,7 +31,6 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points, write_points
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene
-from stages.formats.trained import read_trained
 from stages.records import Avatar, BodyPoses, Cameras
 from stages.training.beginning.start import build
 from stages.training.checkpoint import Checkpoint
@@ -44,6 +42,7 @@ from stages.training.run import SAVED, Training, begin, finish, learn
 from stages.training.step import losses
 from stages.training.step.fit import Fit
 from stages.training.timing.deadline import Pace
+from tests.made.training import posed
 
 FRAMES, WIDTH, HEIGHT = 8, 48, 40
 STARTS = {"shadow": [0.6, 0.0, -0.8, 0.3]}
@@ -165,13 +164,13 @@ def test_l11_outputs_and_the_avatar_needs_no_network(inputs, plain, held, monkey
     assert changed == ["means", "scales", "opacities", "sh0"], "what settles"
     baked = pose_avatar(load_avatar(bare), *body)
     with torch.no_grad():
-        canonical, _ = fit.person.baked()
-        stay = ~floating(canonical, fit.person.body)
-        poses = dict(zip(("global_orient", "body_pose", "transl"), fit.bodies(), strict=True))
-        seen = fit.person.body._replace(**poses), fit.full._replace(viewmats=fit.cameras()), fit.train
+        canonical, _ = fit.people[0].baked()
+        stay = ~floating(canonical, fit.people[0].body)
+        poses = dict(zip(("global_orient", "body_pose", "transl"), fit.poses(fit.people[0]), strict=True))
+        seen = fit.people[0].body._replace(**poses), fit.full._replace(viewmats=fit.cameras()), fit.train
         even, moved = snap_to_surface(Canonical(*(part[stay] for part in canonical)), *seen)
-        short, longer = shorten(even, SHORT * fit.human.initial().scales.amax(1)[stay])
-        network = fit.posed(rest(short, fit.person.canonical_bones), *body)
+        short, longer = shorten(even, SHORT * fit.people[0].human.initial().scales.amax(1)[stay])
+        network = posed(fit, rest(short, fit.people[0].canonical_bones), *body)
     facts, n = json.loads((plain / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
     assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["evened"] == moved < 0.2 * n
@@ -294,8 +293,8 @@ def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_befor
     monkeypatch.setattr(losses, "photometric", lambda *a: real(*a) * torch.nan)
     with pytest.raises(StageError, match="training broke down") as error:
         train.run(job, params, **inputs)
-    assert "step 19, frame" in error.value.facts[0] and "20 bad steps in a row for the loss" in error.value.facts[0]
-    with pytest.raises(FloatingPointError, match="20 bad steps in a row for the loss") as again:
+    assert "step 19, frame" in error.value.facts[0] and "20 bad steps in a row, loss" in error.value.facts[0]
+    with pytest.raises(FloatingPointError, match="20 bad steps in a row, loss") as again:
         train.replay(job.out / "failure.npz")
     assert str(again.value) in error.value.facts[0]
     monkeypatch.setattr(losses, "photometric", real)
@@ -316,7 +315,7 @@ def test_h01_a_failure_is_replayed_without_the_effects_that_time_was_too_short_f
     monkeypatch.setattr(losses, "photometric", lambda *a: real(*a) * torch.nan)
     with pytest.raises(StageError, match="training broke down"):
         train.run(job, PARAMS.model_copy(update={"steps": 40}), **inputs)
-    with pytest.raises(FloatingPointError, match="20 bad steps in a row for the loss"):
+    with pytest.raises(FloatingPointError, match="20 bad steps in a row, loss"):
         train.replay(job.out / "failure.npz")
 
 
@@ -329,7 +328,7 @@ def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted
     fit, sizes = training.fit, training.fit.sizes()
     fit.scene.means.data[1, 2] = torch.nan
     fit.scene.quats.data[2] = 0
-    fit.human.log_sizes[4] = 200  # the exponential overflows
+    fit.people[0].human.log_sizes[4] = 200  # the exponential overflows
     train.write(job.out, finish(training, job))
     assert "3 Gaussians left out of the result because they are not finite" in said
     scene, avatar = read_scene(job.out / "scene.npz"), read_avatar(job.out / "avatar.npz")
@@ -417,14 +416,14 @@ def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path
     held(np.abs(clip.viewmats - training.fit.cameras().numpy()).max(), 1e-6)
     moved = np.abs(clip.viewmats - given.viewmats)[clip.training].max((1, 2))
     assert (moved > 1e-5).all() and moved.max() < 0.05
-    learned = load_learned(*read_trained(job.out))
+    clips, cast = load_cast(inputs["sfm"], inputs["smpl"], job.out, "cpu")
     for i in (2, 7):  # held out: as evaluation draws it, and as the film has it
-        shot = evaluate.Shot(clip, learned, i, None, "cpu")
-        wanted = (shot.draw(shot.pose)[0].numpy() * 255).round()
-        (film,) = render._beside_truth([Member(clip, learned)], [i], {})
+        shot = evaluate.Shot(clips, cast, 0, i, None)
+        wanted = (shot.draw(shot.moment)[0].numpy() * 255).round()
+        (film,) = render._beside_truth(clip, cast, [i], {})
         assert np.abs(film[:, WIDTH:] - wanted).max() <= 1
-        still, pose = Learned(*learned[:2], FrameEffects()), pose_of(clip.body, i)
-        sharp = evaluate.Shot(clip, still, i, None, "cpu").draw(pose)[0].numpy() * 255
+        still = evaluate.Shot(clips, cast._replace(effects=FrameEffects(), speeds=None), 0, i, None)
+        sharp = still.draw(still.moment)[0].numpy() * 255
         assert np.abs(sharp - wanted).max() > 3
     assert not (plain / "effects.npz").exists() and not (plain / "cameras.npz").exists()
 
@@ -463,9 +462,11 @@ def test_every_ablation_reaches_what_is_trained(inputs):
         training = trained(inputs, params)
         fit, known = training.fit, training.fit.params
         assert (known.human_densify, known.human_loss, known.joint) == (there, there, there)
-        assert (fit.human.triplane is not None) is there and fit.person.shared.weights.requires_grad is there
+        assert (fit.people[0].human.triplane is not None) is there and fit.people[
+            0
+        ].shared.weights.requires_grad is there
     result = finish(training, Job(inputs["sfm"]))
-    assert len(result.avatar) > 0 and len(result.scene) > 0
+    assert len(result.people[0][0]) > 0 and len(result.scene) > 0
 
 
 @pytest.mark.parametrize("setting", ["human_loss", "joint"])
@@ -538,9 +539,10 @@ def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
     job = fresh(tmp_path, "out")
     train.run(job, PARAMS, **inputs)
     assert json.loads((job.out / "train.json").read_text())["left_out"] == 0
-    clip, learned = load_clip(inputs["sfm"], inputs["smpl"], job.out), load_learned(*read_trained(job.out))
-    drawn = evaluate.Shot(clip, learned, 2, None, "cpu").draw(pose_of(clip.body, 2))[0]
-    (film,) = render._beside_truth([Member(clip, learned)], [2], {})
+    clips, cast = load_cast(inputs["sfm"], inputs["smpl"], job.out, "cpu")
+    shot = evaluate.Shot(clips, cast, 0, 2, None)
+    drawn = shot.draw(shot.moment)[0]
+    (film,) = render._beside_truth(clips[0], cast, [2], {})
     assert np.abs(film[:, WIDTH:] - (drawn.numpy() * 255).round()).max() <= 1
 
 
@@ -621,7 +623,7 @@ def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
 @pytest.mark.parametrize(("steps", "group"), [(1, 2), (3, 5)])
 def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, steps, group):
     fit = trained(inputs, PARAMS.model_copy(update={"steps": steps, "views_per_decode": group})).fit
-    assert fit.person.color_grad_sum.sum() > 0
+    assert fit.people[0].color_grad_sum.sum() > 0
 
 
 @pytest.mark.slow
@@ -636,7 +638,7 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
     assert facts["unseen"] > 0 and facts["leant"] > 0 and facts["clipped"] == 3 and facts["behind"] == 5
     assert facts["filled"] == 7 * len(fit.train)
     begun = facts["sizes"]["human_cap"]
-    assert begun == len(fit.human) > 6800 and facts["sizes"]["scene_cap"] > 10
+    assert begun == len(fit.people[0].human) > 6800 and facts["sizes"]["scene_cap"] > 10
     for part in (
         f"the person begins with {begun:,} Gaussians, more than human_cap (100)",
         "Gaussians, more than scene_cap (10)",
@@ -653,8 +655,8 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
 def test_a_finished_training_is_kept_where_what_is_hidden_cannot_be_filled(tmp_path, inputs, monkeypatch):
     met = []
 
-    def breaks(scene, views, frames, people):
-        met.extend(people(frame) for frame in frames)
+    def breaks(scene, views, frames, cast):
+        met.extend(one for frame in frames for one in cast.at(frame).people)
         raise ValueError("no memory left")
 
     monkeypatch.setattr("stages.training.results.fill_hidden", breaks)
@@ -663,7 +665,9 @@ def test_a_finished_training_is_kept_where_what_is_hidden_cannot_be_filled(tmp_p
     training = trained(inputs, PARAMS, job)
     assert finish(training, job).facts["filled"] == 0
     assert any("could not be filled and stays as it was before: no memory left" in text for text in said)
-    assert all(len(one.means) == len(training.fit.human) and not one.means.requires_grad for one in met), "who is there"
+    assert all(len(one.means) == len(training.fit.people[0].human) and not one.means.requires_grad for one in met), (
+        "who is there"
+    )
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ class Guard:
         """Count bad steps of `owner` in a row; FloatingPointError, with the last reason, when there are BAD_STEPS."""
         self.streaks[owner] = self.streaks.get(owner, 0) + 1 if bad else 0
         if self.streaks[owner] >= BAD_STEPS:
-            raise FloatingPointError(f"{BAD_STEPS} bad steps in a row for the {owner}: {why}")
+            raise FloatingPointError(f"{BAD_STEPS} bad steps in a row, {owner}: {why}")
 
     def _learn(self, name: str, entry: float) -> None:
         if entry:

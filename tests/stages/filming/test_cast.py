@@ -101,13 +101,17 @@ def test_what_casts_the_shadow_is_the_body_or_where_that_is_not_known_the_gaussi
     own = cast(Person(avatar=run, motion="wave"), "a", SLOPE, FPS, "cpu")
     alone = cast(Person(avatar=run / "train" / "avatar.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
     assert alone.model is not None
-    np.testing.assert_allclose(alone.parts.middles, own.parts.middles, atol=1e-6)
+    np.testing.assert_allclose(alone.baked.casters.middles, own.baked.casters.middles, atol=1e-6)
     avatar = read_avatar(tiny["train"] / "avatar.npz")
     write_splats(tmp_path / "other.npz", replace(avatar, joints=avatar.joints * 1.1))
     other = cast(Person(avatar=tmp_path / "other.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
     assert other.model is None
-    limb = own.parts.covariances.diagonal(dim1=1, dim2=2).sum(1) > 1e-4
-    assert (other.parts.middles - own.parts.middles)[limb].norm(dim=1).median() < 0.05
+    limb = own.baked.casters.covariances.diagonal(dim1=1, dim2=2).sum(1) > 1e-4
+    held = replace(avatar, joints=avatar.joints * 1.1, casters=(np.ones((24, 3)), np.zeros((24, 3, 3))))
+    write_splats(tmp_path / "held.npz", held)
+    told = cast(Person(avatar=tmp_path / "held.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
+    assert (told.baked.casters.middles == 1).all(), "as the file has it"
+    assert (other.baked.casters.middles - own.baked.casters.middles)[limb].norm(dim=1).median() < 0.05
 
 
 def test_a_file_has_no_clip_to_move_as_in(run):

@@ -17,7 +17,6 @@ from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast
 from stages.filming.page import page
 from stages.filming.parts import Parts
-from stages.filming.picture import everybody
 from stages.filming.setting import load_setting
 from stages.filming.shoot import Shoot
 from stages.filming.spec import Film, Person
@@ -81,7 +80,7 @@ def test_splats_are_y_down_whichever_way_the_scene_is(shoot, tmp_path, monkeypat
     outputs.splats(
         replace(shoot, setting=replace(shoot.setting, ground=level)), tmp_path / "a.ply", 1.0, Parts(tmp_path, "")
     )
-    sets = everybody(shoot.setting.splats, shoot.setting.shadow, shoot.cast, shoot.where(1.0), None)
+    sets = shoot.at(shoot.where(1.0)).sets
     means = np.concatenate([one.means.numpy() for one in sets])
     np.testing.assert_allclose(got[0].means, means * ([1, -1, -1] if up > 0 else 1), atol=1e-6)
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from stages.avatar.effects.shading import BANDS, Shading
-from stages.avatar.effects.shadow import Casters, Shadow
+from stages.avatar.effects.shadow import Shadow
 from stages.avatar.model.scene import load_scene
 from stages.filming.cameras import cameras_of
 from stages.filming.cast import cast, in_colour
@@ -36,8 +36,7 @@ def shoot(tmp_path_factory) -> Shoot:
     ]
     film = Film(scene=run, people=people, fps=10.0)
     setting = load_setting(film, "cpu")
-    nobody = Casters(torch.zeros(24, 3), torch.zeros(24, 3, 3))
-    lamp = Shadow(torch.tensor([0.2, -0.1, -0.97]) / 0.9954, nobody, 0.6, 0.05, 1.0, 0.8).requires_grad_(False)
+    lamp = Shadow(torch.tensor([0.2, -0.1, -0.97]) / 0.9954, 0.6, 0.05, 1.0, 0.8).requires_grad_(False)
     actors = [cast(person, f"p{i}", setting.ground, film.fps, "cpu") for i, person in enumerate(people)]
     actors[1] = in_colour(actors[1], np.array([0.8, 1.0, 1.1]))
     setting = replace(setting, shadow=lamp, splats=load_scene(setting.scene))

@@ -40,9 +40,8 @@ def survey(run, start=None, **shadow):
 
 
 def test_light_falls_as_training_learned_it(run):
-    parts = {"middles": np.zeros((24, 3)), "covariances": np.zeros((24, 3, 3))}
     light = np.array([0.6, -0.8, 0.0])
-    write_effects(run / "train" / "effects.npz", Effects(light, 0.37, 0.02, 2.0, 0.5, **parts))
+    write_effects(run / "train" / "effects.npz", Effects(light, 0.37, 0.02, 2.0, 0.5))
     shadow, said = lamp_of(run, read_ground(run / "smpl" / "ground.json"), "auto")
     np.testing.assert_allclose(shadow.light(), light, atol=1e-6)
     assert shadow.darkness.sigmoid().item() == pytest.approx(0.37) and said == ()

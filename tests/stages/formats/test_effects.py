@@ -8,7 +8,6 @@ from stages.formats.effects import read_effects, write_effects
 from stages.records import Effects
 
 SHADOW = {"light": [0.6, 0.8, 0.0], "darkness": 0.5, "softness": 0.03, "density": 1.4, "size": 0.6}
-SHADOW |= {"middles": np.ones((24, 3)), "covariances": np.ones((24, 3, 3))}
 
 
 def test_what_is_known_comes_back_and_nothing_is_known_without_a_file(tmp_path):
@@ -20,10 +19,16 @@ def test_what_is_known_comes_back_and_nothing_is_known_without_a_file(tmp_path):
     assert all(np.array_equal(value, back.known()[name]) for name, value in written.known().items())
 
 
+def test_who_cast_the_shadow_is_left_to_the_avatar_in_files_of_before(tmp_path):
+    older = SHADOW | {"middles": np.ones((24, 3)), "covariances": np.ones((24, 3, 3))}
+    np.savez(tmp_path / "effects.npz", **{name: np.asarray(value, float) for name, value in older.items()})
+    assert read_effects(tmp_path / "effects.npz").known().keys() == SHADOW.keys()
+
+
 @pytest.mark.parametrize(
     ("arrays", "said"),
     [
-        ({"light": [0.6, 0.8, 0.0]}, "missing: darkness, softness, density, size, middles, covariances"),
+        ({"light": [0.6, 0.8, 0.0]}, "missing: darkness, softness, density, size"),
         (SHADOW | {"light": [0.0, 0.0, 0.0]}, "light: [0.0, 0.0, 0.0], wanted a length of 1"),
         (SHADOW | {"darkness": 1.5}, "darkness: 1.5, wanted (0, 1)"),
         (SHADOW | {"light": [0.6, 0.8]}, "found 2, wanted 3"),

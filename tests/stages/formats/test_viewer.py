@@ -13,7 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.drawing.avatar import bones_of
-from stages.avatar.drawing.draw import draw, load_learned, to_uint8
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.motion.formulas import MOTIONS
 from stages.avatar.motion.moves import made_moves
@@ -29,6 +29,7 @@ from stages.formats.trained import read_trained
 from tests.made import bvh as bvh_made
 from tests.made import exhibits, headset, tiny
 from tests.made.devtools import Page
+from tests.made.learned import draw, load_learned
 from tests.made.marionette import Firefox
 
 CLIP, JACKS = 0, 1  # motions of the page

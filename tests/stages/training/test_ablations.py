@@ -7,6 +7,7 @@ import torch
 from stages.avatar.model.human import COLOR
 from stages.training.step import losses
 from stages.training.step.fit import Fit
+from stages.training.step.person import Starting
 from stages.training.step.schedule import phases
 from tests.made.training import TRAIN, ellipsoid, make_clip, models, run, settings, states, stored
 
@@ -16,21 +17,23 @@ clip = pytest.fixture(scope="module")(make_clip)
 def fit_of(clip, steps: int = 40, sh_degree: int = 0, lbs_learning: bool = True, triplane: bool = True, **more) -> Fit:
     views, person = clip
     human, wall, generator = models(sh_degree=sh_degree, lbs_learning=lbs_learning, triplane=triplane)
-    return Fit(views, TRAIN, person, human, wall, *settings(steps, exposure=True, **more), generator)
+    return Fit(views, TRAIN, [Starting(person, human)], wall, *settings(steps, exposure=True, **more), generator)
 
 
 @pytest.mark.parametrize("triplane", [True, False])
 @pytest.mark.parametrize("sh_degree", [0, 1])
 def test_without_lbs_learning_each_gaussian_keeps_the_weights_it_began_with(clip, triplane, sh_degree):
     kept, learned = (fit_of(clip, 20, sh_degree, lbs, triplane, human_densify=False) for lbs in (False, True))
-    began = kept.human.initial().weights
+    began = kept.people[0].human.initial().weights
     for fit in (kept, learned):
-        before = fit.human()[0].means.detach()
+        before = fit.people[0].human()[0].means.detach()
         run(fit, 20)
-        assert fit.guard.left_out == 0 and not torch.equal(fit.human()[0].means, before), "the rest learns"
-    assert torch.equal(kept.human()[0].weights, began) and not torch.equal(learned.human()[0].weights, began)
-    assert len(kept.person.reference) == 0, "nothing looks for neighbours that teach nothing"
-    named = [name for name, _ in kept.human.named_parameters()]
+        assert fit.guard.left_out == 0 and not torch.equal(fit.people[0].human()[0].means, before), "the rest learns"
+    assert torch.equal(kept.people[0].human()[0].weights, began) and not torch.equal(
+        learned.people[0].human()[0].weights, began
+    )
+    assert len(kept.people[0].reference) == 0, "nothing looks for neighbours that teach nothing"
+    named = [name for name, _ in kept.people[0].human.named_parameters()]
     assert named and not [name for name in named if "deformation" in name or "skin" in name]
 
 
@@ -38,7 +41,7 @@ def test_without_lbs_learning_each_gaussian_keeps_the_weights_it_began_with(clip
 def test_without_densification_the_person_keeps_its_rows_and_the_scene_grows(clip):
     fit = fit_of(clip, human_densify=False)
     run(fit, 40)
-    assert len(fit.human) == len(ellipsoid()[0]) and len(fit.scene) > 150
+    assert len(fit.people[0].human) == len(ellipsoid()[0]) and len(fit.scene) > 150
 
 
 @pytest.mark.slow
@@ -50,7 +53,7 @@ def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch
     assert all(set(n) == {"image"} for n in numbers)
     image = [n["image"] for n in numbers]
     assert np.mean(image[-10:]) < 0.8 * np.mean(image[:10])
-    assert fit.person.color_grad_sum.max() > 0 and len(fit.human) > len(ellipsoid()[0]), (
+    assert fit.people[0].color_grad_sum.max() > 0 and len(fit.people[0].human) > len(ellipsoid()[0]), (
         "its screen gradients are counted"
     )
 
@@ -58,19 +61,20 @@ def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch
 @pytest.mark.slow
 def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
     free, decoded = fit_of(clip, 80, triplane=False), fit_of(clip, 80)
-    for a, b in zip(free.human()[0], decoded.human()[0], strict=True):
+    for a, b in zip(free.people[0].human()[0], decoded.human()[0], strict=True):
         assert torch.equal(a, b)
     numbers = run(free, 80)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
     assert free.guard.left_out == 0, "though weights begin where their prior is 0, so its first gradients are sudden"
-    assert 162 < len(free.human) <= 300 and {len(p) for p in free.human.residuals.parameters()} == {len(free.human)}
-    assert all(p.abs().max() > 0 for p in free.human.residuals.parameters())
-    held = {id(p) for group in free.adam["human"].param_groups for p in group["params"]}
-    assert held == {id(p) for p in free.human.parameters()}
+    human = free.people[0].human
+    assert 162 < len(human) <= 300 and {len(p) for p in human.residuals.parameters()} == {len(human)}
+    assert all(p.abs().max() > 0 for p in human.residuals.parameters())
+    held = {id(p) for group in free.adam["person 1"].param_groups for p in group["params"]}
+    assert held == {id(p) for p in free.people[0].human.parameters()}
 
 
 def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
-    human = fit_of(clip, 80).human
+    human = fit_of(clip, 80).people[0].human
     assert set(human.residuals()) == {"opacity", "sh", "turn", "scale"}, (
         "place is its point's, skinning weights are shared"
     )
@@ -87,27 +91,27 @@ def test_beside_the_networks_each_gaussian_has_corrections_of_its_own(clip):
 def test_a_colour_of_its_own_that_nothing_teaches_goes_back_to_the_networks(clip):
     fit = fit_of(clip, 80)
     with torch.no_grad():
-        fit.human.residuals.sh[3] = 0.05
-        fit.human.logits[3] = -30.0  # nothing shows it
+        fit.people[0].human.residuals.sh[3] = 0.05
+        fit.people[0].human.logits[3] = -30.0  # nothing shows it
     run(fit, 1)
-    one = fit.human.residuals.sh[3].clone()
+    one = fit.people[0].human.residuals.sh[3].clone()
     run(fit, 8)
-    assert (fit.human.residuals.sh[3].abs() < one.abs()).all() and (one.abs() < 0.05).all()
-    assert fit.person.color_grad_sum[3] == 0, "and counts as shown by no frame"
-    before = fit.human()[2]
+    assert (fit.people[0].human.residuals.sh[3].abs() < one.abs()).all() and (one.abs() < 0.05).all()
+    assert fit.people[0].color_grad_sum[3] == 0, "and counts as shown by no frame"
+    before = fit.people[0].human()[2]
     with torch.no_grad():
-        fit.human.residuals.sh[:] = 0
-    told = fit.human()[2]
+        fit.people[0].human.residuals.sh[:] = 0
+    told = fit.people[0].human()[2]
     with torch.no_grad():
-        fit.human.residuals.sh[:] = 0.5
-    assert (fit.human()[2] - told).item() == pytest.approx(COLOR * 3 * 0.25, rel=1e-3) and before > told
+        fit.people[0].human.residuals.sh[:] = 0.5
+    assert (fit.people[0].human()[2] - told).item() == pytest.approx(COLOR * 3 * 0.25, rel=1e-3) and before > told
 
 
 def test_a_person_who_grows_stays_as_opaque(clip):
     fit = fit_of(clip, 80)
-    before = fit.human()[0].opacities
+    before = fit.people[0].human()[0].opacities
     fit.densifier.grow_people(fit.adam, 0.0, 1)
-    after = fit.human()[0].opacities
+    after = fit.people[0].human()[0].opacities
     assert len(after) > len(before)
     light = [(1 - opacities).log().sum().item() for opacities in (before, after)]
     assert light[1] == pytest.approx(light[0], rel=1e-5)
@@ -118,9 +122,9 @@ def test_a_person_who_grows_stays_as_opaque(clip):
 def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
     fit = fit_of(clip, 80, triplane=triplane)
     run(fit, 6)
-    last = fit.adam["human"].state[fit.human.residuals.scale]
+    last = fit.adam["person 1"].state[fit.people[0].human.residuals.scale]
     fit.densifier.grow_people(fit.adam, 0.0, 1)
-    now, moments = fit.human.residuals.scale, fit.adam["human"].state[fit.human.residuals.scale]
+    now, moments = fit.people[0].human.residuals.scale, fit.adam["person 1"].state[fit.people[0].human.residuals.scale]
     assert len(moments["exp_avg"]) == len(moments["exp_avg_sq"]) == len(now) > 162
     assert moments["step"] == last["step"] == 6 and (moments["exp_avg_sq"][-1] == 0).all()
     assert (moments["exp_avg_sq"][:10] > 0).any(), "rows that stay keep theirs"
@@ -152,9 +156,11 @@ def test_scene_first_then_the_person_before_a_scene_that_no_gradient_reaches(cli
     for parameter in fit.scene.parameters():
         parameter.register_hook(lambda grad: seen.append(grad))
     numbers = [fit.advance() for _ in range(20)]
-    assert any("person" in n for n in numbers) and fit.progress.step == fit.params.steps
+    assert any("person 1" in n for n in numbers) and fit.progress.step == fit.params.steps
     assert not seen and all(torch.equal(v, states(fit)[k]) for k, v in scene.items())
-    assert len(fit.human) > 162 and not torch.equal(person["human.triplane.table"], fit.human.triplane.table)
+    assert len(fit.people[0].human) > 162 and not torch.equal(
+        person["person 1.triplane.table"], fit.people[0].human.triplane.table
+    )
 
 
 def test_the_scene_alone_learns_from_background_pixels_only(clip, monkeypatch):

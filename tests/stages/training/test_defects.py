@@ -12,10 +12,10 @@ import torch
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.model.human import HumanModel
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import compose
 from stages.training.step import densify, losses
 from stages.training.step.patches import SIDE
 from stages.training.step.schedule import LR_FRAMES, LR_HUMAN, LR_OWN, LR_SCENE, SETTLE, rate
+from tests.made.learned import compose
 from tests.made.lpips_weights import small_weights
 from tests.made.skin import on_vertices
 from tests.made.training import FRAMES, HEIGHT, WIDTH, ellipsoid, fit_of, make_clip, models, run, states
@@ -29,7 +29,7 @@ def test_defect_1_each_set_is_densified_by_its_own_gradients(clip):
         fit.scene.means[:, 2] -= 100  # behind every camera: no gradient reaches it
     run(fit, 2)
     assert (fit.densifier.statistics["scene"].count == 0).all() and (fit.densifier.statistics["scene"].grad == 0).all()
-    assert (fit.densifier.statistics["human"].count > 0).float().mean() > 0.9, (
+    assert (fit.densifier.statistics["person 1"].count > 0).float().mean() > 0.9, (
         "the person is drawn, and its rows come first"
     )
 
@@ -56,7 +56,7 @@ def test_defect_3_the_place_of_the_person_is_refined(clip):
     trained = fit.train
     before = shift[trained].norm(dim=1).mean()
     run(fit, 600)
-    after = (fit.bodies()[2] - person.transl)[trained]
+    after = (fit.poses(fit.people[0])[2] - person.transl)[trained]
     assert (after - after.mean(0)).norm(dim=1).mean() < 0.6 * before
 
 
@@ -64,9 +64,9 @@ def test_defect_4_a_checkpoint_holds_every_state_that_training_has(clip):
     fit = fit_of(clip)
     run(fit, 20)
     state = fit.state()
-    kept = {"human", "frames of human", "scene", "frames"}
+    kept = {"person 1", "frames of person 1", "scene", "frames"}
     assert set(state["adam"]) == kept == set(state["models"]) - {"effects"}
-    assert {"pose.weight", "place.weight"} <= set(state["models"]["frames of human"])
+    assert {"pose.weight", "place.weight"} <= set(state["models"]["frames of person 1"])
     assert {"gain.weight", "turn.weight", "shift.weight"} <= set(state["models"]["frames"])
     for name, optimizer in state["adam"].items():
         assert all({"step", "exp_avg", "exp_avg_sq"} <= set(moments) for moments in optimizer["state"].values()), name

@@ -5,7 +5,7 @@ import torch
 
 from stages.avatar.effects.frames import FrameEffects
 from stages.training.step.transients import Transients
-from tests.made.training import TRAIN, everything, fit_of, make_clip, run, same, stored
+from tests.made.training import TRAIN, everything, fit_of, make_clip, posed, run, same, stored
 
 clip = pytest.fixture(scope="module")(make_clip)
 
@@ -16,7 +16,8 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit_with_all_of_them(clip):
     run(straight, 24)
     run(first, 11)
     assert (
-        first.person.body.clothing.swings.abs().max() > 0 and first.person.corrections.swing.weight.abs().max() > 0
+        first.people[0].body.clothing.swings.abs().max() > 0
+        and first.people[0].corrections.swing.weight.abs().max() > 0
     ), "clothes are learned"
     second.load(stored(first))
     run(second, 24)
@@ -39,20 +40,20 @@ def test_what_is_off_changes_no_bit(clip):
 def test_clothes_move_the_person_that_is_drawn_and_judged(clip):
     fit = everything(clip)
     body = [part[1] for part in clip[1][:3]]
-    resting, clothing = fit.person.resting(), fit.person.body.clothing
-    before = fit.posed(resting, *body).means
+    resting, clothing = fit.people[0].resting(), fit.people[0].body.clothing
+    before = posed(fit, resting, *body).means
     with torch.no_grad():
         clothing.swings[:, 3:, 1] = 0.4
-    moved = fit.posed(resting, *body)
+    moved = posed(fit, resting, *body)
     own = resting.weights[:, 24:].sum(1)
     shift = 0.02 * clothing.features(body[1])[1].abs() * 3**0.5
     torch.testing.assert_close((moved.means - before).norm(dim=1), own * shift, rtol=0.05, atol=2e-4)
     assert own.max() > 0.9 and moved.antialias and fit.scene.splats().antialias
-    torch.testing.assert_close(fit.person.body.posed(resting, 1).means, moved.means, rtol=0, atol=1e-6)
+    torch.testing.assert_close(fit.people[0].body.posed(resting, 1).means, moved.means, rtol=0, atol=1e-6)
     with torch.no_grad():
-        fit.person.corrections.swing.weight[1] = 0.3
-    assert torch.equal(fit.posed(resting, *body).means, moved.means)
-    gone = (fit.posed(resting, *body, frame=1).means - moved.means).norm(dim=1)
+        fit.people[0].corrections.swing.weight[1] = 0.3
+    assert torch.equal(posed(fit, resting, *body).means, moved.means)
+    gone = (posed(fit, resting, *body, frame=1).means - moved.means).norm(dim=1)
     assert gone[own > 0.9].min() > 0.01 and gone[own < 0.01].max() < 1e-3, (
         "a frame's swing is that of cloth in that frame"
     )

@@ -73,7 +73,7 @@ def fitted(person) -> Fitted:
 
 def finished(fit, clip):
     heard = Heard()
-    avatar, poses, kept, _ = results._person(fit, fit.person, fitted(clip[1]), heard)
+    avatar, poses, kept, _ = results._person(fit, fit.people[0], fitted(clip[1]), heard)
     return avatar, poses, kept, heard.warnings
 
 
@@ -81,11 +81,11 @@ def finished(fit, clip):
 def test_whoever_was_trained_is_kept_and_what_could_not_be_done_is_said(how, clip, settles):
     spoil, left, said = PEOPLE[how]
     fit = fit_of(clip)
-    whole, first = fit.person.baked()[0], fit.person.human.initial()
+    whole, first = fit.people[0].baked()[0], fit.people[0].human.initial()
     made = spoil(whole)
     begun = Canonical(*(part[: len(made.means)] for part in first))
-    fit.person.baked = lambda: (made, rest(made, fit.person.canonical_bones))
-    fit.person.human.initial = lambda: begun
+    fit.people[0].baked = lambda: (made, rest(made, fit.people[0].canonical_bones))
+    fit.people[0].human.initial = lambda: begun
     avatar, poses, kept, warnings = finished(fit, clip)
     assert all(part.isfinite().all() for part in kept.person) and not impossible(avatar)
     assert np.isfinite(poses.body_pose).all()
@@ -103,8 +103,8 @@ def test_whoever_was_trained_is_kept_and_what_could_not_be_done_is_said(how, cli
 def test_a_pose_that_is_not_finite_is_that_of_the_fit_and_the_rest_is_as_learned(clip, settles, table, value, frames):
     fit = fit_of(clip, refine_pose=True)
     with torch.no_grad():
-        fit.person.corrections.pose.weight += 0.01
-        getattr(fit.person.corrections, table).weight[frames] = value
+        fit.people[0].corrections.pose.weight += 0.01
+        getattr(fit.people[0].corrections, table).weight[frames] = value
     avatar, poses, kept, warnings = finished(fit, clip)
     assert all(part.isfinite().all() for part in kept.person) and not impossible(avatar)
     lost = sorted({name for i in frames for name in near(i)})

@@ -84,17 +84,17 @@ def test_c06_statistics_of_a_round_are_sums_to_the_last_digits(held):
 def test_c09_a_bad_row_does_not_reach_shared_weights(clip, part):
     """As if the row had taught nothing: every weight of every network is the same to the bit."""
     bad, clean = fit_of(clip), fit_of(clip)
-    resting, seven = bad.person.resting, torch.tensor([7])
+    resting, seven = bad.people[0].resting, torch.tensor([7])
     nan = lambda g: g.index_fill(0, seven, float("nan"))  # noqa: E731
-    bad.person.resting = lambda: (r := resting(), getattr(r, part).register_hook(nan))[0]
-    taught = [leaf for leaf in clean.person._decoded().values() if leaf.requires_grad]
+    bad.people[0].resting = lambda: (r := resting(), getattr(r, part).register_hook(nan))[0]
+    taught = [leaf for leaf in clean.people[0]._decoded().values() if leaf.requires_grad]
     if part not in ("means", "weights"):
-        taught += clean.human.residuals().values()
+        taught += clean.people[0].human.residuals().values()
     for tensor in taught:
         tensor.register_hook(lambda g: g.index_fill(0, seven, 0.0))
     for fit in (bad, clean):
         run(fit, 2)
-    before, after, others = (dict(f.human.named_parameters()) for f in (fit_of(clip), bad, clean))
+    before, after, others = (dict(f.people[0].human.named_parameters()) for f in (fit_of(clip), bad, clean))
     assert all(after[name].isfinite().all() and torch.equal(after[name], others[name]) for name in after)
     moved = {name.split(".")[1] for name in after if "." in name and not torch.equal(after[name], before[name])}
     assert moved >= {"appearance", "geometry", "deformation"}

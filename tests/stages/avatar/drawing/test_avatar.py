@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stages.avatar.body.skinning import of_few_bones
-from stages.avatar.drawing.avatar import bones_of, load_avatar, moving, pose_avatar
+from stages.avatar.drawing.avatar import PosedAvatar, bones_of, load_avatar, pose_avatar
 from stages.avatar.model.person import bone_transforms
 from stages.formats.body_model import read_body_model
 from tests.made.clothes import dress, some_clothes
@@ -21,7 +21,8 @@ def test_moving_is_each_pose_by_itself(loose, held):
     avatar, rng = load_avatar(record), np.random.default_rng(2)
     assert avatar.few is not None or not loose
     poses = [torch.as_tensor(rng.normal(0, 0.4, (5, size))).float() for size in (3, 69, 3)]
-    together = list(moving(avatar, *poses))
+    posed = PosedAvatar(avatar, *poses)
+    together = [posed.splats(i) for i in range(len(poses[2]))]
     assert len(together) == 5 and bones_of(avatar, *poses[:2]).shape == (5, 36 if loose else 24, 4, 4)
     for row, seen in enumerate(together):
         alone = pose_avatar(avatar, *(part[row] for part in poses))

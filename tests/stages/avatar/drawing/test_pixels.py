@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from stages.avatar.drawing.draw import draw, to_uint8
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import sh_from_rgb
+from tests.made.learned import draw
 
 CAMERA = Camera.of(np.eye(4), np.array([[50.0, 0, 20], [0, 50, 15], [0, 0, 1]]), 40, 30)
 

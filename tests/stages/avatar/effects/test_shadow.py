@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from stages.avatar.effects.frames import FrameEffects
-from stages.avatar.effects.shadow import Casters, Shadow, Stance, casters
+from stages.avatar.effects.shadow import Casters, Shadow, casters
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import sh_from_rgb
 
@@ -26,7 +26,7 @@ def floor(side: int = 25, reach: float = 1.8) -> torch.Tensor:
 
 
 def leaning(slope) -> Shadow:
-    shadow = Shadow(UP, body(), darkness=0.6, softness=0.05, density=3.0, size=1.0)
+    shadow = Shadow(UP, darkness=0.6, softness=0.05, density=3.0, size=1.0)
     shadow.slope.data = torch.tensor(slope, dtype=torch.float64)
     return shadow
 
@@ -49,7 +49,7 @@ def test_it_falls_away_from_the_light_and_with_the_person_in_the_air_farther(hel
         shadow = leaning(slope)
         light = shadow.light()
         for lift in (0.0, 1.0):
-            lost = 1 - shadow.light_shares(points, body(lift))
+            lost = 1 - shadow.light_left(points, [body(lift)])
             middle = (lost[:, None] * points).sum(0) / lost.sum()
             heights = body(lift).middles[:5, 1].mean()
             held((middle[[0, 2]] + heights * light[[0, 2]] / light[1]).norm().item(), 0.05)
@@ -58,7 +58,7 @@ def test_it_falls_away_from_the_light_and_with_the_person_in_the_air_farther(hel
 
 def test_nothing_above_the_person_is_shaded():
     above = floor() + torch.tensor([0, 2.2, 0])
-    assert (leaning([0.0, 0.0]).light_shares(above, body()) > 0.999).all()
+    assert (leaning([0.0, 0.0]).light_left(above, [body()]) > 0.999).all()
 
 
 def test_colours_are_multiplied_whatever_their_degree_and_rows_out_of_reach_stay_to_the_bit():
@@ -67,9 +67,8 @@ def test_colours_are_multiplied_whatever_their_degree_and_rows_out_of_reach_stay
     sh = torch.rand(len(points), 4, 3, generator=g) * torch.tensor([1.0, 0.1, 0.1, 0.1])[:, None]
     scene = Splats(points, torch.zeros(len(points), 3, 3), torch.ones(len(points)), sh)
     shadow, parts = leaning([0.3, 0.2]).float(), Casters(*(t.float() for t in body()))
-    still = Stance(torch.zeros(24, 3), list(range(-1, 23)), torch.zeros(3), torch.zeros(69), torch.zeros(3))
-    lit, eye = shadow(scene, still), torch.tensor([0.0, 2.0, 5.0])
-    shares = shadow.light_shares(points, parts)
+    lit, eye = shadow(scene, [parts]), torch.tensor([0.0, 2.0, 5.0])
+    shares = shadow.light_left(points, [parts])
     torch.testing.assert_close(lit.colors(eye), scene.colors(eye) * shares[:, None], atol=2e-3, rtol=0)
     far = points.norm(dim=1) > 3
     assert torch.equal(lit.sh[far], scene.sh[far]) and not torch.equal(lit.sh, scene.sh)
@@ -78,56 +77,49 @@ def test_colours_are_multiplied_whatever_their_degree_and_rows_out_of_reach_stay
 
 def test_what_is_left_is_how_colours_fade_and_how_deep_the_shadow_is():
     shadow, points = leaning([0.2, 0.1]), floor()
-    stance = Stance(torch.zeros(24, 3).double(), [-1] + [0] * 23, *torch.zeros(2, 3).double(), torch.zeros(3).double())
-    stance = stance._replace(body_pose=torch.zeros(69).double())
-    left = shadow.light_left(points, stance)
+    left = shadow.light_left(points, [body()])
     white = Splats(
         points,
         torch.eye(3).expand(len(points), 3, 3),
         torch.ones(len(points)),
         sh_from_rgb(torch.ones(len(points), 1, 3).double()),
     )
-    torch.testing.assert_close(shadow(white, stance).colors(torch.zeros(3))[:, 0], left)
+    torch.testing.assert_close(shadow(white, [body()]).colors(torch.zeros(3))[:, 0], left)
     effects = FrameEffects()
-    assert not effects.shadow_depth(points, stance).any()
+    assert not effects.shadow_depth(points, [body()]).any()
     effects.shadow = shadow
-    dark = effects.shadow_depth(points, stance)
+    dark = effects.shadow_depth(points, [body()])
     assert dark.max() == pytest.approx(1.0, abs=0.05) and dark.min() == 0
-    assert not effects.shadow_depth(points, None).any(), "nobody is there"
+    assert not effects.shadow_depth(points, []).any(), "nobody is there"
 
 
 def test_behind_two_it_is_darker_than_behind_one_and_each_casts_its_own_parts():
     shadow, points = leaning([0.2, 0.1]), floor()
-    zero = torch.zeros(3).double()
-    one = Stance(torch.zeros(24, 3).double(), [-1] + [0] * 23, zero, torch.zeros(69).double(), zero)
-    thin = Casters(shadow.middles, 0.3 * shadow.covariances)
-    other = one._replace(transl=torch.tensor([0.15, 0.0, 0.1]).double(), parts=thin)
-    far = other._replace(transl=torch.tensor([50.0, 0.0, 0.0]).double())
-    parts = Casters(shadow.middles, shadow.covariances)
-    deep = shadow.thickness(points, parts) + shadow.thickness(
-        points, thin._replace(middles=thin.middles + other.transl)
-    )
-    both = shadow.light_left(points, one, other)
+    one, away = body(), torch.tensor([0.15, 0.0, 0.1]).double()
+    other, far = (Casters(one.middles + way, 0.3 * one.covariances) for way in (away, away + 50))
+    depths = [
+        -torch.log(1 - (1 - shadow.light_left(points, [each])) / shadow.darkness.sigmoid()) for each in (one, other)
+    ]
+    deep, both = sum(depths), shadow.light_left(points, [one, other])
     expected = 1 - shadow.darkness.sigmoid() * (1 - (-deep).exp())
     torch.testing.assert_close(both, expected, atol=0.02, rtol=0)  # beyond REACH a part casts nothing
-    assert (both <= shadow.light_left(points, one) + 1e-9).all() and both.min() < expected.max() - 0.3
-    torch.testing.assert_close(shadow.light_left(points, one, far), shadow.light_left(points, one))
+    assert (both <= shadow.light_left(points, [one]) + 1e-9).all() and both.min() < expected.max() - 0.3
+    torch.testing.assert_close(shadow.light_left(points, [one, far]), shadow.light_left(points, [one]))
     both.sum().backward()
     assert shadow.slope.grad.abs().max() > 0
     effects = FrameEffects()
     effects.shadow = shadow
-    assert torch.equal(effects.shadow_depth(points, one, None), effects.shadow_depth(points, one))
-    assert (effects.shadow_depth(points, one, other) >= effects.shadow_depth(points, one) - 1e-9).all()
+    assert (effects.shadow_depth(points, [one, other]) >= effects.shadow_depth(points, [one]) - 1e-9).all()
 
 
 @pytest.mark.parametrize("width", [0.08, 0.0])
 def test_light_straight_down_and_bodies_without_width_have_finite_slopes(width):
     shadow, points = leaning([0.0, 0.0]), torch.cat([floor(), body().middles])
-    shadow.light_shares(points, body(width=width)).square().sum().backward()
+    shadow.light_left(points, [body(width=width)]).square().sum().backward()
     for parameter in shadow.parameters():
         assert parameter.grad.isfinite().all()
     points = floor() + torch.tensor([0.3, 0, 0])  # where straight down is no minimum
-    (slopes,) = torch.autograd.grad(shadow.light_shares(points, body(width=width)).square().mean(), shadow.slope)
+    (slopes,) = torch.autograd.grad(shadow.light_left(points, [body(width=width)]).square().mean(), shadow.slope)
     assert slopes.isfinite().all()
 
 
@@ -148,26 +140,24 @@ class _Shares(torch.nn.Module):
         self.shadow = shadow
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
-        return self.shadow.light_shares(points, body())
+        return self.shadow.light_left(points, [body()])
 
 
 def test_the_direction_of_the_light_is_learned_from_straight_down(held):
     points, truth = floor(), leaning([0.4, -0.25])
-    wanted = truth.light_shares(points, body()).detach()
-    shadow = Shadow(UP, body())
+    wanted = truth.light_left(points, [body()]).detach()
+    shadow = Shadow(UP)
     adam = torch.optim.Adam(shadow.parameters(), lr=0.03)
     for _ in range(120):
         adam.zero_grad()
-        (shadow.light_shares(points, body()) - wanted).square().mean().backward()
+        (shadow.light_left(points, [body()]) - wanted).square().mean().backward()
         adam.step()
     held((shadow.light() - truth.light()).norm().item(), 0.02)
-    held((shadow.light_shares(points, body()) - wanted).abs().max().item(), 0.1)
+    held((shadow.light_left(points, [body()]) - wanted).abs().max().item(), 0.1)
 
 
 def test_what_is_said_of_it_makes_it_again(held):
     shadow = leaning([0.4, -0.25])
     said = shadow.known()
-    again = Shadow(
-        torch.as_tensor(said["light"]), body(), said["darkness"], said["softness"], said["density"], said["size"]
-    )
-    held((again.light_shares(floor(), body()) - shadow.light_shares(floor(), body())).abs().max().item(), 1e-6)
+    again = Shadow(torch.as_tensor(said.pop("light")), **said)
+    held((again.light_left(floor(), [body()]) - shadow.light_left(floor(), [body()])).abs().max().item(), 1e-6)

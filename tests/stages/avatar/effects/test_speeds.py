@@ -65,12 +65,14 @@ def test_where_there_is_no_neighbour_nothing_moves():
 
 def test_a_person_beside_a_frame_without_pose_stands_still():
     Ks = K.float().expand(3, 3, 3)
-    speeds = Speeds(screw(range(3)), Ks, HEIGHT, np.arange(3), np.array([True, True, False]))
-    places = [torch.full((4, 3), float(i) ** 2) for i in range(3)]
-    assert speeds.at(1, places.__getitem__).person is None and speeds.at(0, None).person is None
-    assert torch.equal(speeds.at(0, places.__getitem__).person, torch.ones(4, 3))
-    speeds.known[:] = True
-    assert torch.equal(speeds.at(1, places.__getitem__).person, torch.full((4, 3), 2.0))
+    speeds, places = (
+        Speeds(screw(range(3)), Ks, HEIGHT, np.arange(3)),
+        [torch.full((4, 3), float(i) ** 2) for i in range(3)],
+    )
+    assert torch.equal(speeds.own(1, places.__getitem__), torch.full((4, 3), 2.0))
+    places[2] = None
+    assert speeds.own(1, places.__getitem__) is None
+    assert torch.equal(speeds.own(0, places.__getitem__), torch.ones(4, 3))
 
 
 def read_rows(splats: Splats, readout: float) -> torch.Tensor:

@@ -9,8 +9,8 @@ import torch
 from stages.avatar.model.scene import MOVABLE, START_OPACITY, SceneModel
 from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, gaussian_axes, reference
 from stages.avatar.rasterize.rendering import ALPHA_MAX, BLUR
-from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
+from tests.made.learned import compose
 from tests.made.rasterized import (
     MAKERS,
     NAMES,

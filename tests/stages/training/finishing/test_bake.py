@@ -6,12 +6,13 @@ import torch
 from stages.avatar.effects.clothing import Clothing, Hung
 from stages.avatar.model.person import Canonical, Surfels, rest
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import compose, painted_pixels
+from stages.avatar.splats.compose import painted_pixels
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import bake, painted
 from stages.training.finishing.painted import count_pixels
 from stages.training.views import Person, Views, person_frames
+from tests.made.learned import compose
 from tests.made.standing import EYES, SIZE, drawn, silhouettes, stand_red, views
 
 

@@ -1,16 +1,21 @@
 """What the person hides in every frame gets a surface that goes on as what is around it."""
 
+from dataclasses import dataclass
+
 import pytest
 import torch
 
+from stages.avatar.drawing.cast import Cast
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.scene import SceneModel
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import compose
+from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.sh import sh_from_rgb
 from stages.training.finishing.hidden import THICK, fill_hidden, never_seen
 from stages.training.step.behind import beside_and_behind
 from stages.training.step.losses import dilated
 from stages.training.views import Views
+from tests.made.learned import compose
 
 SIZE, FOCAL, AWAY = 96, 90.0, 4.0
 GHOST = torch.tensor([1.0, 0.0, 1.0])
@@ -48,8 +53,21 @@ def masks_of(places, at=0.0):
     return masks
 
 
-def nobody(frame):
-    return None
+@dataclass
+class Ghost:
+    """Somebody who stands still, as a `Cast` has people."""
+
+    still: Splats
+
+    def shown(self, frame):
+        return True
+
+    def splats(self, frame):
+        return self.still
+
+
+def cast_of(*people):
+    return Cast([Ghost(one) for one in people], None, FrameEffects())
 
 
 def haunt(scene, at=0.0):
@@ -68,9 +86,9 @@ def test_the_wall_goes_on_where_somebody_always_stood():
     clean = drawn(scene, views, 1)
     haunt(scene)
     before, rows = drawn(scene, views, 1), [row.detach().clone() for row in (scene.means, scene.sh0)]
-    hole = torch.as_tensor(never_seen(scene.splats().detach(), views, 1, [0, 1, 2], None)[0])
+    hole = torch.as_tensor(never_seen(scene.splats().detach(), views, 1, [0, 1, 2], cast_of())[0])
     assert hole.sum() > 500 and not (hole & (dilated(views.masks[1].float(), 0.01) == 0)).any()
-    filled = fill_hidden(scene, views, [0, 1, 2], nobody)
+    filled = fill_hidden(scene, views, [0, 1, 2], cast_of())
     after = drawn(scene, views, 1)
     assert filled == hole.sum()
     ghost, left = ((one.image - clean.image).abs()[hole].mean() for one in (before, after))
@@ -88,10 +106,10 @@ def test_what_a_frame_shows_stays():
         masks=torch.stack([masks_of([place], place)[0] for place in (-1.0, 0.0, 1.0)])
     )  # walks along
     before, splats = scene.means.detach().clone(), scene.splats().detach()
-    assert not never_seen(splats, views, 1, [0, 1, 2], None)[0].any()
-    assert never_seen(splats, views, 1, [1], None)[0][views.masks[1] > 0].all()
-    assert fill_hidden(scene, views, [0, 1, 2], nobody) == 0 and torch.equal(scene.means, before)
-    assert fill_hidden(scene, views, [1], nobody) > 0, "one frame alone does not show it"
+    assert not never_seen(splats, views, 1, [0, 1, 2], cast_of())[0].any()
+    assert never_seen(splats, views, 1, [1], cast_of())[0][views.masks[1] > 0].all()
+    assert fill_hidden(scene, views, [0, 1, 2], cast_of()) == 0 and torch.equal(scene.means, before)
+    assert fill_hidden(scene, views, [1], cast_of()) > 0, "one frame alone does not show it"
 
 
 def test_a_camera_that_looks_the_other_way_shows_nothing_of_what_is_behind_it():
@@ -100,7 +118,7 @@ def test_a_camera_that_looks_the_other_way_shows_nothing_of_what_is_behind_it():
     views.viewmats[2, [1, 2], [1, 2]] = -1.0  # tipped over
     views.masks[1:] = 0
     splats = scene.splats().detach()
-    alone, among = (never_seen(splats, views, 0, frames, None)[0] for frames in ([0], [0, 1, 2]))
+    alone, among = (never_seen(splats, views, 0, frames, cast_of())[0] for frames in ([0], [0, 1, 2]))
     assert alone.sum() > 500 and (among == alone).all()
 
 
@@ -108,7 +126,7 @@ def test_a_camera_that_looks_the_other_way_shows_nothing_of_what_is_behind_it():
 def test_without_anybody_or_anything_around_all_stays(mask):
     scene, views = wall([0.0, 0.05])
     before = scene.means.detach().clone()
-    assert fill_hidden(scene, views._replace(masks=torch.full_like(views.masks, mask)), [0, 1], nobody) == 0
+    assert fill_hidden(scene, views._replace(masks=torch.full_like(views.masks, mask)), [0, 1], cast_of()) == 0
     assert torch.equal(scene.means, before)
 
 
@@ -120,7 +138,7 @@ def test_somebody_who_stands_here_and_then_there_leaves_two_places():
     haunt(scene, -3.0)
     haunt(scene, 3.0)
     ghosts = [(drawn(scene, views, i).image - image).abs().mean() for i, image in zip((0, 2), clean)]
-    fill_hidden(scene, views, [0, 1, 2, 3], nobody)
+    fill_hidden(scene, views, [0, 1, 2, 3], cast_of())
     for i, image, ghost in zip((0, 2), clean, ghosts):
         assert (drawn(scene, views, i).image - image).abs().mean() < 0.35 * ghost
 
@@ -139,9 +157,9 @@ def test_nothing_is_put_before_the_person():
     grid = wall([0.0])[0].means.detach()
     there = grid * torch.tensor([0.2, 0.4, 0]) + torch.tensor([0, 0, 3.8])
     person = SceneModel(there, stripes(there), 0, AWAY).splats().detach()
-    for people, before in ((nobody, True), (lambda frame: person, False)):
+    for cast, before in ((cast_of(), True), (cast_of(person), False)):
         scene, views = behind_a_table()
-        assert fill_hidden(scene, views, [0, 1], people) > 100
+        assert fill_hidden(scene, views, [0, 1], cast) > 100
         away = scene.means[:, 2]
         assert ((away > 2.1) & (away < 3.8 + 0.5 * THICK)).any() == before, "the table is around the hole, too"
 
@@ -153,7 +171,7 @@ def test_what_is_farther_and_seen_from_elsewhere_is_kept():
         scene.means[:, 0].abs() < 0.3, far, stripes(far), torch.full((len(far),), 0.06)
     )  # through a gap in the wall
     views = views._replace(masks=torch.stack([masks_of([place], 0.0)[0] for place in (-1.0, 0.0, 1.0)]))
-    fill_hidden(scene, views, [0, 1, 2], nobody)
+    fill_hidden(scene, views, [0, 1, 2], cast_of())
     painted = sum(
         beside_and_behind(SceneModel(far, stripes(far), 0, AWAY).splats().detach(), views, i)[0] for i in (0, 2)
     )
@@ -165,9 +183,9 @@ def test_what_is_farther_and_seen_from_elsewhere_is_kept():
 def test_what_fills_a_hole_is_opaque(antialias):
     scene, views = wall([0.0, 0.02])
     scene.antialias = antialias
-    hole = torch.as_tensor(never_seen(scene.splats().detach(), views, 0, [0, 1], None)[0])
+    hole = torch.as_tensor(never_seen(scene.splats().detach(), views, 0, [0, 1], cast_of())[0])
     count = len(scene)
-    filled = fill_hidden(scene, views, [0, 1], nobody)
+    filled = fill_hidden(scene, views, [0, 1], cast_of())
     alone = scene.splats().detach().rows(torch.arange(len(scene)) >= len(scene) - filled)
     alpha = compose(None, alone, Camera(views.viewmats[0], views.Ks[0], SIZE, SIZE))[0].alpha
     assert filled and count and alpha[hole].quantile(0.1) > 0.9
@@ -179,7 +197,7 @@ def test_a_large_hole_has_fewer_and_larger_gaussians(monkeypatch):
     clean = drawn(scene, views, 0)
     haunt(scene)
     ghost = (drawn(scene, views, 0).image - clean.image).abs().mean()
-    assert 100 < fill_hidden(scene, views, [0, 1], nobody) <= 400
+    assert 100 < fill_hidden(scene, views, [0, 1], cast_of()) <= 400
     assert (drawn(scene, views, 0).image - clean.image).abs().mean() < 0.5 * ghost
 
 
@@ -187,5 +205,5 @@ def test_a_wall_that_ends_behind_somebody_gives_finite_rows():
     scene, views = wall([0.0, 0.05])
     scene.exchange(scene.means[:, 0] > 0, torch.tensor([[0.0, 0, 50]]), GHOST[None], torch.tensor([0.1]))
     assert (drawn(scene, views, 0).alpha[:, -20:] == 0).all()
-    assert fill_hidden(scene, views, [0, 1], nobody) > 100
+    assert fill_hidden(scene, views, [0, 1], cast_of()) > 100
     assert all(getattr(scene, name).isfinite().all() for name in scene.ROWS)

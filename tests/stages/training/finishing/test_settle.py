@@ -10,6 +10,7 @@ from stages.training.finishing import settle as module
 from stages.training.finishing.bake import Known
 from stages.training.finishing.settle import SEAM, Change, settle, uneven
 from stages.training.step.fit import Fit
+from stages.training.step.person import Starting
 from stages.training.timing.accuracy import heldout_accuracy
 from tests.made.skeleton import PARENTS
 from tests.made.training import TRAIN, ellipsoid, make_clip, models, settings
@@ -25,21 +26,22 @@ def true_fit(clip, scene: bool = True, **more):
     wall.sh0.data = torch.randn(wall.sh0.shape, generator=generator)
     wall.logit_opacities.data[:] = 3
     wall.log_scales.data += 1
-    fit = Fit(views, TRAIN, body, human, wall if scene else None, *settings(40, **more), generator)
+    fit = Fit(views, TRAIN, [Starting(body, human)], wall if scene else None, *settings(40, **more), generator)
     with torch.no_grad():
         return fit, human()[0]._replace(sh=torch.sin(8 * ellipsoid()[0])[:, None] * 1.5)
 
 
 def accuracy(fit, person) -> float:
     """Of the held-out frame, in the box of this person."""
-    fit.person.baked = lambda: (person, rest(person, fit.person.canonical_bones))
-    return heldout_accuracy(fit, [2])["psnr_person"]
+    fit.people[0].baked = lambda: (person, rest(person, fit.people[0].canonical_bones))
+    return heldout_accuracy(fit.cast(), fit.seen(), [2])["psnr_person"]
 
 
 def settled(fit, person, own, frames=TRAIN, told=None, aslant=0.0, number=0):
     """With colours that are their own[N], and sizes and places that frames tell as well, or told[N,3]."""
     told = own[:, None].expand(-1, 3) if told is None else told
-    return settle(fit, fit.people[number], person, Known(own, told, torch.full_like(own, aslant)), frames)
+    who, known = fit.baked(fit.people[number]), Known(own, told, torch.full_like(own, aslant))
+    return settle(who, person, known, frames, fit.cast([who]), fit.seen(), fit.params.human_loss)
 
 
 @pytest.mark.slow

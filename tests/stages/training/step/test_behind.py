@@ -75,7 +75,7 @@ def test_what_is_always_in_the_shadow_takes_the_colours_of_what_is_lit():
 
 def test_nobody_who_is_not_drawn_casts_a_shadow(clip, monkeypatch):
     fit, stances = fit_of(clip, steps=20), []
-    monkeypatch.setattr(fit.effects, "shadow_depth", lambda points, *there: stances.append(there))
+    monkeypatch.setattr(fit.effects, "shadow_depth", lambda points, there: stances.append(there))
     fit._shadow_depth(0, fit.scene.means)
     fit.full.masks[0] = 0
     fit._shadow_depth(0, fit.scene.means)

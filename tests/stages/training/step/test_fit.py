@@ -10,12 +10,13 @@ import torch
 
 from stages.avatar.model.person import pose, rest
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import compose
 from stages.avatar.splats.gaussians import Splats
 from stages.training.step.fit import Fit
 from stages.training.step.layers import foreground_occluders
+from stages.training.step.person import Starting
 from stages.training.step.refine import spread
 from stages.training.views import Views, person_box
+from tests.made.learned import compose
 from tests.made.training import FRAMES, HEIGHT, TRAIN, WIDTH, fit_of, make_clip, models, run, same, settings, stored
 
 clip = pytest.fixture(scope="module")(make_clip)
@@ -26,8 +27,8 @@ def test_it_learns_and_both_sets_grow_to_their_caps(clip):
     fit = fit_of(clip, steps=80)
     numbers = run(fit, 80)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
-    assert len(fit.human) <= 300 and len(fit.scene) <= 260
-    assert len(fit.human) > 162 and len(fit.scene) > 150 and fit.guard.left_out == 0
+    assert len(fit.people[0].human) <= 300 and len(fit.scene) <= 260
+    assert len(fit.people[0].human) > 162 and len(fit.scene) > 150 and fit.guard.left_out == 0
 
 
 @pytest.mark.slow
@@ -36,12 +37,12 @@ def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip, broken_at):
     straight, first, second = fit_of(clip), fit_of(clip), fit_of(clip)
     run(straight, 40)
     run(first, broken_at)
-    assert (first.person.leaves is None) == (broken_at % 2 == 0), "17: between two decodes, with gradients waiting"
+    assert (first.people[0].leaves is None) == (broken_at % 2 == 0), "17: between two decodes, with gradients waiting"
     second.load(stored(first))
     assert len(second.scene) > 150, "a densification must lie before the break"
-    size = len(second.human)
+    size = len(second.people[0].human)
     run(second, 40)
-    assert len(second.human) > size, "and one behind it"
+    assert len(second.people[0].human) > size, "and one behind it"
     assert same(straight, second)
 
 
@@ -59,23 +60,25 @@ def test_h12_the_same_seed_gives_the_same_bits_and_another_gives_others(clip):
 def test_what_no_frame_shows_is_kept_as_it_began(clip):
     fit = fit_of(clip, steps=80)
     run(fit, 10)
-    hidden = torch.arange(len(fit.human)) < 5
-    fit.person.color_grad_sum[hidden] = 0  # as if behind all others
-    kept, decoded, began = fit.person.baked()[0], fit.human()[0], fit.human.initial()
-    assert (fit.person.color_grad_sum[~hidden] > 0).float().mean() > 0.5, "most are seen"
+    hidden = torch.arange(len(fit.people[0].human)) < 5
+    fit.people[0].color_grad_sum[hidden] = 0  # as if behind all others
+    kept, decoded, began = fit.people[0].baked()[0], fit.people[0].human()[0], fit.people[0].human.initial()
+    assert (fit.people[0].color_grad_sum[~hidden] > 0).float().mean() > 0.5, "most are seen"
     for part, b in zip(kept, began, strict=True):
         assert torch.equal(part[hidden], b[hidden])
-    seen = fit.person.color_grad_sum > 0.1 * fit.person.color_grad_sum.mean()
+    seen = fit.people[0].color_grad_sum > 0.1 * fit.people[0].color_grad_sum.mean()
     assert torch.equal(kept.means[seen], decoded.means[seen])
     assert not torch.equal(decoded.means[hidden], began.means[hidden])
     run(fit, 80)
-    assert len(fit.person.color_grad_sum) == len(fit.human) == len(fit.human.homes) > 162, "rows follow growth"
-    assert (fit.human.homes - fit.human.xyz).norm(dim=1).max() < 0.1
+    assert len(fit.people[0].color_grad_sum) == len(fit.people[0].human) == len(fit.people[0].human.homes) > 162, (
+        "rows follow growth"
+    )
+    assert (fit.people[0].human.homes - fit.people[0].human.xyz).norm(dim=1).max() < 0.1
 
 
 def test_h13_a_checkpoint_of_another_model_is_refused(clip):
     state = fit_of(clip).state()
-    state["models"]["human"]["triplane.table"] = torch.zeros(3, 3)
+    state["models"]["person 1"]["triplane.table"] = torch.zeros(3, 3)
     with pytest.raises(RuntimeError, match=r"triplane\.table"):
         fit_of(clip).load(state)
 
@@ -94,12 +97,12 @@ def test_g06_frames_without_a_person_to_learn_from_stay_finite(clip, case):
     if case == "no fit":
         person = person._replace(confidence=torch.zeros(FRAMES))
     fit = fit_of((views, person), scene=case != "no scene")
-    before = fit.human.xyz.detach().clone()
+    before = fit.people[0].human.xyz.detach().clone()
     run(fit, 6)
     assert fit.guard.left_out == 0
     assert all(p.isfinite().all() for module in fit.modules().values() for p in module.parameters())
     if case in ("empty masks", "no fit"):
-        assert torch.equal(before, fit.human.xyz)
+        assert torch.equal(before, fit.people[0].human.xyz)
 
 
 def test_a_doubtful_pose_teaches_as_little_as_it_is_trusted(clip):
@@ -107,15 +110,15 @@ def test_a_doubtful_pose_teaches_as_little_as_it_is_trusted(clip):
     sure, doubtful = fit_of(clip), fit_of((views, person._replace(confidence=torch.full((FRAMES,), 0.25))))
     for fit in (sure, doubtful):
         run(fit, 1)
-    assert sure.person.leaves["sh"].grad.abs().max() > 0
-    torch.testing.assert_close(doubtful.person.leaves["sh"].grad, 0.25 * sure.person.leaves["sh"].grad)
+    assert sure.people[0].leaves["sh"].grad.abs().max() > 0
+    torch.testing.assert_close(doubtful.people[0].leaves["sh"].grad, 0.25 * sure.people[0].leaves["sh"].grad)
     assert torch.equal(sure.scene.sh0, doubtful.scene.sh0), "the scene learns as ever"
 
 
 def spoil(fit: Fit, part: str, wrong: Callable[[torch.Tensor], torch.Tensor]) -> None:
     """Make the gradients of a part of the person at rest wrong from now on."""
-    resting = fit.person.resting
-    fit.person.resting = lambda: (r := resting(), getattr(r, part).register_hook(wrong))[0]
+    resting = fit.people[0].resting
+    fit.people[0].resting = lambda: (r := resting(), getattr(r, part).register_hook(wrong))[0]
 
 
 def poisoned(fit: Fit, tensor: torch.Tensor, row: int, by: float) -> None:
@@ -150,31 +153,31 @@ def test_c09_h01_h02_a_bad_row_of_the_person_never_reaches_the_networks(clip, by
     for f in (fit, silent):
         run(f, 6)
     spoil_row(fit, "means", by, 40)
-    for name, leaf in silent.person._decoded().items():
+    for name, leaf in silent.people[0]._decoded().items():
         if leaf.requires_grad:
             spoil_row(silent, name, 0.0, 40)
     for f in (fit, silent):
         run(f, 8)
     assert fit.guard.left_out == 1 and silent.guard.left_out == 0
-    for name, value in fit.human.state_dict().items():
-        assert torch.equal(value, silent.human.state_dict()[name]), name
+    for name, value in fit.people[0].human.state_dict().items():
+        assert torch.equal(value, silent.people[0].human.state_dict()[name]), name
 
 
 def spoil_row(fit: Fit, name: str, by: float, row: int) -> None:
     """Multiply the gradient that a row of a leaf gets of each frame until the networks learn."""
-    fit.person._decoded()[name].register_hook(lambda g: torch.cat([g[:row], g[row : row + 1] * by, g[row + 1 :]]))
+    fit.people[0]._decoded()[name].register_hook(lambda g: torch.cat([g[:row], g[row : row + 1] * by, g[row + 1 :]]))
 
 
 @pytest.mark.parametrize(("by", "begun"), [(float("nan"), 10), (1e12, 0), (1e12, 10)])
 def test_h01_h02_a_bad_gradient_of_a_frame_does_not_stay_with_it(clip, by, begun):
     fit = fit_of(clip, steps=400)
     run(fit, begun)
-    hook = fit.person.corrections.pose.weight.register_hook(lambda g: g * by)
+    hook = fit.people[0].corrections.pose.weight.register_hook(lambda g: g * by)
     fit.advance()
     hook.remove()
     assert fit.guard.left_out == 1
-    moments = fit.adam["frames of human"].state[fit.person.corrections.pose.weight]
-    assert fit.person.corrections.pose.weight.isfinite().all() and moments["exp_avg_sq"].isfinite().all()
+    moments = fit.adam["frames of person 1"].state[fit.people[0].corrections.pose.weight]
+    assert fit.people[0].corrections.pose.weight.isfinite().all() and moments["exp_avg_sq"].isfinite().all()
     assert moments["exp_avg_sq"].max() < 1
 
 
@@ -184,9 +187,9 @@ def test_h01_a_colour_gradient_that_is_not_finite_teaches_nothing(clip):
     run(fit, 2)
     assert (
         fit.guard.left_out == 3  # of its own in two frames, and the networks'
-        and fit.person.color_grad_sum.isfinite().all()
-        and fit.person.color_grad_sum[7] == 0
-        and fit.person.color_grad_sum.max() > 0
+        and fit.people[0].color_grad_sum.isfinite().all()
+        and fit.people[0].color_grad_sum[7] == 0
+        and fit.people[0].color_grad_sum.max() > 0
     )
 
 
@@ -200,7 +203,9 @@ def test_a23_h01_a_gaussian_that_is_not_finite_is_not_drawn_and_counted(clip):
     assert fit.undrawn == 2 and fit.state()["progress"]["step"] == 4
 
 
-@pytest.mark.parametrize(("what", "part"), [("loss", ""), ("scene", "sh"), ("corrections", "sh"), ("person", "means")])
+@pytest.mark.parametrize(
+    ("what", "part"), [("loss", ""), ("scene", "sh"), ("corrections of person 1", "sh"), ("person 1", "means")]
+)
 def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(clip, what, part):
     fit = fit_of(clip, steps=400)
     run(fit, 3)
@@ -214,7 +219,7 @@ def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(cl
             spoil(f, part, lambda g: torch.full_like(g, torch.nan))
 
     broken(fit)
-    with pytest.raises(FloatingPointError, match=f"20 bad steps in a row for the {what}") as error:
+    with pytest.raises(FloatingPointError, match=f"20 bad steps in a row, {what}") as error:
         run(fit, 100)
     if what != "loss":
         assert f"the first in {what}.{part}" in str(error.value) and "row 0" in str(error.value)
@@ -253,10 +258,10 @@ def test_b10_g04_pictures_of_a_few_pixels_train(clip, size):
     Ks[:, 0, 2], Ks[:, 1, 2] = width / 2, height / 2
     pictures = torch.full((FRAMES, height, width, 3), 90, dtype=torch.uint8)
     fit = fit_of((Views(pictures, torch.full((FRAMES, height, width), 255).byte(), views.viewmats, Ks), person), 6)
-    before = fit.human.xyz.detach().clone()
+    before = fit.people[0].human.xyz.detach().clone()
     run(fit, 6)
     assert all(p.isfinite().all() for module in fit.modules().values() for p in module.parameters())
-    assert not torch.equal(before, fit.human.xyz) and fit.guard.left_out == 0
+    assert not torch.equal(before, fit.people[0].human.xyz) and fit.guard.left_out == 0
 
 
 @pytest.mark.slow
@@ -267,10 +272,10 @@ def test_h19_one_frame_trains(clip):
         **{n: getattr(person, n)[:1] for n in ("global_orient", "body_pose", "transl", "confidence")}
     )
     human, wall, generator = models()
-    fit = Fit(one, [0], alone, human, wall, *settings(60, growth_rounds=20), generator)
+    fit = Fit(one, [0], [Starting(alone, human)], wall, *settings(60, growth_rounds=20), generator)
     numbers = run(fit, 60)
     assert fit.guard.left_out == 0 and np.mean(numbers[-10:]) < 0.95 * np.mean(numbers[25:35]), "at one resolution"
-    assert fit.bodies()[0].shape == (1, 3) and fit.gains().tolist() == [[1, 1, 1]]
+    assert fit.poses(fit.people[0])[0].shape == (1, 3) and fit.gains().tolist() == [[1, 1, 1]]
 
 
 HALVED = """
@@ -296,16 +301,22 @@ def test_a_clip_of_1300_frames_is_halved_frame_by_frame_and_trains(clip, held):
         **{n: getattr(person, n)[of] for n in ("global_orient", "body_pose", "transl", "confidence")}
     )
     human, wall, generator = models()
-    fit = Fit(long, list(range(many)), moved, human, wall, *settings(6, growth_rounds=20), generator)
+    fit = Fit(long, list(range(many)), [Starting(moved, human)], wall, *settings(6, growth_rounds=20), generator)
     run(fit, 6)
-    assert fit.guard.left_out == 0 and fit.bodies()[0].shape == (many, 3) and fit.bodies()[0].isfinite().all()
+    assert (
+        fit.guard.left_out == 0
+        and fit.poses(fit.people[0])[0].shape == (many, 3)
+        and fit.poses(fit.people[0])[0].isfinite().all()
+    )
 
 
 def test_only_seen_frames_move_and_others_take_their_neighbours(clip):
     fit = fit_of(clip)
     run(fit, 12)
-    assert (fit.person.corrections.pose.weight[2] == 0).all() and fit.person.corrections.pose.weight[1].abs().sum() > 0
-    orient = fit.bodies()[0]
+    assert (fit.people[0].corrections.pose.weight[2] == 0).all() and fit.people[0].corrections.pose.weight[
+        1
+    ].abs().sum() > 0
+    orient = fit.poses(fit.people[0])[0]
     assert torch.allclose(orient[2], (orient[1] + orient[3]) / 2, atol=1e-6)
     assert torch.allclose(fit.gains()[fit.train].log().mean(0), torch.zeros(3), atol=1e-6)
 
@@ -381,15 +392,15 @@ def test_what_is_learned_of_poses_is_written_with_its_sign(clip):
     fit, body = fit_of(clip, refine_pose=True), clip[1]
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
-        for table in (fit.person.corrections.pose, fit.person.corrections.place):
+        for table in (fit.people[0].corrections.pose, fit.people[0].corrections.place):
             table.weight.copy_(torch.randn(table.weight.shape, generator=generator))
-        written = fit.bodies()
+        written = fit.poses(fit.people[0])
         for frame in TRAIN:
-            for part, drawn in zip(written, fit.body(frame), strict=True):
+            for part, drawn in zip(written, fit.pose(fit.people[0], frame), strict=True):
                 torch.testing.assert_close(part[frame], drawn)
             torch.testing.assert_close(
-                written[2][frame], body.transl[frame] + fit.person.corrections.place.weight[frame]
+                written[2][frame], body.transl[frame] + fit.people[0].corrections.place.weight[frame]
             )
             torch.testing.assert_close(
-                written[0][frame], body.global_orient[frame] + fit.person.corrections.pose.weight[frame, :3]
+                written[0][frame], body.global_orient[frame] + fit.people[0].corrections.pose.weight[frame, :3]
             )

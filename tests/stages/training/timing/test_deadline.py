@@ -97,7 +97,7 @@ def test_a_run_with_other_steps_goes_through_the_whole_schedule(clip):
         seen.append(fit.progress.done)
         fit.advance()
     assert seen == sorted(seen) and seen[-1] == pytest.approx(0.25 + 0.75 * 59 / 60) and fit.progress.done == 1.0
-    assert len(fit.scene) > 150 and len(fit.human) > 162
+    assert len(fit.scene) > 150 and len(fit.people[0].human) > 162
 
 
 @pytest.mark.parametrize("slower", [0.5, 1.0, 3.0])

@@ -5,7 +5,6 @@ import torch
 
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.effects.shading import Shading
-from stages.avatar.effects.shadow import casters
 from stages.estimators.detectors.every import DETECTORS
 from stages.training.results import learned_numbers
 from stages.training.step.optimizers import optimizers
@@ -22,17 +21,21 @@ def changing(clip):
     """A training in which all that frames can do is on, and learned to something that shows."""
     fit = everything(clip, 24)
     run(fit, 24)
-    bones, body = fit.person.canonical_bones[:24], fit.person.body
-    body = casters(body.vertices, body.weights[:, :24]).posed(torch.linalg.inv(bones))
-    effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), body, 0.5, motion_blur=True, rolling_shutter=True)
+    effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), 0.5, motion_blur=True, rolling_shutter=True)
     effects.clothes, effects.shading = fit.effects.clothes, Shading(torch.linspace(-0.5, 0.5, 24).view(8, 3))
-    fit.effects, fit.speeds = effects, frame_speeds(fit.full, fit.person.body)
+    fit.effects, fit.speeds = effects, frame_speeds(fit.full)
     fit.options = fit.options._replace(refine_camera=True)
-    fit.adam = optimizers(fit.frames, {"human": (fit.human, fit.person.corrections)}, fit.scene, 1.0, effects)
+    fit.adam = optimizers(
+        fit.frames, {"person 1": (fit.people[0].human, fit.people[0].corrections)}, fit.scene, 1.0, effects
+    )
     fit.densifier.settled = torch.zeros(len(fit.scene.means), dtype=torch.bool)
     with torch.no_grad():
-        fit.effects.readout.fill_(0.8), fit.person.body.clothing.swings.fill_(0.2)
-        fit.scene.shN.fill_(0.05), fit.frames.gain.weight[1].fill_(0.3), fit.person.corrections.place.weight.fill_(0.02)
+        fit.effects.readout.fill_(0.8), fit.people[0].body.clothing.swings.fill_(0.2)
+        (
+            fit.scene.shN.fill_(0.05),
+            fit.frames.gain.weight[1].fill_(0.3),
+            fit.people[0].corrections.place.weight.fill_(0.02),
+        )
         fit.frames.shift.weight[:3] = 0.02
     return fit
 
@@ -64,10 +67,10 @@ def test_it_leaves_no_trace(clip):
 @pytest.mark.parametrize("effect", [*OPTIONS, *PARTS, "view_dependence"])
 def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
     fit = changing(clip)
-    whole, kept = heldout_accuracy(fit, HELD_OUT), everything_of(fit)
+    whole, kept = heldout_accuracy(fit.cast(), fit.seen(), HELD_OUT), everything_of(fit)
     with without(fit, effect):
         assert effect not in effects_of(fit) and len(effects_of(fit)) == len(OPTIONS) + len(PARTS)
-        drawn = heldout_accuracy(fit, HELD_OUT)
+        drawn = heldout_accuracy(fit.cast(), fit.seen(), HELD_OUT)
         fit.advance()
     assert all(a is b for a, b in zip(kept, everything_of(fit), strict=True))
     assert (drawn["psnr"] == whole["psnr"]) == (effect in ONLY_TAUGHT), "else this test says nothing"
@@ -78,12 +81,13 @@ def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
     """A made-up clock: three pictures take three times as long as one."""
     fit = changing(clip)
     monkeypatch.setattr("stages.training.timing.effect_gains._seconds", lambda fit: 3.0 if fit.effects.blurs else 1.0)
-    whole, far = heldout_accuracy(fit, HELD_OUT), heldout_accuracy(fit, HELD_OUT[:1])
+    whole, far = (heldout_accuracy(fit.cast(), fit.seen(), some) for some in (HELD_OUT, HELD_OUT[:1]))
     found = effect_gains(fit, HELD_OUT, HELD_OUT[:1])
     for effect in ("shadow", "clothing", "exposure"):
         with without(fit, effect):
-            assert found[effect]["psnr_person"] == whole["psnr_person"] - heldout_accuracy(fit, HELD_OUT)["psnr_person"]
-            assert found[effect]["psnr_far"] == far["psnr_person"] - heldout_accuracy(fit, HELD_OUT[:1])["psnr_person"]
+            near, new = (heldout_accuracy(fit.cast(), fit.seen(), some) for some in (HELD_OUT, HELD_OUT[:1]))
+        assert found[effect]["psnr_person"] == whole["psnr_person"] - near["psnr_person"]
+        assert found[effect]["psnr_far"] == far["psnr_person"] - new["psnr_person"]
     assert found["transients"]["psnr"] is None
     shares = {name: effect["share"] for name, effect in found.items()}
     assert shares.pop("motion_blur") == pytest.approx(2 / 3) and set(shares.values()) == {0.0}
@@ -93,9 +97,8 @@ def test_nothing_is_timed_where_nothing_is_on(clip, monkeypatch):
     fit = fit_of(clip, scene=False, refine_pose=False, exposure=False)
     monkeypatch.setattr(fit, "advance", lambda: pytest.fail("a step was taken"))
     assert effects_of(fit) == [] and effect_gains(fit, HELD_OUT, HELD_OUT[:1]) == {}
-    body, times = fit.person.body, {"motion_blur": False, "rolling_shutter": False}
-    lit = torch.tensor([0.0, 0, -1]), casters(body.vertices, body.weights[:, :24])
-    fit.effects = FrameEffects.starting(*lit, 0.5, **times)
+    light = torch.tensor([0.0, 0, -1])
+    fit.effects = FrameEffects.starting(light, 0.5, motion_blur=False, rolling_shutter=False)
     assert fit.effects.shadow is not None
     assert effects_of(fit) == [], "where there is no scene no shadow falls"
     assert learned_numbers(fit.effects, fit.scene) == {}, "and nothing is learned of it"

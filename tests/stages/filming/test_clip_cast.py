@@ -6,16 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from stages import evaluate, export, render, report
 from stages.avatar.drawing.rig import rig_of
-from stages.avatar.effects.speeds import FrameMotion
-from stages.avatar.splats.gaussians import Splats
 from stages.contract import Job, StageError
-from stages.filming import company as module
 from stages.filming.cast import cast
-from stages.filming.company import casters_of, floor_under, load_company, moving, present
+from stages.filming.clip_cast import floor_under, load_cast, with_casters
 from stages.filming.spec import Person
 from stages.formats.clip import load_people
 from stages.formats.facts import Metrics, Seconds, Smpl, read_facts
@@ -38,27 +34,12 @@ def needs(clip, *names):
     return {name: clip[name] for name in names}
 
 
-def test_people_move_together_each_as_they_do():
-    means = [torch.arange(3.0 * n).view(n, 3) for n in (2, 3)]
-    people = [
-        Splats(m, torch.eye(3).expand(len(m), 3, 3), torch.ones(len(m)), torch.zeros(len(m), 1, 3)) for m in means
-    ]
-    camera, (one, other) = FrameMotion(torch.eye(3, 4), None, torch.eye(3), 9), means
-    ann, bob = (camera._replace(person=speeds + 1) for speeds in (one, other))
-    assert moving(None, [(people[0], None)]) is None and moving(camera, []) is camera
-    assert torch.equal(moving(camera, [(people[0], ann)]).person, one + 1), "somebody alone moves, too"
-    both = moving(camera, [(people[0], ann), (people[1], None)]).person
-    assert torch.equal(both, torch.cat([one + 1, 0 * other]))
-    assert torch.equal(moving(camera, [(people[0], ann), (people[1], bob)]).person, torch.cat([one + 1, other + 1]))
-
-
 def test_each_frame_has_those_whom_it_shows(clip):
-    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
-    assert [one.clip.person for one in members] == [1, 2]
-    assert [len(present(members, i)) for i in (0, tiny.EMPTY)] == [2, 1]
-    assert members[0].learned.scene is members[1].learned.scene, "one scene, once in memory"
-    both = members[0].clip.mask(0) > 127
-    assert (both == ((members[0].clip.own_mask(0) > 127) | (members[1].clip.own_mask(0) > 127))).mean() > 0.99
+    clips, cast = load_cast(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    assert [one.person for one in clips] == [1, 2]
+    assert [len(cast.at(i).people) for i in (0, tiny.EMPTY)] == [2, 1]
+    both = clips[0].mask(0) > 127
+    assert (both == ((clips[0].own_mask(0) > 127) | (clips[1].own_mask(0) > 127))).mean() > 0.99
 
 
 @pytest.mark.slow
@@ -161,29 +142,31 @@ def test_in_a_film_of_their_own_scene_each_is_where_they_were(clip):
 
 
 def test_in_a_made_motion_each_stands_where_they_were(clip):
-    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
-    rigs = [rig_of(read_avatar(folder_of(clip["train"], one.clip.person) / "avatar.npz")) for one in members]
+    clips, _ = load_cast(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    rigs = [rig_of(read_avatar(folder_of(clip["train"], one.person) / "avatar.npz")) for one in clips]
     ground = read_ground(clip["smpl"] / "ground.json")
-    first, second = (floor_under(one.clip, rig, ground) for one, rig in zip(members, rigs, strict=True))
+    first, second = (floor_under(one, rig, ground) for one, rig in zip(clips, rigs, strict=True))
     assert first is ground
-    hips = members[1].clip.body.transl[len(tiny.NAMES) // 2] + rigs[1].joints[0]
+    hips = clips[1].body.transl[len(tiny.NAMES) // 2] + rigs[1].joints[0]
     np.testing.assert_allclose(np.cross(hips - second.point, ground.up), 0, atol=1e-6)
     assert abs((second.point - ground.point) @ ground.up) < 1e-6
 
 
 def test_the_picture_of_both_is_the_frame(clip):
-    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
-    strip = next(render._beside_truth(members, [tiny.EMPTY], {}))
+    clips, cast = load_cast(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    strip = next(render._beside_truth(clips[0], cast, [tiny.EMPTY], {}))
     assert np.abs(strip[:, : tiny.WIDTH].astype(int) - strip[:, tiny.WIDTH :]).mean() < 1.5
     assert (strip[:, : tiny.WIDTH] == read_image(clip["sfm"] / "images" / f"{tiny.NAMES[tiny.EMPTY]}.png")).all()
 
 
-def test_the_shadow_of_a_further_person_is_that_of_their_own_body(clip, monkeypatch):
-    first, other = load_people(clip["sfm"], clip["smpl"], clip["train"])
-    stout = replace(other, body=replace(other.body, betas=np.array([2.0, -3.0] + [0.0] * 8)))
-    monkeypatch.setattr(module, "load_people", lambda *folders: [first, stout])
-    members = load_company(clip["sfm"], clip["smpl"], clip["train"], "cpu")
-    theirs = members[1].learned.parts.middles
-    mine, own = (casters_of(one.body_model, one.body.betas).middles for one in (first, stout))
-    np.testing.assert_allclose(theirs, own, atol=1e-6)
-    assert (mine - own).abs().max() > 0.01
+def test_the_shadow_of_each_is_that_of_their_own_body(clip):
+    first, _ = load_people(clip["sfm"], clip["smpl"], clip["train"])
+    avatar = read_avatar(clip["train"] / "avatar.npz")
+    slim, stout = (with_casters(replace(avatar, betas=betas), first.body_model).casters[0] for betas in
+                   (avatar.betas, np.array([2.0, -3.0] + [0.0] * 8)))  # fmt: skip
+    assert np.abs(slim - stout).max() > 0.01
+    held = replace(avatar, casters=(np.ones((24, 3)), np.zeros((24, 3, 3))))
+    assert with_casters(held, first.body_model) is held, "as the file has it"
+    _, cast = load_cast(clip["sfm"], clip["smpl"], clip["train"], "cpu")
+    for who in cast.people:
+        np.testing.assert_allclose(who.avatar.casters.middles, slim, atol=1e-6)

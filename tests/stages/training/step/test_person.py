@@ -15,14 +15,14 @@ clip = pytest.fixture(scope="module")(make_two)
 @pytest.mark.slow
 def test_both_learn_their_own_colours_and_grow(clip):
     fit = fit_of_two(clip, steps=60)
-    began, before = [len(learner.human) for learner in fit.people], heldout_accuracy(fit, [2])
+    began, before = [len(learner.human) for learner in fit.people], heldout_accuracy(fit.cast(), fit.seen(), [2])
     numbers = run(fit, 60)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10]) and fit.guard.left_out == 0
     assert all(len(learner.human) > count for learner, count in zip(fit.people, began))
     with torch.no_grad():
         red, blue = (learner.baked()[0].sh[:, 0].mean(0) for learner in fit.people)
     assert red[0] > red[2] + 0.3 and blue[2] > blue[0] + 0.3
-    assert heldout_accuracy(fit, [2])["psnr_person"] > before["psnr_person"] + 1
+    assert heldout_accuracy(fit.cast(), fit.seen(), [2])["psnr_person"] > before["psnr_person"] + 1
 
 
 @pytest.mark.slow
@@ -32,7 +32,7 @@ def test_two_resumed_are_as_two_that_were_not_stopped(clip):
     run(first, 17)
     second.load(stored(first))
     run(second, 40)
-    assert same(straight, second) and {"human 2", "frames of human 2"} <= set(second.modules())
+    assert same(straight, second) and {"person 2", "frames of person 2"} <= set(second.modules())
 
 
 @pytest.mark.slow
@@ -55,5 +55,5 @@ def test_without_a_scene_a_frame_in_which_nobodys_pose_is_known_is_not_measured(
     people = [person._replace(confidence=found.float()) for person in people]
     fit = fit_of_two((views, people, masks))
     fit.scene = None
-    assert set(heldout_accuracy(fit, [2]).values()) == {None}
-    assert heldout_accuracy(fit, [1, 2]) == heldout_accuracy(fit, [1])
+    assert set(heldout_accuracy(fit.cast(), fit.seen(), [2]).values()) == {None}
+    assert heldout_accuracy(fit.cast(), fit.seen(), [1, 2]) == heldout_accuracy(fit.cast(), fit.seen(), [1])

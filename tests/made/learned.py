@@ -1,0 +1,63 @@
+"""A trained avatar with its scene and effects, posed and drawn as tests need it: through a `Cast`, one pose at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from stages import records
+from stages.avatar.drawing.avatar import Baked, PosedAvatar, load_avatar
+from stages.avatar.drawing.cast import Cast, Moment
+from stages.avatar.effects.frames import FrameEffects, load_effects
+from stages.avatar.model.scene import load_scene
+from stages.avatar.rasterize import Camera, Layer, Rendering
+from stages.avatar.splats.compose import draw_together
+from stages.avatar.splats.gaussians import Splats
+
+Pose = tuple[np.ndarray, np.ndarray, np.ndarray]  # global_orient [3], body_pose [69] in rad, transl [3] in m
+
+
+@dataclass(frozen=True)
+class Learned:
+    avatar: Baked
+    scene: Splats | None
+    effects: FrameEffects
+
+    @torch.no_grad()
+    def person(self, pose: Pose) -> Splats:
+        """The person's Gaussians in the world, in the light of the clip."""
+        return Cast([PosedAvatar.of(self.avatar, *pose)], None, self.effects).at(0).people[0]
+
+    @torch.no_grad()
+    def shade(self, scene: Splats | None, pose: Pose | None) -> Splats | None:
+        """A scene with the shadow of the person at a pose, None for nobody."""
+        people = [] if pose is None else [PosedAvatar.of(self.avatar, *pose)]
+        return Cast(people, scene, self.effects).at(0).scene
+
+
+def load_learned(
+    avatar: records.Avatar, scene: records.Scene | None, effects: records.Effects, device: str = "cpu"
+) -> Learned:
+    drawn = None if scene is None else load_scene(scene, device)
+    return Learned(load_avatar(avatar, device), drawn, load_effects(effects).to(device))
+
+
+def pose_of(body: records.BodyPoses, i: int) -> Pose:
+    return body.global_orient[i], body.body_pose[i], body.transl[i]
+
+
+def draw(
+    human: Splats | None, scene: Splats | None, camera: Camera, background: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours [H,W,3] over a grey `background` and coverage [H,W] at one instant."""
+    return Moment([] if human is None else [human], scene).picture(camera, background)
+
+
+def compose(
+    human: Splats | None, scene: Splats | None, camera: Camera, layers: Sequence[Layer] = (Layer(),)
+) -> list[Rendering]:
+    """Person and scene, where they are, drawn together."""
+    return draw_together([one for one in (human, scene) if one is not None], camera, layers)
