@@ -113,16 +113,15 @@ def trained(folder: Path, settings: dict[str, Any], steps: int, seed: int) -> di
     decisions, starts = surveyed(folder)
     heldout = [i for i in np.flatnonzero(clip.heldout).tolist() if (clip.mask(i) > 127).any()]
     params = train.Params(steps=steps, **settings)
-    fit = build(Task(clip, params, decisions, starts, seed), lambda text: None)
+    fit = build(Task([clip], params, decisions, starts, seed), lambda text: None)
     times = []
     while fit.progress.step < steps:
         late = fit.progress.done >= fit.half_until
         took = clock(fit.advance)
         times += [took] if late else []
     with np.load(fetch("lpips_alex.npz")) as weights:
-        return {"step": summary(times), "decode": decode_error(fit.human)} | heldout_accuracy(
-            fit, heldout, Lpips(weights)
-        )
+        accuracy = heldout_accuracy(fit.cast(), fit.seen(), heldout, Lpips(weights))
+    return {"step": summary(times), "decode": decode_error(fit.people[0].human)} | accuracy
 
 
 def measured(folder: Path, picture: Path, settings: dict[str, Any], steps: int, seed: int) -> dict[str, Any]:

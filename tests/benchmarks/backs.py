@@ -18,7 +18,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages import train
-from stages.avatar.drawing.draw import load_learned
 from stages.avatar.measures.lpips import Lpips
 from stages.estimators.assets import fetch
 from stages.formats.clip import Clip, load_clip
@@ -30,6 +29,7 @@ from stages.training.timing.accuracy import heldout_accuracy
 from tests.benchmarks.host import tell
 from tests.benchmarks.loose import Shown, finished
 from tests.benchmarks.workloads import surveyed
+from tests.made.learned import load_learned
 
 FRONT, BACK = 60.0, 110.0  # degrees
 
@@ -57,14 +57,15 @@ def measure(results: Path, lpips: Lpips) -> dict[str, Any]:
             Path(folder, "split.json"), "fronts", {n: (k, i) for i, (n, k) in enumerate(zip(names, kinds.tolist()))}
         )
         clip, params = load_clip(Path(folder), results / "smpl"), train.Params()
-        fit = build(Task(clip, params, *surveyed(results)), lambda text: None)
+        fit = build(Task([clip], params, *surveyed(results)), lambda text: None)
         while fit.progress.step < params.steps:
             fit.advance()
         others = [i for i in np.flatnonzero(clip.heldout).tolist() if clip.shows_person(i)]
-        before = heldout_accuracy(fit, others, lpips)
+        before = heldout_accuracy(fit.cast(), fit.seen(), others, lpips)
         quiet = SimpleNamespace(note=lambda *_: None, warn=lambda *_: None)
-        result = result_of(fit, clip, [{"seconds": 0.0}], {}, quiet)
-        shown = Shown(clip, result.body, load_learned(result.avatar, result.scene, result.effects or Effects()), lpips)
+        result = result_of(fit, [clip], [{"seconds": 0.0}], {}, quiet)
+        ((avatar, body),) = result.people
+        shown = Shown(clip, body, load_learned(avatar, result.scene, result.effects or Effects()), lpips)
         after = finished(shown, fit, others)
     trained = {name: before[f"{name}_person"] for name in ("psnr", "lpips")}
     return {"fronts": int(clip.training.sum()), "backs": len(others), "as trained": trained, "finished": after}

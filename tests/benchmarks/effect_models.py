@@ -86,10 +86,10 @@ def inputs(place: Path, **made: Any) -> tuple[Path, Path]:
 class Averaged(FrameEffects):
     """No effects; pictures are drawn TIMES as large and averaged, as a lens does."""
 
-    def draw(self, human, scene, motion, camera, layers):
+    def draw(self, sets, motion, camera, layers):
         K = camera.K * camera.K.new_tensor([TIMES, TIMES, 1.0])[:, None]
         large = Camera(camera.viewmat, K, TIMES * camera.width, TIMES * camera.height)
-        drawn = super().draw(human, scene, motion, large, layers)
+        drawn = super().draw(sets, motion, large, layers)
         return [replace(one, image=smaller(one.image)) for one in drawn]
 
 
@@ -106,7 +106,7 @@ def trained(folders: tuple[Path, Path], args: argparse.Namespace, **decisions: b
         evidence = ClipEvidence(clip, read_facts(folders[0] / "sfm.json", Sfm))
         starts["shadow"] = DETECTORS["shadow"](evidence).start
     params = train.Params(steps=args.steps, **PARAMS)
-    fit = build(Task(clip, params, ALWAYS | decisions, starts, args.seed), lambda text: None)
+    fit = build(Task([clip], params, ALWAYS | decisions, starts, args.seed), lambda text: None)
     began = time.process_time()
     while fit.progress.step < args.steps:
         fit.advance()
@@ -123,10 +123,11 @@ def rate(folders: tuple[Path, Path], args: argparse.Namespace, truth: Path | Non
         masks = torch.as_tensor(np.stack([still.mask(i) for i in range(len(still.names))]))
         viewmats = torch.as_tensor(still.viewmats).float()
         fit.full, fit.frames = Views(images, masks, viewmats, *fit.full[3:]), FrameCorrections(len(images))
-        fit.person.corrections = BodyCorrections(len(images), fit.person.body.own_bones)
+        (who,) = fit.people
+        who.corrections = BodyCorrections(len(images), who.body.own_bones)
         poses = {name: torch.as_tensor(getattr(still.body, name)).float() for name in POSE}
-        fit.person.body, fit.effects, fit.speeds = fit.person.body._replace(**poses), FrameEffects(), None
-    return heldout_accuracy(fit, others(folders)) | {"cpu_seconds": seconds, "found": found}
+        who.body, fit.effects, fit.speeds = who.body._replace(**poses), FrameEffects(), None
+    return heldout_accuracy(fit.cast(), fit.seen(), others(folders)) | {"cpu_seconds": seconds, "found": found}
 
 
 def rate_afar(folders: tuple[Path, Path], args: argparse.Namespace, effect: str) -> dict[str, dict[str, Any]]:
@@ -136,10 +137,10 @@ def rate_afar(folders: tuple[Path, Path], args: argparse.Namespace, effect: str)
         fit, seconds = trained(folders, args, **{effect: on})
         for _ in range(TIMES.bit_length() - 1):
             fit.full = fit.full.half()
-        rows[arm] = heldout_accuracy(fit, others(folders)) | {"cpu_seconds": seconds, "found": {}}
+        rows[arm] = heldout_accuracy(fit.cast(), fit.seen(), others(folders)) | {"cpu_seconds": seconds, "found": {}}
         if not on:
             fit.effects = Averaged()
-            rows["without"] = heldout_accuracy(fit, others(folders)) | {"cpu_seconds": seconds}
+            rows["without"] = heldout_accuracy(fit.cast(), fit.seen(), others(folders)) | {"cpu_seconds": seconds}
     return rows
 
 

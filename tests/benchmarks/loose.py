@@ -29,7 +29,7 @@ import numpy as np
 import torch
 
 from stages import calibrated, masks, neuman, smpl, train
-from stages.avatar.drawing.draw import Learned, Pose, draw, load_learned, pose_of, to_uint8
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.kernels.mesh import covered
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import person_crop, scores
@@ -53,6 +53,7 @@ from stages.training.results import result_of
 from stages.training.step.fit import Fit
 from stages.training.timing.accuracy import heldout_accuracy
 from tests.made import datasets, one_pose
+from tests.made.learned import Learned, Pose, draw, load_learned, pose_of
 from tests.made.truth import align, in_result_world
 
 GARMENTS = ("skirt", "coat", "ponytail", "bag", "none", *one_pose.KINDS)
@@ -96,7 +97,7 @@ def trained(place: Path, steps: int, own: bool, clothing: bool | None) -> tuple[
     finding = detect(ClipEvidence(clip, facts))
     on = finding.called_for if clothing is None else clothing
     params = train.Params(steps=steps, **PARAMS)
-    fit = build(Task(clip, params, {"pose_refinement": own, "clothing": on}), lambda text: None)
+    fit = build(Task([clip], params, {"pose_refinement": own, "clothing": on}), lambda text: None)
     began = time.process_time()
     while fit.progress.step < steps:
         fit.advance()
@@ -187,11 +188,12 @@ def rate(work: Path, garment: str, seed: int, args: argparse.Namespace, lpips: L
     place = inputs(work, garment, seed, args.own)
     fit, row = trained(place, args.steps, args.own, args.clothing)
     others = [int(i) for i in np.flatnonzero(~load_clip(place / "sfm", place / "smpl").training)]
-    heldout = heldout_accuracy(fit, others, lpips)
+    heldout = heldout_accuracy(fit.cast(), fit.seen(), others, lpips)
     clip, quiet = load_clip(place / "sfm", place / "smpl"), SimpleNamespace(note=lambda *_: None, warn=lambda *_: None)
-    result = result_of(fit, clip, [{"seconds": 0.0}], {}, quiet)
-    write_splats(place / f"avatar{args.tag}.npz", result.avatar)
-    shown = Shown(clip, result.body, load_learned(result.avatar, result.scene, result.effects or Effects()), lpips)
+    result = result_of(fit, [clip], [{"seconds": 0.0}], {}, quiet)
+    ((avatar, body),) = result.people
+    write_splats(place / f"avatar{args.tag}.npz", avatar)
+    shown = Shown(clip, body, load_learned(avatar, result.scene, result.effects or Effects()), lpips)
     scored, picture = novel(place, shown)
     write_image(place / f"novel{args.tag}.png", picture)
     row |= {"clip": f"{garment}{seed}", "own": args.own, "novel": scored, "finished": finished(shown, fit, others)}

@@ -25,15 +25,16 @@ import numpy as np
 import torch
 
 from stages import train
+from stages.avatar.drawing.cast import Moment
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.rasterize import Camera, Layer
-from stages.avatar.splats.compose import compose
 from stages.contract import Job, peak_memory
 from stages.formats.clip import load_people
 from stages.formats.images import write_image
 from stages.masks import apart
 from stages.training.beginning.start import Task, build
 from stages.training.step.fit import Fit
+from stages.training.step.person import Starting
 from tests.benchmarks.host import tell
 from tests.made.pair import Pair, make_pair, write_stages
 from tests.made.truth import psnr
@@ -49,40 +50,36 @@ def trainings(folders: dict[str, Path], steps: int, seed: int, decisions: dict[s
     people = load_people(folders["sfm"], folders["smpl"])
     params = train.Params(steps=steps, **PARAMS)
     for name in ("both", "first", "second"):
-        fit = build(Task(people[0], params, decisions, {}, seed, others=people[1:]), lambda text: None)
+        fit = build(Task(people, params, decisions, {}, seed), lambda text: None)
         yield name, fit if name == "both" else only(fit, name == "second", seed)
 
 
 def only(fit: Fit, second: bool, seed: int) -> Fit:
     """The training of one of two people, in which the other's pixels teach nobody."""
     who = fit.people[int(second)]
-    shadow = fit.effects.shadow
-    if shadow is not None and second:
-        shadow.middles, shadow.covariances = who.casters
-    models = fit.full, fit.train, who.body, who.human, fit.scene, fit.params, fit.options
-    generator = torch.Generator().manual_seed(seed)
-    return Fit(*models, generator, effects=FrameEffects(shadow), outline=who.outline)
+    models = fit.full, fit.train, [Starting(who.body, who.human, who.outline)], fit.scene, fit.params, fit.options
+    return Fit(*models, torch.Generator().manual_seed(seed), effects=FrameEffects(fit.effects.shadow))
 
 
 @torch.no_grad()
 def asked(fit: Fit, pair: Pair, whom: Sequence[int], frames: list[int], folder: Path) -> dict[str, Any]:
     """Of each of `whom` the mean PSNR dB in `frames`; of the picture beside people; and of the empty scene."""
     found: dict[str, list[float]] = {}
+    cast = fit.cast()
     for i in frames:
         height, width = pair.views[0].masks.shape[1:]
         camera = Camera(fit.full.viewmats[i], fit.full.Ks[i], width, height)
-        splats = [fit.posed(who.baked()[1], *fit.body(i, who), of=who) for who in fit.people]
         free = np.maximum(*(one.masks[i] for one in pair.views)) == 0
-        lit = fit.effects.shade(fit.scene.splats(), *(fit.stance(*fit.body(i, who), of=who) for who in fit.people))
-        for k, one in zip(whom, splats, strict=True):
-            (drawn,) = compose(one, None, camera, [Layer(background=torch.ones(3))])
+        moment = cast.at(i, cast.people)
+        for k, one in zip(whom, moment.people, strict=True):
+            (drawn,) = Moment([one]).draw(camera, [Layer(background=torch.ones(3))])
             rows, columns = (np.flatnonzero(pair.whole[k, i].any(axis)) for axis in (1, 0))
             box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             shown = bytes_of(drawn.image)
             found.setdefault(f"person {k + 1}", []).append(psnr(shown[box], pair.alone[k, i][box]))
             write_image(folder / f"{i:06d}_person{k + 1}.png", np.concatenate([pair.alone[k, i], shown], 1))
-        whole = bytes_of(compose(None, lit, camera)[0].image)
-        empty = bytes_of(compose(None, fit.scene.splats(), camera)[0].image)
+        whole = bytes_of(Moment((), moment.scene).draw(camera)[0].image)
+        empty = bytes_of(Moment((), cast.scene).draw(camera)[0].image)
         found.setdefault("beside people", []).append(psnr(whole[free], pair.views[0].images[i][free]))
         found.setdefault("empty room", []).append(psnr(empty, pair.rooms[i]))
         write_image(folder / f"{i:06d}_room.png", np.concatenate([pair.views[0].images[i], empty], 1))
@@ -182,8 +179,8 @@ def steps_of(count: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         folders = write_stages(pair, Path(folder))
         two = load_people(folders["sfm"], folders["smpl"])
-        first, *others = [replace(two[k % 2], person=1 + k % 2, alone=False) for k in range(count)]
-        fit = build(Task(first, train.Params(), {"pose_refinement": True}, {}, others=others), lambda text: None)
+        clips = [replace(two[k % 2], person=1 + k % 2, alone=False) for k in range(count)]
+        fit = build(Task(clips, train.Params(), {"pose_refinement": True}), lambda text: None)
     before = peak_memory()
     fit.half_until = 0.0
     fit.densifier.fill_up(fit.adam)

@@ -24,6 +24,7 @@ from stages.avatar.measures.ssim import ssim_reference
 from stages.avatar.rasterize import Camera, Gaussians, Layer, cpu, reference
 from stages.training.step import losses
 from stages.training.step.fit import Fit
+from stages.training.step.person import Starting
 from stages.training.timing.accuracy import heldout_accuracy
 from tests.benchmarks.host import clock
 from tests.made.training import make_clip, models, settings
@@ -60,18 +61,14 @@ def way(dtype: torch.dtype | None) -> Iterator[None]:
 def fit_of(clip: Any, steps: int, seed: int) -> Fit:
     """A training of the small clip that begins as `seed` says."""
     human, wall, generator = models(seed)
-    return Fit(clip[0], TRAINED, clip[1], human, wall, *settings(steps), generator)
+    return Fit(clip[0], TRAINED, [Starting(clip[1], human)], wall, *settings(steps), generator)
 
 
 @torch.no_grad()
 def picture(fit: Fit) -> Tensor:
     """The held-out frame as it is drawn now."""
-    human, size = (
-        fit.posed(fit.person.baked()[1], *(part[HELD_OUT] for part in fit.bodies())),
-        fit.full.masks.shape[:0:-1],
-    )
-    camera = Camera(fit.full.viewmats[HELD_OUT], fit.full.Ks[HELD_OUT], *size)
-    return fit.effects.draw(human, fit.scene.splats(), None, camera, [Layer()])[0].image
+    camera = Camera(fit.full.viewmats[HELD_OUT], fit.full.Ks[HELD_OUT], *fit.full.masks.shape[:0:-1])
+    return fit.cast().at(HELD_OUT).draw(camera)[0].image
 
 
 def trained(clip: Any, dtype: torch.dtype | None, steps: int, seed: int) -> tuple[Tensor, float, float]:
@@ -83,7 +80,7 @@ def trained(clip: Any, dtype: torch.dtype | None, steps: int, seed: int) -> tupl
             full = fit.progress.done >= fit.half_until
             took = clock(fit.advance)
             times += [took] if full else []
-        return first, statistics.median(times), heldout_accuracy(fit, [HELD_OUT])["psnr"]
+        return first, statistics.median(times), heldout_accuracy(fit.cast(), fit.seen(), [HELD_OUT])["psnr"]
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ import torch
 from stages import train
 from stages.avatar.measures.metrics import person_crop, scores
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import compose
+from stages.avatar.splats.compose import draw_together
 from stages.formats.clip import load_clip
 from stages.training.beginning.start import Task, build
 from stages.training.step.fit import Fit
@@ -33,11 +33,11 @@ def scene_only(folder: Path) -> dict:
     known = json.loads((folder / "train" / "train.json").read_text())
     decisions, starts = surveyed(folder)
     params = train.Params(steps=known["steps"])
-    both = build(Task(clip, params, decisions | {"scene": True}, starts), print)
+    both = build(Task([clip], params, decisions | {"scene": True}, starts), print)
     params = both.params.model_copy(update={"scene_cap": sum(known["gaussians"].values())})
     options = both.options._replace(exposure=False)
     everything = both.full._replace(masks=torch.zeros_like(both.full.masks))
-    fit = Fit(everything, both.train, None, None, both.scene, params, options, torch.Generator().manual_seed(0))
+    fit = Fit(everything, both.train, [], both.scene, params, options, torch.Generator().manual_seed(0))
     began = time.perf_counter()
     while fit.progress.step < params.steps:
         fit.advance()
@@ -50,7 +50,7 @@ def scene_only(folder: Path) -> dict:
         for i in (i for i in range(len(clip.names)) if clip.heldout[i]):
             image, mask = views.images[i].float() / 255, views.masks[i].float() / 255
             camera = Camera(cameras[i], views.Ks[i], *reversed(mask.shape))
-            drawn = compose(None, splats, camera)[0].image.clamp(0, 1)
+            drawn = draw_together([splats], camera)[0].image.clamp(0, 1)
             for name, crop in (("full", ...), ("person_crop", person_crop(mask))):
                 if crop is not None:
                     score = scores(drawn[crop].contiguous(), image[crop].contiguous())

@@ -26,6 +26,7 @@ import numpy as np
 import torch
 
 from stages import train
+from stages.avatar.effects.clothing import Clothing
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.measures import ssim
 from stages.avatar.model.scene import SceneModel
@@ -52,7 +53,8 @@ def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
         ("own corrections", person.PersonLearner, "resting"),
         ("own corrections, step", person.PersonLearner, "learn_own"),
         ("decode, backward", person.PersonLearner, "learn"),
-        ("pose (LBS)", fit.Fit, "posed"),
+        ("pose (LBS)", person.Learning, "_posed"),
+        ("pose (LBS)", FrameEffects, "lit"),
         ("scene activations", SceneModel, "splats"),
         ("SH colours", Splats, "colors"),
         ("projection", kernels, "project"),
@@ -71,11 +73,12 @@ def timed_parts(joint: fit.Fit) -> tuple[tuple[str, object, str], ...]:
         ("other losses", losses, "skinning"),
         ("occluders", layers, "foreground_occluders"),
         ("effects", FrameEffects, "shade"),
-        ("effects", FrameEffects, "swing"),
+        ("effects", person.PersonLearner, "casters_in"),
+        ("effects", Clothing, "swing"),
         ("backward, other", torch.Tensor, "backward"),
         ("growth statistics", densify.Growth, "add"),
         ("optimiser, scene and frames", fit.Fit, "_apply"),
-        ("optimiser, person", joint.adam["human"], "step"),
+        ("optimiser, person", joint.adam["person 1"], "step"),
         ("nearest body vertices", person.PersonLearner, "_reference"),
         ("rest", fit.Fit, "advance"),
     )
@@ -143,9 +146,11 @@ def prepared(folder: Path, points: int, count: int) -> fit.Fit:
     """The joint model of one size, at the first step of full resolution."""
     clip = load_clip(folder / "sfm", folder / "smpl")
     decisions, starts = surveyed(folder)
-    fresh = build(Task(clip, train.Params(human_points=points), decisions | {"scene": True}, starts), print)
+    fresh = build(Task([clip], train.Params(human_points=points), decisions | {"scene": True}, starts), print)
     scene = resized(read_scene(folder / "train" / "scene.npz"), count, np.random.default_rng(0))
-    parts = (fresh.full, fresh.train, fresh.person.body, fresh.human, model(scene, fresh.options.extent))
+    (who,) = fresh.people
+    starting = person.Starting(who.body, who.human)
+    parts = (fresh.full, fresh.train, [starting], model(scene, fresh.options.extent))
     generator = torch.Generator().manual_seed(0)
     joint = fit.Fit(*parts, fresh.params, fresh.options, generator, effects=fresh.effects)
     every = joint.params.views_per_decode
@@ -169,7 +174,7 @@ def measure(folder: Path, points: int, count: int, repeats: int) -> dict:
         totals.append(1e3 * (time.perf_counter() - start) / every)
     steps = len(totals) * every
     return {
-        "human": len(joint.human),
+        "human": len(joint.people[0].human),
         "scene": len(joint.scene),
         "size": list(reversed(joint.full.masks.shape[1:])),
         "steps": steps,
