@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from stages import train
-from stages.avatar.splats.compose import compose
+from stages.avatar.splats.compose import draw_together
 from stages.formats.clip import load_clip
 from stages.training.beginning.start import Task, build
 from stages.training.step.fit import Fit
@@ -32,20 +32,18 @@ class Nothing(torch.nn.Module):
     """In place of `FrameEffects`: what a step would do if no effect had been written."""
 
     takes_time = blurs = False
-
-    def swing(self, body_pose: Tensor) -> None:
-        return None
+    shadow = clothes = None
 
     def lit(self, person: Any) -> Any:
         return person
 
-    def draw(self, human: Any, scene: Any, motion: None, *view: Any) -> list:
-        return compose(human, scene, *view)
+    def draw(self, sets: Any, motion: None, *view: Any) -> list:
+        return draw_together([splats for splats, _ in sets], *view)
 
-    def shade(self, scene: Any, *stances: Any) -> Any:
+    def shade(self, scene: Any, bodies: Any) -> Any:
         return scene
 
-    def shadow_depth(self, points: Tensor, *stances: Any) -> Tensor:
+    def shadow_depth(self, points: Tensor, bodies: Any) -> Tensor:
         return torch.zeros_like(points[:, 0])
 
     def prior(self) -> float:
@@ -54,14 +52,14 @@ class Nothing(torch.nn.Module):
 
 def bare(fit: Fit) -> Fit:
     """The training without the hooks of effects."""
-    fit.effects, fit.motion, fit._learn_effects = Nothing(), lambda *_: None, lambda: None
+    fit.effects, fit.speeds, fit._learn_effects = Nothing(), None, lambda: None
     return fit
 
 
 def pair(work: Path, steps: int) -> tuple[Fit, Fit]:
     """Two trainings of one clip from one seed: as it is with all effects off, and bare."""
     place = work / "plain_seed0"
-    task = Task(load_clip(*inputs(place)), train.Params(steps=steps, **PARAMS), ALWAYS)
+    task = Task([load_clip(*inputs(place))], train.Params(steps=steps, **PARAMS), ALWAYS)
     off, without = (build(task, print) for _ in range(2))
     return off, bare(without)
 

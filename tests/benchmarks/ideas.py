@@ -24,7 +24,7 @@ import torch
 from stages import train
 from stages.avatar.effects import frames as frames_module
 from stages.avatar.measures.lpips import Lpips
-from stages.avatar.splats.compose import compose
+from stages.avatar.splats.compose import draw_together
 from stages.estimators.assets import fetch
 from stages.formats.clip import load_clip
 from stages.training.beginning.start import Task, build
@@ -54,11 +54,11 @@ def redrawn(change) -> list:
         def screen_grad_abs(self):
             return change(self.drawing, self.rows)
 
-    def draw(human, *rest):
-        rows = 0 if human is None else len(human.means)
-        return [Changed(drawing, rows) for drawing in compose(human, *rest)]
+    def draw(sets, *rest):
+        rows = sum(len(person.means) for person in sets[:-1])
+        return [Changed(drawing, rows) for drawing in draw_together(sets, *rest)]
 
-    return put(frames_module, compose=draw)
+    return put(frames_module, draw_together=draw)
 
 
 def scene_by_others(drawing, rows):
@@ -157,7 +157,7 @@ def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[di
                 for patch in idea.patches:
                     stack.enter_context(patch)
                 params = train.Params(steps=steps, **idea.settings)
-                fit = build(Task(clip, params, decisions | idea.decisions, starts, seed), lambda text: None)
+                fit = build(Task([clip], params, decisions | idea.decisions, starts, seed), lambda text: None)
                 began = time.perf_counter()
                 while fit.progress.step < steps:
                     fit.advance()
@@ -165,7 +165,7 @@ def ideas(folder: Path, names: list[str], steps: int, seeds: int) -> Iterator[di
             yield (
                 {"without": name, "seed": seed, "seconds": seconds}
                 | fit.sizes()
-                | heldout_accuracy(fit, heldout, lpips)
+                | heldout_accuracy(fit.cast(), fit.seen(), heldout, lpips)
             )
 
 
