@@ -9,7 +9,6 @@ itself and all as one motion, milliseconds a pose on one thread, no picture is d
 from __future__ import annotations
 
 import argparse
-from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import numpy as np
 import torch
 
 from stages import records
-from stages.avatar.drawing.avatar import load_avatar, moving, pose_avatar
+from stages.avatar.drawing.avatar import PosedAvatar, load_avatar, pose_avatar
 from stages.formats.splats import read_avatar
 from tests.benchmarks.host import clock, summary, tell, use_threads
 
@@ -32,6 +31,12 @@ def undressed(avatar: records.Avatar) -> records.Avatar:
     return replace(avatar, lbs_weights=weights[:, :count] + own, clothes=None)
 
 
+def in_motion(who: PosedAvatar) -> None:
+    """Pose somebody as in each frame of a motion, whose bones are found at once."""
+    for i in range(len(who.transl)):
+        who.splats(i)
+
+
 def measure(avatar: records.Avatar, poses: int) -> dict[str, object]:
     """Milliseconds a pose, and how many times as long it takes with bones of clothes."""
     use_threads(1)
@@ -42,7 +47,7 @@ def measure(avatar: records.Avatar, poses: int) -> dict[str, object]:
     for turn in range(ROUNDS):
         for name, one in both.items():
             alone = [clock(lambda i=i, one=one: pose_avatar(one, *(part[i] for part in parts))) for i in range(poses)]
-            whole = clock(lambda one=one: deque(moving(one, *parts), 0)) / poses
+            whole = clock(lambda one=one: in_motion(PosedAvatar(one, *parts))) / poses
             if turn:
                 single[name] += alone
                 motion[name].append(whole)

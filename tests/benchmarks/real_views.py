@@ -25,15 +25,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from stages.avatar.drawing.draw import Pose, draw, pose_of, to_uint8
+from stages.avatar.drawing.avatar import PosedAvatar
+from stages.avatar.drawing.cast import Cast
+from stages.avatar.drawing.pixels import to_uint8
 from stages.avatar.measures.lpips import Lpips
 from stages.avatar.measures.metrics import psnr
 from stages.avatar.rasterize import Camera
 from stages.estimators.assets import fetch
 from stages.estimators.bodyfit.evidence import model_landmarks
 from stages.estimators.bodyfit.posed import posed_vertices
-from stages.filming.company import Member, load_company
+from stages.filming.clip_cast import load_cast
 from stages.formats.cameras import read_cameras
+from stages.formats.clip import Clip
 from stages.formats.images import read_image, read_mask, write_image
 from stages.formats.video import write_video
 from tests.made.family.treadmill import (
@@ -88,18 +91,18 @@ def trained(folder: Path, more: list[str]) -> Path:
     return work / "clip" / "human_only"
 
 
-def hips_of(folder: Path, clip: Path, member: Member) -> Hips:
+def hips_of(folder: Path, clip: Path, learned: Clip) -> Hips:
     """The hips of the person that training left, beside those of all cameras."""
-    model = member.clip.body_model
+    model = learned.body_model
     names, regressor = model_landmarks(model)
     rows = regressor[[names.index(JOINTS[j]) for j in HIPS]]
-    ours = np.stack([(rows @ vertices).mean(0) for vertices in posed_vertices(model, member.clip.body)])
+    ours = np.stack([(rows @ vertices).mean(0) for vertices in posed_vertices(model, learned.body)])
     points, missed = triangulated(folder, clip)
     return Hips(points[:, HIPS].mean(1), ours, np.all(missed[:, HIPS] < FAR * SIZE, axis=1))
 
 
 def seen_from(
-    view: str, folder: Path, clip: Path, member: Member, hips: Hips, moved: bool, lpips: Lpips
+    view: str, folder: Path, clip: Path, cast: Cast[PosedAvatar], hips: Hips, lpips: Lpips
 ) -> tuple[list[float], list[np.ndarray]]:
     """IoU, PSNR in the box, PSNR of what lies in both, LPIPS in the box, means over frames; and picture beside drawing."""
     cameras, lenses = read_cameras(folder / view / "cameras.npz"), read_calibration(clip / "Calib.qca.txt")
@@ -109,11 +112,8 @@ def seen_from(
     for i, name in enumerate(cameras.names):
         if not hips.known[i]:
             continue
-        pose: Pose = pose_of(member.clip.body, i)
-        if moved:
-            pose = (*pose[:2], pose[2] + hips.true[i] / hips.scale - hips.ours[i])
         camera = Camera.of(viewmat, cameras.Ks[i], cameras.width, cameras.height)
-        drawn, alpha = draw(member.learned.person(pose), None, camera, background=1.0)
+        drawn, alpha = cast.at(i, cast.people).picture(camera, background=1.0)
         mask = read_mask(folder / view / "masks" / f"{name}.png").astype(np.float32) / 255
         picture = read_image(folder / view / "images" / f"{name}.png").astype(np.float32) / 255
         picture = 1 + mask[..., None] * (picture - 1)
@@ -143,21 +143,25 @@ def main() -> None:
     if not (args.folder / "facts.json").exists():
         make_treadmill(args.folder, clip)
     results = trained(args.folder, more)
-    (member,) = load_company(results / "sfm", results / "smpl", results / "train", "cpu")
+    (learned,), cast = load_cast(results / "sfm", results / "smpl", results / "train", "cpu")
     with np.load(fetch("lpips_alex.npz")) as weights:
         lpips = Lpips(weights)
-    hips, lenses = hips_of(args.folder, clip, member), read_calibration(clip / "Calib.qca.txt")
-    if len(member.clip.names) != len(hips.known):
-        raise SystemExit(f"the run kept {len(member.clip.names)} of the {len(hips.known)} frames that are compared")
+    hips, lenses = hips_of(args.folder, clip, learned), read_calibration(clip / "Calib.qca.txt")
+    if len(learned.names) != len(hips.known):
+        raise SystemExit(f"the run kept {len(learned.names)} of the {len(hips.known)} frames that are compared")
     print(
         f"all agree in {hips.known.sum()} of {len(hips.known)} frames; the world is made {hips.scale:.3f} times as large"
     )
     middle = np.linalg.inv(lenses[VIEWS[0]].viewmat) @ [*np.median(hips.true[hips.known], 0), 1]
     sights = {view: lens.viewmat[:3, :3].T @ (lens.viewmat @ middle)[:3] for view, lens in lenses.items()}
+    body, (who,) = learned.body, cast.people
     for moved in (False, True):
+        transl = body.transl + moved * (hips.true / hips.scale - hips.ours)
+        person = PosedAvatar.of(who.avatar, body.global_orient, body.body_pose, transl)
+        alone = cast._replace(people=[person], scene=None, speeds=None)
         for view in VIEWS:
             angle = angle_between(sights[view], sights[VIEWS[0]])
-            (iou, box, inside, far), shown = seen_from(view, args.folder, clip, member, hips, moved, lpips)
+            (iou, box, inside, far), shown = seen_from(view, args.folder, clip, alone, hips, lpips)
             where = f"{view}, {angle:3.0f} degrees{', at the hips' if moved else ''}"
             print(f"{where:<33} IoU {iou:.3f}  box {box:.2f} dB, LPIPS {far:.3f}  in both {inside:.2f} dB", flush=True)
             if moved:

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.avatar.drawing.draw import draw
+from stages.avatar.drawing.avatar import PosedAvatar
+from stages.avatar.drawing.cast import Cast
 from stages.avatar.rasterize import Camera
 from tests.benchmarks.host import all_threads, clock, machine, summary, use_threads
 from tests.benchmarks.workloads import finished
@@ -40,9 +41,9 @@ def measure(folder: Path, frames: int, device: str) -> list[dict]:
         for name, scene in scenes.items():
 
             def frame(i: int, scene=scene) -> None:
-                pose = poses[clip.names[i]]
-                lit = None if scene is None else learned.shade(scene, pose)
-                draw(learned.person(pose), lit, Camera.of(clip.viewmats[i], Ks[i], *SIZE))
+                who = PosedAvatar.of(learned.avatar, *poses[clip.names[i]])
+                camera = Camera.of(clip.viewmats[i], Ks[i], *SIZE)
+                Cast([who], scene, learned.effects).at(0).picture(camera)
 
             for i in order[:WARM_UP]:
                 frame(i)

@@ -27,11 +27,12 @@ import numpy as np
 
 from stages import survey, train
 from stages.avatar.cameras.pinhole import pinhole
+from stages.avatar.drawing.cast import Cast
+from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.rasterize import Camera
 from stages.contract import Job
 from stages.filming.cast import Actor, cast
 from stages.filming.colours import look_of_clip, match
-from stages.filming.picture import draw_picture
 from stages.filming.setting import Setting, load_setting
 from stages.filming.spec import Film, Person
 from stages.formats.body_model import read_body_model
@@ -129,11 +130,11 @@ def judged(setting: Setting, actor: Actor, cameras: Cameras, truth: dict[str, Pa
     for i, name in enumerate(cameras.names):
         camera = Camera.of(cameras.viewmats[i], cameras.Ks[i], cameras.width, cameras.height)
         lit, plain = (read_image(folder / "images" / f"{name}.png") for folder in truth.values())
-        _, alone = draw_picture(None, None, [actor], i, camera, 0.0)
+        _, alone = Cast([actor], None, FrameEffects()).at(i).picture(camera)
         body = (read_mask(truth["lit"] / "masks" / f"{name}.png") > 0) | (alone > 0.02)
         free = cv2.dilate(body.astype(np.uint8), np.ones((2 * RIM + 1,) * 2)) == 0
         for arm, shadow in arms.items():
-            image, _ = draw_picture(setting.splats, shadow, [actor], i, camera, 0.0)
+            image, _ = Cast([actor], setting.splats, FrameEffects(shadow)).at(i).picture(camera)
             drawn = np.rint(image.clip(0, 1) * 255)
             beside[arm].append(float(np.square(drawn - lit)[free].mean()))
             whole[arm].append(psnr(drawn, lit))

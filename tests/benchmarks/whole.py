@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from stages.avatar.drawing.draw import load_learned
 from stages.avatar.measures.lpips import Lpips
 from stages.estimators.assets import fetch
 from stages.formats.body_model import read_body_model
@@ -36,6 +35,7 @@ from stages.synthetic.effects import ClipEffects
 from stages.synthetic.files import write_clip
 from tests.benchmarks.loose import Shown, novel
 from tests.made.command import hugs
+from tests.made.learned import load_learned
 from tests.made.truth import align, camera_errors, joint_errors, mask_ious
 
 WEARS = {"skirt": ("skirt", "ponytail"), "coat": ("coat", "bag")}

@@ -10,14 +10,15 @@ import torch
 from torch import Tensor
 
 from stages.avatar.body.rotations import quat_from_matrix
-from stages.avatar.drawing.draw import Learned, Pose, load_learned
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.gaussians import Splats, spacing
+from stages.filming.clip_cast import with_casters
 from stages.formats.clip import Clip, load_clip
 from stages.formats.effects import read_effects
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, read_scene
 from tests.benchmarks.naive import Workload, covariances
+from tests.made.learned import Learned, Pose, load_learned
 
 FAINTEST = 1 / 255  # where a Gaussian ends: of the workload, which must not change with the code
 SIZES = (1.0, 4.0, 12.0)  # of small, medium and large Gaussians
@@ -89,8 +90,9 @@ def finished(folder: Path, device: str = "cpu") -> tuple[Clip, Learned, dict[str
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     body = read_poses(train / "body.npz")
     poses = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
-    learned = load_learned(read_avatar(train / "avatar.npz"), scene, read_effects(train / "effects.npz"), device)
-    return load_clip(folder / "sfm", folder / "smpl", train), learned, poses
+    clip = load_clip(folder / "sfm", folder / "smpl", train)
+    avatar = with_casters(read_avatar(train / "avatar.npz"), clip.body_model)
+    return clip, load_learned(avatar, scene, read_effects(train / "effects.npz"), device), poses
 
 
 def learned_work(folder: Path, seed: int = 0) -> Workload:
