@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
@@ -18,7 +19,7 @@ from stages.avatar.model.scene import SceneModel
 from stages.avatar.splats.gaussians import finite_rows
 from stages.formats.clip import Clip
 from stages.records import Avatar, BodyPoses, Cameras, Clothes, Effects, Scene
-from stages.training.finishing.bake import SHORT, Finished, as_trained, finish
+from stages.training.finishing.bake import COUNTED, Finished, as_trained, finish
 from stages.training.finishing.hidden import fill_hidden
 from stages.training.finishing.settle import settle
 from stages.training.finishing.swing import fit_swing
@@ -68,32 +69,18 @@ def result_of(
     `say` hears about the rest.
     """
     filled, clip = _filled(fit, say), clips[0]
-    people = [_person(fit, who, one, say) for who, one in zip(fit.people, clips, strict=True)]
-    kept, each = [done for _, _, done, _ in people], [(avatar, poses) for avatar, poses, _, _ in people]
+    finished = [_person(fit, who, one, say) for who, one in zip(fit.people, clips, strict=True)]
+    people, counts = [(avatar, poses) for avatar, poses, _ in finished], sum((one[2] for one in finished), Counter())
     scene, invalid = (None, 0) if fit.scene is None else _scene(fit.scene)
-    broken = invalid + sum(one.broken for one in kept)
     settled = fit.densifier.settled
-    behind = 0 if settled is None else int(settled.sum())
-    if behind:
-        say.note(f"{behind:,} Gaussians of the scene that the person hides or shades took the colours seen around them")
-    if broken:
-        say.warn(f"{broken} Gaussians left out of the result because they are not finite")
-    known, cameras = fit.effects.known(), None
-    if numbers := learned_numbers(fit.effects, fit.scene):
-        told = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
-        say.note(f"learned of how the clip was taken: {told}")
+    counts.update(broken=invalid, behind=0 if settled is None else int(settled.sum()))
+    distrusted = {} if fit.transients is None else fit.transients.found(clip.names)
+    _say(fit, counts, distrusted, say)
+    known, cameras, gains = fit.effects.known(), None, {}
     if fit.options.refine_camera:
         viewmats = _array(fit.cameras()).astype(np.float64)
         viewmats[:, :3, 3] /= clip.body.world_from_sfm
         cameras = replace(clip.cameras, viewmats=viewmats)
-    distrusted = {} if fit.transients is None else fit.transients.found(clip.names)
-    if distrusted:
-        most = max(distrusted, key=lambda name: distrusted[name])
-        say.note(
-            f"something passes by in {len(distrusted)} of {len(fit.train)} training frames and was not learned, "
-            f"{100 * distrusted[most]:.0f} % of frame {most}"
-        )
-    gains = {}
     if fit.options.exposure:
         gains = dict(zip(clip.names, _array(fit.gains()).round(5).tolist(), strict=True))
     facts = {
@@ -103,17 +90,9 @@ def result_of(
         "seconds_by_part": _by_part(fit.clock.seconds, curve[-1]["seconds"]),
         "effects": effects,
         "extent_m": fit.options.extent,
-        "gaussians": fit.sizes() | {"human": sum(len(avatar) for avatar, _ in each)},
-        "broken": broken,
-        "reskinned": sum(one.reskinned for one in kept),
-        "strays": sum(one.strays for one in kept),
-        "evened": sum(one.snapped for one in kept),
-        "shortened": sum(one.shortened for one in kept),
-        "leant": sum(one.recolored for one in kept),
-        "unseen": sum(never for *_, never in people),
-        "behind": behind,
+        "gaussians": fit.sizes() | {"human": sum(len(avatar) for avatar, _ in people)},
+        **{name: counts[name] for name in (*COUNTED, "behind")},
         "filled": filled,
-        "lining": sum(one.lining for one in kept),
         "left_out": fit.guard.left_out,
         "clipped": fit.guard.clipped,
         "not_drawn": fit.undrawn,
@@ -122,17 +101,34 @@ def result_of(
         "heldout_poses": "the fit of the smpl stage plus the correction learned by the neighbouring training frames",
         "exposure": gains,
     }
-    if fit.guard.left_out:
-        say.warn(f"{fit.guard.left_out} gradients or steps were not finite or absurdly large and were left out")
-    if fit.guard.clipped:
+    if len(people) > 1:
+        facts["people"] = [len(avatar) for avatar, _ in people]
+    return Result(people, scene, Effects(**known) if known else None, cameras, curve, facts)
+
+
+def _say(fit: Fit, counts: Counter[str], distrusted: dict[str, float], say: Listener) -> None:
+    """What is worth knowing of the whole; what is of one person is said of each."""
+    if counts["behind"]:
+        behind = f"{counts['behind']:,} Gaussians of the scene"
+        say.note(f"{behind} that the person hides or shades took the colours seen around them")
+    if counts["broken"]:
+        say.warn(f"{counts['broken']} Gaussians left out of the result because they are not finite")
+    if numbers := learned_numbers(fit.effects, fit.scene):
+        told = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
+        say.note(f"learned of how the clip was taken: {told}")
+    if distrusted:
+        most = max(distrusted, key=lambda name: distrusted[name])
         say.note(
-            f"{fit.guard.clipped} gradients of networks or effects were far larger than usual and were scaled down"
+            f"something passes by in {len(distrusted)} of {len(fit.train)} training frames and was not learned, "
+            f"{100 * distrusted[most]:.0f} % of frame {most}"
         )
+    left_out, clipped = fit.guard.left_out, fit.guard.clipped
+    if left_out:
+        say.warn(f"{left_out} gradients or steps were not finite or absurdly large and were left out")
+    if clipped:
+        say.note(f"{clipped} gradients of networks or effects were far larger than usual and were scaled down")
     if fit.undrawn:
         say.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
-    if len(each) > 1:
-        facts["people"] = [len(avatar) for avatar, _ in each]
-    return Result(each, scene, Effects(**known) if known else None, cameras, curve, facts)
 
 
 def _filled(fit: Fit, say: Listener) -> int:
@@ -150,8 +146,8 @@ def _filled(fit: Fit, say: Listener) -> int:
     return filled
 
 
-def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Finished, int]:
-    """The avatar of a person and their poses, how they were finished, and how many Gaussians no frame has shown."""
+def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Counter[str]]:
+    """The avatar of a person, their poses, and what finishing COUNTED."""
     learned, fitted = fit.poses(who), (who.body.global_orient, who.body.body_pose, who.body.transl)
     sound = finite_rows(learned)[:, None]
     orient, body_pose, transl = (torch.where(sound, *pair) for pair in zip(learned, fitted, strict=True))
@@ -164,11 +160,15 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Av
     if body.clothing is not None and who.corrections.swing is not None:
         _settle_swing(fit, body, body.clothing, who.corrections.swing.weight, say)
     kept = _finished(fit, who, body, say)
-    never = int(unseen(who.color_grad_sum).sum())
-    if never:
-        say.note(f"{never:,} Gaussians of the person that no frame shows have the place and shape of the body")
+    counts = kept.counts + Counter(unseen=int(unseen(who.color_grad_sum).sum()))
+    for name, words in COUNTED.items():
+        if words and counts[name]:
+            say.note(f"{counts[name]:,} Gaussians {words}")
+    if "lining" in kept.counts:
+        under = f"under {100 * counts['lining'] / len(body.surface()[0]):.0f} % of the surface"
+        say.note(f"{counts['lining']:,} Gaussians put {under}, so that new poses tear no holes there")
     poses = replace(clip.body, global_orient=_array(orient), body_pose=_array(body_pose), transl=_array(transl))
-    return _avatar(kept, who, body, clip.body.betas, fit.options.antialias), poses, kept, never
+    return _avatar(kept, who, body, clip.body.betas, fit.options.antialias), poses, counts
 
 
 def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener) -> dict[str, dict[str, Any]]:
@@ -215,20 +215,6 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
         kept = kept._replace(person=done)
     except UNFINISHED as error:
         say.warn(f"the Gaussians of the person could not settle and stay as they were before: {error}")
-    if kept.reskinned:
-        say.note(f"{kept.reskinned:,} Gaussians that moved with other bones than the body there move with it now")
-    if kept.strays:
-        say.note(f"{kept.strays:,} Gaussians left out that strayed from the body or float beside it")
-    if kept.recolored:
-        say.note(f"{kept.recolored:,} Gaussians that no frame shows well take the colours seen around them")
-    if kept.snapped:
-        say.note(
-            f"{kept.snapped:,} Gaussians put back that stood out of the surface where frames look from one side only"
-        )
-    if kept.shortened:
-        say.note(f"{kept.shortened:,} Gaussians cut to {SHORT:g} times the length that they began with")
-    share = 100 * kept.lining / len(body.surface()[0])
-    say.note(f"{kept.lining:,} Gaussians put under {share:.0f} % of the surface, so that new poses tear no holes there")
     return kept
 
 

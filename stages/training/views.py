@@ -60,8 +60,8 @@ class Person(NamedTuple):
 
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
     at rest, parents, canonical_pose[69], template vertices[V,3] at the canonical pose with weights[V,J], faces[T,3],
-    the bones of their clothes, if anything stands off the body, and whether they are drawn antialiased; `cloth` is what
-    does, at the canonical pose. J: the bones of skeleton and clothes.
+    J: the bones of skeleton and clothes. `clothing`: the bones of clothes, or None; `cloth`: their Gaussians at the canonical
+    pose. `antialias`: how to draw.
     """
 
     global_orient: Tensor

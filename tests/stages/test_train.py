@@ -173,7 +173,7 @@ def test_l11_outputs_and_the_avatar_needs_no_network(inputs, plain, held, monkey
         network = posed(fit, rest(short, fit.people[0].canonical_bones), *body)
     facts, n = json.loads((plain / "train.json").read_text()), len(network.means)
     assert facts["gaussians"]["human"] == len(baked.means) == n + facts["lining"] and facts["lining"] > 0
-    assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["evened"] == moved < 0.2 * n
+    assert facts["strays"] == (~stay).sum() < 0.01 * n and facts["snapped"] == moved < 0.2 * n
     assert facts["shortened"] == longer
     covariances = [(splats.axes @ splats.axes.mT)[:n] for splats in (baked, network)]
     held((covariances[0] - covariances[1]).abs().max() / covariances[1].abs().max(), 1e-4)
@@ -635,14 +635,14 @@ def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path,
     fit = training.fit
     fit.guard.clipped, fit.densifier.settled = 3, torch.arange(len(fit.scene)) < 5
     facts = finish(training, job).facts
-    assert facts["unseen"] > 0 and facts["leant"] > 0 and facts["clipped"] == 3 and facts["behind"] == 5
+    assert facts["unseen"] > 0 and facts["recolored"] > 0 and facts["clipped"] == 3 and facts["behind"] == 5
     assert facts["filled"] == 7 * len(fit.train)
     begun = facts["sizes"]["human_cap"]
     assert begun == len(fit.people[0].human) > 6800 and facts["sizes"]["scene_cap"] > 10
     for part in (
         f"the person begins with {begun:,} Gaussians, more than human_cap (100)",
         "Gaussians, more than scene_cap (10)",
-        f"{facts['leant']:,} Gaussians that no frame shows well",
+        f"{facts['recolored']:,} Gaussians that no frame shows well",
         f"{facts['unseen']:,} Gaussians of the person that no frame shows",
         "5 Gaussians of the scene that the person hides",
         f"{facts['filled']} Gaussians of the scene fill what the person hides in every frame: invented",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 import torch
@@ -22,7 +23,7 @@ from stages.training.views import Person, Views
 EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; with 0.05, and DOUBT 0.02, it looks the same
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
 SURE = 0.1  # of that mean: neighbours that are asked paint this many
-FAIR = (0.95, 0.9)  # of the best (this quantile) of their part of the body: such are asked where few sure ones are near
+FAIR = (0.95, 0.9)  # of the best (this quantile) of their part of the body: references where sure ones are far
 STRAIGHT = 0.01  # of the mean of pixels painted and seen straight: at so many, half of a colour is told
 COVERED = 0.15, 0.4  # of what it would paint with nothing before it: skin under cloth that paints less shines through
 UNDER = 0.15  # metres from cloth: skin beyond is not under it
@@ -38,8 +39,8 @@ THICK = 0.02  # metres across the skin: a haze when seen from the side. The body
 class Known(NamedTuple):
     """How well frames show each of N Gaussians, all from 0 to 1.
 
-    How far its colour is its `own` [N], the rest is its neighbours'; how far frames tell its size and place along its axes, `told`
-    [N,3]; and how far they look at it `aslant` alone [N].
+    `own` [N]: weight of its own colour against its neighbours'. `told` [N,3]: how well frames constrain size and place along each
+    axis. `aslant` [N]: share seen at grazing angles only.
     """
 
     own: Tensor
@@ -47,20 +48,25 @@ class Known(NamedTuple):
     aslant: Tensor
 
 
+COUNTED = {
+    "reskinned": "that moved with other bones than the body there move with it now",
+    "broken": "",
+    "strays": "left out that strayed from the body or float beside it",
+    "recolored": "that no frame shows well take the colours seen around them",
+    "snapped": "put back that stood out of the surface where frames look from one side only",
+    "shortened": f"cut to {SHORT:g} times the length that they began with",
+    "lining": "",
+    "unseen": "of the person that no frame shows have the place and shape of the body",
+}
+"""What is counted on the way, in the order in which it is said; without words: said elsewhere."""
+
+
 class Finished(NamedTuple):
-    """The `person` to keep, what frames have shown of it, and how many Gaussians were left out, moved back, shortened, recoloured
-    or added on the way.
-    """
+    """The `person` to keep, what frames have shown of it, and how many Gaussians were COUNTED."""
 
     person: Canonical
     known: Known
-    reskinned: int
-    broken: int
-    strays: int
-    snapped: int
-    shortened: int
-    recolored: int
-    lining: int
+    counts: Counter[str]
 
 
 def finish(person: Canonical, begun: Canonical, body: Person, views: Views, frames: list[int]) -> Finished:
@@ -84,9 +90,10 @@ def finish(person: Canonical, begun: Canonical, body: Person, views: Views, fram
     if body.clothing is not None:  # cloth shares far more bones than glTF carries
         done = done._replace(weights=of_few_bones(done.weights))
     lining = len(done.means) - len(kept.means)
-    leant = int((known.own < 0.5).sum())
+    counts = {"reskinned": reskinned, "broken": int((~whole).sum()), "strays": int(stray.sum()), "snapped": snapped}
+    counts |= {"shortened": shortened, "recolored": int((known.own < 0.5).sum()), "lining": lining}
     known = Known(*(torch.cat([part, part.new_zeros(lining, *part.shape[1:])]) for part in known))
-    return Finished(done, known, reskinned, int((~whole).sum()), int(stray.sum()), snapped, shortened, leant, lining)
+    return Finished(done, known, Counter(counts))
 
 
 def as_trained(person: Canonical, begun: Canonical) -> Finished:
@@ -94,7 +101,7 @@ def as_trained(person: Canonical, begun: Canonical) -> Finished:
     whole = finite_rows(person)
     kept = Canonical(*(part[whole] for part in person)) if whole.any() else begun
     none = torch.zeros_like(kept.scales)
-    return Finished(kept, Known(none[:, 0], none, none[:, 0]), 0, int((~whole).sum()), 0, 0, 0, 0, 0)
+    return Finished(kept, Known(none[:, 0], none, none[:, 0]), Counter(broken=int((~whole).sum())))
 
 
 def floating(person: Canonical, body: Person) -> Tensor:

@@ -70,7 +70,7 @@ def fill_hidden(scene: SceneModel, views: Views, frames: list[int], cast: Cast) 
 def never_seen(splats: Splats, views: Views, key: int, frames: list[int], cast: Cast) -> tuple[np.ndarray, np.ndarray]:
     """Where [H,W] in frame `key` the people of `cast`, and a rim about them, hide what none of the `frames` shows; and 1 / z [H,W].
 
-    It is taken for as deep as what is around the person, but behind them. What is not in a frame is not shown by it.
+    Its depth is interpolated from around the person and kept behind them. A point outside a picture counts as not shown by it.
     """
     height, width = views.masks.shape[1:]
     never = _person(views, key)

@@ -21,8 +21,8 @@ from stages.training.views import Person, Views, person_frames
 
 class Painted(NamedTuple):
     """How many pixels each of N Gaussians paints [N], sums over frames: well `inside` the person's masks, at their `edge` or
-    out of them, and `beside` them; `along` [N,3] is how far each of its axes points at the cameras that see it so, the mean squared
-    cosine, 1 where none does; `clear` [N] is how much it paints of what it would with nothing before it; `straight` [N] is
+    out of them, and `beside` them; `along` [N,3] is the mean squared cosine between each axis and the line of sight,
+    1 where unseen; `clear` [N] is how much it paints of what it would with nothing before it; `straight` [N] is
     `inside`, each pixel times the squared cosine between its sight and the skin's normal. The masks have so many `pixels`.
 
     All but `beside` count only where the skin under a Gaussian faces the camera: the far side shines through the near one.

@@ -1,6 +1,4 @@
-"""Lets each of the finished person's Gaussians settle by itself, once networks and skeleton are done: what finishing has changed
-is made up for, and finer detail than networks know is won.
-"""
+"""Refines each Gaussian of the finished person without networks: undoes what finishing cost and adds detail that networks cannot hold."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from stages.training.step.losses import SEAM, dilated
 from stages.training.views import Person, Views, shrunk
 
-CLOSE = 0.3  # m of depth between two hips: who of two that are closer is before the other, no fit tells
+CLOSE = 0.3  # m of depth between two hips: closer ones the fits cannot order
 NEXT = 0.01  # of the longer side: somebody so near in the picture may hide part of a person
 CLEAR = 8  # frames in which nobody hides a person, from which on finishing looks at no others
 

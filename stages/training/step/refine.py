@@ -37,7 +37,10 @@ class BodyCorrections(nn.Module):
         return pose[:3], pose[3:], transl + self.place(row)
 
     def swing_of(self, frame: int | None, told: Tensor | None) -> Tensor | None:
-        """The swing [K,6] of clothes in a frame, of which the pose has `told` so much; without a frame that, None of none."""
+        """Swing [K,6] of the clothes: the part `told` by the pose plus the correction of a `frame`; without a frame `told` alone.
+
+        None without clothes.
+        """
         if told is None or frame is None or self.swing is None:
             return told
         return told + self.swing(torch.tensor(frame, device=told.device)).view_as(told)

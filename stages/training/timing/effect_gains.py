@@ -30,7 +30,7 @@ PARTS = {
     "transients": "transients",
 }
 """Effect -> where a training has it: the option, or the part of its `FrameEffects`; `transients` are its own."""
-ONLY_TAUGHT = ("transients",)  # held-out frames are drawn the same without
+ONLY_TAUGHT = ("transients",)  # used by the loss alone: held-out frames look the same without
 TURNS = 2  # of steps with all effects and without each: the fastest of each, which nothing has disturbed, counts
 STEPS = 4  # that are timed at least, always on the same frames
 PAUSES = 4  # `effect_gains` takes as long for an effect as so many measurements of accuracy

@@ -224,6 +224,8 @@ def test_finishing_cuts_axes_by_the_length_they_began_with(standing):
         bake.finish(long, person, where, views(silhouettes(person, where)), [0, 1, 2]),
         ~bake.floating(long, where),
     )
-    assert done.strays == (~stay).sum() < 0.05 * len(stay) and done.shortened == stay[::3].sum() > 1000
-    kept = done.person.scales[: -done.lining]
+    assert (
+        done.counts["strays"] == (~stay).sum() < 0.05 * len(stay) and done.counts["shortened"] == stay[::3].sum() > 1000
+    )
+    kept = done.person.scales[: -done.counts["lining"]]
     assert torch.equal(kept, torch.minimum(needles, most[:, None])[stay])

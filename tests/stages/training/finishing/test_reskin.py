@@ -84,5 +84,7 @@ def test_no_hole_is_torn_where_skinning_was_wrong(walking):
     person, learned, body, shin = walking
     done = bake.finish(learned, person, body, SEEN, [0, 1, 2])
     assert (
-        done.reskinned == len(shin) and done.strays == 0 and len(done.person.means) == len(person.means) + done.lining
+        done.counts["reskinned"] == len(shin)
+        and done.counts["strays"] == 0
+        and len(done.person.means) == len(person.means) + done.counts["lining"]
     )
