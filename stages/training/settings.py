@@ -17,7 +17,7 @@ class Params(contract.Params):
     reserve: float = Field(0, ge=0)
     """Of `seconds`, the time of so many steps is left over, for what comes after training."""
     reserve_least: float = Field(0, ge=0)
-    """As many are left over where the time is short: what comes after training then does less."""
+    """The least of `reserve`, used when time is short and later stages do less."""
     half_until: float = Field(0.4, ge=0, le=1)
     """Share of the steps, the first ones, that look at pictures of half the size."""
     frames_used: int = Field(0, ge=0)

@@ -1,4 +1,4 @@
-"""Refines each Gaussian of the finished person without networks: undoes what finishing cost and adds detail that networks cannot hold."""
+"""Refines each Gaussian of the finished person without networks: undoes what finishing cost, adds detail beyond the networks."""
 
 from __future__ import annotations
 

@@ -61,8 +61,8 @@ class Deadline:
     """The time that a training may take. Its steps are fitted into it before the first one, and again on the way.
 
     It ends `seconds` after `began` (of time.perf_counter) and leaves over the time of `reserve` full, grown steps, or of
-    only `least` where it hurries. `pauses` measurements of accuracy are to come, and then the time of `extra` more, which
-    a hurried training does without.
+    only `least` where it hurries. `pauses` accuracy measurements are still to come, then `extra` more, which a
+    hurried training skips.
     """
 
     def __init__(self, seconds: float, reserve: float, least: float, began: float, pauses: int, extra: int = 0):
