@@ -136,7 +136,7 @@ def trained(inputs, params=PARAMS, job=None) -> Training:
 def finished(fit, clip, folder) -> tuple[Avatar, list[str]]:
     """The avatar of a training, and what is warned of."""
     events = []
-    avatar = result_of(fit, clip, [{"seconds": 0.0}], {}, Job(folder, emit=events.append)).avatar
+    avatar = result_of(fit, [clip], [{"seconds": 0.0}], {}, Job(folder, emit=events.append)).people[0][0]
     return avatar, [event["text"] for event in events if event["event"] == "warning"]
 
 
