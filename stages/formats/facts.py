@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 from pydantic_core import PydanticCustomError
@@ -101,15 +101,19 @@ class Listing(Facts):
     dataset: Dataset | None = None
     focal: Told | None = None
 
-    def times(self, names: Sequence[str]) -> list[float]:
-        """When frames were taken, s; StageError for names that the clip does not have."""
-        known = {frame.name: frame.time_s for frame in self.frames}
+    def of(self, names: Sequence[str]) -> Self:
+        """The same with these frames alone; StageError for names that the clip does not have."""
+        known = {frame.name: frame for frame in self.frames}
         if missing := [name for name in names if name not in known]:
             facts = [f"{len(missing)} frames, first {missing[0]}"]
             raise StageError(
                 "there are poses of frames that are not of this clip", "hugs run VIDEO train --force", facts
             )
-        return [known[name] for name in names]
+        return self.model_copy(update={"frames": tuple(known[name] for name in names)})
+
+    def times(self, names: Sequence[str]) -> list[float]:
+        """When frames were taken, s; StageError as `of`."""
+        return [frame.time_s for frame in self.of(names).frames]
 
 
 class DatasetFrame(Frame):
