@@ -111,11 +111,11 @@ def decode(segmentation: object, height: int, width: int, what: str) -> np.ndarr
     """The mask bool [height,width] of run lengths or polygons; StageError where they do not fit that size."""
     if isinstance(segmentation, list):
         return polygons(segmentation, height, width, what)
-    found = segmentation if isinstance(segmentation, dict) else {}
-    if missing := [key for key in ("counts", "size") if key not in found]:
-        facts = [f"it holds {', '.join(found) or str(segmentation)[:60]}"]
+    given = segmentation if isinstance(segmentation, dict) else {}
+    if missing := [key for key in ("counts", "size") if key not in given]:
+        facts = [f"it holds {', '.join(given) or str(segmentation)[:60]}"]
         raise StageError(f"the segmentation of {what} has no {missing[0]}", HINT, facts)
-    counts, size = found["counts"], found["size"]
+    counts, size = given["counts"], given["size"]
     if size != [height, width]:
         raise StageError(f"the size of {what} is not its image's", HINT, [f"found {size}, wanted [{height}, {width}]"])
     runs = run_lengths(counts, what) if isinstance(counts, str) else counts

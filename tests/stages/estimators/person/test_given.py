@@ -227,7 +227,7 @@ def rle(**values):
 
 MALFORMED = {
     "no JSON": (lambda d, p, o: text(d / "a.json", "{"), "cannot read", "EOF|JSON"),
-    "JSON of something else": (lambda d, p, o: text(d / "a.json", '{"shapes": []}'), "is not as its program writes it", "it has no images"),
+    "JSON of something else": (lambda d, p, o: text(d / "a.json", '{"shapes": []}'), "is not as its program", "it has no images"),
     "no annotations": (changed("file", annotations=[]), "is not as its", r"annotations is \[\], not a list with something"),
     "image without name": (changed("image", file_name=None), "is not as its", r"images\[0\] has no file_name"),
     "image without size": (changed("image", height=0), "is not as its", r"images\[0\].height is 0"),
