@@ -56,8 +56,6 @@ def run(
     listing = read_facts(frames / "frames.json", Listing)
     clip = read_inputs(listing, sfm, body_model)
     smpl_fit = smpl_fit or given_by(frames, "smpl_fit.npz")
-    pictures = {frame.name: frame.source for frame in listing.frames if frame.source}
-    sources = tuple(pictures[name] for name in clip.cameras.names if name in pictures)
     write_body_model(job.out / "body_model.npz", clip.model)
     people = people_of(sfm)
     found: list[BodyPoses] = []
@@ -67,7 +65,7 @@ def run(
         one = clip if len(people) == 1 else of_person(clip, sfm, person)
         if len(people) > 1:
             job.note(f"person {person}:")
-        found.append(fit_person(job, params, folder, sfm, one, smpl_fit, sources, found[0] if found else None))
+        found.append(fit_person(job, params, folder, sfm, one, smpl_fit, found[0] if found else None))
     check_apart(found, smpl_fit)
     ground = floor_of(clip, *found)
     write_ground(job.out / "ground.json", ground)
@@ -92,7 +90,6 @@ def fit_person(
     sfm: Path,
     clip: Inputs,
     smpl_fit: Path | None,
-    sources: tuple[str, ...],
     first: BodyPoses | None,
 ) -> BodyPoses:
     """The poses of one person, in the world of the `first` if there are several; writes and reports them."""
@@ -101,7 +98,7 @@ def fit_person(
 
     metres = None if first is None else first.world_from_sfm
     if smpl_fit is not None:
-        poses, facts = import_poses(job, smpl_fit, clip, sources, metres)
+        poses, facts = import_poses(job, smpl_fit, clip, metres)
         quality = measure_quality(poses, clip.model, clip.cameras, clip.times, clip.clear)
     else:
         fit, evidence, facts = estimate_poses(job, folder, sfm, clip, metres)
@@ -118,18 +115,14 @@ def fit_person(
     return poses
 
 
-def import_poses(
-    job: Job, smpl_fit: Path, clip: Inputs, sources: tuple[str, ...], metres: float | None
-) -> tuple[BodyPoses, dict[str, Any]]:
+def import_poses(job: Job, smpl_fit: Path, clip: Inputs, metres: float | None) -> tuple[BodyPoses, dict[str, Any]]:
     """Poses read from another program's file, and facts for smpl.json; says which of its people was taken."""
     from stages.estimators.bodyfit.given import import_fit
     from stages.formats.frame_names import plain
     from stages.formats.given_fits.recognize import read_smpl_fit
 
-    cameras = clip.cameras
-    fit = read_smpl_fit(smpl_fit, (cameras.width, cameras.height))
-    known = (fit, clip.model, cameras, clip.times, clip.masks, clip.points, clip.moving, sources, metres, clip.total)
-    poses, facts = import_fit(*known)
+    fit = read_smpl_fit(smpl_fit, (clip.cameras.width, clip.cameras.height))
+    poses, facts = import_fit(fit, clip, metres)
     for note in facts.pop("notes"):
         job.warn(note)
     overlap, people = facts["overlap"], facts["people"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, read_npz, take
-from stages.formats.safe_pickle import read_pickle
+from stages.formats.given_fits.tool_pickles import read_named
 from stages.records import BETAS, JOINTS, BodyModel
 
 FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"
@@ -32,7 +32,7 @@ def read_body_model(path: Path | None = None) -> BodyModel:
     path = Path(path)
     if not path.is_file():
         raise StageError(f"no body model {path}", HINT)
-    arrays = read_npz(path, HINT) if path.suffix == ".npz" else read_pickle(path, HINT)
+    arrays = read_npz(path, HINT) if path.suffix == ".npz" else read_named(path, HINT)
     return _from_arrays(arrays, path, str(arrays["name"]) if "name" in arrays else path.stem)
 
 

@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 from pydantic_core import PydanticCustomError
@@ -25,6 +25,7 @@ WANTED = {
     "tuple_type": "a list",
     "dict_type": "named values",
     "model_type": "named values",
+    "too_short": "a list with something in it",
 }
 """Pydantic's name of an error -> the kind of value that is wanted there."""
 
@@ -35,7 +36,7 @@ def is_file_name(text: str) -> bool:
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MOST:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise PydanticCustomError("wanted", "a number")
     return value  # a whole number stays one
 
@@ -46,7 +47,6 @@ def _file_name(text: str) -> str:
     return text
 
 
-MOST = sys.float_info.max
 Number = Annotated[float, PlainValidator(_number)]
 """Finite."""
 Whole = Annotated[int, Field(gt=-(1 << 63), lt=1 << 63)]
@@ -101,15 +101,19 @@ class Listing(Facts):
     dataset: Dataset | None = None
     focal: Told | None = None
 
-    def times(self, names: Sequence[str]) -> list[float]:
-        """When frames were taken, s; StageError for names that the clip does not have."""
-        known = {frame.name: frame.time_s for frame in self.frames}
+    def of(self, names: Sequence[str]) -> Self:
+        """The same with these frames alone; StageError for names that the clip does not have."""
+        known = {frame.name: frame for frame in self.frames}
         if missing := [name for name in names if name not in known]:
             facts = [f"{len(missing)} frames, first {missing[0]}"]
             raise StageError(
                 "there are poses of frames that are not of this clip", "hugs run VIDEO train --force", facts
             )
-        return [known[name] for name in names]
+        return self.model_copy(update={"frames": tuple(known[name] for name in names)})
+
+    def times(self, names: Sequence[str]) -> list[float]:
+        """When frames were taken, s; StageError as `of`."""
+        return [frame.time_s for frame in self.of(names).frames]
 
 
 class DatasetFrame(Frame):
@@ -245,21 +249,22 @@ class Metrics(Facts):
 F = TypeVar("F", bound=Facts)
 
 
-def read_facts(path: Path, form: type[F]) -> F:
-    """Read a .json file as `form`; StageError where it cannot be read, or with the place that does not fit."""
+def read_facts(path: Path, form: type[F], hint: str = "") -> F:
+    """Read a .json file as `form`; StageError where it cannot be read, or with the place that does not fit.
+
+    `hint` for a file of another program; without it a stage has written the file.
+    """
     try:
         return parse(path.read_bytes(), form)
-    except OSError as error:
-        raise StageError(f"cannot read {path}", _again(path), [str(error)]) from error
-    except NotJson as error:
-        raise StageError(f"cannot read {path}", _again(path), [str(error)]) from error
+    except (OSError, NotJson) as error:
+        raise StageError(f"cannot read {path}", hint or _again(path), [str(error)]) from error
     except ValueError as error:
-        raise not_as_written(path, str(error)) from error
+        raise not_as_written(path, str(error), hint) from error
 
 
-def not_as_written(path: Path, fact: str) -> StageError:
-    """The error for a file that is not as its stage writes it; `fact` names the place in it."""
-    return StageError(f"{path} is not as its stage writes it", _again(path), [fact])
+def not_as_written(path: Path, fact: str, hint: str = "") -> StageError:
+    """The error for a file that is not as its stage or program writes it; `fact` names the place in it."""
+    return StageError(f"{path} is not as its {'program' if hint else 'stage'} writes it", hint or _again(path), [fact])
 
 
 def _again(path: Path) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import PurePath
 
 from stages.contract import StageError
@@ -55,8 +55,8 @@ def matching(listing: Listing) -> str:
 def check_numbers(numbers: Sequence[int], total: int, what: str, film: str) -> str:
     """What joins by the numbers of frames, from 0, is checked against the `total` frames of the film (0: not known).
 
-    Raises StageError where a number is beyond the film: other pictures were counted. Returns what to say where that may be,
-    as the numbers run from the first frame on without a gap, and end before the film, or "".
+    Raises StageError where a number is beyond the film: other pictures were counted. Returns a warning where that may be, as
+    the numbers run from the first frame on without a gap, and end before the film, or "".
     """
     low, high = min(numbers, default=0), max(numbers, default=0)
     if high >= total > 0:
@@ -67,33 +67,56 @@ def check_numbers(numbers: Sequence[int], total: int, what: str, film: str) -> s
     return f"{what} are of the frames {low} to {high} of {total}, by their numbers; if they count others: {extracting(film)}"
 
 
-def count_from_one(total: int, stems: Sequence[str]) -> bool:
-    """True if the stems surely count the `total` frames of a video from 1, as ffmpeg's do: the highest is it, none is 0."""
-    numbers = {n for name in stems if (n := number(name)) is not None}
-    return 0 not in numbers and max(numbers, default=0) == total
+def count_from_one(total: int, numbers: Collection[int | None]) -> bool:
+    """True if numbers surely count the `total` frames of a video from 1, as ffmpeg's do: the highest is it, none is 0."""
+    return 0 not in numbers and max((n for n in numbers if n is not None), default=0) == total > 0
 
 
-def join(listing: Listing, stems: Sequence[str], first: int, what: str, warn: Callable[[str], None]) -> dict[str, int]:
-    """Frame name -> place of its stem in `stems`: by name, else by the frame's number in the video plus `first`.
+def film_numbers(
+    listing: Listing,
+    numbers: Sequence[int | None],
+    what: str,
+    warn: Callable[[str], None],
+    first: int | None = None,
+    leaves: bool = False,
+) -> tuple[list[int | None], int]:
+    """The frames of the film, from 0, that `numbers` of frames mean, None for none; and the number of its first frame.
 
-    `listing` is frames.json. Raises StageError where two stems are one name, or as `check_numbers`; `what` says what they name.
+    That is `first`, or else found. Pictures of a folder have names of their own, so that their numbers are not checked. Raises
+    StageError as `check_numbers`; `what` says what has the numbers, and `leaves` that it may be gone before the film ends.
+    """
+    total = listing.video.frames
+    if has_sources(listing):
+        return list(numbers), 0
+    start = int(count_from_one(total, numbers)) if first is None else first
+    if first is None and start:
+        warn(f"{what} have the numbers up to {total}, and not 0: taken as counted from 1")
+    numbers = [n if n is None else n - start for n in numbers]
+    doubt = check_numbers([n for n in numbers if n is not None], total, what, listing.video.path)
+    if doubt and not leaves:
+        warn(doubt)
+    return numbers, start
+
+
+def join(
+    listing: Listing, stems: Sequence[str], what: str, warn: Callable[[str], None], first: int | None = None
+) -> dict[str, int]:
+    """Frame name -> place of its stem in `stems`: by name, else, in a film, by the frame's number.
+
+    Raises StageError where two stems are one name, or as `film_numbers`, which says what `what`, `warn` and `first` are.
     """
     twice = sorted(name for name, count in Counter(stems).items() if count > 1)
     if twice:
         fact = f"{', '.join(twice[:5])}" + (f" and {len(twice) - 5} more" if len(twice) > 5 else "")
         raise StageError(f"two {what} have the name of one frame", "give one for each frame", [fact])
     row = {name: i for i, name in enumerate(stems)}
-    numbers = [number(name) for name in stems]
-    if not has_sources(listing):
-        known = [n - first for n in numbers if n is not None]
-        if doubt := check_numbers(known, listing.video.frames, what, listing.video.path):
-            warn(doubt)
+    numbers, first = film_numbers(listing, [number(name) for name in stems], what, warn, first)
     counts = Counter(numbers)
     unique = {n: i for i, n in enumerate(numbers) if n is not None and counts[n] == 1}
     joined = {}
     for frame in listing.frames:
         exact = row.get(frame.source or frame.name) if not first else None
-        found = exact if exact is not None or frame.source else unique.get(frame.index + first)
+        found = exact if exact is not None or frame.source else unique.get(frame.index)
         if found is not None:
             joined[frame.name] = found
     return joined

@@ -7,23 +7,20 @@ refused, and so is a size that the file itself does not hold: numpy's own classe
 
 from __future__ import annotations
 
-import io
 import math
 import pickle
 import re
 import struct
 from collections.abc import Callable
-from pathlib import Path
 from typing import IO, Any, ClassVar, Literal, cast
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import BROKEN, check_letters, npy_header
+from stages.formats.arrays import check_letters
 from stages.formats.budget import Budget
 
 _MODULES = ("numpy.core.multiarray", "numpy._core.multiarray")
-_BROKEN = (*BROKEN, pickle.UnpicklingError, AttributeError, ImportError, IndexError, AssertionError, struct.error)
 _ELSEWHERE = (pickle.NEXT_BUFFER, pickle.READONLY_BUFFER)
 """Opcodes for content outside of the pickle."""
 _BUILD: Callable[[Any], None] = pickle._Unpickler.dispatch[pickle.BUILD[0]]
@@ -45,70 +42,17 @@ class _Inert:
         self.__dict__["state"] = state if isinstance(state, dict) else {}
 
 
-def read_pickle(path: Path, hint: str = "") -> dict[str, Any]:
-    """The pickled dictionary in `path`, arrays made plain numpy; StageError if it is broken or asks for code."""
-    return _named(path, hint, "a pickle", _load)
-
-
-def read_object_npy(path: Path, hint: str = "") -> dict[str, Any]:
-    """The dictionary that numpy.save put into `path`; StageError if there is none, or if it holds more than arrays."""
-
-    def load(data: bytes, budget: Budget) -> Any:
-        _, _, dtype, start = npy_header(data)
-        content = _load(data[start:], budget) if dtype.hasobject else None
-        return content.item() if isinstance(content, np.ndarray) and content.size == 1 else content
-
-    return _named(path, hint, "a .npy file", load)
-
-
-def _named(path: Path, hint: str, kind: str, load: Callable[[bytes, Budget], Any]) -> dict[str, Any]:
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise StageError(f"cannot open {path}", hint, [str(error)]) from error
-    budget = Budget(path, len(data))
-    try:
-        content = load(data, budget)
-    except _BROKEN as error:
-        raise StageError(f"{path} is not {kind} of plain arrays", hint, [f"{error}"]) from error
-    if not isinstance(content, dict):
-        raise StageError(f"{path} holds a {type(content).__name__}, not named arrays", hint)
-    for key, value in content.items():
-        budget.spend(_size(value), f"{key}")
-    return {str(key): plain(value, f"{key} in {path}") for key, value in content.items()}
-
-
-def _size(value: object) -> int:
-    """Bytes of a list of arrays that becomes one: many may be the same one in memory."""
-    if isinstance(value, (list, tuple)):
-        return sum(one.nbytes if isinstance(one, np.ndarray) else _size(one) for one in value)
-    return 0
-
-
-def _load(data: bytes, budget: Budget) -> Any:
-    content = ArraysOnly(io.BytesIO(data), encoding="latin1", budget=budget).load()
-    open_, seen = [content], 0
-    while open_:  # lists in lists can unfold to more than any memory holds
-        value = open_.pop()
-        seen += 1
-        if seen > len(data):
-            raise pickle.UnpicklingError("it repeats itself endlessly")
-        refuse_code(value)
-        if isinstance(value, (list, tuple, set, frozenset)):
-            open_ += value
-        elif isinstance(value, dict):
-            open_ += [*value.keys(), *value.values()]
-        elif isinstance(value, _Inert):
-            open_.append(getattr(value, "state", {}))
-        elif isinstance(value, np.ndarray) and value.dtype.hasobject:
-            open_ += value.ravel().tolist()
-    return content
-
-
 def refuse_code(value: object) -> None:
     """UnpicklingError for a function or a class that was named and not called: only data may come out."""
     if callable(value) and not (isinstance(value, type) and issubclass(value, _Inert)):
         raise pickle.UnpicklingError(f"it holds {getattr(value, '__name__', value)!r}, which is no data")
+
+
+def size_of(value: object) -> int:
+    """Bytes of a list of arrays that becomes one: many may be the same one in memory."""
+    if isinstance(value, (list, tuple)):
+        return sum(one.nbytes if isinstance(one, np.ndarray) else size_of(one) for one in value)
+    return 0
 
 
 def plain(value: object, name: str) -> Any:
@@ -128,7 +72,7 @@ def _made(value: _Inert, state: dict[str, Any], name: str) -> np.ndarray:
         if value.kind.startswith("scipy.sparse"):
             return _dense(value.kind, state, value.budget)
         content = plain(state["x" if "chumpy.reordering" not in value.kind else "a"], name)
-        value.budget.spend(_size(content), name)
+        value.budget.spend(size_of(content), name)
         array = np.asarray(content)
         if array.dtype.kind not in "fiub":
             raise ValueError(f"it holds {array.dtype}, not numbers")

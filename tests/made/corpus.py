@@ -33,6 +33,7 @@ from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.formats.splits import read_split, write_split
 from stages.formats.video import write_video
 from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Mesh, Rig, Scene
+from tests.made.fits import listed
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
 SIDE = 24  # px of the pictures
@@ -62,7 +63,7 @@ def fit(file: str, given: str = "") -> Kind:
 
         body, cameras = read_body_model(root / "whole.npz"), still_cameras()
         found = read_smpl_fit(root / (given or file), (SIDE, SIDE))
-        found, rows = join_frames(found, NAMES, np.arange(len(NAMES)) / FPS)
+        found, rows = join_frames(found, listed(NAMES, np.arange(len(NAMES)) / FPS))
         names = tuple(NAMES[i] for i in rows)
         return place_in_world(found, names, cameras.viewmats[rows], cameras.Ks[rows], body, 1.0)
 

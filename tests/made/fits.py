@@ -12,6 +12,7 @@ import sys
 import types
 import zlib
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from stages.avatar.body.smpl import Body
+from stages.estimators.bodyfit.inputs import Inputs
 from stages.formats.body_model import read_body_model
-from stages.records import BodyModel
+from stages.formats.facts import Frame, Listing, Video
+from stages.records import BodyModel, Cameras
 from stages.synthetic import clip as synthetic
 from tests.made.datasets import SHIFT, TURN, UNITS
 from tests.made.worlds import align_viewmats
@@ -114,6 +117,21 @@ def make_truth(frames: int = 12, width: int = 96, height: int = 128) -> Truth:
     viewmats = align_viewmats(views.viewmats, UNITS, TURN.as_matrix(), SHIFT)
     numbers = 3 * np.arange(frames)
     return Truth(model, views, viewmats, clip.betas, orient, pelvis, rest, numbers, 3 * clip.fps)
+
+
+def listed(names: Sequence[str], times: Sequence[float], sources: Sequence[str] = (), total: int = 0) -> Listing:
+    """frames.json of a clip of `total` frames (0: not known), of which `names` are their numbers."""
+    rows = zip(names, times, sources or [""] * len(names), strict=True)
+    frames = tuple(Frame(name=name, index=int(name), time_s=float(t), source=own) for name, t, own in rows)
+    return Listing(width=1, height=1, video=Video(path="clip.mp4", frames=total), frames=frames)
+
+
+def inputs_of(truth: Truth, model: BodyModel, points: np.ndarray | None = None, moving: bool = True) -> Inputs:
+    """The clip of the truth as a fit of a body in it is given it."""
+    cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
+    listing = listed(truth.names, truth.numbers / truth.fps)
+    points = np.zeros((0, 3)) if points is None else points
+    return Inputs(model, cameras, listing, list(truth.views.masks), points, moving)
 
 
 def contents(tool: str, truth: Truth) -> Any:

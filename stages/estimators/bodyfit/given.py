@@ -15,6 +15,7 @@ from stages.estimators.bodyfit.contact import sole_vertices
 from stages.estimators.bodyfit.fit import KNOWN
 from stages.estimators.bodyfit.frames import join_frames
 from stages.estimators.bodyfit.gravity import camera_up, trunk_up
+from stages.estimators.bodyfit.inputs import Inputs
 from stages.estimators.bodyfit.person import choose_person
 from stages.estimators.bodyfit.placing import median_shape, place_in_world
 from stages.estimators.bodyfit.posed import posed_vertices
@@ -28,44 +29,28 @@ from stages.records import BodyModel, BodyPoses, Cameras
 SPARSE = 20  # one vertex of so many stands for the skin
 
 
-def import_fit(
-    fit: SmplFit,
-    model: BodyModel,
-    cameras: Cameras,
-    times: np.ndarray,
-    masks: list[np.ndarray],
-    points: np.ndarray | None,
-    moving: bool,
-    sources: tuple[str, ...] = (),
-    metres: float | None = None,
-    total: int = 0,
-) -> tuple[BodyPoses, dict[str, Any]]:
-    """The fit as poses of all `cameras` (SfM units), and facts for smpl.json: person, scale, notes.
+def import_fit(fit: SmplFit, clip: Inputs, metres: float | None = None) -> tuple[BodyPoses, dict[str, Any]]:
+    """The fit as poses of all cameras of the clip (SfM units), and facts for smpl.json: person, scale, notes.
 
-    `masks` [H,W] of each camera choose among several people; `sources` are the names of the pictures, if the clip came
-    as pictures, `total` counts the clip's frames; `metres` per SfM unit are kept where somebody else in the clip tells
-    them. A fit in SfM units brings its scale; for one in camera frames it is found from floor and feet. Frames without a
-    row are filled in between with confidence 0.
+    Its masks choose among several people; `metres` per SfM unit are kept where somebody else in the clip gives them. A fit in
+    SfM units brings its scale; for one in camera frames it is found from floor and feet. Frames without a row are filled in
+    between with confidence 0.
     """
-    fit, frames = join_frames(fit, cameras.names, times, sources, total)
+    model, cameras, times = clip.model, clip.cameras, clip.times
+    fit, frames = join_frames(fit, clip.listing)
     if model.name == FREE and fit.body == SMPL:
         fit = onto_body(fit, model)
-    fit, rows, person = choose_person(fit, frames, cameras, masks, model)
+    fit, rows, person = choose_person(fit, frames, cameras, clip.masks, model)
     names = tuple(cameras.names[i] for i in rows)
     poses = place_in_world(fit, names, cameras.viewmats[rows], cameras.Ks[rows], model, 1.0)
     if fit.scale is not None:
         found: dict[str, Any] = {"how": "given by the imported fit"}
     else:
-        path = TimedCameras(
-            cameras.viewmats[rows],
-            cameras.Ks[rows],
-            cameras.centers[rows],
-            times[rows],
-            (cameras.width, cameras.height),
-        )
+        size = (cameras.width, cameras.height)
+        path = TimedCameras(cameras.viewmats[rows], cameras.Ks[rows], cameras.centers[rows], times[rows], size)
         found = {"how": KNOWN, "initial": metres}
         if metres is None:
-            found = _find_scale(poses, model, path, points, moving)
+            found = _find_scale(poses, model, path, clip.points, clip.moving)
         scale = found["initial"]
         transl = poses.transl + (scale - 1) * cameras.centers[rows]
         poses = replace(poses, transl=transl, world_from_sfm=scale)
@@ -90,7 +75,7 @@ def _distance_from_tool_joints(
 
 
 def _find_scale(
-    poses: BodyPoses, model: BodyModel, path: TimedCameras, points: np.ndarray | None, moving: bool
+    poses: BodyPoses, model: BodyModel, path: TimedCameras, points: np.ndarray, moving: bool
 ) -> dict[str, Any]:
     """The scale of `poses` that were placed with 1 m per SfM unit, and how it was found."""
     vertices = np.stack(list(posed_vertices(model, poses)))

@@ -22,22 +22,26 @@ NEXT = 0.005  # of the picture's longer side: people so near in it touch
 
 @dataclass(frozen=True)
 class Inputs:
-    """The clip as both ways to a body fit need it: `times` [F] s, `masks` F of uint8 [H,W], `points` [P,3] in SfM units.
+    """The clip as both ways to a body fit need it: `masks` F of uint8 [H,W], `points` [P,3] in SfM units.
 
-    `moving` says whether SfM found a camera that moves. `others`: F masks of the other people, none where there are none;
+    `listing` has the F frames with a camera, and no others, in the order of `cameras`. `moving`: SfM found a camera that moves.
+    `others`: F masks of the other people, none where there are none;
     `person` is the number of this one.
     """
 
     model: BodyModel
     cameras: Cameras
-    times: np.ndarray
+    listing: Listing
     masks: list[np.ndarray]
     points: np.ndarray
     moving: bool
     others: tuple[np.ndarray, ...] = ()
     person: int = 1
-    total: int = 0
-    """Frames of the video, or pictures; 0 if not known."""
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """When the frames were taken [F] s."""
+        return np.array(self.listing.times(self.cameras.names))
 
     @cached_property
     def clear(self) -> list[np.ndarray]:
@@ -53,11 +57,10 @@ def read_inputs(listing: Listing, sfm: Path, body_model: Path | None) -> Inputs:
     return Inputs(
         model=read_body_model(body_model),
         cameras=cameras,
-        times=np.array(listing.times(cameras.names)),
+        listing=listing.of(cameras.names),
         masks=[read_mask(sfm / "masks" / f"{name}.png") for name in cameras.names],
         points=read_points(sfm / "points.ply")[0].astype(np.float64),
         moving=read_facts(sfm / "sfm.json", Sfm).verdict == "moving",
-        total=listing.video.frames,
     )
 
 

@@ -89,16 +89,15 @@ def match_frames(
     names, total = [frame.name for frame in listing.frames], listing.video.frames
     numbers = {number(name) for name in stems}
     picked = len(names) < total and set(stems) <= set(names)  # the frames of an earlier run
-    own = has_sources(listing)
-    start = int(not own and count_from_one(total, stems)) if first == "auto" else first
-    if first == "auto" and not (own or start or 0 in numbers or picked or numbers == {None}):
+    sure = has_sources(listing) or 0 in numbers or picked or numbers == {None} or count_from_one(total, numbers)
+    if first == "auto" and not sure:
         facts = [f"the names run from {given.files[0]} to {given.files[-1]}, the video has {total} frames"]
         hint = (
             "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "
             "every few frames of the video, give their folder in place of the video"
         )
         raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
-    rows = join(listing, stems, start, "cameras", job.warn)
+    rows = join(listing, stems, "cameras", job.warn, None if first == "auto" else first)
     missing = [name for name in names if name not in rows]
     if len(rows) < math.ceil(min_share * len(names)):
         facts = [

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,23 +12,11 @@ import numpy as np
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing
-from stages.formats.frame_names import count_from_one, has_sources, join, matching, plain
-from stages.formats.given_masks.mask_set import MaskSet
-from stages.formats.given_masks.objects import Object, labeled_objects, pick, ranked
+from stages.formats.frame_names import join, matching, plain
+from stages.formats.given_masks.objects import Object, objects_of, pick
 from stages.formats.given_masks.recognize import read_mask_files
-from stages.formats.given_masks.values import ForeignMasks
 from stages.formats.images import same_shape
 from stages.formats.people import EVERYBODY
-
-
-@dataclass(frozen=True)
-class MaskedPerson:
-    """The masks of one person: `masks` reads those in `rows`; of label masks only `labels` count (None: all)."""
-
-    id: str
-    masks: ForeignMasks
-    rows: frozenset[int]
-    labels: frozenset[int] | None = None
 
 
 def import_masks(
@@ -43,7 +29,9 @@ def import_masks(
     """
     total, names = listing.video.frames, [frame.name for frame in listing.frames]
     given = read_mask_files(path, total, listing.video.path)
-    joined = join_masks(job, listing, given.names)
+    joined = {frame.name: frame.index for frame in listing.frames}
+    if given.names is not None:
+        joined = join(listing, given.names, "masks", job.warn)
     missing = [name for name in names if name not in joined]
     if missing:
         raise StageError(
@@ -52,14 +40,9 @@ def import_masks(
             [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
         )
     rows = [joined[name] for name in names]
-    people = masked_people(given, rows, person)
-    if person == EVERYBODY:
-        chosen = [one for _, one in people]
-        if len(people) > 1:
-            said = "; ".join(f"person {k} is {found or 'object'}" for k, (found, _) in enumerate(people, 1))
-            job.note(f"{len(people)} objects in the given masks: {said}")
-    else:
-        chosen = [pick_masks(job, people, person)]
+    objects = objects_of(given, rows)
+    chosen = objects if person == EVERYBODY else [pick(objects, person)]
+    report_objects(job, objects, chosen)
     if len(chosen) > 1 and invert == "always":
         raise StageError(
             "masks of several people cannot be inverted: what none of them marks is nobody's",
@@ -69,86 +52,41 @@ def import_masks(
     inverted = len(chosen) == 1 and polarity(job, chosen[0], invert)
     encodings = chosen[0].masks.encodings()
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
-    unused = (total if given.names is None else len(given.names)) - len(set(rows))
     details = {
         "folder": plain(path.name),
         "kind": given.kind,
         "inverted": inverted,
         "encodings": encodings,
-        "unused": unused,
+        "unused": (total if given.names is None else len(given.names)) - len(set(rows)),
+        "person": chosen[0].id if len(chosen) == 1 else [one.id for one in chosen],
     }
     size = (listing.width, listing.height)
-    details |= {"person": chosen[0].id if len(chosen) == 1 else [one.id for one in chosen]}
-    frames = list(zip(names, rows, strict=True))
-    each = (resize_masks(one, frames, size, inverted) for one in chosen)
-    return details, (list(masks) for masks in zip(*each, strict=True))
+    masks = ([frame_mask(one, i, size, name, inverted) for one in chosen] for name, i in zip(names, rows))
+    return details, masks
 
 
-def join_masks(job: Job, listing: Listing, names: tuple[str, ...] | None) -> dict[str, int]:
-    """Frame name -> row of its mask: by the same stem, else by the frame's number in the video; by order without names.
-
-    Files numbered from 1 to the number of the video's frames, with no 0, count from 1; a warning says so.
-    """
-    if names is None:
-        return {frame.name: frame.index for frame in listing.frames}
-    first = int(not has_sources(listing) and count_from_one(listing.video.frames, names))
-    if first:
-        job.warn(f"given masks are numbered 1 to {listing.video.frames}: taken as counted from 1")
-    return join(listing, names, first, "masks", job.warn)
-
-
-def masked_people(
-    given: MaskSet, rows: list[int], person: int | str | None
-) -> list[tuple[Object | None, MaskedPerson]]:
-    """All objects and their masks, the largest and most frequent first; None for the only one, which has no name."""
-    if given.objects == ("",):
-        masks = ForeignMasks(rows, partial(given.read, ""))
-        objects = labeled_objects(masks)
-        if not objects and person not in (None, EVERYBODY):
-            facts = [f"{len(rows)} masks ({given.kind}), each with one object"]
-            raise StageError(f"no person {person!r} in the given masks", "leave out --person", facts)
-        if not objects:
-            return [(None, MaskedPerson("", masks, frozenset(rows)))]
-        return [(one, MaskedPerson(one.id, masks, frozenset(rows), one.labels or None)) for one in objects]
-    people = {one: ForeignMasks(rows, partial(given.read, one)) for one in given.objects}
-    objects = []
-    for one, masks in people.items():
-        shares = [share for i in masks.keys if (share := float((masks.read(i) > 127).mean()))]
-        objects.append(Object(one, len(shares), sum(shares) / max(len(shares), 1)))
-    objects = ranked(objects)
-    if not objects:
-        raise StageError("no object in the given masks is in any frame", "check the masks", [f"{len(people)} objects"])
-    return [(one, MaskedPerson(one.id, people[one.id], frozenset(people[one.id].keys))) for one in objects]
-
-
-def pick_masks(job: Job, people: list[tuple[Object | None, MaskedPerson]], person: int | str | None) -> MaskedPerson:
-    """The masks of the person; several objects are listed with numbers, and a warning names the one that is followed."""
-    objects = [found for found, _ in people if found is not None]
-    if not objects:
-        return people[0][1]
-    chosen = pick(objects, person)
-    report_objects(job, objects, chosen)
-    return next(one for found, one in people if found is chosen)
-
-
-def report_objects(job: Job, objects: list[Object], chosen: Object) -> None:
-    """List the objects if there are several, and name the one that is followed."""
-    if len(objects) > 1:
+def report_objects(job: Job, objects: list[Object], chosen: list[Object]) -> None:
+    """List the objects if there are several, and name the one that is followed, or each."""
+    first = chosen[0]
+    if len(chosen) > 1:
+        said = "; ".join(f"person {k} is {one}" for k, one in enumerate(chosen, 1))
+        job.note(f"{len(chosen)} objects in the given masks: {said}")
+    elif len(objects) > 1:
         more = f" and {len(objects) - 8} more" if len(objects) > 8 else ""
         job.note(f"{len(objects)} objects in the given masks: {'; '.join(map(str, objects[:8]))}{more}")
-        job.warn(f"following object {chosen.id} of {len(objects)}; `--person ID` picks another")
-    elif chosen.labels and len(chosen.labels) > 1:
-        job.note(f"labels {', '.join(map(str, sorted(chosen.labels)))} touch nearly always: parts of one person")
+        job.warn(f"following object {first.id} of {len(objects)}; `--person ID` picks another")
+    elif len(first.labels) > 1:
+        job.note(f"labels {', '.join(map(str, sorted(first.labels)))} touch nearly always: parts of one person")
 
 
-def polarity(job: Job, person: MaskedPerson, invert: Literal["auto", "always", "never"]) -> bool:
+def polarity(job: Job, person: Object, invert: Literal["auto", "always", "never"]) -> bool:
     """Whether the masks mark the background instead of the person; a note gives the numbers."""
-    areas, borders = [], []
-    for i in person.rows:
-        mask = person.masks.read(i, person.labels)
-        areas.append(float((mask > 127).mean()))
-        borders.append(border_share(mask))
-    area, border = sum(areas) / len(areas), sum(borders) / len(borders)
+    shares = [
+        (float((mask > 127).mean()), border_share(mask))
+        for i in person.masks.keys
+        if (mask := person.read(i)) is not None
+    ]
+    area, border = (sum(part) / len(shares) for part in zip(*shares))
     inverted = invert == "always" or (invert == "auto" and area > 0.5 and border > 0.5)
     marked = f"marked: {area:.0%} of the picture, {border:.0%} of its border"
     job.note(f"given masks {'inverted' if inverted else 'taken as they are, white = person'} ({marked})")
@@ -157,19 +95,13 @@ def polarity(job: Job, person: MaskedPerson, invert: Literal["auto", "always", "
     return inverted
 
 
-def resize_masks(
-    person: MaskedPerson, frames: list[tuple[str, int]], size: tuple[int, int], invert: bool
-) -> Iterator[np.ndarray]:
-    """The mask of each frame (name, row) at the frames' size, empty where the person is not."""
-    for name, i in frames:
-        if i not in person.rows:
-            yield np.zeros(size[::-1], np.uint8)
-        else:
-            yield resize_mask(person.masks.read(i, person.labels), size, name, invert)
+def frame_mask(person: Object, row: int, size: tuple[int, int], name: str, invert: bool) -> np.ndarray:
+    """The person's mask in a frame at the frames' size, white, empty where the person is not.
 
-
-def resize_mask(mask: np.ndarray, size: tuple[int, int], name: str, invert: bool) -> np.ndarray:
-    """A given mask at the frames' size, person white; StageError if its shape is that of another picture."""
+    StageError if its shape is that of another picture.
+    """
+    if (mask := person.read(row)) is None:
+        return np.zeros(size[::-1], np.uint8)
     height, width = mask.shape
     if not same_shape((width, height), size):
         raise StageError(

@@ -18,9 +18,9 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, take
 from stages.formats.datasets.capture import Capture, Shot, require
+from stages.formats.given_fits.tool_pickles import read_named
 from stages.formats.given_masks.values import read_values
 from stages.formats.images import read_pixels
-from stages.formats.safe_pickle import read_object_npy
 
 MASKS = ("mask", "mask_cihp")
 PARAMS = ("new_params", "params")
@@ -34,7 +34,7 @@ def read_zju(folder: Path, train_camera: int, train_frames: int, test_every: int
     Raises StageError for what is missing or does not fit; no code of a pickle is run.
     """
     require(folder, ("annots.npy",), "a ZJU-MoCap sequence", "zju")
-    annots = read_object_npy(folder / "annots.npy", HINT)
+    annots = read_named(folder / "annots.npy", HINT)
     paths = [_row(folder, i, row) for i, row in enumerate(take(annots, "ims", folder / "annots.npy", HINT))]
     if not paths:
         raise StageError(f"annots.npy in {folder} lists no pictures", HINT)
@@ -156,7 +156,7 @@ def _fit(folder: Path, numbers: list[int]) -> dict[str, np.ndarray]:
     rows: dict[int, dict[str, np.ndarray]] = {}
     for n in dict.fromkeys(numbers):
         path = folder / kind / f"{n}.npy"
-        values = read_object_npy(path, HINT)
+        values = read_named(path, HINT)
         rows[n] = {}
         for key, size in (("Rh", 3), ("Th", 3), ("poses", 72), ("shapes", 10)):
             array = as_array(take(values, key, path, HINT), key, path, HINT)

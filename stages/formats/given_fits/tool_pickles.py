@@ -29,7 +29,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import BROKEN, PIECE, PLAIN, array_of, npy_header
 from stages.formats.budget import Budget
-from stages.formats.safe_pickle import ArraysOnly, plain, refuse_code
+from stages.formats.safe_pickle import ArraysOnly, plain, refuse_code, size_of
 
 OLD_TORCH = 0x1950A86A20F9469CFC6C  # the first of the pickles in a file of old torch.save
 _STORAGES = {
@@ -65,11 +65,22 @@ def read_tool_file(path: Path, hint: str = "") -> Any:
     try:
         data = Path(path).read_bytes()
         budget = Budget(path, len(data))
-        return _plain(_load(data, budget), iter(range(budget.spent + len(data))))
+        return _plain(_load(data, budget), iter(range(budget.spent + len(data))), Path(path))
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
     except _BROKEN as error:
         raise StageError(f"{path} cannot be read without running what it holds", hint, [f"{error}"[:300]]) from error
+
+
+def read_named(path: Path, hint: str = "") -> dict[str, Any]:
+    """The dictionary in a pickle, or in an .npy file of one object; StageError as `read_tool_file`, or for another thing."""
+    content = read_tool_file(path, hint)
+    if not isinstance(content, dict):
+        raise StageError(f"{path} holds a {type(content).__name__}, not named arrays", hint)
+    budget = Budget(path, path.stat().st_size)
+    for key, value in content.items():
+        budget.spend(size_of(value), f"{key}")
+    return {str(key): value for key, value in content.items()}
 
 
 def _load(data: bytes, budget: Budget) -> Any:
@@ -225,8 +236,8 @@ def _tensor(budget: Budget, storage: np.ndarray, offset: int, shape: tuple, stri
     return np.lib.stride_tricks.as_strided(storage[offset:], shape, steps, writeable=False)
 
 
-def _plain(value: Any, left: Iterator[int]) -> Any:
-    """`value` with stand-ins turned into arrays, all the way down; arrays of objects become lists.
+def _plain(value: Any, left: Iterator[int], path: Path, key: str = "a value") -> Any:
+    """`value` with stand-ins turned into arrays, all the way down; arrays of objects become lists. Errors name `path` and `key`.
 
     `left` runs out where lists that hold each other stand for more than the file has.
     """
@@ -234,11 +245,12 @@ def _plain(value: Any, left: Iterator[int]) -> Any:
         raise pickle.UnpicklingError("it repeats itself endlessly")
     refuse_code(value)
     if isinstance(value, _JoblibArray):
-        return _plain(value.array, left)
+        return _plain(value.array, left, path, key)
     if isinstance(value, dict):
-        return {_plain(key, left): _plain(one, left) for key, one in value.items()}
+        return {_plain(k, left, path): _plain(one, left, path, str(k)) for k, one in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return type(value)(_plain(one, left) for one in value)
+        return type(value)(_plain(one, left, path, key) for one in value)
     if isinstance(value, np.ndarray) and value.dtype.hasobject:
-        return _plain(value.item(), left) if value.ndim == 0 else [_plain(one, left) for one in value]
-    return plain(value, "an object")
+        listed = value.item() if value.ndim == 0 else list(value)
+        return _plain(listed, left, path, key)
+    return plain(value, f"{key} in {path}")

@@ -11,22 +11,22 @@ Source: https://cocodataset.org/#format-data and cocoapi, common/maskApi.c.
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from stages.contract import StageError
 from stages.formats.budget import Budget, check_count
+from stages.formats.facts import Facts, read_facts
 from stages.formats.frame_names import stem
 from stages.formats.given_masks.mask_set import MaskSet, Values
 from stages.formats.given_masks.track_boxes import BoxTracker, box_of
 
 HINT = "COCO masks need images with id, file_name, height, width, and annotations with image_id and segmentation"
-TRACKS = ("track_id", "instance_id", "object_id", "obj_id")
+TRACKS = ("track_id", "instance_id", "object_id", "obj_id")  # whichever all have
 LARGEST = 1 << 14  # px a side
 WORK = 1 << 36
 """Pixels of all masks of a file together; ten people for a minute of 1920x1080 at 30 a second have 37 thousand million."""
@@ -35,106 +35,87 @@ FAR = 1e6  # px: no corner of a polygon is so far from its picture
 CROSSING = 64  # bytes that a row's crossing of a polygon's side takes
 
 
+class Picture(Facts):
+    id: int | str
+    file_name: str
+    height: int = Field(gt=0, le=LARGEST)
+    width: int = Field(gt=0, le=LARGEST)
+
+
+class Category(Facts):
+    id: int | str
+    name: str
+
+
+class Instance(Facts):
+    """The mask of an object in a picture; of the ids by which it is tracked there may be one, of any name."""
+
+    image_id: int | str
+    segmentation: Any
+    category_id: int | str | None = None
+    track_id: int | str | None = None
+    instance_id: int | str | None = None
+    object_id: int | str | None = None
+    obj_id: int | str | None = None
+
+
+class Coco(Facts):
+    images: tuple[Picture, ...] = Field(min_length=1)
+    annotations: tuple[Instance, ...] = Field(min_length=1)
+    categories: tuple[Category, ...] = ()
+
+
 def read_coco(path: Path) -> MaskSet:
     """Read instances; only people, if a category is called person. StageError with the annotation that is wrong.
 
     Objects are told apart by a track id; without, they are followed from picture to picture by their boxes, in the order
     of the pictures' names. Parts of one object in one picture are joined.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise StageError(f"{path} is not JSON", HINT, [str(error)]) from error
-    for key in ("images", "annotations"):
-        if not isinstance(content, dict) or not isinstance(content.get(key), list) or not content[key]:
-            found = ", ".join(list(content)[:12]) if isinstance(content, dict) else f"a {type(content).__name__}"
-            raise StageError(f"{path} has no {key}", HINT, [f"it holds {found or 'nothing'}"])
-    images: dict[int | str, tuple[str, int, int]] = {}
-    for i, image in enumerate(content["images"]):
-        key, name, *size = (_taken(image, k, f"image {i} of {path}") for k in ("id", "file_name", "height", "width"))
-        if not all(isinstance(n, int) and 0 < n <= LARGEST for n in size):
-            raise StageError(f"image {i} of {path} has no picture size", HINT, [f"height {size[0]}, width {size[1]}"])
-        images[_identifier(key, f"id of image {i} of {path}")] = (stem(str(name)), size[0], size[1])
-    order = sorted(images, key=lambda key: images[key][0])
-    shown: dict[int | str, list[tuple[dict, str]]] = defaultdict(list)
-    people, budget = _people(content.get("categories") or []), Budget(path, most=WORK)
-    for i, one in enumerate(content["annotations"]):
-        what = f"annotation {i} of {path}"
-        if people and _identifier(_taken(one, "category_id", what), f"category_id of {what}") not in people:
+    content = read_facts(path, Coco, HINT)
+    images = sorted({image.id: image for image in content.images}.values(), key=lambda image: stem(image.file_name))
+    row = {image.id: i for i, image in enumerate(images)}
+    shown: list[list[tuple[Instance, str]]] = [[] for _ in images]
+    people, budget = {one.id for one in content.categories if one.name.lower() == "person"}, Budget(path, most=WORK)
+    for i, one in enumerate(content.annotations):
+        if people and one.category_id not in people:
             continue
-        image = _identifier(_taken(one, "image_id", what), f"image_id of {what}")
-        if image not in images:
-            raise StageError(
-                f"{what} belongs to no image", HINT, [f"image_id is {str(image)[:60]}, {len(images)} images are there"]
-            )
-        _taken(one, "segmentation", what)
-        budget.spend(images[image][1] * images[image][2], f"the mask of annotation {i}, a byte a pixel,")
-        shown[image].append((one, what))
-    every = [one for image in shown.values() for one, _ in image]
-    track = next((key for key in TRACKS if every and all(key in one for one in every)), None)
+        if one.image_id not in row:
+            facts = [f"image_id is {str(one.image_id)[:60]}, {len(images)} images are there"]
+            raise StageError(f"annotation {i} of {path} belongs to no image", HINT, facts)
+        image = images[row[one.image_id]]
+        budget.spend(image.height * image.width, f"the mask of annotation {i}, a byte a pixel,")
+        shown[row[one.image_id]].append((one, f"annotation {i} of {path}"))
+    every = [one for image in shown for one, _ in image]
+    track = next((key for key in TRACKS if every and all(getattr(one, key) is not None for one in every)), None)
     parts: dict[str, dict[int, list[tuple[Any, str]]]] = defaultdict(lambda: defaultdict(list))
-    if track:
-        for row, image in enumerate(order):
-            for one, what in shown[image]:
-                parts[str(one[track])][row].append((one["segmentation"], what))
-    else:
-        for row, mask_id, part in _track(order, images, shown):
-            parts[mask_id][row].append(part)
-
+    tracker = BoxTracker()
+    for i, (image, there) in enumerate(zip(images, shown)):
+        found = [(one.segmentation, what) for one, what in there]
+        if track:
+            ids = [(str(getattr(one, track)), k) for k, (one, _) in enumerate(there)]
+        else:
+            ids = tracker.add([box_of(decode(part, image.height, image.width, what)) for part, what in found])
+        for name, k in ids:
+            parts[name][i].append(found[k])
     check_count(len(parts), "tracks", path, "leave out what is nobody")
 
     def read(person: str, i: int) -> Values | None:
-        if i not in parts[person]:
-            return None
-        _, height, width = images[order[i]]
-        mask, *others = parts[person][i]
-        joined = decode(mask[0], height, width, mask[1])
-        for segmentation, what in others:
-            joined |= decode(segmentation, height, width, what)
-        return joined.view(np.uint8), "COCO"
+        masks = [decode(part, images[i].height, images[i].width, what) for part, what in parts[person].get(i, ())]
+        return (np.logical_or.reduce(masks).view(np.uint8), "COCO") if masks else None
 
-    names = tuple(images[image][0] for image in order)
+    names = tuple(stem(image.file_name) for image in images)
     return MaskSet(f"COCO file of {len(parts)} objects", names, tuple(parts), read)
-
-
-def _taken(entry: Any, key: str, what: str) -> Any:
-    if not isinstance(entry, dict) or key not in entry:
-        found = ", ".join(list(entry)[:12]) if isinstance(entry, dict) else f"a {type(entry).__name__}"
-        raise StageError(f"{what} has no {key}", HINT, [f"it holds {found or 'nothing'}"])
-    return entry[key]
-
-
-def _identifier(value: Any, what: str) -> int | str:
-    if not isinstance(value, int | str):
-        raise StageError(f"{what} is neither number nor text", HINT, [f"it is {str(value)[:60]}"])
-    return value
-
-
-def _people(categories: list[Any]) -> list[Any]:
-    """Ids of the categories that are called person."""
-    known = [one for one in categories if isinstance(one, dict)]
-    return [one.get("id") for one in known if str(one.get("name")).lower() == "person"]
-
-
-def _track(
-    order: list[int | str],
-    images: dict[int | str, tuple[str, int, int]],
-    shown: dict[int | str, list[tuple[dict, str]]],
-) -> Iterator[tuple[int, str, tuple[Any, str]]]:
-    """(row of the picture, id, part) of each annotation; the boxes give the id."""
-    tracker = BoxTracker()
-    for row, image in enumerate(order):
-        _, height, width = images[image]
-        parts = [(one["segmentation"], what) for one, what in shown[image]]
-        for track, place in tracker.add([box_of(decode(part, height, width, what)) for part, what in parts]):
-            yield row, track, parts[place]
 
 
 def decode(segmentation: object, height: int, width: int, what: str) -> np.ndarray:
     """The mask bool [height,width] of run lengths or polygons; StageError where they do not fit that size."""
     if isinstance(segmentation, list):
         return polygons(segmentation, height, width, what)
-    counts, size = _taken(segmentation, "counts", what), _taken(segmentation, "size", what)
+    given = segmentation if isinstance(segmentation, dict) else {}
+    if missing := [key for key in ("counts", "size") if key not in given]:
+        facts = [f"it holds {', '.join(given) or str(segmentation)[:60]}"]
+        raise StageError(f"the segmentation of {what} has no {missing[0]}", HINT, facts)
+    counts, size = given["counts"], given["size"]
     if size != [height, width]:
         raise StageError(f"the size of {what} is not its image's", HINT, [f"found {size}, wanted [{height}, {width}]"])
     runs = run_lengths(counts, what) if isinstance(counts, str) else counts

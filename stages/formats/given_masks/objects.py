@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
 
 from stages.contract import StageError
+from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.values import ForeignMasks
 
 TOUCHING = 0.8
@@ -13,11 +18,12 @@ TOUCHING = 0.8
 
 @dataclass(frozen=True)
 class Object:
-    """One object: the id that picks it, in how many pictures it is, and its mean share of those pictures."""
+    """One object: the id that picks it, "" for one without; in how many pictures it is, and its mean share of those pictures."""
 
     id: str
     pictures: int
     share: float
+    masks: ForeignMasks
     labels: frozenset[int] = frozenset()
     """The labels that are its parts, in label masks."""
 
@@ -25,13 +31,12 @@ class Object:
         parts = f" (labels {', '.join(map(str, sorted(self.labels)))})" if len(self.labels) > 1 else ""
         return f"{self.id}{parts} covers {self.share:.1%} in {self.pictures} pictures"
 
+    def read(self, row: int) -> np.ndarray | None:
+        """Its mask in a row of those given, uint8 [H,W], 255 = marked; None where there is none of it."""
+        return self.masks.read(row, self.labels) if row in self.masks.keys else None
 
-def ranked(objects: list[Object]) -> list[Object]:
-    """The largest and most often seen first; objects that are nowhere are left out."""
-    return sorted((one for one in objects if one.pictures), key=lambda one: (-one.pictures * one.share, one.id))
 
-
-def pick(objects: list[Object], person: str | int | None) -> Object:
+def pick(objects: Sequence[Object], person: str | int | None) -> Object:
     """The object of that id, or the first of the ranked `objects` if none is asked for; StageError for an unknown id.
 
     Numbers are compared as such, so that 1 picks the folder 001 where no folder is called 1.
@@ -40,9 +45,11 @@ def pick(objects: list[Object], person: str | int | None) -> Object:
         return objects[0]
     found = [one for one in objects if one.id == str(person)]
     found += [one for one in objects if is_number(one.id, str(person))]
-    if not found:
-        facts = [f"there are: {'; '.join(map(str, objects[:12]))}"]
-        raise StageError(f"no person {person} in the given masks", "choose with `--person ID`", facts)
+    named = [str(one) for one in objects[:12] if one.id]
+    if not found or not named:
+        fact = f"there are: {'; '.join(named)}" if named else f"{objects[0].pictures} masks, each with one object"
+        hint = "choose with `--person ID`" if named else "leave out --person"
+        raise StageError(f"no person {person} in the given masks", hint, [fact])
     return found[0]
 
 
@@ -51,14 +58,33 @@ def is_number(a: str, b: str) -> bool:
     return a.isdecimal() and b.isdecimal() and a.lstrip("0") == b.lstrip("0")
 
 
-def labeled_objects(given: ForeignMasks) -> list[Object]:
+def objects_of(given: MaskSet, rows: Sequence[int]) -> list[Object]:
+    """The objects in the `rows` of given masks, the largest and most often seen first; StageError where there are none.
+
+    Without ids or labels it is one without a name.
+    """
+    found = []
+    for name in given.objects:
+        masks = ForeignMasks(rows, partial(given.read, name))
+        if name == "":
+            found += labeled_objects(masks) or [Object("", len(rows), 0.0, masks)]
+        elif masks.keys:
+            shares = [share for i in masks.keys if (share := float((masks.read(i) > 127).mean()))]
+            found.append(Object(name, len(shares), sum(shares) / max(len(shares), 1), masks))
+    found = [one for one in found if one.pictures]
+    if not found:
+        facts = [f"{len(given.objects)} objects"]
+        raise StageError("no object in the given masks is in any frame", "check the masks", facts)
+    return sorted(found, key=lambda one: (-one.pictures * one.share, one.id))
+
+
+def labeled_objects(masks: ForeignMasks) -> list[Object]:
     """The objects in label masks; labels that touch nearly always are parts of one, like the clothes of a person."""
     objects = []
-    for kind, levels in given.kinds.items():
-        if levels.few is None or not given.is_labels(kind) or len(levels.few) <= 2:
+    for levels in masks.kinds.values():
+        if levels.few is None or not levels.labels or len(levels.few) <= 2:
             continue
-        ground = given.background(kind)
-        labels = [int(label) for label in levels.few if label != ground]
+        labels = [int(label) for label in levels.few if label != levels.background]
         group = {label: label for label in labels}
         for (a, b), touch in levels.together.items():
             if a in group and b in group and sum(touch) >= TOUCHING * len(touch):
@@ -67,5 +93,5 @@ def labeled_objects(given: ForeignMasks) -> list[Object]:
             parts = [label for label in labels if group[label] == first]
             pictures = max(len(levels.areas[label]) for label in parts)
             share = sum(sum(levels.areas[label]) for label in parts) / pictures
-            objects.append(Object(str(first), pictures, share, frozenset(parts)))
-    return ranked(objects)
+            objects.append(Object(str(first), pictures, share, masks, frozenset(parts)))
+    return objects

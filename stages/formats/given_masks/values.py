@@ -45,7 +45,7 @@ def read_values(path: Path) -> tuple[np.ndarray, str]:
     """
     kind = path.suffix.lower()[1:]
     if kind == "npy":
-        array = read_array(path)
+        array = checked_values(np.squeeze(read_npy(path, "save it by numpy.save")), str(path))
         return array, f"{kind} {array.dtype}"
     pixels = read_pixels(path)
     channels = pixels.shape[2]
@@ -86,12 +86,6 @@ def palette(path: Path) -> np.ndarray | None:
     return np.frombuffer(data, np.uint8, int.from_bytes(data[at : at + 4]), at + 8).reshape(-1, 3)
 
 
-def read_array(path: Path) -> np.ndarray:
-    """Read a .npy mask [H,W] (axes of length 1 are dropped) of bool, integers or finite floats."""
-    array = np.squeeze(read_npy(path, "save it by numpy.save"))
-    return checked_values(array, str(path))
-
-
 def checked_values(array: np.ndarray, what: str) -> np.ndarray:
     """The array if it is one mask [H,W] of bool, integers or finite floats; bool becomes uint8."""
     if array.ndim != 2 or array.dtype.kind not in "buif" or array.size == 0:
@@ -106,6 +100,7 @@ def checked_values(array: np.ndarray, what: str) -> np.ndarray:
 class Levels:
     """What values masks of one kind hold: the distinct ones, or None if they are many, their range, and where."""
 
+    kind: str
     dtype: np.dtype
     few: np.ndarray | None
     lowest: float = np.inf
@@ -115,6 +110,40 @@ class Levels:
     """Value -> the share of the picture that it covers, in each file that has it."""
     together: dict[tuple[int, int], list[bool]] = field(default_factory=dict)
     """Two values above the lowest -> whether they touch, in each file that has both."""
+
+    @property
+    def labels(self) -> bool:
+        """Whether the values are labels."""
+        if self.few is None or len(self.few) <= 2:
+            return self.few is not None
+        wide = self.dtype.kind in "ui" and self.dtype.itemsize > 1 and self.highest != 65535
+        return self.dtype.kind in "ui" and (self.highest <= UNMARKED or wide or self.kind.endswith("ids"))
+
+    @property
+    def top(self) -> float:
+        """The value that means 'surely person' in soft masks."""
+        if self.dtype == np.uint16:
+            return 65535.0
+        return 1.0 if self.dtype.kind == "f" and self.highest <= 1 else 255.0
+
+    @property
+    def background(self) -> float:
+        """The label of the background."""
+        return self.few[0] if self.few is not None and len(self.few) == 2 else min(0, self.lowest)
+
+    def marked(self, values: np.ndarray, labels: frozenset[int] = frozenset()) -> np.ndarray:
+        """Values [H,W] of this kind as uint8, 255 = marked; of label masks only `labels`, or all but the background."""
+        if self.labels and labels:
+            return np.where(np.isin(values, list(labels)), np.uint8(255), np.uint8(0))
+        if self.labels or self.lowest < 0:
+            return np.where(values > (self.background if self.labels else 0), np.uint8(255), np.uint8(0))
+        return np.rint(values.clip(0, self.top) * (255.0 / self.top)).astype(np.uint8)
+
+    def __str__(self) -> str:
+        few, high = self.few, f"0..{self.highest:g}"
+        values = " and ".join(f"{v:g}" for v in few) if few is not None and len(few) < 3 else high
+        meaning = f"labels {values}" if self.labels else "logits" if self.lowest < 0 else f"soft 0..{self.top:g}"
+        return f"{self.kind}, {meaning}"
 
     def add(self, values: np.ndarray) -> None:
         """Take one more mask into account."""
@@ -168,59 +197,22 @@ class ForeignMasks:
     """
 
     def __init__(self, keys: Iterable[Any], values_of: Callable[[Any], tuple[np.ndarray, str] | None] = read_values):
-        self.values_of = values_of
-        self.keys: list[Any] = []
+        self.values_of, self.keys = values_of, dict[Any, Levels]()
         self.kinds: dict[str, Levels] = {}
         for key in keys:
-            found = values_of(key)
-            if found is not None:
-                self.keys.append(key)
-                self.kinds.setdefault(found[1], Levels(found[0].dtype, found[0][:0, 0])).add(found[0])
+            if (found := values_of(key)) is not None:
+                values, kind = found
+                levels = self.kinds.setdefault(kind, Levels(kind, values.dtype, values[:0, 0]))
+                levels.add(values)
+                self.keys[key] = levels
 
-    def _found(self, key: Hashable) -> tuple[np.ndarray, str]:
+    def read(self, key: Hashable, labels: frozenset[int] = frozenset()) -> np.ndarray:
+        """The mask as uint8 [H,W], 255 = marked; of label masks only `labels`, or all but the background."""
         found = self.values_of(key)
         if found is None:
             raise KeyError(key)
-        return found
-
-    def is_labels(self, kind: str) -> bool:
-        """True if masks of this kind hold labels."""
-        levels = self.kinds[kind]
-        if levels.few is None or len(levels.few) <= 2:
-            return levels.few is not None
-        wide = levels.dtype.kind in "ui" and levels.dtype.itemsize > 1 and levels.highest != 65535
-        return levels.dtype.kind in "ui" and (levels.highest <= UNMARKED or wide or kind.endswith("ids"))
-
-    def top(self, kind: str) -> float:
-        """The value that means 'surely person' in soft masks of this kind."""
-        levels = self.kinds[kind]
-        if levels.dtype == np.uint16:
-            return 65535.0
-        return 1.0 if levels.dtype.kind == "f" and levels.highest <= 1 else 255.0
-
-    def background(self, kind: str) -> float:
-        """The label of the background."""
-        levels = self.kinds[kind]
-        return levels.few[0] if levels.few is not None and len(levels.few) == 2 else min(0, levels.lowest)
-
-    def read(self, key: Hashable, labels: frozenset[int] | None = None) -> np.ndarray:
-        """The mask as uint8 [H,W], 255 = marked; of label masks only `labels`, or all but the background."""
-        values, kind = self._found(key)
-        if self.is_labels(kind):
-            marked = values > self.background(kind) if labels is None else np.isin(values, list(labels))
-            return np.where(marked, np.uint8(255), np.uint8(0))
-        if self.kinds[kind].lowest < 0:
-            return np.where(values > 0, np.uint8(255), np.uint8(0))
-        top = self.top(kind)
-        return np.rint(values.clip(0, top) * (255.0 / top)).astype(np.uint8)
+        return self.kinds[found[1]].marked(found[0], labels)
 
     def encodings(self) -> dict[str, int]:
         """Encoding in words -> number of files."""
-        words = {}
-        for kind, levels in self.kinds.items():
-            few, high = levels.few, f"0..{levels.highest:g}"
-            values = " and ".join(f"{v:g}" for v in few) if few is not None and len(few) < 3 else high
-            meaning = f"labels {values}" if self.is_labels(kind) else f"soft 0..{self.top(kind):g}"
-            meaning = "logits" if not self.is_labels(kind) and levels.lowest < 0 else meaning
-            words[f"{kind}, {meaning}"] = levels.files
-        return words
+        return {str(levels): levels.files for levels in self.kinds.values()}

@@ -43,13 +43,13 @@ def test_every_join_is_checked_but_that_of_pictures_with_names(source):
     frames = tuple(Frame(name=f"{i:06d}", index=i, time_s=i, source=source and f"{source}{i}") for i in range(3))
     listing = Listing(width=8, height=8, video=Video(path="v.mp4", frames=3), frames=frames)
     said = []
-    assert join(listing, ["a0", "a1", "a2"], 0, "cameras", said.append) == {f"{i:06d}": i for i in range(3)}
+    assert join(listing, ["a0", "a1", "a2"], "cameras", said.append) == {f"{i:06d}": i for i in range(3)}
     if source:
-        assert set(join(listing, ["a0", "a1", "a2", "a9"], 0, "cameras", said.append).values()) == {0, 1, 2}
+        assert set(join(listing, ["a0", "a1", "a2", "a9"], "cameras", said.append).values()) == {0, 1, 2}
     else:
         with pytest.raises(StageError, match="other pictures"):
-            join(listing, ["a0", "a1", "a2", "a9"], 0, "cameras", said.append)
-        join(listing, ["a0", "a1"], 0, "cameras", said.append)
+            join(listing, ["a0", "a1", "a2", "a9"], "cameras", said.append)
+        join(listing, ["a0", "a1"], "cameras", said.append)
     assert len(said) == (not source)
 
 

@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.estimators.bodyfit.frames import join_frames
+from stages.estimators.bodyfit import frames as module
 from stages.formats.given_fits.record import SmplFit
+from tests.made.fits import listed
 
 AXES = np.random.default_rng(0).normal(size=(24, 3))
 
@@ -21,6 +22,10 @@ def motion(times):
     turns = Rotation.from_rotvec((times[:, None, None] * speed).reshape(-1, 3)).as_rotvec().reshape(-1, 72)
     walk = np.stack([times, 0 * times, 3 + 0.5 * times], 1)
     return {"global_orient": turns[:, :3], "body_pose": turns[:, 3:], "transl": walk}
+
+
+def join_frames(fit, names, times, sources=(), total=0):
+    return module.join_frames(fit, listed(names, times, sources, total))
 
 
 def fit_of(times, /, **more):
@@ -86,16 +91,19 @@ def test_pictures_that_ffmpeg_numbered_from_one_are_not_taken_for_the_frame_afte
     fit = replace(fit_of(times), tool=tool, names=("000001.jpg", "000002.jpg", "000003.jpg", "000004.jpg"))
     joined, frames = join_frames(fit, names, times, total=4)
     assert frames.tolist() == [0, 1, 2, 3] and np.array_equal(joined.transl, fit.transl)
-    assert "count the frames from 1" in joined.notes[0]
-    for known in ({"total": 5}, {"total": 4, "sources": ["000001", "000002", "000003", "000004"]}):
-        joined, _ = join_frames(fit, names, times, **known)
-        assert not joined.notes, known
+    assert "counted from 1" in joined.notes[0]
+    joined, _ = join_frames(fit, names, times, total=4, sources=["000001", "000002", "000003", "000004"])
+    assert not joined.notes
+    joined, _ = join_frames(fit, names, times, total=5)
+    assert "are of the frames 1 to 4 of 5, by their numbers" in joined.notes[0]
+    with pytest.raises(StageError, match="are of other pictures than the frames of"):
+        join_frames(fit, names[:3], times[:3], total=3)
 
 
 def test_people_of_one_frame_stay_together_and_in_the_clips_order():
     times = np.arange(4) / 30
     fit = replace(fit_of(times), tracks=("a", "b", "a", "b"), numbers=np.array([6, 6, 3, 3]))
-    joined, frames = join_frames(fit, names_of([3, 6]), times)
+    joined, frames = join_frames(fit, names_of([3, 6]), times[:2])
     assert frames.tolist() == [0, 0, 1, 1] and joined.tracks == ("a", "b", "a", "b")
     assert np.array_equal(joined.transl, fit.transl[[2, 3, 0, 1]])
 

@@ -13,7 +13,6 @@ from stages.estimators.bodyfit.given import import_fit
 from stages.estimators.bodyfit.resting import posed_joints
 from stages.formats.body_model import read_body_model
 from stages.formats.given_fits.recognize import read_smpl_fit
-from stages.records import Cameras
 from tests.made import fits
 from tests.made.truth import joints_of
 
@@ -29,11 +28,8 @@ def truth():
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", fits.FILES)
 def test_pelvis_and_limbs_are_where_the_tool_sees_them(tool, truth, tmp_path):
-    cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
     fit = read_smpl_fit(fits.write(tool, fits.contents(tool, truth), tmp_path), truth.size)
-    masks = list(truth.views.masks)
-    times, points = truth.numbers / truth.fps, np.zeros((0, 3))
-    poses, _ = import_fit(fit, read_body_model(), cameras, times, masks, points, True, ())
+    poses, _ = import_fit(fit, fits.inputs_of(truth, read_body_model()))
     local, _ = posed_joints(smpl_rest(), truth.orient, truth.views.body_pose)
     local = local - local[:, :1] + truth.pelvis[:, None]
     ours = joints_of(poses, read_body_model())

@@ -229,5 +229,5 @@ def test_a_fit_of_another_video_has_no_rows(truth, whole, tmp_path):
         fit = read_smpl_fit(fits.write(tool, whole[tool], tmp_path), truth.size)
         names = [f"{n:06d}" for n in range(1000, 1040)]
         with pytest.raises(StageError, match="40 of 40 frames have no row") as caught:
-            join_frames(fit, names, np.arange(1000, 1040) / 30)
+            join_frames(fit, fits.listed(names, np.arange(1000, 1040) / 30))
         assert "the clip 001000 to 001039 (40)" in caught.value.facts[0]

@@ -10,8 +10,10 @@ from stages.estimators.bodyfit.frames import join_frames
 from stages.formats.body_model import read_body_model
 from stages.formats.given_fits import recognize
 from stages.formats.poses import write_poses
+from tests.made.fits import listed
 
 N = 6
+
 SIZE = (480, 640)
 
 
@@ -21,7 +23,7 @@ def read_smpl_fit(path):
 
 def match_frames(fit, names):
     """The rows that belong to `names`, which frames they are, which have none."""
-    fit, frames = join_frames(fit, names, np.arange(len(names)) / 30)
+    fit, frames = join_frames(fit, listed(names, np.arange(len(names)) / 30))
     found = tuple(names[i] for i in frames)
     return fit, found, tuple(name for name in names if name not in found)
 

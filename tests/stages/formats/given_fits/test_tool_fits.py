@@ -31,7 +31,7 @@ def truth():
 def placed(truth, path):
     """The fit in `path` as poses of the person in the world, and what choosing them said."""
     cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
-    fit, frames = join_frames(read_smpl_fit(path, truth.size), truth.names, truth.numbers / truth.fps)
+    fit, frames = join_frames(read_smpl_fit(path, truth.size), fits.inputs_of(truth, truth.model).listing)
     fit, frames, said = choose_person(fit, frames, cameras, list(truth.views.masks), truth.model)
     names = tuple(truth.names[i] for i in frames)
     poses = place_in_world(fit, names, truth.viewmats[frames], truth.views.Ks[frames], truth.model, 1 / UNITS)
@@ -125,9 +125,7 @@ def test_joints_that_the_tool_drew_elsewhere_are_noticed(truth, tmp_path, aside,
     for entry in content.values():
         entry["2d_joints"] = [joints + np.float32(aside) for joints in entry["2d_joints"]]
     fit = read_smpl_fit(fits.write("PHALP", content, tmp_path), truth.size)
-    cameras = Cameras(truth.names, truth.viewmats, truth.views.Ks, *truth.size)
     smpl = replace(truth.model, name="SMPL")  # the tool's own body
-    given = (smpl, cameras, truth.numbers / truth.fps, list(truth.views.masks), None, False)
-    _, facts = import_fit(fit, *given)
+    _, facts = import_fit(fit, fits.inputs_of(truth, smpl, moving=False))
     assert least <= facts["tool_joints_off"] < most and facts["person"] == "7"
     assert facts["notes"] == ["1 poses that the tracker only predicted are left out"]

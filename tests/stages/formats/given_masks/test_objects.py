@@ -6,8 +6,9 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.given_masks.objects import Object, pick
+from stages.formats.given_masks.values import ForeignMasks
 
-OBJECTS = [Object(name, 10, 0.1) for name in ("10", "010", "008", "2", "²", "no", "1:30", "000")]
+OBJECTS = [Object(name, 10, 0.1, ForeignMasks(())) for name in ("10", "010", "008", "2", "²", "no", "1:30", "000")]
 
 
 @pytest.mark.parametrize("name", ["10", "010", "008", "2", "²", "no", "1:30"])

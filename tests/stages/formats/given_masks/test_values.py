@@ -7,7 +7,8 @@ import pytest
 from stages.contract import StageError
 from stages.formats.frame_names import number, stem
 from stages.formats.given_masks import values as values_module
-from stages.formats.given_masks.objects import is_number, labeled_objects
+from stages.formats.given_masks.mask_set import MaskSet
+from stages.formats.given_masks.objects import is_number, objects_of
 from stages.formats.given_masks.values import ForeignMasks, Levels, mask_files
 from stages.formats.images import write_image
 
@@ -83,9 +84,9 @@ def test_soft_masks_stay_soft(tmp_path):
 def test_ids_of_8_bits_may_be_any_that_a_tracker_counts_to(ids):
     pixels = np.zeros((40, 40), np.uint8)
     pixels[5:20, 5:15], pixels[5:30, 25:35] = ids
-    given = ForeignMasks([0], lambda _: (pixels, "png uint8"))
-    assert [one.id for one in labeled_objects(given)] == [str(ids[1]), str(ids[0])]
-    assert (given.read(0, frozenset(ids[:1])) == 255).sum() == 150
+    second, first = objects_of(MaskSet("", None, ("",), lambda _, i: (pixels, "png uint8")), [0])
+    assert [second.id, first.id] == [str(ids[1]), str(ids[0])]
+    assert (first.read(0) == 255).sum() == 150 and first.read(1) is None
 
 
 def test_what_a_value_means_is_decided_over_all_files(tmp_path):
@@ -144,7 +145,7 @@ def test_names_and_ids_of_odd_digits_are_compared_and_no_more(tmp_path):
 def test_levels_are_those_that_numpy_finds(dtype, order, monkeypatch):
     monkeypatch.setattr(values_module, "PIECE", 700)
     values = np.asarray(np.random.default_rng(0).integers(0, 7, (60, 50)) * 30, dtype, order=order)
-    levels = Levels(values.dtype, values[:0, 0])
+    levels = Levels("npy", values.dtype, values[:0, 0])
     levels.add(values)
     found, counts = np.unique(values, return_counts=True)
     np.testing.assert_array_equal(levels.few, found)
