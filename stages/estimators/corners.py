@@ -47,6 +47,17 @@ def follow(frames: Iterable[tuple[np.ndarray, np.ndarray]], choice: Choice) -> l
     return found
 
 
+def follow_pair(
+    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], choice: Choice
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of one frame [N,2] px, and where each is in another [N,2], NaN where lost; frames as of `follow`."""
+    before = _fresh(*first, np.zeros((0, 2), np.float32), choice)
+    found, kept = _step(first[0], second[0], before, second[1], choice.returns)
+    there = np.full_like(before, np.nan)
+    there[kept] = found
+    return before, there
+
+
 def _step(
     before: np.ndarray, after: np.ndarray, places: np.ndarray, allowed: np.ndarray, returns: float
 ) -> tuple[np.ndarray, np.ndarray]:

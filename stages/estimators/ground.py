@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,21 +21,50 @@ TRIALS = 2000
 LEANING, PRESSED = np.radians(8), 0.03  # rad and m: how far people lean, and how far fitted soles are off the floor
 
 
-class Plane(NamedTuple):
-    """A floor: `normal` [3] upwards and `offset`, the height of x being normal . x + offset; how sure, from how much.
+@dataclass(frozen=True)
+class Plane:
+    """A floor: `normal` [3] upwards and `offset`, the height of x being normal . x + offset; `members` things lie in it.
 
-    `height_error` m where they stood and `tilt_error` rad are one standard deviation; `members`: how many things lie in it.
+    `height_error` m where people stood and `tilt_error` rad are one standard deviation.
     """
 
     normal: np.ndarray
     offset: float
-    height_error: float
-    tilt_error: float
-    members: int
+    members: int = 0
+    height_error: float = np.inf
+    tilt_error: float = np.inf
 
     def height(self, x: np.ndarray) -> np.ndarray:
-        """Heights of x [...,3] m."""
+        """Heights of x [...,3], in the same unit as the offset."""
         return x @ self.normal + self.offset
+
+
+def best_plane(
+    things: np.ndarray,
+    ups: np.ndarray,
+    thick: float,
+    trust: np.ndarray,
+    stands: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Plane | None:
+    """The plane square to one of `ups` [U,3] with most `trust` [N] in the `things` [N,3] up to `thick` away; RANSAC, seeded.
+
+    Of planes through three things, only those count for which `stands(normals [T,3], offsets [T])` is true. None if none does.
+    """
+    rng = np.random.default_rng(0)
+    triples = things[np.stack([rng.choice(len(things), 3, replace=False) for _ in range(TRIALS)])]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    normals = normals / np.where(length > 0, length, 1)[:, None]
+    normals *= np.where(normals @ ups[0] < 0, -1, 1)[:, None]
+    offsets = -(normals * triples[:, 0]).sum(1)
+    fair = (length > 0) & (normals @ ups.T > STEEPEST).any(1)
+    if stands is not None:
+        fair &= stands(normals, offsets)
+    if not fair.any():
+        return None
+    normals, offsets = normals[fair], offsets[fair]
+    best = ((np.abs(things @ normals.T + offsets) < thick) * trust[:, None]).sum(0).argmax()
+    return Plane(normals[best], float(offsets[best]))
 
 
 def find_ground(
@@ -79,28 +109,19 @@ def find_ground(
 def plane_of_scene(things: np.ndarray, soles: np.ndarray, ups: np.ndarray) -> Plane | None:
     """The plane of `things` [N,3] m on which the lowest of `soles` [F,P,3] m stand, square to one of `ups` [U,3].
 
-    Of planes through three things near the soles (RANSAC, seeded) the one with most cells wins; it is then widened and
-    fitted to the median height of each cell (Tukey's weights). None where it has under FEW cells.
+    The `best_plane` near the soles is widened and fitted to the median height of each cell (Tukey's weights). None where it
+    has under FEW cells.
     """
     lowest = np.take_along_axis(soles, (soles @ ups[0]).argmin(1)[:, None, None], 1)[:, 0]
     place = np.median(lowest, 0)
     cells = _thinned(things[np.linalg.norm(things - place, axis=1) < NEAR])
     if len(cells) < FEW:
         return None
-    rng = np.random.default_rng(0)
-    triples = cells[np.stack([rng.choice(len(cells), 3, replace=False) for _ in range(TRIALS)])]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    normals = normals / np.where(length > 0, length, 1)[:, None]
-    normals *= np.where(normals @ ups[0] < 0, -1, 1)[:, None]
-    offsets = -(normals * triples[:, 0]).sum(1)
-    stand = np.median((soles @ normals.T).min(1), 0) + offsets
-    fair = (length > 0) & (normals @ ups.T > STEEPEST).any(1) & (np.abs(stand) < LIFTED)
-    if not fair.any():
-        return None
-    normals, offsets = normals[fair], offsets[fair]
-    best = (np.abs(cells @ normals.T + offsets) < THICK).sum(0).argmax()
-    plane: Plane | None = Plane(normals[best], float(offsets[best]), np.inf, np.inf, 0)
+
+    def stands(normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        return np.abs(np.median((soles @ normals.T).min(1), 0) + offsets) < LIFTED
+
+    plane = best_plane(cells, ups, THICK, np.ones(len(cells)), stands)
     for reach in REACHES:
         plane = plane and _fitted(things, plane, place, reach)
     if plane is None or abs(np.median(plane.height(soles).min(1))) > LIFTED:
@@ -136,7 +157,7 @@ def plane_of_bodies(soles: np.ndarray, ups: np.ndarray, held_error: float) -> Pl
     covariance = np.linalg.inv(information)
     normal, offset = _plane(solution, axes, place)
     tilt = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    return Plane(normal, offset, float(np.sqrt(covariance[2, 2])), float(tilt), 0)
+    return Plane(normal, offset, 0, float(np.sqrt(covariance[2, 2])), float(tilt))
 
 
 def _fitted(things: np.ndarray, plane: Plane, place: np.ndarray, reach: float) -> Plane | None:
@@ -166,7 +187,7 @@ def _fitted(things: np.ndarray, plane: Plane, place: np.ndarray, reach: float) -
     normal, offset = _plane(solution, axes, origin)
     members = int((np.abs(things[kept] @ normal + offset) < THICK).sum())
     tilt = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    return Plane(normal, offset, float(np.sqrt(covariance[2, 2])), float(tilt), members)
+    return Plane(normal, offset, members, float(np.sqrt(covariance[2, 2])), float(tilt))
 
 
 def _plane(solution: np.ndarray, axes: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, float]:

@@ -12,7 +12,8 @@ import numpy as np
 
 from stages.avatar.body.smpl import Body
 from stages.estimators.bodyfit.contact import sole_vertices
-from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
+from stages.estimators.bodyfit.scale import TimedCameras, find_scale
+from stages.estimators.ground import Plane
 from stages.formats.body_model import read_body_model
 from tests.made import bodyfit_clips
 from tests.made.bodyfit_clips import Act, TrueClip
@@ -95,7 +96,7 @@ def table(clip: TrueClip, height: float) -> np.ndarray:
     return scale * top @ turn.T + shift
 
 
-def told(clip: TrueClip, points: np.ndarray, height: int = bodyfit_clips.HEIGHT) -> tuple[dict[str, Any], Floor | None]:
+def told(clip: TrueClip, points: np.ndarray, height: int = bodyfit_clips.HEIGHT) -> tuple[dict[str, Any], Plane | None]:
     """What `find_scale` says of the clip with SfM `points` [P,3], the scales in it over the true one; and the floor.
 
     `height` px of the pictures, from whose top on.

@@ -17,11 +17,12 @@ from stages.estimators.bodyfit.balance import mass_and_soles
 from stages.estimators.bodyfit.evidence import LandmarkEvidence
 from stages.estimators.bodyfit.expected_error import expected_errors
 from stages.estimators.bodyfit.gravity import camera_up, trunk_up, up_on_slope
-from stages.estimators.bodyfit.scale import Floor, TimedCameras, find_scale
+from stages.estimators.bodyfit.scale import TimedCameras, find_scale
 from stages.estimators.bodyfit.snug import hidden_joints
 from stages.estimators.bodyfit.solve import Solver, State, World
 from stages.estimators.bodyfit.start import fill_limbs, fill_poses, solve_places, start_pose, unwrap_rotations
 from stages.estimators.bodyfit.surface_motion import SurfaceMotion
+from stages.estimators.ground import Plane
 from stages.records import BodyModel, BodyPoses, Cameras
 
 SOLE_SPREAD = 0.015  # m, that a sole may be thicker or thinner; the lower the camera, the more it leaves the scale open
@@ -148,7 +149,7 @@ def fit_body(
 def _make_solver(
     inputs: _Inputs,
     rows: np.ndarray,
-    floor: Floor | None = None,
+    floor: Plane | None = None,
     scale_spread: float = 1.0,
     slope: tuple[np.ndarray, float] | None = None,
 ) -> Solver:
@@ -181,7 +182,7 @@ def _make_solver(
 
 def _find_scale(
     solver: Solver, state: State, inputs: _Inputs, points: np.ndarray | None, seen: np.ndarray
-) -> tuple[dict[str, Any], Floor | None]:
+) -> tuple[dict[str, Any], Plane | None]:
     """Metres per SfM unit before the joint solve, how it was found, and the floor."""
     cameras, turn = inputs.cameras, solver.world.turn.double().numpy()
     with torch.no_grad():
@@ -202,7 +203,7 @@ def _find_scale(
     )
 
 
-def _slope_of(solver: Solver, state: State, viewmats: np.ndarray, floor: Floor) -> tuple[np.ndarray, float] | None:
+def _slope_of(solver: Solver, state: State, viewmats: np.ndarray, floor: Plane) -> tuple[np.ndarray, float] | None:
     """What is up where the floor slopes, by cameras `viewmats` [F,4,4] and by bodies that nothing has set upright yet."""
     with torch.no_grad():
         mass, soles = mass_and_soles(solver.pose(state)[1] @ solver.world.turn)

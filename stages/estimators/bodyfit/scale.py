@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from stages.avatar.cameras.pinhole import camera_centers, project
+from stages.estimators.ground import STEEPEST, Plane, best_plane
 
 SOLE = 0.012  # m from a standing foot to the floor: between bare feet, 0, and shoes, 0.02
 NEAR_FEET = 0.5  # body heights in the picture within which a point may belong to the floor
 ENOUGH = 25  # points that make a floor
-STEEPEST = np.cos(np.radians(30))  # between the floor's normal and what is up for the cameras or the body
-TRIALS = 2000
 NEARBY = 8  # of the body's points, one in so many is looked around for a floor where there is none about the feet
 LONG = 0.9  # of the length at which a body stands: lying, bent or crouching, its depth is less sure
 GUESS = 0.1  # of the scale, where feet are never in the picture
@@ -26,18 +25,6 @@ STILL_ERROR = 0.15  # of the scale by feet that stand still, from which on it sa
 FIRM = 0.05  # and up to which it refuses a floor
 APART = 0.3  # of the scale, by which frames on a floor, or a floor and firm feet, may differ
 INLIER = 0.008  # distance from the plane over distance from the camera
-
-
-@dataclass(frozen=True)
-class Floor:
-    """A plane in SfM units: `normal` [3] points up, normal . x + offset is the height of x."""
-
-    normal: np.ndarray
-    offset: float
-    points: int
-
-    def height(self, x: np.ndarray) -> np.ndarray:
-        return x @ self.normal + self.offset
 
 
 @dataclass(frozen=True)
@@ -67,7 +54,7 @@ def find_scale(
     soles: int,
     height: np.ndarray,
     ups: np.ndarray,
-) -> tuple[dict[str, Any], Floor | None]:
+) -> tuple[dict[str, Any], Plane | None]:
     """Metres per SfM unit (`initial`), `how` it was found with numbers, and the floor if there is one.
 
     `path` None: one fixed camera. `body` [F,P,3] m: points on the skin from the camera, world axes, of which the first `soles`
@@ -94,7 +81,7 @@ def find_scale(
             on_floor = floor_scale(floor, body[standing], path.centers[standing])
             if on_floor is None or standing.sum() < LEAST_STANDING * len(body):
                 continue
-            found |= {"floor_spread": on_floor[1] + guess, "floor_points": floor.points}
+            found |= {"floor_spread": on_floor[1] + guess, "floor_points": floor.members}
             if not is_stood_on(on_floor, still):
                 found["floor_refused"] = on_floor[0]
                 break
@@ -132,11 +119,10 @@ def lengths_across(points: np.ndarray) -> np.ndarray:
 
 def find_floor(
     points: np.ndarray, viewmats: np.ndarray, Ks: np.ndarray, feet: np.ndarray, height: np.ndarray, ups: np.ndarray
-) -> Floor | None:
+) -> Plane | None:
     """The plane through SfM `points` [P,3] that are seen near the `feet` [F,N,2] px and lies square to one of `ups` [U,3].
 
-    `height` [F] px is the person's. Of the planes with many points (RANSAC, seeded) the one with most wins. None where
-    no plane has ENOUGH points: a bare floor, or none in the picture.
+    `height` [F] px is the person's. None where no plane has ENOUGH points: a bare floor, or none in the picture.
     """
     if len(points) < ENOUGH:
         return None
@@ -151,19 +137,10 @@ def find_floor(
     trust = np.exp(-((closest[closest < NEAR_FEET] / (NEAR_FEET / 2)) ** 2))
     centers = camera_centers(viewmats)
     limit = INLIER * np.median(np.linalg.norm(near[:, None] - centers[None, :: max(1, len(centers) // 8)], axis=-1))
-    rng = np.random.default_rng(0)
-    triples = near[np.stack([rng.choice(len(near), 3, replace=False) for _ in range(TRIALS)])]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    normals = normals / np.where(length > 0, length, 1)[:, None]
-    normals *= np.sign(normals @ ups[0])[:, None]
-    fair = (length > 0) & (normals @ ups.T > STEEPEST).any(1)
-    if not fair.any():
+    plane = best_plane(near, ups, limit, trust)
+    if plane is None:
         return None
-    normals, anchors = normals[fair], triples[fair, 0]
-    away = np.abs(near @ normals.T - (normals * anchors).sum(1))
-    best = ((away < limit) * trust[:, None]).sum(0).argmax()
-    inliers = away[:, best] < limit
+    inliers = np.abs(plane.height(near)) < limit
     for _ in range(3):
         if inliers.sum() < ENOUGH:
             return None
@@ -171,10 +148,10 @@ def find_floor(
         normal = np.linalg.svd(near[inliers] - middle, full_matrices=False)[2][2]
         normal = normal * np.sign(normal @ ups[0])
         inliers = np.abs((near - middle) @ normal) < limit
-    return Floor(normal, float(-normal @ middle), int(inliers.sum())) if (ups @ normal > STEEPEST).any() else None
+    return Plane(normal, float(-normal @ middle), int(inliers.sum())) if (ups @ normal > STEEPEST).any() else None
 
 
-def floor_scale(floor: Floor, soles: np.ndarray, centers: np.ndarray) -> tuple[float, float] | None:
+def floor_scale(floor: Plane, soles: np.ndarray, centers: np.ndarray) -> tuple[float, float] | None:
     """Scale, and its relative spread over the frames, at which the lowest of `soles` [F,S,3] m stands SOLE above the floor.
 
     Soles in metres from the camera, world axes; `centers` [F,3] in SfM units. The scale that most frames agree on (the

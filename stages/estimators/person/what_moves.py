@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from stages.estimators.corners import Choice, follow
+from stages.estimators.corners import Choice, follow_pair
 
 PAIRS = 10  # of frames that are compared
 SIDE = 240  # px of the longer side, at which they are
@@ -37,9 +37,9 @@ def _share(one: np.ndarray, two: np.ndarray, mask: np.ndarray, other: np.ndarray
     ]
     covered = cv2.resize(np.maximum(mask, other), size, interpolation=cv2.INTER_AREA) > 127
     everywhere = np.ones_like(covered)
-    (_, before), (rows, after) = follow([(picture, everywhere) for picture in grey], CORNERS)
-    again = rows < len(before)
-    way = cv2.estimateAffine2D(before[rows[again]], after[again])[0] if again.sum() >= 8 else None
+    before, after = follow_pair((grey[0], everywhere), (grey[1], everywhere), CORNERS)
+    again = np.isfinite(after[:, 0])
+    way = cv2.estimateAffine2D(before[again], after[again])[0] if again.sum() >= 8 else None
     moved = cv2.warpAffine(grey[0], np.eye(2, 3) if way is None else way, size, borderMode=cv2.BORDER_REPLICATE)
     change = cv2.GaussianBlur(abs(moved.astype(np.float32) - grey[1]), (0, 0), 2)
     change = np.maximum(change - 2 * np.median(change), 0)

@@ -11,7 +11,6 @@ from stages.avatar.cameras.pinhole import project
 from stages.estimators.bodyfit.scale import (
     LONG,
     SOLE,
-    Floor,
     TimedCameras,
     find_floor,
     find_scale,
@@ -19,6 +18,7 @@ from stages.estimators.bodyfit.scale import (
     lengths_across,
     still_scale,
 )
+from stages.estimators.ground import Plane
 from stages.formats.body_model import read_body_model
 from tests.made import bodyfit_clips
 from tests.made.odd_clips import (
@@ -123,7 +123,7 @@ def test_j02_standing_feet_give_the_scale_without_a_floor():
 
 
 def test_height_of_a_floor_is_signed():
-    floor = Floor(np.array([0, 1.0, 0]), -0.5, 30)
+    floor = Plane(np.array([0, 1.0, 0]), -0.5, 30)
     np.testing.assert_allclose(floor.height(np.array([[0, 2.0, 0], [1, 0, 0]])), [1.5, -0.5])
 
 
