@@ -75,10 +75,10 @@ def _place(field: Any, splats: Scene, time: Any, Gf: Any, Vt: Any, half: bool) -
     ):
         attribute = getattr(field, f"Create{name}{mark}Attr")()
         attribute.Set(getattr(Vt, f"{array}{mark or 'f'}Array").FromNumpy(values.astype(kind)), time)
-    reach = 3 * scales.max(1, keepdims=True) if len(scales) else scales
-    low, high = ((means + sign * reach) for sign in (-1, 1))
     if len(means):
-        extent = [Gf.Vec3f(*map(float, low.min(0))), Gf.Vec3f(*map(float, high.max(0)))]
+        reach = 3 * scales.max(1, keepdims=True)
+        corners = (means - reach).min(0), (means + reach).max(0)
+        extent = [Gf.Vec3f(*map(float, corner)) for corner in corners]
         field.CreateExtentAttr().Set(Vt.Vec3fArray(extent), time)
 
 
