@@ -223,7 +223,10 @@ def splat(content):
             lambda c: c["bufferViews"][c["accessors"][splat(c)["POSITION"]]["bufferView"]].update(byteOffset=-4),
             "reaches",
         ),
-        (lambda c: c["accessors"][splat(c)[f"{SPLATS}:SCALE"]].update(count=3), "scales in a.glb has the wrong shape found 3x3"),
+        (
+            lambda c: c["accessors"][splat(c)[f"{SPLATS}:SCALE"]].update(count=3),
+            "scales in a.glb has the wrong shape found 3x3",
+        ),
         (lambda c: c["nodes"][4].update(children=[3]), "tree"),
         (lambda c: c["nodes"][4].update(children=[99]), "damaged"),
         (lambda c: c["skins"][0].update(joints=[2, 3]), "damaged"),
