@@ -56,7 +56,7 @@ def compose(
         return
     if len(given) != 1:
         raise UsageError(f"{len(given)} films to make", "`hugs compose film.yaml`")
-    film = films.checked(films.read_film(given[0]), given[0].name)
+    film = films.read_film(given[0])
     if not films.outputs(film):
         raise UsageError(f"{given[0].name} asks for nothing", "add `out: {film: film.mp4}`")
     kept = work / KEPT / f"{given[0].stem}-{digest(os.path.realpath(given[0]))[:8]}"
@@ -162,7 +162,6 @@ def begin(runs: list[Path], out: Path, force: bool, work: Path) -> None:
     parts["stills"] = films.quoted(out.stem)
     out.parent.mkdir(parents=True, exist_ok=True)
     text = TEMPLATE.format(**parts)
-    read = films.checked(films.with_paths(films.plain_yaml.read(text), out.parent), out.name)
-    films.check_sources(read)
+    films.check_sources(films.checked(films.plain_yaml.read(text), out.name, out.parent))
     replace(out, text)
     Console().result(words.relative(out))

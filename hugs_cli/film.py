@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from hugs_cli import plain_yaml
 from hugs_cli.cache.workspace import Stamp
-from hugs_cli.pipelines import UsageError, unknown
+from hugs_cli.pipelines import UsageError, document, unknown
 from stages.contract import Params, load_stage
 
 MODULE = "stages.compose"
@@ -22,65 +22,49 @@ HINT = "`hugs compose --init RUN RUN` writes one to begin with"
 INTERNAL = ("keep", "code")
 
 
-def read_film(file: Path) -> dict[str, Any]:
-    """What the file says, with paths from its folder; UsageError where it is no film."""
-    try:
-        content = plain_yaml.read(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"cannot read {file}", HINT, [str(error.strerror)]) from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise UsageError(f"{file} is not valid YAML", "mend what is named above", str(error).splitlines()) from error
+def read_film(file: Path) -> Params:
+    """The film of a file, with paths from its folder; UsageError where it is none."""
+    return checked(document(file, HINT), file.name, file.parent)
+
+
+def checked(content: Any, where: str, folder: Path = Path()) -> Params:
+    """The film as settings, with paths from `folder`; UsageError for unknown keys and values that are not valid."""
+    form = load_stage(MODULE).params
     if not isinstance(content, dict):
-        raise UsageError(f"{file} holds no film", HINT, [f"it is {reprlib.repr(content)}"])
-    check_keys(content, load_stage(MODULE).params, file.name)
-    return with_paths(content, file.parent)
-
-
-def check_keys(value: Any, form: type[BaseModel], where: str) -> None:
-    """UsageError for a key that is not one of the form's, or of the forms inside it, with the nearest that is."""
-    if not isinstance(value, dict):
-        return
-    for key, inner in value.items():
-        fields = {name: info for name, info in form.model_fields.items() if name not in INTERNAL}
-        if key not in fields:
-            raise unknown("key", str(key), fields, where)
-        for own in forms(fields[key].annotation):
-            for i, one in enumerate(inner if isinstance(inner, list) else [inner]):
-                place = f"{where}, {key}" + (f" {i + 1}" if isinstance(inner, list) else "")
-                check_keys(one, own, place)
-
-
-def forms(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The models in a field's type."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in getattr(annotation, "__args__", ()):
-        yield from forms(part)
-
-
-def with_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The film with every path that it names taken from `folder`."""
-
-    def at(path: Any) -> Any:
-        return str(folder / path) if isinstance(path, str) else path
-
-    film = dict(content)
-    film |= {key: at(film[key]) for key in ("scene", "gaussians", "camera") if key in film and is_path(key, film[key])}
-    if isinstance(film.get("people"), list):
-        film["people"] = [
-            {key: at(value) if is_path(key, value) else value for key, value in one.items()}
-            if isinstance(one, dict)
-            else one
-            for one in film["people"]
+        raise UsageError(f"{where} holds no film", HINT, [f"it is {reprlib.repr(content)}"])
+    try:
+        film = form(**{str(key): value for key, value in content.items()})
+        wrong = []
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)
+    strange = [(key,) for key in content if key in INTERNAL]
+    for *inside, key in strange + [e["loc"] for e in wrong if e["type"] == "extra_forbidden"]:
+        allowed = [name for name in form_at(form, inside).model_fields if name not in INTERNAL]
+        raise unknown("key", str(key), allowed, ", ".join([where, place(inside)] if inside else [where]))
+    if wrong:
+        facts = [
+            f"{place(e['loc'])}: {e['msg'][0].lower()}{e['msg'][1:]}, got {reprlib.repr(e['input'])}" for e in wrong
         ]
-    if isinstance(film.get("out"), dict):
-        film["out"] = {
-            key: {**value, "folder": at(value["folder"])}
-            if key == "stills" and isinstance(value, dict) and "folder" in value
-            else at(value)
-            for key, value in film["out"].items()
-        }
-    return film
+        raise UsageError(f"{where}: not a film that can be made", HINT, facts)
+    return with_paths(film, folder)
+
+
+def form_at(form: Any, keys: Sequence[int | str]) -> type[BaseModel]:
+    """The form to which the keys lead from another one, through optional values and lists."""
+    for key in keys:
+        kinds = [form.model_fields[key].annotation] if isinstance(key, str) else []
+        while kinds and not (isinstance(form := kinds.pop(), type) and issubclass(form, BaseModel)):
+            kinds += getattr(form, "__args__", ())
+    return form
+
+
+def with_paths(value: Any, folder: Path, key: str = "") -> Any:
+    """A film, or a value of a `key` in it, with every path taken from `folder`."""
+    if isinstance(value, BaseModel):
+        return value.model_copy(update={key: with_paths(one, folder, key) for key, one in value})
+    if isinstance(value, list):
+        return [with_paths(one, folder) for one in value]
+    return type(value)(folder / value) if isinstance(value, Path) or is_path(key, value) else value
 
 
 def quoted(path: str) -> str:
@@ -93,22 +77,8 @@ def quoted(path: str) -> str:
 
 
 def is_path(key: str, value: Any) -> bool:
-    """Whether a value names a file or a folder: motions and cameras may be words, too."""
-    if key in ("motion", "camera"):
-        return isinstance(value, str) and bool(Path(value).suffix)
-    return key in ("avatar", "scene", "gaussians")
-
-
-def checked(film: Mapping[str, Any], where: str) -> Params:
-    """The film as settings; UsageError with all values that are not valid."""
-    try:
-        return load_stage(MODULE).params(**film)
-    except ValidationError as error:
-        facts = [
-            f"{place(e['loc'])}: {e['msg'][0].lower()}{e['msg'][1:]}, got {reprlib.repr(e['input'])}"
-            for e in error.errors(include_url=False)
-        ]
-        raise UsageError(f"{where}: not a film that can be made", HINT, facts) from error
+    """Whether a motion or a camera, which may be words, names a file."""
+    return key in ("motion", "camera") and bool(Path(value).suffix)
 
 
 def place(keys: Sequence[int | str]) -> str:

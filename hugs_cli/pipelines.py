@@ -113,16 +113,19 @@ def names(file: Path = FILE) -> dict[str, str]:
     return {name: str(entry.get("doc", "")) for name, entry in read_yaml(file).items() if isinstance(entry, dict)}
 
 
-def read_yaml(file: Path) -> dict[str, Any]:
-    """The file as a mapping of pipelines; UsageError if it is missing or no such mapping."""
+def document(file: Path, hint: str) -> Any:
+    """What a YAML file holds; UsageError where it cannot be read."""
     try:
-        content = plain_yaml.read(file.read_text(encoding="utf-8"))
+        return plain_yaml.read(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise UsageError(
-            f"cannot read {file}", "give the file with `--pipelines-file`", [str(error.strerror)]
-        ) from error
+        raise UsageError(f"cannot read {file}", hint, [str(error.strerror)]) from error
     except (yaml.YAMLError, ValueError) as error:
         raise UsageError(f"{file} is not valid YAML", "mend what is named above", str(error).splitlines()) from error
+
+
+def read_yaml(file: Path) -> dict[str, Any]:
+    """The file as a mapping of pipelines; UsageError if it is missing or no such mapping."""
+    content = document(file, "give the file with `--pipelines-file`")
     if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
         raise UsageError(f"{file} holds no pipelines", "it maps a pipeline's name to doc, extends and stages")
     return content

@@ -24,7 +24,7 @@ from stages.avatar.splats.factor import factored
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.exchange.read import read_any_avatar, read_any_scene
 from stages.formats.images import write_image as _write
-from stages.records import JOINT_NAMES
+from stages.records import JOINT_NAMES, SH_C0
 
 __all__ = [
     "JOINT_NAMES",
@@ -78,7 +78,7 @@ class Gaussians:
     @property
     def colors(self) -> np.ndarray:
         """Colours [N,3], 0 to 1, of degree 0: the mean over all directions."""
-        return np.clip(0.5 + 0.28209479 * self._arrays.sh0, 0, 1)
+        return np.clip(0.5 + SH_C0 * self._arrays.sh0, 0, 1)
 
 
 @dataclass(frozen=True)

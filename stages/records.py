@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 BETAS = 10
+SH_C0 = 0.5 / np.sqrt(np.pi).item()  # a colour is 0.5 + SH_C0 sh0 + higher terms
 JOINTS = 24
 JOINT_NAMES = tuple(
     """pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot
@@ -168,7 +169,7 @@ class Scene:
     """N Gaussians in the world frame, metres.
 
     means[N,3], quats[N,4] (w x y z, unit), scales[N,3] > 0, opacities[N] in 0..1, sh0[N,3], shN[N,K-1,3]
-    with K = (degree+1)^2; colour = 0.5 + 0.28209479 sh0 + higher terms. `antialias`: they were learned with opacities
+    with K = (degree+1)^2; colour = 0.5 + SH_C0 sh0 + higher terms. `antialias`: they were learned with opacities
     lowered as the screen's blur widens a Gaussian (Mip-Splatting, https://arxiv.org/abs/2311.16493); draw them so.
     `said`: what the reader of their file left out, in sentences.
     """

@@ -49,10 +49,12 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not mark or lines[:1] != [["ply"]] or ["format", "binary_little_endian", "1.0"] not in lines:
         raise StageError(f"{path} is not a binary little-endian PLY", hint)
     try:
-        dtype, count = vertex_layout(lines)
+        first, *_ = [*elements(lines), Element("", 0, None)]
+        if first.name != "vertex" or first.row is None:
+            raise ValueError("it does not begin with vertices, or these have a property list")
     except (ValueError, IndexError) as error:
         raise StageError(f"the header of {path} cannot be read", hint, [str(error)]) from error
-    names = dtype.names or ()
+    dtype, count, names = first.row, first.rows, first.row.names or ()
     if not {name for name, _ in FIELDS} <= set(names):
         raise StageError(f"{path} lacks x y z red green blue", hint, [f"it has {', '.join(names)}"])
     if len(body) < count * dtype.itemsize:
@@ -63,16 +65,6 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not np.isfinite(xyz).all():
         raise StageError(f"{path} has points that are not finite", hint, [f"{(~np.isfinite(xyz).all(1)).sum()} points"])
     return xyz, np.stack([table[name].astype(np.uint8) for name in ("red", "green", "blue")], 1)
-
-
-def vertex_layout(lines: list[list[str]]) -> tuple[np.dtype, int]:
-    """Layout and number of the vertices, the first element of a PLY; ValueError or IndexError for any other header."""
-    first, *_ = [*elements(lines), Element("", 0, None)]
-    if first.name != "vertex":
-        raise ValueError("it does not begin with vertices")
-    if first.row is None:
-        raise ValueError("its vertices have a property list")
-    return first.row, first.rows
 
 
 class Element(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -60,46 +61,34 @@ def read_avatar(path: Path) -> Avatar:
 
 
 def _read(path: Path, kind: type[S]) -> S:
-    names = _always(kind)
-    data = read_npz(path, HINT)
-    version = int(checked(data.get("version", np.zeros(())), (), "version", path.name, HINT))
-    if version > VERSION:
-        raise StageError(
-            f"{path.name} was made by a newer hugs", "update hugs", [f"its version is {version}, {VERSION} known"]
-        )
-    more: dict[str, Any] = {
-        "antialias": bool(checked(data.get("antialias", np.zeros(())), (), "antialias", path.name, HINT))
-    }
+    return gathered(kind, read_npz(path, HINT), path.name, HINT)
+
+
+def gathered(kind: type[S], arrays: Mapping[str, np.ndarray], name: str, hint: str) -> S:
+    """The scene or avatar in the arrays of the file `name`; StageError as `read_avatar`."""
+
+    def one(key: str) -> np.ndarray:
+        return checked(arrays.get(key, np.zeros(())), (), key, name, hint)
+
+    if one("version") > VERSION:
+        facts = [f"its version is {int(one('version'))}, {VERSION} known"]
+        raise StageError(f"{name} was made by a newer hugs", "update hugs", facts)
+    if missing := [key for key in _always(kind) if key not in arrays]:
+        problem = f"{name} does not hold the Gaussians of the {kind.__name__.lower()}"
+        facts = [f"missing arrays: {', '.join(missing)}"]
+        raise StageError(problem, "give the file that the train stage wrote", facts)
+    more: dict[str, Any] = {"antialias": bool(one("antialias"))}
+    rows = arrays["means"].shape[0] if arrays["means"].ndim else 1
+    shapes: dict[str, tuple[int | None, ...]] = {key: (rows, *shape) for key, shape in _ROWS.items()} | _REST
     if kind is Avatar:
-        more["clothes"] = clothes_of(data, path.name, HINT)
-        if all(name in data for name in CASTERS):
-            more["casters"] = tuple(checked(data[n], shape, n, path.name, HINT) for n, shape in CASTERS.items())
-    missing = [n for n in names if n not in data]
-    if missing:
-        raise StageError(
-            f"{path.name} does not hold the Gaussians of the {kind.__name__.lower()}",
-            facts=[f"missing arrays: {', '.join(missing)}"],
-            hint="give the file that the train stage wrote",
-        )
-    lengths = {n: len(np.atleast_1d(data[n])) for n in names if n in _ROWS}
-    bad = [n for n in names if data[n].dtype.kind == "f" and not np.isfinite(data[n]).all()]
-    zero = np.flatnonzero(~data["quats"].any(-1)) if data["quats"].ndim == 2 else np.zeros(0, np.int64)
-    if len(set(lengths.values())) != 1 or bad or len(zero):
-        raise StageError(
-            f"{path.name} is damaged",
-            facts=[
-                f"rows: {lengths}",
-                f"arrays with values that are not finite: {', '.join(bad) or 'none'}",
-                f"rows whose quaternion is zero: {', '.join(map(str, zero[:5])) or 'none'}",
-            ],
-            hint=HINT,
-        )
-    shapes = {n: (lengths["means"], *shape) for n, shape in _ROWS.items()} | _REST
-    if clothes := more.get("clothes"):
-        shapes["lbs_weights"] = (lengths["means"], JOINTS + len(clothes))
-    found = kind(**more | {n: checked(data[n], shapes[n], n, path.name, HINT) for n in names})
+        more["clothes"] = clothes = clothes_of(arrays, name, hint)
+        shapes["lbs_weights"] = (rows, JOINTS + (len(clothes) if clothes else 0))
+        if all(key in arrays for key in CASTERS):
+            parts = [checked(arrays[key], shape, key, name, hint) for key, shape in CASTERS.items()]
+            more["casters"] = (parts[0], parts[1])
+    found = kind(**more | {key: checked(arrays[key], shapes[key], key, name, hint) for key in _always(kind)})
     if facts := impossible(found):
-        raise StageError(f"{path.name} is damaged", HINT, facts)
+        raise StageError(f"{name} is damaged", hint, facts)
     return found
 
 
@@ -109,6 +98,7 @@ def impossible(splats: Scene) -> list[str]:
     wrong = {
         "a scale that is not positive": ~(splats.scales > 0).all(1),
         "an opacity that is not in 0..1": ~((splats.opacities >= 0) & (splats.opacities <= 1)),
+        "a quaternion of zeros": ~splats.quats.any(1),
     }
     for what, rows in wrong.items():
         if rows.any():

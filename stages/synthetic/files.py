@@ -6,7 +6,6 @@ truth/body.npz           as formats.poses, world_from_sfm = 1
 truth/masks/%06d.png     255 = person
 truth/depth.npz          names [D], depths [D,H,W] float32: z in metres at the pixel centres of every 5th frame
 truth/images/%06d.png    the frames before the video's compression
-truth/worn.npz           places [F,G,3] m of what leaves the body, its faces [T,3]; only where the person wears such things
 truth/novel/             the same files for views with poses and cameras that the video does not show
 """
 
@@ -41,8 +40,6 @@ def write_truth(folder: Path, clip: SyntheticClip) -> None:
     """Write the truth of a clip's frames into `folder`, that of its novel poses into novel/ there."""
     for place, views in ((folder, clip.frames), (folder / "novel", clip.novel)):
         write_views(place, views, clip.betas)
-        if views.worn.size:
-            np.savez(place / "worn.npz", places=views.worn, faces=clip.worn_faces)
 
 
 def write_views(folder: Path, views: TrueViews, betas: np.ndarray) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.body.smpl import Body, vertex_normals
+from stages.avatar.body.smpl import Body
 from stages.avatar.motion.formulas import MOTIONS
 from stages.records import BodyModel
 
@@ -34,7 +34,7 @@ class Outfit:
 
     def __init__(self, model: BodyModel):
         """`model` has keypoints."""
-        self.at = {name: place.astype(np.float64) for name, place in _keypoints(model).items()}
+        self.at = {name: place.astype(np.float64) for name, place in keypoints(model).items()}
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """RGB [N,3] 0..1 of rest-pose `points` [N,3] in metres, y up, facing +z."""
@@ -150,41 +150,11 @@ def pose_body(
     return transl, vertices + transl[:, None], joints + transl[:, None]
 
 
-def swing(model: BodyModel, faces: np.ndarray, vertices: np.ndarray, pose: np.ndarray, width: float) -> np.ndarray:
-    """What loose clothes add to `vertices` [F,V,3] in m: a skirt and sleeves `width` m wide that swing with `pose` [F,69].
-
-    The skirt stands off by half its width and flies forward and to the side with the thighs; sleeves hang from raised arms.
-    """
-    places = _keypoints(model)
-    x, y, _ = model.v_template.T
-    hip, knee = places["left_hip"][1] + 0.05, places["left_knee"][1] + 0.02
-    down = ((hip - y) / (hip - knee)).clip(0, 1)
-    skirt = width * down * _fade(knee - 0.03, y, 0.04) * (abs(x) < 0.4)
-    along = (abs(x) - places["left_shoulder"][0]) / (places["left_elbow"][0] - places["left_shoulder"][0])
-    sleeve = width * along.clip(0, 1) * (along < 1) * (y > hip)
-    thighs = pose.reshape(len(pose), 23, 3)[:, :2, 0]  # about x; negative forward
-    added = np.zeros_like(vertices)
-    for i, posed in enumerate(vertices):
-        normals = vertex_normals(torch.from_numpy(posed), torch.from_numpy(faces)).numpy()
-        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        level = normals * [1, 0, 1]
-        flying = 0.5 + 1.5 * np.where(x > 0, -thighs[i, 0], -thighs[i, 1])
-        added[i] = level * (skirt * flying)[:, None]
-        under = (-normals[:, 1]).clip(0, 1) * sleeve
-        added[i, :, 1] -= under
-    return added
-
-
-def _keypoints(model: BodyModel) -> dict[str, np.ndarray]:
+def keypoints(model: BodyModel) -> dict[str, np.ndarray]:
     """Rest positions [3] m of the keypoints by name. Raises ValueError for a model without keypoints."""
     if model.keypoint_regressor is None or model.keypoint_names is None:
         raise ValueError(f"the body model {model.name!r} has no keypoints, which the clothes are placed by")
     return dict(zip(model.keypoint_names, model.keypoint_regressor @ model.v_template))
-
-
-def _fade(edge: float, values: np.ndarray, width: float) -> np.ndarray:
-    """0 below `edge`, 1 above, over that width."""
-    return ((values - edge) / width + 0.5).clip(0, 1)
 
 
 def _euler(axes: str, *angles: np.ndarray) -> np.ndarray:

@@ -28,10 +28,6 @@ FURNITURE = (
 )
 ROOM = ((0.0, 1.292, 0.75), (3.0, 1.3, 2.85), (LEFT, RIGHT, PLANKS, CEILING, BACK, BACK))
 
-LAMPS = np.array([[0.4, 2.4, -1.7], [-1.2, 1.9, 3.2]])
-"""What glossy surfaces mirror: a lamp under the ceiling and a window behind the camera, m."""
-ZENITH, HAZE, CLOUD, HILL = (0.42, 0.62, 0.9), (0.8, 0.88, 0.95), (0.95, 0.95, 0.96), (0.33, 0.44, 0.3)
-
 
 @dataclass(frozen=True)
 class Room:
@@ -57,21 +53,6 @@ def make_room(rng: np.random.Generator) -> Room:
         count, size = mips[-1].shape[:2]
         mips.append(mips[-1].reshape(count, size // 2, 2, size // 2, 2, 3).mean((2, 4)))
     return Room(np.array(boxes), np.array(paint), np.array(tints), tuple(mips))
-
-
-def sky(rays: np.ndarray) -> np.ndarray:
-    """Colours [...,3] of sky, clouds and far hills along the directions `rays` [...,3], y up; all is infinitely far."""
-    azimuth = np.arctan2(rays[..., 0], -rays[..., 2])
-    rise = np.arctan2(rays[..., 1], np.hypot(rays[..., 0], rays[..., 2]))
-    cloud = np.sin(3.1 * azimuth + 1.0) * np.sin(7.0 * rise) + 0.6 * np.sin(7.7 * azimuth - 9.0 * rise)
-    height = (rise / 0.6).clip(0, 1)[..., None]
-    above = np.array(HAZE) * (1 - height) + np.array(ZENITH) * height
-    above = above + (np.array(CLOUD) - above) * 0.6 * _step(cloud - 0.3, 1.2)[..., None]
-    ridge = 0.07 + 0.03 * np.sin(4.3 * azimuth) + 0.015 * np.sin(17 * azimuth + 0.7)
-    trees = np.sin(61 * azimuth + 3 * np.sin(43 * rise)) * np.sin(83 * rise + 2 * np.sin(29 * azimuth))
-    hills = np.array(HILL) * (1 + 0.35 * trees)[..., None]
-    cover = _step(ridge - rise, 0.006)[..., None]
-    return above * (1 - cover) + hills * cover
 
 
 def _noise(
@@ -106,9 +87,9 @@ def _wall(rng: np.random.Generator, color: tuple[float, float, float]) -> np.nda
         spot = np.s_[y * cell : (y + 1) * cell, x * cell : (x + 1) * cell]
         rows, columns = np.mgrid[:cell, :cell]
         inside = np.minimum(half[0] - abs(columns - center[0]), half[1] - abs(rows - center[1]))
-        mix = _step(pattern[spot], 0.25)[..., None]
+        mix = step(pattern[spot], 0.25)[..., None]
         picture = np.where((inside < 0.04 * PER_METRE)[..., None], inks[2] * 0.6, inks[0] * mix + inks[1] * (1 - mix))
-        cover = _step(inside, 1.0)[..., None]
+        cover = step(inside, 1.0)[..., None]
         wall[spot] = wall[spot] * (1 - cover) + picture * cover
     return wall
 
@@ -125,24 +106,24 @@ def _planks(rng: np.random.Generator) -> np.ndarray:
 
 def _wood(rng: np.random.Generator) -> np.ndarray:
     grain = 0.12 * _noise(rng, 0.8, 0.03, 0.8, stretch=5) + 0.12 * _noise(rng, 1.0, 0.04, 0.5)
-    knots = 1 - 0.5 * _step(_noise(rng, 1.0, 0.08, 0.3) - 2.0, 0.2)
+    knots = 1 - 0.5 * step(_noise(rng, 1.0, 0.08, 0.3) - 2.0, 0.2)
     return np.array([0.8, 0.75, 0.7]) * ((0.85 + grain) * knots)[..., None]
 
 
 def _cloth(rng: np.random.Generator) -> np.ndarray:
-    dots = _step(_noise(rng, 1.0, 0.05, 0.3) - 0.6, 0.3)[..., None]
+    dots = step(_noise(rng, 1.0, 0.05, 0.3) - 0.6, 0.3)[..., None]
     return np.array([0.85, 0.85, 0.85]) * (1 + 0.08 * _noise(rng)[..., None]) * (1 - 0.45 * dots)
 
 
 def _rug(rng: np.random.Generator) -> np.ndarray:
     """Three colours in blots over a wide weave."""
-    first = _step(_noise(rng, 1.6, 0.07, 0.7), 0.4)[..., None]
-    second = _step(_noise(rng, 1.5, 0.06, 0.5) - 0.5, 0.4)[..., None]
+    first = step(_noise(rng, 1.6, 0.07, 0.7), 0.4)[..., None]
+    second = step(_noise(rng, 1.5, 0.06, 0.5) - 0.5, 0.4)[..., None]
     ground = np.array([0.36, 0.47, 0.46]) * first + np.array([0.56, 0.55, 0.5]) * (1 - first)
     return (ground * (1 - second) + np.array([0.76, 0.72, 0.62]) * second) * (1 + 0.06 * _noise(rng)[..., None])
 
 
-def _step(x: np.ndarray, width: float) -> np.ndarray:
+def step(x: np.ndarray, width: float) -> np.ndarray:
     """0 below, 1 above zero, with a smooth edge."""
     t = (x / width + 0.5).clip(0, 1)
     return t * t * (3 - 2 * t)

@@ -31,13 +31,13 @@ from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import ClipEvidence
 from stages.formats.clip import load_clip
 from stages.formats.facts import Sfm, read_facts
-from stages.synthetic.effects import ClipEffects
 from stages.training.beginning.start import Task, build
 from stages.training.step.fit import Fit
 from stages.training.step.refine import BodyCorrections, FrameCorrections
 from stages.training.timing.accuracy import heldout_accuracy
 from stages.training.views import Views
 from tests.made import datasets
+from tests.made.synthetic.effects import ClipEffects
 
 SIZE = {"frames": 30, "width": 192, "height": 256, "points": 3000}
 PARAMS = {"human_points": 7_000, "human_cap": 10_000, "scene_cap": 25_000, "scene_fill": 12_000}

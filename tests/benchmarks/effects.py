@@ -19,8 +19,8 @@ from stages.estimators.detectors.every import DETECTORS
 from stages.estimators.detectors.evidence import ClipEvidence
 from stages.formats.clip import load_clip
 from stages.formats.facts import Sfm, read_facts
-from stages.synthetic.effects import ClipEffects
 from tests.made import datasets
+from tests.made.synthetic.effects import ClipEffects
 
 SIZE = {"frames": 30, "width": 240, "height": 320, "points": 2000}
 STRENGTHS = {
@@ -38,7 +38,7 @@ STRENGTHS = {
     "transients": (1, 2, 3),
     "antialias": (1.8, 2.2, 2.6),
 }
-"""Of each effect, as stages.synthetic.effects means it; of the refinements the noise of tests.made.datasets.neuman."""
+"""Of each effect, as tests.made.synthetic.effects means it; of the refinements the noise of tests.made.datasets.neuman."""
 GIVEN = {"pose_refinement": "noise", "camera_refinement": "camera_noise"}
 
 

@@ -13,7 +13,6 @@ from stages.avatar import rasterize
 from stages.estimators.detectors.every import DETECTORS
 from stages.formats.body_model import read_body_model
 from stages.records import Scene
-from stages.synthetic.garments import MAKERS
 from tests.benchmarks import approximations, effect_models, effects, effects_off, ideas, loose, posing, train_step
 from tests.benchmarks.host import all_threads, use_threads
 from tests.benchmarks.naive import Naive, project
@@ -23,6 +22,7 @@ from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
 from tests.made import one_pose
 from tests.made.clothes import dress, some_clothes
+from tests.made.synthetic.garments import MAKERS
 from tests.made.tiny import make_avatar
 from tests.made.training import fit_of, make_clip, run
 

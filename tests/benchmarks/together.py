@@ -40,14 +40,14 @@ from stages.formats.cameras import read_cameras
 from stages.formats.images import read_image, read_mask, shrink
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses, Cameras
-from stages.synthetic import clip as synthetic
 from stages.synthetic import person
-from stages.synthetic.effects import ClipEffects, to_linear, to_srgb
 from stages.synthetic.files import write_views
 from stages.synthetic.room import make_room
 from tests.benchmarks.effect_models import PARAMS, SIZE, inputs
 from tests.benchmarks.host import tell
 from tests.made.family.table import shots
+from tests.made.synthetic import clip as synthetic
+from tests.made.synthetic.effects import ClipEffects, to_linear, to_srgb
 from tests.made.truth import align, in_result_world, psnr
 
 DARKNESS = 0.5  # of the true shadows
@@ -84,7 +84,7 @@ def true_pictures(folder: Path, room_seed: int, seed: int, darkness: float) -> N
     room, _ = make_room(rng), make_room(own)
     betas, width, height = own.uniform(-0.8, 0.8, 10), SIZE["width"], SIZE["height"]
     K = pinhole(synthetic.FOCAL * height, width, height)
-    renderer = synthetic._Renderer(model, room, betas, K, ClipEffects(shadow=darkness))
+    renderer = synthetic.Renderer(model, room, betas, K, ClipEffects(shadow=darkness))
     orient, pose = person.novel_poses()
     views = synthetic.novel_cameras(len(pose))
     steps = np.array([(x, 0.0, z) for x, z in PLACES])[np.arange(len(pose)) % len(PLACES)]

@@ -30,12 +30,12 @@ from stages.formats.effects import read_effects
 from stages.formats.images import write_image
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, read_scene
-from stages.synthetic.clip import make_clip
-from stages.synthetic.effects import ClipEffects
 from stages.synthetic.files import write_clip
 from tests.benchmarks.loose import Shown, novel
 from tests.made.command import hugs
 from tests.made.learned import load_learned
+from tests.made.synthetic.clip import make_clip
+from tests.made.synthetic.effects import ClipEffects
 from tests.made.truth import align, camera_errors, joint_errors, mask_ious
 
 WEARS = {"skirt": ("skirt", "ponytail"), "coat": ("coat", "bag")}

@@ -18,11 +18,11 @@ from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.formats.body_model import read_body_model
 from stages.formats.images import write_image, write_mask
 from stages.formats.video import decode, write_video
-from stages.synthetic import clip as synthetic
 from stages.synthetic import person
-from stages.synthetic.effects import NO_EFFECTS, ClipEffects
 from stages.synthetic.files import write_truth, write_views
 from stages.synthetic.room import make_room
+from tests.made.synthetic import clip as synthetic
+from tests.made.synthetic.effects import NO_EFFECTS, ClipEffects
 from tests.made.worlds import align_viewmats
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
@@ -160,7 +160,7 @@ def zju(folder: Path, subject: int = 377, moments: int = 6, cameras: int = 3, si
     model = read_body_model()
     rng = np.random.default_rng(3)
     K = pinhole(0.95 * side, side, side) + np.array([[0, 0, 2.5], [0, 3, -1.5], [0, 0, 0]])
-    stage = synthetic._Renderer(model, make_room(rng), rng.uniform(-0.8, 0.8, 10), K)
+    stage = synthetic.Renderer(model, make_room(rng), rng.uniform(-0.8, 0.8, 10), K)
     orient, pose = person.make_motion(moments, 12.0, rng)
     angles = np.linspace(0, 2, cameras)
     eyes = [np.array([2.6 * np.sin(a), 1.3, 2.6 * np.cos(a)]) for a in angles]

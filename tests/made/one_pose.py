@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import pinhole
 from stages.formats.body_model import read_body_model
-from stages.synthetic import clip as synthetic
-from stages.synthetic.effects import Course
-from stages.synthetic.garments import make_garments
-from stages.synthetic.passers import Passer
 from stages.synthetic.room import make_room
+from tests.made.synthetic import clip as synthetic
+from tests.made.synthetic.effects import Course
+from tests.made.synthetic.garments import make_garments
+from tests.made.synthetic.passers import Passer
 
 FPS = 12.0
 HEAVY = 4  # the shape's number that makes the free body wide at the same height
@@ -107,7 +107,7 @@ def motion(kind: Kind, frames: int, rng: np.random.Generator) -> tuple[np.ndarra
     return np.stack([0 * u, 0.4 - 2 * np.pi * u, 0 * u], 1), pose_of(kind.pose) + sway @ shift
 
 
-class _Padded(synthetic._Renderer):
+class _Padded(synthetic.Renderer):
     """Draws clothes that lie near the body as its vertices, `ease` [V] m further out."""
 
     ease: np.ndarray
@@ -142,4 +142,4 @@ def make(name: str, seed: int, width: int, height: int, frames: int) -> syntheti
     turns = np.stack([[0, turn, 0] for turn in np.linspace(-0.9, 0.9, len(NOVEL))])
     poses = np.stack([pose_of(turned) for turned in NOVEL.values()])
     novel = drawer.views(synthetic.novel_cameras(len(NOVEL)), turns, poses, width, height, lambda done: None)
-    return synthetic.SyntheticClip(clip, novel, betas, FPS, drawer.faces[len(model.faces) :] - len(model.v_template))
+    return synthetic.SyntheticClip(clip, novel, betas, FPS)

@@ -17,12 +17,12 @@ from stages.formats.people import folder_of
 from stages.formats.points import write_points
 from stages.formats.poses import write_poses
 from stages.records import BodyPoses, Cameras, Ground
-from stages.synthetic import clip as synthetic
 from stages.synthetic import person
 from stages.synthetic.clip import FOCAL, SUPERSAMPLE, TrueViews, camera_path
-from stages.synthetic.effects import NO_EFFECTS, Course
 from stages.synthetic.room import make_room
 from tests.made.datasets import points_of
+from tests.made.synthetic import clip as synthetic
+from tests.made.synthetic.effects import NO_EFFECTS, Course
 
 REACH = 0.75  # m to the side where a way begins and ends
 DEPTHS = (0.35, -0.45)  # m: the first passes before the second
@@ -50,12 +50,12 @@ def make_pair(
     """The same arguments give the same bytes; `shadow` is the share of the light that both take from the room."""
     model, rng = read_body_model(), np.random.default_rng(seed)
     room, K = make_room(rng), pinhole(FOCAL * height, width, height)
-    viewmats = camera_path(frames, fps, "moving", rng)
+    viewmats = camera_path(frames, fps, rng)
     betas, truth, courses, drawers = [], [], [], []
     for number, (depth, side) in enumerate(zip(DEPTHS, (1.0, -1.0), strict=True)):
         own = np.random.default_rng([seed, 11 + number])
         betas.append(own.uniform(-0.8, 0.8, 10))
-        drawer = synthetic._Renderer(model, room, betas[-1], K, replace(NO_EFFECTS, shadow=shadow))
+        drawer = synthetic.Renderer(model, room, betas[-1], K, replace(NO_EFFECTS, shadow=shadow))
         if number:
             drawer.clothes = _Reinked(drawer.clothes)
         orient, pose = person.make_motion(frames, fps, own)
@@ -68,8 +68,8 @@ def make_pair(
         truth.append((orient, pose, transl, joints))
     pictures = [_shoot(drawers, courses, i, width, height) for i in range(frames)]
     images, masks, depths, alone, whole, rooms = (np.stack(kind) for kind in zip(*pictures, strict=True))
-    Ks, worn = np.broadcast_to(K, (frames, 3, 3)).copy(), np.zeros((frames, 0, 3))
-    one, other = (TrueViews(images, masks[:, k], depths, viewmats, Ks, *known, worn) for k, known in enumerate(truth))
+    Ks = np.broadcast_to(K, (frames, 3, 3)).copy()
+    one, other = (TrueViews(images, masks[:, k], depths, viewmats, Ks, *known) for k, known in enumerate(truth))
     return Pair((one, other), np.stack(betas), alone.swapaxes(0, 1), whole.swapaxes(0, 1), rooms)
 
 
@@ -85,7 +85,7 @@ class _Reinked:
 
 
 def _shoot(
-    drawers: list[synthetic._Renderer], courses: list[Course], i: int, width: int, height: int
+    drawers: list[synthetic.Renderer], courses: list[Course], i: int, width: int, height: int
 ) -> tuple[np.ndarray, ...]:
     """Of a frame: image, masks [2,H,W], depth float32 [H,W], each alone [2,H,W,3], whole masks [2,H,W] and the room."""
     more, size = SUPERSAMPLE, (width * SUPERSAMPLE, height * SUPERSAMPLE)
@@ -108,7 +108,7 @@ def _shoot(
 
 
 def _shrunk(values: np.ndarray) -> np.ndarray:
-    return synthetic._shrink(values.clip(0, 1) * 255, SUPERSAMPLE)
+    return synthetic.shrink(values.clip(0, 1) * 255, SUPERSAMPLE)
 
 
 def write_stages(pair: Pair, folder: Path, points: int = 3000) -> dict[str, Path]:

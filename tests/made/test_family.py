@@ -15,13 +15,13 @@ from stages.avatar.cameras.pinhole import camera_centers, pinhole, project
 from stages.estimators.bodyfit.balance import mass_and_soles
 from stages.formats.body_model import read_body_model
 from stages.records import BodyPoses, Cameras
-from stages.synthetic.cloth import worn
 from tests.made.family import film
 from tests.made.family.evidence import Truth
 from tests.made.family.measures import measured, soles_of, stature
 from tests.made.family.motions import MOTIONS
 from tests.made.family.shoes import shoes
 from tests.made.family.table import FAMILY, FPS, FRAMES, LONG, SHORT, shots
+from tests.made.synthetic.cloth import worn
 from tests.made.truth import joints_of
 
 OWN = [shot for shot in FAMILY if "." not in shot.motion]

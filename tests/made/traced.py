@@ -19,13 +19,13 @@ from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import pinhole
 from stages.formats.body_model import read_body_model
 from stages.records import BodyModel
-from stages.synthetic import clip as synthetic
 from stages.synthetic import person
-from stages.synthetic.effects import ClipEffects, Course, distort, gains, margin, to_linear, to_srgb
 from stages.synthetic.files import write_clip
-from stages.synthetic.garments import make_garments
-from stages.synthetic.passers import Passer
 from stages.synthetic.room import make_room
+from tests.made.synthetic import clip as synthetic
+from tests.made.synthetic.effects import ClipEffects, Course, distort, gains, margin, to_linear, to_srgb
+from tests.made.synthetic.garments import make_garments
+from tests.made.synthetic.passers import Passer
 from tests.made.yard import yard
 
 mi.set_variant("scalar_rgb")
@@ -53,12 +53,11 @@ def make(folder: Path, seed: int, wears: Sequence[str]) -> Path:
     orient, pose = person.novel_poses()
     tracer.effects = EFFECTS.scene_only()
     novel = tracer.views(synthetic.novel_cameras(len(pose)), orient, pose, WIDTH, HEIGHT, lambda done: None)
-    faces = tracer.faces[len(model.faces) :] - len(model.v_template)
-    return write_clip(folder, synthetic.SyntheticClip(frames, novel, betas, FPS, faces))
+    return write_clip(folder, synthetic.SyntheticClip(frames, novel, betas, FPS))
 
 
 @dataclass
-class Tracer(synthetic._Renderer):
+class Tracer(synthetic.Renderer):
     """Draws the person of a seed in their yard; depths are not known."""
 
     seed: int = 0
@@ -139,7 +138,7 @@ class Tracer(synthetic._Renderer):
         K, wide, tall, pad = self._padded(EDGE, width, height)
         seen = np.mean([self._seen(course, i + t, K, wide, tall) for t in times], 0)
         mask = distort(255.0 * seen[..., None], self.effects, self.K * [[EDGE], [EDGE], [1]], pad)
-        rounded = image.clip(0, 255).round().astype(np.uint8), synthetic._shrink(mask, EDGE)[..., 0]
+        rounded = image.clip(0, 255).round().astype(np.uint8), synthetic.shrink(mask, EDGE)[..., 0]
         return *rounded, np.ones((height, width), np.float32)
 
     def _padded(self, more: int, width: int, height: int) -> tuple[np.ndarray, int, int, int]:

@@ -17,6 +17,7 @@ from stages.formats.film_times import FilmTimes
 from stages.formats.frame_names import stem
 from stages.formats.images import read_image, write_image
 from stages.formats.video import VideoInfo, decode, write_video
+from tests.made import ffmpeg
 
 HEIGHT, WIDTH = 96, 128
 TICKS = 15360  # a second, in films of 30 frames a second
@@ -224,6 +225,9 @@ def test_interlaced_frames_are_said(tmp_path):
         box.mux(stream.encode(None))
     _, _, warnings = run(tmp_path, tmp_path / "v.mpg")
     assert "12 of 12 frames are interlaced" in warnings[0] and "`ffmpeg -i v.mpg -vf bwdif=send_frame" in warnings[0]
+    (tmp_path / "again").mkdir()
+    facts, _, warnings = run(tmp_path / "again", ffmpeg.run(warnings[0], tmp_path))
+    assert len(facts["frames"]) == 12 and not any("interlaced" in said for said in warnings)
 
 
 def test_what_is_left_out_of_a_folder_is_said(tmp_path):

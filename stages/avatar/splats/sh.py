@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-SH_C0 = 0.5 / math.sqrt(math.pi)
+from stages.records import SH_C0
+
 _C1 = math.sqrt(3 / (4 * math.pi))
 _C2 = math.sqrt(15 / (4 * math.pi))
 _C2Z = math.sqrt(5 / (16 * math.pi))

@@ -18,15 +18,13 @@ from typing import Any
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.clothes import clothes_of
 from stages.formats.exchange.bone_names import Names, bone_names
 from stages.formats.exchange.glb import HINT, Arrays, Glb, write_glb
-from stages.formats.splats import impossible
-from stages.records import BETAS, JOINTS, Avatar, Mesh, Rig, Scene, Take
+from stages.formats.splats import gathered
+from stages.records import JOINTS, SH_C0, Avatar, Mesh, Rig, Scene, Take
 
 SPLATS = "KHR_gaussian_splatting"
 FORMAT = 1  # of what stands under "hugs" in the file
-SH_C0 = 0.28209479
 VERTICES, TRIANGLES = 34962, 34963  # glTF's targets of buffer views
 POINTS = 0  # glTF's mode
 Stand = tuple[list[float], list[float], float]
@@ -224,7 +222,7 @@ def read_avatar_glb(path: Path) -> Avatar:
         facts = [f"its format is {marks['format']!r}, this hugs knows {FORMAT}"]
         raise StageError(f"{path} was made by another version of hugs", "update hugs", facts)
     try:
-        return _checked(_avatar(glb, marks), path)
+        return _avatar(glb, marks)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError) as error:
         raise StageError(f"{path} is damaged", HINT, [f"{type(error).__name__}: {error}"]) from error
 
@@ -238,11 +236,9 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
         return glb.array(attributes[name], kind, columns)
 
     means = column("POSITION", 3)
-    n, clothes = len(means), None
-    if "clothes" in marks:
-        lists = {f"clothes_{name}": np.asarray(values, np.float32) for name, values in marks["clothes"].items()}
-        clothes = clothes_of(lists, "extras.hugs", HINT)
-    bones = JOINTS + (0 if clothes is None else len(clothes))
+    n = len(means)
+    lists = {f"clothes_{name}": np.asarray(values, np.float32) for name, values in marks.get("clothes", {}).items()}
+    bones = JOINTS + len(lists.get("clothes_centres", ()))
     glb.budget.spend(4 * n * bones, f"weights of {n} Gaussians for {bones} bones")
     weights = np.zeros((n, bones), np.float32)
     for part in range(2):
@@ -258,36 +254,18 @@ def _avatar(glb: Glb, marks: dict[str, Any]) -> Avatar:
     for joint, node in enumerate(skin["joints"]):
         for child in glb.content["nodes"][node].get("children", ()):
             parents[places[child]] = joint
-    return Avatar(
-        means=means,
-        quats=column(f"{SPLATS}:ROTATION", 4)[:, [3, 0, 1, 2]],
-        scales=column(f"{SPLATS}:SCALE", 3),
-        opacities=column(f"{SPLATS}:OPACITY", 1)[:, 0],
-        sh0=column(f"{SPLATS}:SH_DEGREE_0_COEF_0", 3),
-        shN=np.stack(rest, 1) if rest else np.zeros((n, 0, 3), np.float32),
-        lbs_weights=weights,
-        joints=joints[:JOINTS],
-        parents=parents[:JOINTS],
-        betas=np.asarray(marks["betas"], np.float32),
-        canonical_pose=np.zeros(3 * (JOINTS - 1), np.float32),
-        antialias=bool(marks["antialias"]),
-        clothes=clothes,
-    )
-
-
-def _checked(avatar: Avatar, path: Path) -> Avatar:
-    """The avatar, if it can be one; StageError or ValueError names what cannot be."""
-    n, facts = len(avatar), []
-    tables = ("quats", "scales", "opacities", "sh0", "shN", "lbs_weights")
-    facts += [f"{name}: {len(getattr(avatar, name))} rows of {n}" for name in tables if len(getattr(avatar, name)) != n]
-    for name in ("means", *tables, "joints", "betas"):
-        if not np.isfinite(getattr(avatar, name)).all():
-            facts.append(f"{name} has values that are not finite")
-    if avatar.joints.shape != (JOINTS, 3) or avatar.betas.shape != (BETAS,):
-        facts.append(f"{len(avatar.joints)} joints and {avatar.betas.size} betas, not {JOINTS} and {BETAS}")
-    facts += impossible(avatar)
-    if not avatar.quats.any(1).all():
-        facts.append("a quaternion is zero")
-    if facts:
-        raise StageError(f"{path} is damaged", HINT, facts)
-    return avatar
+    arrays = {
+        "means": means,
+        "quats": column(f"{SPLATS}:ROTATION", 4)[:, [3, 0, 1, 2]],
+        "scales": column(f"{SPLATS}:SCALE", 3),
+        "opacities": column(f"{SPLATS}:OPACITY", 1)[:, 0],
+        "sh0": column(f"{SPLATS}:SH_DEGREE_0_COEF_0", 3),
+        "shN": np.stack(rest, 1) if rest else np.zeros((n, 0, 3), np.float32),
+        "lbs_weights": weights,
+        "joints": joints[:JOINTS],
+        "parents": parents[:JOINTS],
+        "betas": np.asarray(marks["betas"], np.float32),
+        "canonical_pose": np.zeros(3 * (JOINTS - 1), np.float32),
+        "antialias": np.asarray(bool(marks["antialias"])),
+    }
+    return gathered(Avatar, arrays | lists, glb.path.name, HINT)

@@ -19,6 +19,8 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.budget import Budget
 from stages.formats.points import elements
+from stages.formats.splats import HINT as TRAIN_AGAIN
+from stages.formats.splats import impossible
 from stages.records import Scene
 
 REST = 15  # higher coefficients a channel: many viewers take degree 3 only, so lower degrees are padded with zeros
@@ -51,23 +53,10 @@ def write_ply(path: Path, splats: Scene, padded: bool = True) -> dict[str, int]:
     """Write Gaussians as binary PLY in the layout of 3DGS; says what was clamped, in words, and how often.
 
     `padded` writes columns of degree 3, whatever the Gaussians have. Opacity is stored as its logit (bounded at +-15),
-    scales as logarithms, rotation as w x y z, higher harmonics channel by channel. Raises StageError when a scale is not
-    positive or an opacity not in 0..1.
+    scales as logarithms, rotation as w x y z, higher harmonics channel by channel. StageError for what is `impossible`.
     """
-    if not ((splats.opacities >= 0) & (splats.opacities <= 1)).all():
-        row = int(np.flatnonzero(~((splats.opacities >= 0) & (splats.opacities <= 1)))[0])
-        raise StageError(
-            "a Gaussian has an opacity that is not between 0 and 1",
-            "train again: `hugs run VIDEO train --force`",
-            [f"row {row}: {splats.opacities[row]}"],
-        )
-    if not (splats.scales > 0).all():
-        row = int(np.argwhere(~(splats.scales > 0))[0, 0])
-        raise StageError(
-            "a Gaussian has a scale that is not positive",
-            "train again: `hugs run VIDEO train --force`",
-            [f"row {row}: {splats.scales[row].tolist()}"],
-        )
+    if facts := impossible(splats):
+        raise StageError("Gaussians that no file can hold", TRAIN_AGAIN, facts)
     mip = [MIP] if splats.antialias else []
     head = ["ply", "format binary_little_endian 1.0", *mip, f"element vertex {len(splats)}"]
     rest = REST if padded else splats.shN.shape[1]

@@ -67,18 +67,18 @@ def _place(field: Any, splats: Scene, time: Any, Gf: Any, Vt: Any, half: bool) -
     """Where the Gaussians are, how turned and how large, at one time."""
     means, scales = _f32(splats.means), _f32(splats.scales)
     turns = _f32(splats.quats[:, [1, 2, 3, 0]])  # x y z w
-    if half:
-        field.CreatePositionshAttr().Set(Vt.Vec3hArray.FromNumpy(means.astype(np.float16)), time)
-        field.CreateOrientationshAttr().Set(Vt.QuathArray.FromNumpy(turns.astype(np.float16)), time)
-        field.CreateScaleshAttr().Set(Vt.Vec3hArray.FromNumpy(scales.astype(np.float16)), time)
-    else:
-        field.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(means), time)
-        field.CreateOrientationsAttr().Set(Vt.QuatfArray.FromNumpy(turns), time)
-        field.CreateScalesAttr().Set(Vt.Vec3fArray.FromNumpy(scales), time)
-    reach = 3 * scales.max(1, keepdims=True) if len(scales) else scales
-    low, high = ((means + sign * reach) for sign in (-1, 1))
+    kind, mark = (np.float16, "h") if half else (np.float32, "")
+    for name, array, values in (
+        ("Positions", "Vec3", means),
+        ("Orientations", "Quat", turns),
+        ("Scales", "Vec3", scales),
+    ):
+        attribute = getattr(field, f"Create{name}{mark}Attr")()
+        attribute.Set(getattr(Vt, f"{array}{mark or 'f'}Array").FromNumpy(values.astype(kind)), time)
     if len(means):
-        extent = [Gf.Vec3f(*map(float, low.min(0))), Gf.Vec3f(*map(float, high.max(0)))]
+        reach = 3 * scales.max(1, keepdims=True)
+        corners = (means - reach).min(0), (means + reach).max(0)
+        extent = [Gf.Vec3f(*map(float, corner)) for corner in corners]
         field.CreateExtentAttr().Set(Vt.Vec3fArray(extent), time)
 
 

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -132,22 +133,19 @@ class _Lines:
         )
 
 
-class _Skeleton:
+class _Skeleton(NamedTuple):
     """What HIERARCHY says: names, parents, offsets and channels, one of each a joint."""
 
-    def __init__(self) -> None:
-        self.names: list[str] = []
-        self.known: set[str] = set()
-        self.parents: list[int] = []
-        self.offsets: list[list[float]] = []
-        self.channels: list[list[str]] = []
+    names: list[str]
+    parents: list[int]
+    offsets: list[list[float]]
+    channels: list[list[str]]
 
 
 def _skeleton(lines: _Lines) -> _Skeleton:
-    skeleton, open_ = _Skeleton(), []
+    skeleton, open_ = _Skeleton([], [], [], []), [0]
     lines.keyword("HIERARCHY")
     _joint(lines, skeleton, -1, lines.keyword("ROOT"))
-    open_.append(0)
     while open_:
         words = lines.take("JOINT, End Site or a closing brace")
         kind = words[0].lower()
@@ -157,7 +155,9 @@ def _skeleton(lines: _Lines) -> _Skeleton:
             _joint(lines, skeleton, open_[-1], words[1:])
             open_.append(len(skeleton.names) - 1)
         elif [word.lower() for word in words] == ["end", "site"]:
-            _end(lines, skeleton, open_[-1])
+            _begin(lines, skeleton, open_[-1], "")
+            skeleton.channels.append([])
+            lines.keyword("}")
         else:
             raise lines.refuse(f"JOINT, End Site or a closing brace (of {skeleton.names[open_[-1]]})")
     return skeleton
@@ -167,15 +167,11 @@ def _joint(lines: _Lines, skeleton: _Skeleton, parent: int, words: list[str]) ->
     name = " ".join(words)
     if not name:
         raise lines.refuse("the name of a joint")
-    if name in skeleton.known:
+    if name in skeleton.names:
         raise lines.refuse("a name of its own for each joint", f"{name!r} twice")
     check_count(len(skeleton.names) + 1, "joints", f"the skeleton of {lines.path}", "leave out what is no body")
     check_count(len(name), "letters", f"a name in line {lines.number} of {lines.path}", "rename the joint")
-    lines.keyword("{")
-    skeleton.names.append(name)
-    skeleton.known.add(name)
-    skeleton.parents.append(parent)
-    skeleton.offsets.append(lines.numbers(lines.keyword("OFFSET"), 3, "x y z"))
+    _begin(lines, skeleton, parent, name)
     count, *channels = lines.keyword("CHANNELS") or ["none"]
     known = {channel.lower(): channel for channel in CHANNELS}
     channels = [known.get(channel.lower(), channel) for channel in channels]
@@ -189,13 +185,11 @@ def _joint(lines: _Lines, skeleton: _Skeleton, parent: int, words: list[str]) ->
     skeleton.channels.append(channels)
 
 
-def _end(lines: _Lines, skeleton: _Skeleton, parent: int) -> None:
+def _begin(lines: _Lines, skeleton: _Skeleton, parent: int, name: str) -> None:
     lines.keyword("{")
-    skeleton.names.append("")
+    skeleton.names.append(name)
     skeleton.parents.append(parent)
     skeleton.offsets.append(lines.numbers(lines.keyword("OFFSET"), 3, "x y z"))
-    skeleton.channels.append([])
-    lines.keyword("}")
 
 
 def _motion(lines: _Lines, width: int) -> tuple[float, np.ndarray, tuple[str, ...]]:

@@ -36,7 +36,7 @@ class Found(NamedTuple):
 
 def by_tree(bvh: Bvh, side_of: Callable[[str], str]) -> Found | None:
     """The body in a skeleton; None where there are not two pairs of limbs. `side_of`: a name -> "left", "right" or ""."""
-    limbs = _limbs(bvh)
+    limbs, at = _limbs(bvh), _in_the_world(bvh)
     parents = bvh.parents.tolist()
     chosen = next((two for two in combinations(_pairs(bvh, limbs)[:PAIRS], 2) if not _nested(parents, *two)), None)
     if chosen is None:
@@ -44,14 +44,14 @@ def by_tree(bvh: Bvh, side_of: Callable[[str], str]) -> Found | None:
     longer, other = chosen
     above = parents[other[0]] in ancestors(parents, parents[longer[0]])[:-1]
     legs, arms = (other, longer) if above else (longer, other)
-    leg = _three(bvh, limbs[legs[0]], lambda a, b, whole: 1.2 * abs(np.log(b / a / SHIN)) - (a + b) / whole)
+    leg = _three(bvh, at, limbs[legs[0]], lambda a, b, whole: 1.2 * abs(np.log(b / a / SHIN)) - (a + b) / whole)
     thigh = np.diff(_along(bvh, limbs[legs[0]])[list(leg or (0, 0))])[0]
     arm = leg and _three(
-        bvh, limbs[arms[0]], lambda a, b, _: abs(np.log(a / thigh / UPPER_ARM)) + abs(np.log(b / thigh / FOREARM))
+        bvh, at, limbs[arms[0]], lambda a, b, _: abs(np.log(a / thigh / UPPER_ARM)) + abs(np.log(b / thigh / FOREARM))
     )
     if leg is None or arm is None:
         return None
-    return _sided(bvh, limbs, {"leg": (legs, leg), "arm": (arms, arm)}, side_of)
+    return _sided(bvh, at[0], limbs, {"leg": (legs, leg), "arm": (arms, arm)}, side_of)
 
 
 def ancestors(parents: list[int], joint: int) -> list[int]:
@@ -107,12 +107,14 @@ def _nested(parents: list[int], one: tuple[int, int], two: tuple[int, int]) -> b
     return bool({*one} & {*ancestors(parents, two[0])} or {*two} & {*ancestors(parents, one[0])})
 
 
-def _three(bvh: Bvh, limb: list[int], cost: Callable[[float, float, float], float]) -> tuple[int, int, int] | None:
+def _three(
+    bvh: Bvh, at: np.ndarray, limb: list[int], cost: Callable[[float, float, float], float]
+) -> tuple[int, int, int] | None:
     """The places along a limb of the three joints between which two bones cost least; ends of bones only where joints lack.
 
     The bones of a limb stay straight, and the middle joint is one that bends.
     """
-    along, at = _along(bvh, limb), _course(bvh, limb)
+    along, at = _along(bvh, limb), at[:, limb]
     bends = _bends(at)
 
     def costs(way: tuple[int, int, int]) -> float:
@@ -130,14 +132,14 @@ def _three(bvh: Bvh, limb: list[int], cost: Callable[[float, float, float], floa
     return None
 
 
-def _course(bvh: Bvh, limb: list[int]) -> np.ndarray:
-    """Where the joints of a limb are [F,J,3] in the axes of its first, in POSES frames at most."""
+def _in_the_world(bvh: Bvh) -> np.ndarray:
+    """Where all joints are [F,J,3], in POSES frames at most."""
     shown = slice(None, None, len(bvh) // POSES + 1)
-    turns = bvh.rotations[shown, limb[0]]
-    at = np.zeros((len(turns), len(limb), 3))
-    for i, joint in enumerate(limb[1:], start=1):
-        at[:, i] = at[:, i - 1] + (turns @ bvh.places[shown, joint, :, None])[..., 0]
-        turns = turns @ bvh.rotations[shown, joint]
+    turns, at = bvh.rotations[shown].copy(), bvh.places[shown].copy()
+    for joint, parent in enumerate(bvh.parents.tolist()):
+        if parent >= 0:
+            at[:, joint] = at[:, parent] + (turns[:, parent] @ at[:, joint, :, None])[..., 0]
+            turns[:, joint] = turns[:, parent] @ turns[:, joint]
     return at
 
 
@@ -152,12 +154,15 @@ def _bends(at: np.ndarray) -> np.ndarray:
 
 def _sided(
     bvh: Bvh,
+    at: np.ndarray,
     limbs: list[list[int]],
     found: Mapping[str, tuple[tuple[int, int], tuple[int, int, int]]],
     side_of: Callable[[str], str],
 ) -> Found:
-    """The pairs with their sides: by names, else by where the feet point, else as if the body looked along z."""
-    at = _at_first(bvh)
+    """The pairs with their sides: by names, else by where the feet point, else as if the body looked along z.
+
+    `at` [J,3]: the joints in the first frame.
+    """
     (legs, leg), (arms, arm) = found["leg"], found["arm"]
     hips, shoulders = (at[[limbs[joint][three[0]] for joint in pair]] for pair, three in ((legs, leg), (arms, arm)))
     toes = [(limbs[joint][leg[2]], limbs[joint][leg[2] + 1 :]) for joint in legs]
@@ -183,13 +188,3 @@ def _sided(
     crown = max((limbs[j] for j in others), key=lambda limb: _along(bvh, limb)[-1], default=[])
     named = [joint for joint in crown[:2] if bvh.names[joint]]
     return Found(result, named[-1] if named else None, told)
-
-
-def _at_first(bvh: Bvh) -> np.ndarray:
-    """Where the joints [J,3] are in the first frame."""
-    turns, places = bvh.rotations[0].copy(), bvh.places[0].copy()
-    for joint, parent in enumerate(bvh.parents.tolist()):
-        if parent >= 0:
-            places[joint] = places[parent] + turns[parent] @ places[joint]
-            turns[joint] = turns[parent] @ turns[joint]
-    return places

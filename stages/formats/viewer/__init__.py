@@ -124,12 +124,9 @@ def _pack_figure(packer: Packer, figure: Figure, number: int) -> None:
     if rig.slopes is not None:
         packer.whole(f"person{number}/cloth", rig.slopes.rows[:, None], 32)
         packer.whole(f"person{number}/slopes", slopes_in_words(rig.slopes), 32)
-    if rig.clothes is not None:
-        for name, values in vars(rig.clothes).items():
-            packer.exact(f"person{number}/{name}", values)
-    if figure.parts is not None:
-        for name, values in zip(("middles", "covariances"), figure.parts, strict=True):
-            packer.exact(f"person{number}/{name}", values)
+    clothes, parts = vars(rig.clothes) if rig.clothes else {}, figure.parts or ()
+    for name, values in {**clothes, **dict(zip(("middles", "covariances"), parts))}.items():
+        packer.exact(f"person{number}/{name}", values)
     for i, move in enumerate(figure.moves):
         packer.exact(f"motion{number}.{i}/rotvecs", move.rotvecs)
         packer.exact(f"motion{number}.{i}/steps", move.steps)

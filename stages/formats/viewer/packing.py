@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stages.records import Scene, Slopes
+from stages.records import SH_C0, Scene, Slopes
 
-SH_C0 = 0.28209479177387814
 HALF = 0.5**0.5
 LARGEST_SLOPE = 8.0  # 1/m: no part of a slope is larger; `page/skin.js` has it, too
 

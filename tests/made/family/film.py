@@ -16,14 +16,14 @@ from stages.avatar.motion.placing import Soles
 from stages.filming.motions import Manner, from_file
 from stages.formats.body_model import read_body_model
 from stages.records import BodyModel, BodyPoses, Cameras
-from stages.synthetic import clip as synthetic
 from stages.synthetic import room as rooms
-from stages.synthetic.effects import ClipEffects
-from stages.synthetic.garments import make_garments
 from tests.made.family.legs import perform
 from tests.made.family.motions import MOTIONS, Plan
 from tests.made.family.shoes import shoes
 from tests.made.family.table import FPS, FRAMES, LONG, SHORT, Box, Shot
+from tests.made.synthetic import clip as synthetic
+from tests.made.synthetic.effects import ClipEffects
+from tests.made.synthetic.garments import make_garments
 from tests.made.truth import Similarity
 
 PER_BETA = 0.1
@@ -75,7 +75,7 @@ def film(shot: Shot, captures: Path | None) -> Film:
     K = pinhole(shot.lens / 36 * LONG, width, height)
     viewmats = path(shot, transl, rng)
     room, swings = hall(rng, shot.boxes, np.radians(shot.facing)), ClipEffects(clothing=shot.clothing)
-    renderer = synthetic._Renderer(model, room, betas, K, swings, 1, worn)
+    renderer = synthetic.Renderer(model, room, betas, K, swings, 1, worn)
     views = renderer.views(viewmats, orient, pose, width, height, lambda done: None, transl=transl, fps=FPS)
     names = tuple(f"{i:06d}" for i in range(FRAMES))
     cameras = Cameras(names, viewmats, views.Ks, width, height)
@@ -161,8 +161,8 @@ def on_floor(
 
 def path(shot: Shot, transl: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """viewmats [F,4,4] of the shot's camera, which is held upright as the person is."""
-    t, u = np.arange(FRAMES) / FPS, np.linspace(-0.5, 0.5, FRAMES)
-    shake = np.stack([sum(np.sin(2 * np.pi * f * t + p) / f for f, p in synthetic._tones(rng)) for _ in range(7)], 1)
+    u = np.linspace(-0.5, 0.5, FRAMES)
+    shake = synthetic.tremor(FRAMES, FPS, rng)
     held = 0.0 if shot.path == "still" else 0.15 if shot.path == "little" else 1.0
     angle = np.radians(shot.reach) * u if shot.path == "arc" else 0 * u
     away = shot.distance - (shot.reach * (u + 0.5) if shot.path == "forward" else 0)
@@ -202,7 +202,7 @@ def hall(rng: np.random.Generator, boxes: tuple[Box, ...], turn: float) -> rooms
 
 
 def cloud(
-    renderer: synthetic._Renderer, views: synthetic.TrueViews, rng: np.random.Generator
+    renderer: synthetic.Renderer, views: synthetic.TrueViews, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [P,3] m of the room that the pictures show beside the person, wrong as SfM is, and their colours [P,3]."""
     centers = camera_centers(views.viewmats)

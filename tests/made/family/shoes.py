@@ -8,8 +8,8 @@ import torch
 from stages.avatar.body.joints import ANKLES, FEET
 from stages.avatar.body.smpl import vertex_normals
 from stages.records import BodyModel
-from stages.synthetic.cloth import Particles
-from stages.synthetic.garments import Garment
+from tests.made.synthetic.cloth import Particles
+from tests.made.synthetic.garments import Garment
 
 UPPER = 0.004
 """m that the leather is off the skin."""

@@ -112,6 +112,14 @@ def test_what_casts_the_shadow_is_the_body_or_where_that_is_not_known_the_gaussi
     told = cast(Person(avatar=tmp_path / "held.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
     assert (told.baked.casters.middles == 1).all(), "as the file has it"
     assert (other.baked.casters.middles - own.baked.casters.middles)[limb].norm(dim=1).median() < 0.05
+    half = np.arange(len(avatar)) % 2 == 0
+    for opacity, seen in ((0.2, False), (0.5, True)):  # a haze of half the Gaussians, a metre away
+        means, opacities = avatar.means + half[:, None], np.where(half, opacity, 0.9)
+        hazy = replace(avatar, joints=avatar.joints * 1.1, means=means, opacities=opacities)
+        write_splats(tmp_path / "hazy.npz", hazy)
+        hazy = cast(Person(avatar=tmp_path / "hazy.npz", motion="wave"), "a", SLOPE, FPS, "cpu")
+        away = (hazy.baked.casters.middles - other.baked.casters.middles)[limb].norm(dim=1)
+        assert (away.median() > 0.3) == seen and (seen or away.median() < 0.1)
 
 
 def test_a_file_has_no_clip_to_move_as_in(run):

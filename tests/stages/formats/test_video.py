@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from stages.contract import StageError
+from stages.formats.frame_names import extracting
 from stages.formats.images import write_image
 from stages.formats.pictures import natural_order
 from stages.formats.video import decode, probe, write_video
+from tests.made import ffmpeg
 
 COS_SIN = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}  # clockwise turn a player is told to make
 
@@ -117,6 +119,8 @@ def test_i10_variable_frame_rate_keeps_each_time(tmp_path):
         container.mux(stream.encode(None))
     assert np.allclose([t for _, t, _ in decode(tmp_path / "v.mkv")], np.array(times) / 30, atol=2e-3)
     assert abs(probe(tmp_path / "v.mkv").fps - 5) < 0.1
+    first = ffmpeg.run(extracting("v.mkv"), tmp_path)  # as the hint of masks says: a picture each, none doubled
+    assert len(list(first.parent.iterdir())) == 6
 
 
 def test_i13_high_dynamic_range_is_noticed(tmp_path):
@@ -213,6 +217,8 @@ def test_pictures_without_times_are_called_so(tmp_path, codec, kind):
     assert error.value.problem == f"{path} is {kind}: pictures without times"
     assert f"`ffmpeg -framerate 30 -i {path} {path.with_suffix('.mp4')}`" in error.value.hint
     assert error.value.facts == ("12 packets, none with a time",)
+    mended = probe(ffmpeg.run(error.value.hint, tmp_path))
+    assert mended.frames == 12 and mended.fps == pytest.approx(30)
 
 
 def test_a_film_whose_pictures_change_their_size_is_refused(tmp_path):
@@ -236,6 +242,8 @@ def test_a_film_whose_pictures_change_their_size_is_refused(tmp_path):
     with pytest.raises(StageError, match="change their size") as refused:
         list(decode(tmp_path / "call.mkv"))
     assert list(refused.value.facts) == ["first 64x48, from 0.2 s on 48x64"]
+    shapes = [picture.shape for _, _, picture in decode(ffmpeg.run(refused.value.hint, tmp_path))]
+    assert shapes == [(48, 64, 3)] * 12
 
 
 def test_a_list_of_films_is_no_film(tmp_path):

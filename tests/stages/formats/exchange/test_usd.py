@@ -62,9 +62,16 @@ def test_a_motion_has_a_sample_a_frame(tmp_path, held):
 
 
 def test_the_box_holds_gaussians_to_three_sigmas(tmp_path):
-    splats = some(n=1)
+    splats = some()
     write_usd(tmp_path / "a.usdc", {"person": splats})
     _, prim = opened(tmp_path / "a.usdc")
     low, high = (np.array(corner) for corner in prim.GetAttribute("extent").Get())
-    np.testing.assert_allclose((high - low) / 2, np.full(3, 3 * splats.scales.max()), rtol=1e-4)
-    np.testing.assert_allclose((high + low) / 2, splats.means[0], atol=1e-5)
+    reach = 3 * splats.scales.max(1)[:, None]
+    np.testing.assert_allclose(low, (splats.means - reach).min(0), atol=1e-5)
+    np.testing.assert_allclose(high, (splats.means + reach).max(0), atol=1e-5)
+
+
+def test_nobody_has_no_box(tmp_path):
+    write_usd(tmp_path / "a.usdc", {"person": some(n=0)})
+    _, prim = opened(tmp_path / "a.usdc")
+    assert len(prim.GetAttribute("positions").Get()) == 0 and not prim.GetAttribute("extent").HasAuthoredValue()

@@ -25,6 +25,10 @@ def test_a_time_rounded_to_any_digits_is_the_rate_that_it_was(rate, digits):
         ("3.3333e-2", 30),
         (".04", 25),
         ("0.0345", 29),
+        ("0.007", 144),  # of several whole ones the usual one
+        ("0.011", 90),
+        ("0.00834", 120000 / 1001),  # of none
+        ("0.01668", 60000 / 1001),
         ("0.0077", 130),
         ("1e9", 1e-9),
     ],

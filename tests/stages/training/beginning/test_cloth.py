@@ -9,12 +9,13 @@ from stages.avatar.cameras.pinhole import pinhole
 from stages.avatar.kernels.mesh import covered
 from stages.avatar.model.human import HumanModel
 from stages.formats.body_model import read_body_model
-from stages.synthetic import cloth as moving
-from stages.synthetic import garments, person
+from stages.synthetic import person
 from stages.synthetic.clip import camera_path
 from stages.training.beginning.cloth import clothed
 from stages.training.views import Person, Views
 from tests.made.skin import on_vertices
+from tests.made.synthetic import cloth as moving
+from tests.made.synthetic import garments
 
 FRAMES, WIDTH, HEIGHT = 24, 96, 128
 
@@ -28,7 +29,7 @@ def filmed():
     transl, vertices, _ = person.pose_body(body, betas, orient, pose)
     skirt = garments.make_garments(["skirt"], model, betas, rng)[0]
     (worn,) = moving.worn([skirt.cloth], body, faces, betas, (orient, pose, transl), 8.0)
-    viewmats, K = camera_path(FRAMES, 8.0, "moving", rng), pinhole(0.95 * HEIGHT, WIDTH, HEIGHT)
+    viewmats, K = camera_path(FRAMES, 8.0, rng), pinhole(0.95 * HEIGHT, WIDTH, HEIGHT)
     both, all_faces = np.concatenate([vertices, worn], 1), np.concatenate([faces, skirt.faces + vertices.shape[1]])
     masks = [
         np.stack([covered(v, f, view, K, WIDTH, HEIGHT) for v, view in zip(points, viewmats)])

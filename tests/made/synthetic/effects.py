@@ -7,13 +7,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import torch
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
+from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras import lens
 from stages.avatar.cameras.pinhole import camera_centers, look_at, pinhole
 from stages.avatar.kernels.mesh import fill
+from stages.records import BodyModel
+from stages.synthetic.person import keypoints
+from stages.synthetic.room import step
 
 MOMENTS = 9
 """How many moments a blurred picture is the mean of, and at how many a rolling shutter's path is known."""
@@ -24,6 +29,10 @@ LAMP_AWAY, MAP_SIDE, MAP_M = 100.0, 640, 3.2
 SOFT, CONTACT_SOFT, CONTACT_HEIGHT = 0.02, 0.035, 0.12
 """Blur of a shadow's edge, of the dark rim of the feet, and up to where a body touches the floor, m."""
 
+
+LAMPS = np.array([[0.4, 2.4, -1.7], [-1.2, 1.9, 3.2]])
+"""What glossy surfaces mirror: a lamp under the ceiling and a window behind the camera, m."""
+ZENITH, HAZE, CLOUD, HILL = (0.42, 0.62, 0.9), (0.8, 0.88, 0.95), (0.95, 0.95, 0.96), (0.33, 0.44, 0.3)
 
 Moving = Callable[[float], np.ndarray]
 """Points [V,3] m in the world at a moment, in frames."""
@@ -101,6 +110,51 @@ class Course:
     @cached_property
     def _motion(self) -> CubicSpline:
         return CubicSpline(np.arange(len(self.vertices)), self.vertices)
+
+
+def sky(rays: np.ndarray) -> np.ndarray:
+    """Colours [...,3] of sky, clouds and far hills along the directions `rays` [...,3], y up; all is infinitely far."""
+    azimuth = np.arctan2(rays[..., 0], -rays[..., 2])
+    rise = np.arctan2(rays[..., 1], np.hypot(rays[..., 0], rays[..., 2]))
+    cloud = np.sin(3.1 * azimuth + 1.0) * np.sin(7.0 * rise) + 0.6 * np.sin(7.7 * azimuth - 9.0 * rise)
+    height = (rise / 0.6).clip(0, 1)[..., None]
+    above = np.array(HAZE) * (1 - height) + np.array(ZENITH) * height
+    above = above + (np.array(CLOUD) - above) * 0.6 * step(cloud - 0.3, 1.2)[..., None]
+    ridge = 0.07 + 0.03 * np.sin(4.3 * azimuth) + 0.015 * np.sin(17 * azimuth + 0.7)
+    trees = np.sin(61 * azimuth + 3 * np.sin(43 * rise)) * np.sin(83 * rise + 2 * np.sin(29 * azimuth))
+    hills = np.array(HILL) * (1 + 0.35 * trees)[..., None]
+    cover = step(ridge - rise, 0.006)[..., None]
+    return above * (1 - cover) + hills * cover
+
+
+def swing(model: BodyModel, faces: np.ndarray, vertices: np.ndarray, pose: np.ndarray, width: float) -> np.ndarray:
+    """What loose clothes add to `vertices` [F,V,3] in m: a skirt and sleeves `width` m wide that swing with `pose` [F,69].
+
+    The skirt stands off by half its width and flies forward and to the side with the thighs; sleeves hang from raised arms.
+    """
+    places = keypoints(model)
+    x, y, _ = model.v_template.T
+    hip, knee = places["left_hip"][1] + 0.05, places["left_knee"][1] + 0.02
+    down = ((hip - y) / (hip - knee)).clip(0, 1)
+    skirt = width * down * _fade(knee - 0.03, y, 0.04) * (abs(x) < 0.4)
+    along = (abs(x) - places["left_shoulder"][0]) / (places["left_elbow"][0] - places["left_shoulder"][0])
+    sleeve = width * along.clip(0, 1) * (along < 1) * (y > hip)
+    thighs = pose.reshape(len(pose), 23, 3)[:, :2, 0]  # about x; negative forward
+    added = np.zeros_like(vertices)
+    for i, posed in enumerate(vertices):
+        normals = vertex_normals(torch.from_numpy(posed), torch.from_numpy(faces)).numpy()
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        level = normals * [1, 0, 1]
+        flying = 0.5 + 1.5 * np.where(x > 0, -thighs[i, 0], -thighs[i, 1])
+        added[i] = level * (skirt * flying)[:, None]
+        under = (-normals[:, 1]).clip(0, 1) * sleeve
+        added[i, :, 1] -= under
+    return added
+
+
+def _fade(edge: float, values: np.ndarray, width: float) -> np.ndarray:
+    """0 below `edge`, 1 above, over that width."""
+    return ((values - edge) / width + 0.5).clip(0, 1)
 
 
 def open_times(effects: ClipEffects) -> np.ndarray:

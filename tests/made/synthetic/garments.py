@@ -10,13 +10,12 @@ from scipy.spatial import cKDTree
 
 from stages.avatar.body.joints import HEAD
 from stages.records import BodyModel
-from stages.synthetic.cloth import MARGIN, Particles
+from tests.made.synthetic.cloth import MARGIN, Particles
 
 AROUND = 40
 """Particles around a skirt or a coat."""
 TRUNK = 0.2
 """m from the middle to which the trunk reaches at rest: beyond are arms."""
-PINNED = 1e9
 Paint = Callable[[np.ndarray], np.ndarray]
 
 

@@ -6,15 +6,16 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
 
 from stages.avatar.cameras import lens
 from stages.avatar.cameras.pinhole import camera_centers, pinhole
 from stages.formats.body_model import read_body_model
-from stages.synthetic import clip as synthetic
 from stages.synthetic import person
-from stages.synthetic.effects import ClipEffects, Course, gains, open_times, readout_times, to_linear, to_srgb
-from stages.synthetic.passers import make_passers
 from stages.synthetic.room import make_room
+from tests.made.synthetic import clip as synthetic
+from tests.made.synthetic.effects import ClipEffects, Course, gains, open_times, readout_times, to_linear, to_srgb
+from tests.made.synthetic.passers import make_passers
 from tests.made.worlds import unproject
 
 WIDTH, HEIGHT, FRAMES = 90, 120, 5
@@ -26,7 +27,7 @@ AS_BEFORE = "c1315ebb4ed884f43a57dd9f56baa6f9d9f7296d6da8dffd6167bfc78ac2bcb6"
 def setting():
     """A stage without effects, and where camera and person go."""
     rng = np.random.default_rng(3)
-    stage = synthetic._Renderer(read_body_model(), make_room(rng), np.zeros(10), pinhole(114.0, WIDTH, HEIGHT))
+    stage = synthetic.Renderer(read_body_model(), make_room(rng), np.zeros(10), pinhole(114.0, WIDTH, HEIGHT))
     viewmats = synthetic.camera_path(FRAMES, 5.0, "moving", rng)
     return stage, viewmats, *person.make_motion(FRAMES, 5.0, rng)
 
@@ -177,3 +178,16 @@ def test_strangers_are_gone_before_and_after_their_walk():
     walk = [t for t in range(-40, 80) if passer.inside(t)]
     assert 26 <= len(walk) <= 29 and walk == list(range(walk[0], walk[-1] + 1))
     assert all(np.abs(passer.at(t)[:, 0]).max() < 4 for t in walk)
+
+
+def test_the_camera_moves_turns_or_stands_as_asked():
+    paths = {
+        motion: synthetic.camera_path(30, 6, motion, np.random.default_rng(0))
+        for motion in ("moving", "rotating", "static")
+    }
+    extent = {motion: np.ptp(camera_centers(path), axis=0).max() for motion, path in paths.items()}
+    assert extent["moving"] > 1.2
+    assert extent["rotating"] < 1e-12 and extent["static"] == 0
+    turned = Rotation.from_matrix(paths["rotating"][:, :3, :3])
+    assert np.degrees((turned[0].inv() * turned[-1]).magnitude()) > 10
+    assert np.ptp(paths["static"], axis=0).max() == 0
