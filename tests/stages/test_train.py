@@ -20,7 +20,6 @@ from stages.avatar.drawing.draw import Learned, load_learned, pose_of
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
-from stages.avatar.rasterize.rendering import T_STOP
 from stages.contract import Job, StageError, Stopped
 from stages.filming.company import Member
 from stages.formats.body_model import read_body_model, write_body_model
@@ -597,12 +596,6 @@ def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path,
     train.run(job, PARAMS, **inputs)
     assert json.loads((job.out / "train.json").read_text())["effects"] == {}
     assert any("could not be measured: too many bad steps" in text for text in said)
-
-
-def test_a_gpu_keeps_to_its_early_stop(tmp_path, inputs):
-    assert train.Params().early_stop == T_STOP
-    with pytest.raises(StageError, match="a GPU finishes pixels"):
-        train.run(Job(tmp_path, device="cuda"), train.Params(early_stop=0.01), **inputs)
 
 
 def test_a_time_is_for_a_training_of_person_and_scene_together(tmp_path, inputs):
