@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import json
 import os
@@ -316,7 +315,7 @@ def uninterrupted() -> Iterator[None]:
 
 def device_of(name: str) -> str:
     """'cpu' or 'cuda' for a name that may be 'auto'; UsageError where the GPU, or gsplat, is missing."""
-    found = find_device() if name != "cpu" else "cpu"
+    found = child.find_device() if name != "cpu" else "cpu"
     if name == "cuda" and found != "cuda":
         raise UsageError("no GPU that torch can use", "leave out `--device cuda`; `hugs doctor` shows what is here")
     if found == "cuda" and importlib.util.find_spec("gsplat") is None:
@@ -324,20 +323,6 @@ def device_of(name: str) -> str:
             raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
         return "cpu"
     return found
-
-
-def find_device() -> str:
-    """'cuda' if the driver shows a GPU and torch was built for it, else 'cpu'; without importing torch."""
-    torch = importlib.util.find_spec("torch")
-    if torch is None or not torch.origin or not list((Path(torch.origin).parent / "lib").glob("*torch_cuda.*")):
-        return "cpu"
-    try:
-        cuda = ctypes.CDLL("libcuda.so.1")
-    except OSError:
-        return "cpu"
-    count = ctypes.c_int(0)
-    found = cuda.cuInit(0) == 0 and cuda.cuDeviceGetCount(ctypes.byref(count)) == 0
-    return "cuda" if found and count.value else "cpu"
 
 
 def now() -> str:

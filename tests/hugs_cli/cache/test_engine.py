@@ -402,7 +402,7 @@ def test_runs_are_logged_with_cost_and_machine(flow):
 
 
 def test_a_gpu_counts_only_with_gsplat(monkeypatch):
-    monkeypatch.setattr(engine, "find_device", lambda: "cuda")
+    monkeypatch.setattr(engine.child, "find_device", lambda: "cuda")
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
     assert engine.device_of("auto") == engine.device_of("cpu") == "cpu"
     with pytest.raises(UsageError) as error:
