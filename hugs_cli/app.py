@@ -30,21 +30,17 @@ from hugs_cli.console import Console, reasons_text
 from hugs_cli.direct import in_words
 from hugs_cli.options import (
     AsJson,
-    BodyModel,
-    Cameras,
     DeviceName,
     DryRun,
     Force,
-    Masks,
-    Person,
     PipelineName,
     PipelinesFile,
+    RunOptions,
     Seed,
     Settings,
-    SmplFit,
     Stages,
     Work,
-    open_session,
+    on_a_run,
 )
 from hugs_cli.pipelines import UsageError
 
@@ -54,8 +50,10 @@ app = typer.Typer(
 )
 
 
+@on_a_run
 def run(
     video: options.Video,
+    given: RunOptions,
     stages: Stages = None,
     device: DeviceName = options.Device.cpu,
     force: Force = False,
@@ -64,24 +62,12 @@ def run(
     within: Annotated[
         str | None, Option(metavar="TIME", help="Train for what is left of 10m, 1h30m; results go to PIPELINE.TIME.")
     ] = None,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
     """Run the pipeline; finished stages are reused.
 
     The last line on stdout is the path of the report, or of the last stage named.
     """
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
+    session = given.session(video)
     run_pipeline(session, stages, device, force, dry_run, as_json, within)
 
 
@@ -146,34 +132,20 @@ def hint_accept(session: Session, wanted: list[str], console: Console) -> None:
         workspace = session.workspace
         command = words.command("accept", session.video, pipeline=workspace.links.name, work=workspace.work)
         spent = words.duration(sum(stamp.seconds for stamp in stamps))
-        console.say(f"only code has changed: {spent} of results are made again; `{command}` (and --set ...) keeps them")
+        console.say(f"only code has changed: {spent} of results are made again; `{command}` keeps them")
 
 
-def accept(
-    video: options.Video,
-    stages: Stages = None,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
-) -> None:
+@on_a_run
+def accept(video: options.Video, given: RunOptions, stages: Stages = None) -> None:
     """Keep existing results even though the code changed.
 
-    Give the options of the run. Use it only if you know that the change does not alter the results.
+    Use it only if you know that the change does not alter the results.
     """
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
+    console = Console()
+    session = given.of_results(video, console).session(video)
     session.pipeline.upstream(stages or [])  # refuses unknown names
     session.check_sources()
     session.workspace.create()
-    console = Console()
     for name, (verdict, taken) in engine.accept(session, stages or list(session.pipeline.stages), console).items():
         if taken and verdict.last and verdict.recipe:
             changed = reasons_text(verdict.reasons)
@@ -207,7 +179,7 @@ def gc(video: options.Video, dry_run: DryRun = False, work: Work = Path("work"))
 def demo(
     pipeline: PipelineName = "default",
     set_: Settings = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
     pipelines_file: PipelinesFile = pipelines.FILE,
@@ -218,9 +190,9 @@ def demo(
     """
     from hugs_cli.demo import synthetic_clip
 
-    video = synthetic_clip(work, seed, Console())
-    session = open_session(video, pipeline, set_, seed=seed, work=work, pipelines_file=pipelines_file)
-    run_pipeline(session, None, device)
+    video = synthetic_clip(work, seed or 0, Console())
+    given = RunOptions(set_, seed=seed, pipeline=pipeline, work=work, pipelines_file=pipelines_file)
+    run_pipeline(given.session(video), None, device)
 
 
 def doctor(
@@ -274,7 +246,7 @@ def clip_facts(workspace: Workspace) -> str:
 
 def stop(signum: int, frame: Any) -> None:
     """Ctrl-C or SIGTERM while no stage runs."""
-    raise RunStopped("", False)
+    raise RunStopped
 
 
 def main() -> None:

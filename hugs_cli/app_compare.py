@@ -3,34 +3,20 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated
 
 from typer import Option
 
-from hugs_cli import options, pipelines, words
+from hugs_cli import options, words
 from hugs_cli.console import Console
-from hugs_cli.options import (
-    AsJson,
-    BodyModel,
-    Cameras,
-    DeviceName,
-    DryRun,
-    Masks,
-    Person,
-    PipelineName,
-    PipelinesFile,
-    Seed,
-    Settings,
-    SmplFit,
-    Work,
-    open_session,
-)
+from hugs_cli.options import AsJson, DeviceName, DryRun, RunOptions, on_a_run
 from hugs_cli.pipelines import UsageError
 
 
+@on_a_run
 def ablate(
     video: options.Video,
+    given: RunOptions,
     part: Annotated[
         list[str] | None, Option(help="Leave out only this part (may be repeated); none: the pipeline alone.")
     ] = None,
@@ -38,27 +24,16 @@ def ablate(
     device: DeviceName = options.Device.cpu,
     dry_run: DryRun = False,
     as_json: AsJson = False,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
     """Measure what each part of the method is worth.
 
     Trains the pipeline, and five variants of it with one part left out each.
     """
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
+    console = Console()
+    session = given.of_last_run(video, console).session(video)
     from hugs_cli.studies import ablate as ablations
 
-    console, cases = Console(), ablations.cases(session, part or (), seeds)
+    cases = ablations.cases(session, part or (), seeds)
     for lacked in (one for one in ablations.lacking(session) if not part or one in part):
         console.say(f"{lacked} is left out: pipeline {session.pipeline.name} does not have that part")
     session.check_sources()
@@ -75,8 +50,10 @@ def ablate(
     console.result(json.dumps(result, indent=1) if as_json else "\n".join(ablations.table(result)))
 
 
+@on_a_run
 def costs(
     video: options.Video,
+    given: RunOptions,
     sweep: Annotated[bool, Option("--sweep", help="Vary one setting at a time, and train.")] = False,
     axis: Annotated[list[str] | None, Option(help="Vary only this axis (may be repeated; with --sweep).")] = None,
     seeds: Annotated[int, Option(min=1, help="Seeds per case, starting at --seed (with --sweep).")] = 3,
@@ -85,27 +62,16 @@ def costs(
     device: DeviceName = options.Device.cpu,
     dry_run: DryRun = False,
     as_json: AsJson = False,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
     """Compare time and accuracy of pipelines or settings.
 
     Without --sweep: the pipelines that were run on a clip. With it: one setting at a time is varied, and trained.
     """
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
+    console = Console()
+    session = given.of_last_run(video, console).session(video)
     from hugs_cli.studies import costs as accounts
 
-    console, clip, root = Console(), session.video.name, session.workspace.root
+    clip, root = session.video.name, session.workspace.root
     if axis and not sweep:
         raise UsageError("only a sweep has axes", "add `--sweep`")
     if sweep:

@@ -14,7 +14,7 @@ from hugs_cli.cache import engine
 from hugs_cli.cache.workspace import Stamp, Workspace, clip_name
 from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
-from hugs_cli.options import DeviceName, PipelineName, Work
+from hugs_cli.options import AnyPipeline, DeviceName, Work, pipeline_of
 from hugs_cli.outputs import check_out, remembering
 from hugs_cli.pipelines import UsageError
 from stages.contract import Job
@@ -50,7 +50,7 @@ def render(
     who: Who = 1,
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
     force: Overwrite = False,
-    pipeline: PipelineName = "default",
+    pipeline: AnyPipeline = None,
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
@@ -65,11 +65,12 @@ def render(
     if only is options.Only.scene and avatar is not None and scene is None:
         raise UsageError(f"{avatar} has no scene", "`--only human`, or a scene with `--scene room.ply`")
     check_who(avatar, who)
-    train, smpl = (None, None) if video is None else finished(video, work, pipeline, "train", "smpl")
+    console, train, smpl = Console(), None, None
+    if video is not None:
+        train, smpl = finished(video, work, pipeline_of(video, work, pipeline, console, "train"), "train", "smpl")
     check_files(cameras, poses, avatar, scene)
     check_out(out, work, (video, cameras, poses, avatar, scene), force, is_folder=True)
     where = engine.device_of(device.value)
-    console = Console()
     said = {"warning": "warning: "}
     job = Job(
         out, where, emit=remembering(work, lambda event: console.say(said.get(event["event"], "") + event["text"]))
@@ -106,7 +107,7 @@ def animate(
     ] = None,
     up: Annotated[options.Up | None, Option(help="Up in the file; where pelvises point if none.")] = None,
     force: Overwrite = False,
-    pipeline: PipelineName = "default",
+    pipeline: AnyPipeline = None,
     device: DeviceName = options.Device.cpu,
     work: Work = Path("work"),
 ) -> None:
@@ -124,6 +125,7 @@ def animate(
     check_who(avatar, who)
     run_folder = None
     if video is not None:
+        pipeline = pipeline_of(video, work, pipeline, Console(), "train")
         finished(video, work, pipeline, *films.STAGES)
         run_folder = Workspace(video, work, pipeline).links
     check_files(motion, cameras, avatar, None if scene is None or scene.is_dir() else scene)

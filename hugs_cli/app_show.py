@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 from hugs_cli import options, pipelines
@@ -11,70 +10,26 @@ from hugs_cli.cache import child
 from hugs_cli.cache.freshness import Verdict
 from hugs_cli.cache.workspace import Stamp
 from hugs_cli.console import Console
-from hugs_cli.options import (
-    AsJson,
-    BodyModel,
-    Cameras,
-    Masks,
-    Person,
-    PipelineName,
-    PipelinesFile,
-    Seed,
-    Settings,
-    SmplFit,
-    Stages,
-    Work,
-    open_session,
-)
+from hugs_cli.options import AsJson, PipelineName, PipelinesFile, RunOptions, Settings, Stages, on_a_run
 
 STAMP_FACTS = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
 
 
-def status(
-    video: options.Video,
-    as_json: AsJson = False,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
-) -> None:
+@on_a_run
+def status(video: options.Video, given: RunOptions, as_json: AsJson = False) -> None:
     """Show which results are fresh, and why others are not."""
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
-    show(Console(), session.verdicts(list(session.pipeline.stages)), as_json)
+    console = Console()
+    session = given.of_results(video, console).session(video)
+    show(console, session.verdicts(list(session.pipeline.stages)), as_json)
 
 
-def why(
-    video: options.Video,
-    stages: Stages = None,
-    pipeline: PipelineName = "default",
-    set_: Settings = None,
-    masks: Masks = None,
-    person: Person = None,
-    cameras: Cameras = None,
-    smpl_fit: SmplFit = None,
-    body_model: BodyModel = None,
-    seed: Seed = 0,
-    work: Work = Path("work"),
-    pipelines_file: PipelinesFile = pipelines.FILE,
-) -> None:
+@on_a_run
+def why(video: options.Video, given: RunOptions, stages: Stages = None) -> None:
     """Show what a result was made of and what has changed."""
-    session = open_session(
-        video, pipeline, set_, masks, person, cameras, smpl_fit, body_model, seed, work, pipelines_file
-    )
+    console = Console()
+    session = given.of_results(video, console).session(video)
     wanted = stages or list(session.pipeline.stages)
-    verdicts, console, now = (
-        session.verdicts(session.pipeline.upstream(wanted)),
-        Console(),
-        child.versions(lambda module: True),
-    )
+    verdicts, now = session.verdicts(session.pipeline.upstream(wanted)), child.versions(lambda module: True)
     for i, name in enumerate(wanted):
         if i:
             console.result()

@@ -41,14 +41,10 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     began = time.perf_counter()
     from stages.avatar.kernels.cache import compiled
     from stages.avatar.rasterize.blend import draw_backward
-    from stages.avatar.rasterize.rendering import T_STOP
     from stages.training.checkpoint import Checkpoint
     from stages.training.run import Breakdown
     from stages.training.run import run as train
 
-    if job.device != "cpu" and params.early_stop != T_STOP:
-        hint = "leave `train.early_stop` out, or give `--device cpu`"
-        raise StageError(f"a GPU finishes pixels at {T_STOP:g} of the light, not at {params.early_stop:g}", hint)
     if params.seconds and not params.joint:
         hint = "give `train.steps` in place of a time, or leave out `train.joint`"
         raise StageError("only a training of person and scene together can be fitted into a time", hint)

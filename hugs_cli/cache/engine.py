@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import json
 import os
@@ -15,29 +14,33 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from hugs_cli.cache import child, garbage, whole
 from hugs_cli.cache.fingerprint import files_under
 from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished, Verdict, is_code
 from hugs_cli.cache.launcher import Launcher, Outcome
-from hugs_cli.cache.workspace import LOG, OURS, STAMP, Accepted, FileFacts, Machine, Stamp, remove, seal
+from hugs_cli.cache.workspace import (
+    LOG,
+    OPTIONS,
+    OURS,
+    STAMP,
+    Accepted,
+    FileFacts,
+    Machine,
+    Stamp,
+    read_json,
+    remove,
+    seal,
+    write_json,
+)
+from hugs_cli.console import Console
 from hugs_cli.direct import StageFailed, failed
 from hugs_cli.pipelines import Stage, UsageError
 from stages.contract import StageRecord
 
 FULL_DISK = 1 << 20  # bytes
 EARLIER = ".earlier.json"  # beside an unfinished result: what it has taken so far
-
-
-class Watcher(Protocol):
-    """Hears the events of a run, as the console does."""
-
-    def waiting(self, holder: str) -> None: ...
-    def cached(self, stage: str, stamp: Stamp) -> None: ...
-    def started(self, stage: str, reasons: tuple[Reason, ...]) -> None: ...
-    def heard(self, stage: str, event: dict[str, Any]) -> None: ...
-    def ended(self, stage: str, outcome: Outcome) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -54,29 +57,31 @@ class Ran:
 class RunStopped(BaseException):
     """The run was asked to stop and did: exit code 130."""
 
-    def __init__(self, stage: str, continues: bool):
+    def __init__(self, stage: str = "", continues: bool = False):
         super().__init__(stage)
         self.stage, self.continues = stage, continues
 
 
-def run(session: Session, wanted: list[str], forced: frozenset[str], device: str, watcher: Watcher) -> list[Ran]:
+def run(session: Session, wanted: list[str], forced: frozenset[str], device: str, console: Console) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
     stage that does not finish. What was finished before stays."""
     done: dict[str, Verdict] = {}
     ran: list[Ran] = []
     stages = [session.pipeline.stages[name] for name in wanted]
-    with session.workspace.lock(watcher.waiting) as lock, closing(Launcher(lock)) as launcher:
+    with session.workspace.lock(console.waiting) as lock, closing(Launcher(lock)) as launcher:
+        kept = session.workspace.links / OPTIONS
+        if session.options and read_json(kept) != session.options:
+            write_json(kept, session.options)
         for stage, after in zip_longest(stages, stages[1:]):
             name = stage.name
             verdict = session.verdict(stage, done, name in forced)
-            assert verdict.recipe and verdict.folder, "every stage before it is fresh by now"
+            assert verdict.folder, "every stage before it is fresh by now"
             if stamp := verdict.stamp or rescued(session, verdict):
-                watcher.cached(name, stamp)
+                console.cached(name, stamp)
                 state = "cached"
             else:
                 then = after.loads if after else None
-                stamp = make(session, stage, verdict.recipe, verdict.reasons, done, device, launcher, then, watcher)
-                state = "done"
+                stamp, state = make(session, stage, verdict, done, device, launcher, then, console), "done"
             session.workspace.link(name, verdict.folder)
             done[name] = replace(verdict, stamp=stamp)
             ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
@@ -86,38 +91,39 @@ def run(session: Session, wanted: list[str], forced: frozenset[str], device: str
 
 def rescued(session: Session, verdict: Verdict) -> Stamp | None:
     """The result of a run that was killed when it was whole and had not got its name; None if there is none, or by force."""
-    assert verdict.recipe and verdict.folder
-    part = session.workspace.part(verdict.stage, verdict.recipe.key)
+    recipe, part = known(session, verdict)
     stamp = None if Forced() in verdict.reasons or part.is_symlink() else Stamp.read(part)
-    if (
-        stamp is None
-        or stamp.key != verdict.recipe.key
-        or stamp.damage(part)
-        or {*files_under(part)} - {*OURS, *stamp.files}
-    ):
+    if stamp is None or stamp.key != recipe.key or stamp.damage(part) or {*files_under(part)} - {*OURS, *stamp.files}:
         return None
-    session.workspace.publish(part, verdict.folder)
+    session.workspace.publish(part, session.workspace.folder(verdict.stage, recipe.key))
     return stamp
+
+
+def known(session: Session, verdict: Verdict) -> tuple[Recipe, Path]:
+    """The recipe of a stage whose inputs are all there, and the folder of its unfinished result."""
+    assert verdict.recipe, "every stage before it is fresh by now"
+    return verdict.recipe, session.workspace.part(verdict.stage, verdict.recipe.key)
 
 
 def make(
     session: Session,
     stage: Stage,
-    recipe: Recipe,
-    reasons: tuple[Reason, ...],
+    verdict: Verdict,
     done: Mapping[str, Verdict],
     device: str,
     launcher: Launcher,
     then: Sequence[str] | None,
-    watcher: Watcher,
+    console: Console,
 ) -> Stamp:
     """Run one stage into its .part folder, stamp the result and give the folder its final name.
 
     `then` names the libraries that the next stage loads, None if this is the last.
     """
-    part = session.workspace.part(stage.name, recipe.key)
+    recipe, part = known(session, verdict)
     resumes = (
-        stage.resumes and Forced() not in reasons and not any(one.is_symlink() for one in (part, *part.rglob("*")))
+        stage.resumes
+        and Forced() not in verdict.reasons
+        and not any(one.is_symlink() for one in (part, *part.rglob("*")))
     )
     if os.path.lexists(part) and not resumes:  # runs leave no links, by which they would write elsewhere
         remove(part)
@@ -135,14 +141,14 @@ def make(
         "resumes": stage.resumes,
         "upstream": upstream_records(session, stage, done),
     }
-    watcher.started(stage.name, reasons)
-    outcome = launcher.launch(job, part / LOG, lambda event: watcher.heard(stage.name, event), then)
+    console.started(stage.name, verdict.reasons)
+    outcome = launcher.launch(job, part / LOG, lambda event: console.heard(stage.name, event), then)
     with uninterrupted():  # a result that is there is kept, whatever comes now
         if stage.resumes:
             add_earlier(part / EARLIER, outcome)
-        stamp = publish(session, stage, recipe, reasons, outcome, device, watcher)
+        stamp = publish(session, stage, verdict, outcome, device, console)
     if outcome.asked:
-        raise RunStopped("", False)
+        raise RunStopped
     return stamp
 
 
@@ -162,24 +168,16 @@ def add_earlier(file: Path, outcome: Outcome) -> None:
         whole.replace(file, json.dumps({key: getattr(outcome, key) for key in kept}))
 
 
-def publish(
-    session: Session,
-    stage: Stage,
-    recipe: Recipe,
-    reasons: tuple[Reason, ...],
-    outcome: Outcome,
-    device: str,
-    watcher: Watcher,
-) -> Stamp:
+def publish(session: Session, stage: Stage, verdict: Verdict, outcome: Outcome, device: str, console: Console) -> Stamp:
     """Stamp what a stage has left in its .part folder and give the folder its final name; raises what `make` does."""
-    workspace, folder = session.workspace, session.workspace.folder(stage.name, recipe.key)
-    part = workspace.part(stage.name, recipe.key)
+    workspace, (recipe, part) = session.workspace, known(session, verdict)
+    folder = workspace.folder(stage.name, recipe.key)
     facts = {
         "when": now(),
         "stage": stage.name,
         "pipeline": session.pipeline.name,
         "key": recipe.key,
-        "reasons": [str(reason) for reason in reasons],
+        "reasons": [str(reason) for reason in verdict.reasons],
         "seconds": round(outcome.seconds, 3),
         "peak_memory_bytes": outcome.peak_memory_bytes,
         "host": platform.node(),
@@ -192,7 +190,7 @@ def publish(
         elif doubt := distrust(session, stage, recipe, part):
             outcome = replace(outcome, kind="error", facts=doubt)
     if outcome.kind != "done":
-        watcher.ended(stage.name, outcome)
+        console.ended(stage.name, outcome)
         error = failure(stage, outcome, part / LOG, continues=stage.resumes and not folder.exists())
         problem = {"problem": error.problem} if isinstance(error, StageFailed) else {}
         workspace.log_run(**facts, result=outcome.kind, **problem)
@@ -202,7 +200,7 @@ def publish(
     workspace.publish(part, folder)
     workspace.link(stage.name, folder)
     workspace.log_run(**facts, result="done")
-    watcher.ended(stage.name, outcome)  # said last: who cannot hear it any more loses nothing
+    console.ended(stage.name, outcome)  # said last: who cannot hear it any more loses nothing
     return stamp
 
 
@@ -235,17 +233,13 @@ def stamp_of(
         "device": facts["device"],
         "system": f"{platform.system()} {platform.machine()}",
         "processors": child.processors(),
-        "versions": outcome.facts.get("versions", {}),
+        "versions": outcome.facts["versions"],
     }
-    if "peak_gpu_memory_bytes" in outcome.facts:
-        machine["peak_gpu_memory_bytes"] = outcome.facts["peak_gpu_memory_bytes"]
+    if (gpu := outcome.facts.get("peak_gpu_memory_bytes")) is not None:
+        machine["peak_gpu_memory_bytes"] = gpu
     return Stamp(
-        stage=recipe.stage,
+        **vars(recipe),
         key=recipe.key,
-        seed=recipe.seed,
-        code=recipe.code,
-        params=recipe.params,
-        inputs=recipe.inputs,
         content=content,
         files=files,
         made=facts["when"],
@@ -276,12 +270,12 @@ def failure(stage: Stage, outcome: Outcome, log: Path, continues: bool) -> BaseE
     return StageFailed(f"stage {stage.name} was killed by {name}", hint, [memory, *lines])
 
 
-def accept(session: Session, wanted: list[str], watcher: Watcher) -> dict[str, tuple[Verdict, bool]]:
+def accept(session: Session, wanted: list[str], console: Console) -> dict[str, tuple[Verdict, bool]]:
     """Keep the results of the wanted stages where only code has changed: folder and stamp get the new key, the content
     stays. Returns each wanted stage's verdict and whether it was accepted."""
     found: dict[str, Verdict] = {}
     said: dict[str, tuple[Verdict, bool]] = {}
-    with session.workspace.lock(watcher.waiting):
+    with session.workspace.lock(console.waiting):
         for name in session.pipeline.upstream(wanted):
             verdict = session.verdict(session.pipeline.stages[name], found)
             stamp = rekey(session, verdict) if name in wanted and not verdict.fresh else None
@@ -321,7 +315,7 @@ def uninterrupted() -> Iterator[None]:
 
 def device_of(name: str) -> str:
     """'cpu' or 'cuda' for a name that may be 'auto'; UsageError where the GPU, or gsplat, is missing."""
-    found = find_device() if name != "cpu" else "cpu"
+    found = child.find_device() if name != "cpu" else "cpu"
     if name == "cuda" and found != "cuda":
         raise UsageError("no GPU that torch can use", "leave out `--device cuda`; `hugs doctor` shows what is here")
     if found == "cuda" and importlib.util.find_spec("gsplat") is None:
@@ -329,20 +323,6 @@ def device_of(name: str) -> str:
             raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
         return "cpu"
     return found
-
-
-def find_device() -> str:
-    """'cuda' if the driver shows a GPU and torch was built for it, else 'cpu'; without importing torch."""
-    torch = importlib.util.find_spec("torch")
-    if torch is None or not torch.origin or not list((Path(torch.origin).parent / "lib").glob("*torch_cuda.*")):
-        return "cpu"
-    try:
-        cuda = ctypes.CDLL("libcuda.so.1")
-    except OSError:
-        return "cpu"
-    count = ctypes.c_int(0)
-    found = cuda.cuInit(0) == 0 and cuda.cuDeviceGetCount(ctypes.byref(count)) == 0
-    return "cuda" if found and count.value else "cpu"
 
 
 def now() -> str:

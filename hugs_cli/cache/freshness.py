@@ -178,6 +178,8 @@ class Session:
     code: Code = field(default_factory=Code)
     seeds: dict[str, int] = field(default_factory=dict)
     """Seeds of single stages; all others take `seed`."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Those that the session was opened with, for `options.json`; empty where nobody gave any."""
 
     @property
     def video(self) -> Path:

@@ -29,6 +29,7 @@ from hugs_cli.pipelines import UsageError
 from stages.contract import whole
 
 STAMP, LOG = "stamp.json", "log.txt"
+OPTIONS = "options.json"  # in a pipeline's folder: those of its last run
 OURS = (STAMP, LOG)  # in a result's folder, but no part of the result
 PART, OLD = ".part", ".old"
 LOCK, USERS = ".lock", ".users.json"  # of a store; which folders of clips have it by a link

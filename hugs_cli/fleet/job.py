@@ -257,7 +257,7 @@ def listen(handler: Any) -> None:
 
 def stop(signum: int, frame: Any) -> None:
     """End the run."""
-    raise RunStopped("", False)
+    raise RunStopped
 
 
 if __name__ == "__main__":

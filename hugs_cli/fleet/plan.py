@@ -77,17 +77,17 @@ class Common:
 
 def session_of(row: Row, common: Common) -> Session:
     """The session of one row, as `hugs run` opens it."""
-    return options.open_session(
-        row.video,
-        row.pipeline,
+    given = options.RunOptions(
         list(row.settings),
         row.masks,
         row.person,
         smpl_fit=row.fit,
         body_model=common.body_model,
+        pipeline=row.pipeline,
         work=row.work,
         pipelines_file=common.pipelines_file,
     )
+    return given.session(row.video)
 
 
 def opener(common: Common) -> Callable[[Row], Session]:

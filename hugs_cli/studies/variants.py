@@ -48,7 +48,6 @@ AXES = {
     "points": Axis("train", ("human_points",), TIMES["points"]),
     "caps": Axis("train", ("human_cap", "scene_cap"), TIMES["caps"], relative=True),
     "sh": Axis("train", ("scene_sh",), TIMES["sh"], effect="view_dependence"),
-    "stop": Axis("train", ("early_stop",), TIMES["stop"]),
     "perceptual": Axis("train", ("perceptual_net", "perceptual_every"), TIMES["perceptual"]),
     "features": Axis("sfm", ("features",), TIMES["features"]),
     "overlap": Axis("sfm", ("overlap",), TIMES["overlap"]),

@@ -31,12 +31,8 @@ class Params(contract.Params):
     moments, 0.9 KB with colours of the 3rd degree."""
     scene_fill: int = Field(20_000, ge=0)
     """Points added to those of SfM before training, where SfM saw no texture."""
-    human_sh: int = Field(0, ge=0, le=3)
-    """Degree of the person's view-dependent colour; 0 as in the paper."""
     scene_sh: int = Field(3, ge=0, le=3)
     """Degree of the scene's view-dependent colour where survey finds that the clip calls for it; else it is 0."""
-    early_stop: float = Field(1e-4, gt=0, lt=1)
-    """Share of the light below which training finishes a pixel; films and measuring keep to 1e-4, and so must a GPU."""
     channels: int = Field(32, gt=0)
     """Features of each triplane cell."""
     resolution: int = Field(128, gt=1)

@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 def stop(at: float, *more: tuple[str, str, str]) -> Case:
     """Pixels are finished when less than `at` of the light would pass, where anything is drawn and in training."""
-    return Case(((DRAWING, STOP, f"T_STOP = {at:g}"), *more), (("early_stop", at),))
+    return Case(((DRAWING, STOP, f"T_STOP = {at:g}"), *more))
 
 
 CASES = {
@@ -83,8 +83,8 @@ def small_errors() -> dict[str, float]:
         return image.detach(), [leaf.grad for leaf in leaves]
 
     image, slopes = drawn(cpu, work.camera.viewmat.dtype, Layer())
-    reference.ALPHA_MIN = 1e-12
-    true, true_slopes = drawn(reference, work.camera.viewmat.double().dtype, Layer(stop=0.0))
+    reference.ALPHA_MIN, reference.T_STOP = 1e-12, 0.0
+    true, true_slopes = drawn(reference, work.camera.viewmat.double().dtype, Layer())
     worst = max(distance(a.numpy(), b.numpy()) for a, b in zip(slopes, true_slopes, strict=True))
     return {"small": float((image - true).abs().max()), "slopes": worst}
 

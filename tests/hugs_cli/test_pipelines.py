@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from hugs_cli import pipelines
-from hugs_cli.options import open_session
+from hugs_cli.options import RunOptions
 from hugs_cli.pipelines import SOURCES, UsageError, load
 
 REAL = yaml.safe_load(pipelines.FILE.read_text())
@@ -109,7 +109,7 @@ def test_stage_modules_are_light_and_know_no_other_stage(stage):
 
 def test_a_person_and_cameras_given_on_the_command_line_reach_their_stages(tmp_path):
     model = tmp_path / "sparse"
-    session = open_session(tmp_path / "clip.mp4", person="2", cameras=model, set_=["masks.invert=never"])
+    session = RunOptions(person="2", cameras=model, set_=["masks.invert=never"]).session(tmp_path / "clip.mp4")
     assert (
         session.pipeline.stages["masks"].params.person == "2"
         and session.pipeline.stages["masks"].params.invert == "never"
@@ -120,16 +120,16 @@ def test_a_person_and_cameras_given_on_the_command_line_reach_their_stages(tmp_p
 
 @pytest.mark.parametrize("name", ["010", "1:30", "no", "1_0", "~", "0x10", "1e3", "null", "a: b", "[", "2", ""])
 def test_a_person_is_named_by_what_was_typed(tmp_path, name):
-    session = open_session(tmp_path / "clip.mp4", person=name)
+    session = RunOptions(person=name).session(tmp_path / "clip.mp4")
     assert session.pipeline.stages["masks"].params.person == name
 
 
 def test_a_person_in_set_is_named_by_what_was_typed_save_for_what_yaml_calls_nothing(tmp_path):
     for typed, read in {"010": "010", "1:30": "1:30", "no": "no", "1_0": "1_0", "2": "2", "null": None}.items():
-        session = open_session(tmp_path / "clip.mp4", set_=[f"masks.person={typed}"])
+        session = RunOptions(set_=[f"masks.person={typed}"]).session(tmp_path / "clip.mp4")
         assert session.pipeline.stages["masks"].params.person == read
     with pytest.raises(UsageError, match="settings are not valid"):
-        open_session(tmp_path / "clip.mp4", set_=["masks.person=true"])
+        RunOptions(set_=["masks.person=true"]).session(tmp_path / "clip.mp4")
 
 
 LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12))

@@ -53,10 +53,10 @@ def test_a_full_disk_stops_the_run_itself_and_the_result_stands(flow):
 
 def test_a_result_made_on_a_disk_that_is_full_now_is_not_believed(importable, monkeypatch):
     """Libraries in C cut files short there and report success."""
-    from hugs_cli.options import open_session
+    from hugs_cli.options import RunOptions
 
     monkeypatch.chdir(importable.folder)
-    session = open_session(Path("clip.mp4"), pipelines_file=Path("pipelines.yaml"))
+    session = RunOptions(pipelines_file=Path("pipelines.yaml")).session(Path("clip.mp4"))
     stage = session.pipeline.stages["two"]
     recipe = Recipe("two", 0, {}, {}, {"one": "its content"})
     assert engine.distrust(session, stage, recipe, importable.folder) is None

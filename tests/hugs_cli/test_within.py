@@ -227,16 +227,15 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
     out, _ = run(timed, "--within", "60s", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(timed) == before
     timed.edit("train", "more = 1", "more = 2")
-    assert "`hugs accept clip.mp4 --pipeline tiny.60s` (and" in run(timed, "--within", "60s")[1]
+    assert "`hugs accept clip.mp4 --pipeline tiny.60s` keeps" in run(timed, "--within", "60s")[1]
 
 
 @pytest.mark.parametrize("given", [1.0, 0.5, 0.2])
 def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
     monkeypatch.setattr(within, "share", lambda: given)
     monkeypatch.syspath_prepend(clip.folder)
-    session = options.open_session(
-        clip.folder / "clip.mp4", "tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml"
-    )
+    given = options.RunOptions(pipeline="tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml")
+    session = given.session(clip.folder / "clip.mp4")
     promise = within.Promise(session, list(session.pipeline.stages), 60)
     guess = promise._guess(frozenset(), begun=False)
     assert guess["share"] == given and guess["before"] == pytest.approx(STAGE_START / given, abs=0.06)

@@ -8,15 +8,34 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Self
 
 ROOT = Path(__file__).parents[2]
 LONGEST = 600.0  # s for what takes a few, on a machine with much else to do
 HUGS = "from hugs_cli import main; main()"  # what the installed command does
+READY = """
+import json, os, sys
+from hugs_cli import app, main
+for line in sys.stdin:
+    folder, environment, path, arguments, *outputs = json.loads(line)
+    if (child := os.fork()) == 0:
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        sys.path[1:1] = path
+        sys.argv = ["hugs", *arguments]
+        for number, file in enumerate([os.devnull, *outputs]):
+            os.dup2(os.open(file, os.O_RDWR), number)
+        main()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+"""Forks a command line that has loaded its libraries, which takes most of a short command's time."""
 
 STAGE = '''
 """A stage that writes what its inputs hold, after its own name."""
@@ -70,6 +89,14 @@ WHOLE = "four:a(two:a(one:a(pixels)),three:a(one:a(pixels)))"  # what the last o
 NEEDS = {"one": ["video"], "two": ["one"], "three": ["one", "mask_files"], "four": ["two", "three"]}
 
 
+@cache
+def ready_made() -> subprocess.Popen:
+    """The process that runs READY, one for all tests."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", READY]
+    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
 class Flow:
     """A clip, a package of four stages, pipelines for them, and the command line."""
 
@@ -116,13 +143,23 @@ class Flow:
         assert old in text
         self.write(name, text.replace(old, new))
 
+    def arguments(self, command: str, *args: str) -> list[str]:
+        """`COMMAND clip.mp4 ARGS` as words."""
+        place = (
+            ["--pipelines-file", str(self.folder / "pipelines.yaml")] if command not in ("gc", "render", "view") else []
+        )
+        return [command, "clip.mp4", *args, *place]
+
+    def environment(self) -> dict[str, str]:
+        """Of the command line."""
+        return {**os.environ, "PYTHONPATH": f"{self.folder}:{ROOT}", "NO_COLOR": "1", "COLUMNS": "200"}
+
     def start(self, *args: str, command: str = "run") -> subprocess.Popen:
         """Start `hugs COMMAND clip.mp4 ARGS`."""
-        place = ["--pipelines-file", str(self.folder / "pipelines.yaml")] if command not in ("gc", "render") else []
         return subprocess.Popen(
-            [sys.executable, "-c", HUGS, command, "clip.mp4", *args, *place],
+            [sys.executable, "-c", HUGS, *self.arguments(command, *args)],
             cwd=self.folder,
-            env={**os.environ, "PYTHONPATH": f"{self.folder}:{ROOT}", "NO_COLOR": "1", "COLUMNS": "200"},
+            env=self.environment(),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -130,10 +167,13 @@ class Flow:
 
     def hugs(self, *args: str, command: str = "run", code: int = 0) -> tuple[str, str]:
         """Run it to its end; its stdout and stderr. The exit code must be `code`."""
-        process = self.start(*args, command=command)
-        out, err = process.communicate(timeout=LONGEST)
-        assert process.returncode == code, f"exit code {process.returncode}\n{out}\n{err}"
-        return out, err
+        with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
+            job = [str(self.folder), self.environment(), [str(self.folder)], self.arguments(command, *args)]
+            ready = ready_made()
+            print(json.dumps([*job, out.name, err.name]), file=ready.stdin, flush=True)
+            ended, said = int(ready.stdout.readline()), (out.read().decode(), err.read().decode())
+        assert ended == code, f"exit code {ended}\n{said[0]}\n{said[1]}"
+        return said
 
     def ran(self, *args: str) -> dict[str, list[str]]:
         """Run it; the stages that ran (not those cached), each with its reasons."""

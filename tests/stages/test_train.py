@@ -19,7 +19,6 @@ from stages.avatar.drawing.avatar import load_avatar, pose_avatar
 from stages.avatar.effects.frames import FrameEffects
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.model.scene import load_scene
-from stages.avatar.rasterize.rendering import T_STOP
 from stages.contract import Job, StageError, Stopped
 from stages.filming.clip_cast import load_cast
 from stages.formats.body_model import read_body_model, write_body_model
@@ -555,7 +554,7 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     monkeypatch.setattr("stages.training.timing.deadline.PAUSE", 0.0)
     monkeypatch.setattr("stages.training.timing.effect_gains._seconds", lambda fit: 1.0)
     for module in ("budget", "deadline"):
-        monkeypatch.setattr(f"stages.training.{module}.FEWEST", 10)
+        monkeypatch.setattr(f"stages.training.timing.{module}.FEWEST", 10)
     advance = Fit.advance
     monkeypatch.setattr(Fit, "advance", lambda fit: (now.__setitem__(0, now[0] + 1), advance(fit))[1])
     params = PARAMS.model_copy(update={"seconds": 20.0, "reserve": 9.0, "reserve_least": 5.0, "human_cap": 30_000})
@@ -599,12 +598,6 @@ def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path,
     train.run(job, PARAMS, **inputs)
     assert json.loads((job.out / "train.json").read_text())["effects"] == {}
     assert any("could not be measured: too many bad steps" in text for text in said)
-
-
-def test_a_gpu_keeps_to_its_early_stop(tmp_path, inputs):
-    assert train.Params().early_stop == T_STOP
-    with pytest.raises(StageError, match="a GPU finishes pixels"):
-        train.run(Job(tmp_path, device="cuda"), train.Params(early_stop=0.01), **inputs)
 
 
 def test_a_time_is_for_a_training_of_person_and_scene_together(tmp_path, inputs):

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stages.avatar.rasterize import blend
 from stages.avatar.rasterize import projection as kernels
-from stages.avatar.rasterize.rendering import LAYERS, NEAR, Camera, Gaussians, Layer, Rendering
+from stages.avatar.rasterize.rendering import LAYERS, NEAR, T_STOP, Camera, Gaussians, Layer, Rendering
 from stages.avatar.rasterize.tiles import tile_lists
 
 CHUNKS = 16  # ranges of rows in passes over Gaussians: fixed, so that results do not depend on the thread count
@@ -69,7 +69,7 @@ class _Rasterize(torch.autograd.Function):
             image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
             finals, stops = (np.empty((len(starts) - 1, blend.AREA), kind) for kind in (np.float32, np.int32))
             place = (starts, rows, masks, records.reshape(-1), window, ground, threads, blend.IN_X, blend.IN_Y)
-            blend.draw(*place, np.float32(layer.stop), image, alpha, depth, finals, stops)
+            blend.draw(*place, np.float32(T_STOP), image, alpha, depth, finals, stops)
             kept.append((place, finals, stops, alpha))
             pictures += [torch.from_numpy(t) for t in (image, alpha, depth)]
         ctx.kept = (*arrays[:3], view, intrinsics, width, height, antialias), radii, kept

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from stages.avatar.rasterize.rendering import BLUR, NEAR, PIXEL, T_STOP, Camera, Gaussians, Layer, Rendering
+from stages.avatar.rasterize.rendering import BLUR, NEAR, PIXEL, Camera, Gaussians, Layer, Rendering
 
 
 def rasterize(
@@ -16,11 +16,8 @@ def rasterize(
     """As `stages.avatar.rasterize.rasterize`; float32 tensors on one GPU.
 
     Each layer is a call of its own, whose Jacobian is clamped at the margin of its window, not of the whole picture.
-    gsplat compiles its kernels at the first call of an installation. ImportError if it is not installed, ValueError for
-    a layer's `stop` that is not gsplat's.
+    gsplat compiles its kernels at the first call of an installation. ImportError if it is not installed.
     """
-    if other := [layer.stop for layer in layers if layer.stop != T_STOP]:
-        raise ValueError(f"gsplat ends pixels at {T_STOP:g} of the light, not at {other[0]:g}")
     *parts, antialias = gaussians
     means, axes, opacities, colors = parts
     grad = torch.zeros(len(means), 2, device=means.device)

@@ -15,6 +15,7 @@ from stages.avatar.rasterize.rendering import (
     FRUSTUM_MARGIN,
     NEAR,
     PIXEL,
+    T_STOP,
     Camera,
     Gaussians,
     Layer,
@@ -100,8 +101,8 @@ def _draw(gaussians: Gaussians, camera: Camera, layer: Layer, near: float, grad:
         alpha = torch.where(alpha < ALPHA_MIN, 0, alpha.clamp(max=ALPHA_MAX))
         passed = torch.cumprod(1 - alpha, 1)
         before = torch.cat([torch.ones_like(passed[:, :1]), passed[:, :-1]], 1) if len(rows) else passed
-        weight = torch.where(passed > layer.stop, alpha * before, 0)
-        final = torch.where(passed > layer.stop, 1 - alpha, 1).prod(1)
+        weight = torch.where(passed > T_STOP, alpha * before, 0)
+        final = torch.where(passed > T_STOP, 1 - alpha, 1).prod(1)
         drawn.append(torch.cat([weight @ colors[rows], weight @ local[:, 2:], final[:, None]], 1))
     picture = torch.cat(drawn).reshape(bottom - top, right - left, 5)
     image, depth, final = picture[..., :3], picture[..., 3], picture[..., 4]

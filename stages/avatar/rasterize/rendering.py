@@ -68,13 +68,12 @@ class Camera(NamedTuple):
 
 class Layer(NamedTuple):
     """One picture of a call: which Gaussians (rows[N] bool, None = all), which window of the camera's picture
-    (left, top, right, bottom) px (None = all of it), over which background[3] (None = black), and `stop`, see T_STOP.
+    (left, top, right, bottom) px (None = all of it), and over which background[3] (None = black).
     """
 
     rows: Tensor | None = None
     window: tuple[int, int, int, int] | None = None
     background: Tensor | None = None
-    stop: float = T_STOP
 
 
 @dataclass

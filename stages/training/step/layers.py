@@ -110,7 +110,7 @@ def layers_of(
     """
     layers: dict[str, Layer] = {}
     if scene is not None:
-        layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K), stop=params.early_stop)
+        layers["all"] = Layer(background=torch.rand(3, generator=generator).to(K))
     counts = [len(figure.splats.means) for figure in figures]
     people, first = sum(counts), 0
     row = torch.arange(people + (0 if scene is None else len(scene.means)), device=K.device)
@@ -119,9 +119,9 @@ def layers_of(
         box = person_box(figure.mask, means.detach(), viewmat, K)
         if params.human_loss:
             own = (first <= row) & (row < first + n)
-            layers[alone(k)] = Layer(own, box, torch.rand(3, generator=generator).to(K), params.early_stop)
+            layers[alone(k)] = Layer(own, box, torch.rand(3, generator=generator).to(K))
         if scene is not None and scene.means.requires_grad:
             before = torch.cat([row[:people] < 0, foreground_occluders(scene, means, viewmat, K, width, height)])
-            layers[occluders(k)] = Layer(before, box, stop=params.early_stop)
+            layers[occluders(k)] = Layer(before, box)
         first += n
     return layers

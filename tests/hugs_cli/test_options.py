@@ -1,0 +1,151 @@
+"""The options that commands share, and those that a run keeps for the commands on its results."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from hugs_cli import app, options
+from hugs_cli.cache.workspace import OPTIONS
+from hugs_cli.console import Console
+from hugs_cli.options import RunOptions
+from hugs_cli.pipelines import UsageError
+from tests.made.flow import Flow
+
+CLIP = Path("clip.mp4")
+
+
+@pytest.mark.parametrize("command", ["run", "status", "why", "accept", "ablate", "costs"])
+def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
+    opened = []
+
+    def refuse(given, video):
+        opened.append((given, video))
+        raise UsageError("enough")
+
+    monkeypatch.setattr(RunOptions, "session", refuse)
+    names = ["set", "masks", "person", "cameras", "smpl-fit", "body-model", "pipeline", "work", "pipelines-file"]
+    CliRunner().invoke(app.app, [command, "clip.mp4", "--seed=7", *(f"--{name}={name}" for name in names)])
+    paths = (Path(name) for name in ("cameras", "smpl-fit", "body-model"))
+    places = "pipeline", Path("work"), Path("pipelines-file")
+    assert opened == [(RunOptions(["set"], Path("masks"), "person", *paths, 7, *places), CLIP)]
+
+
+def test_a_pipelines_name_has_no_such_seed_either(tmp_path):
+    for seed in (2**63, "9" * 5_000):
+        with pytest.raises(UsageError, match=r"no such seed|no variant"):
+            RunOptions(pipeline=f"default.seed{seed}").session(tmp_path / "clip.mp4")
+    largest = 2**63 - 1
+    assert RunOptions(pipeline=f"default.seed{largest}").session(tmp_path / "clip.mp4").seeds["train"] == largest
+
+
+def test_the_largest_seeds_can_be_used():
+    """Numpy and torch take them, also those that a study counts up to."""
+    for seed in (0, options.MAX_SEED, options.MAX_SEED + 1000):
+        assert torch.Generator().manual_seed(seed).initial_seed() == seed
+        np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="session")
+def ran(tmp_path_factory) -> Flow:
+    """A clip after a run with masks, a seed and a setting; to be copied."""
+    flow = Flow(tmp_path_factory.mktemp("ran"))
+    (flow.folder / "masks.txt").write_text("outlines")
+    flow.hugs("--masks", "masks.txt", "--seed", "3", "--set", "two.word=b")
+    return flow
+
+
+@pytest.fixture
+def kept(ran, tmp_path) -> Flow:
+    """A fresh copy of it, which stands where the run stood."""
+    flow = ran.copied(tmp_path)
+    file = flow.work / "clip/default" / OPTIONS
+    file.write_text(file.read_text().replace(str(ran.folder), str(tmp_path)))
+    return flow
+
+
+def states(flow: Flow, *args: str) -> tuple[set[str], str]:
+    """The states of all stages, and what was said beside them."""
+    out, err = flow.hugs(*args, "--json", command="status")
+    return {row["state"] for row in json.loads(out)}, err
+
+
+@pytest.mark.slow
+def test_commands_on_results_take_the_options_of_the_run(kept):
+    found, said = states(kept)
+    assert found == {"fresh"}
+    assert said == "with the options of the last run of default: --set two.word=b --masks masks.txt --seed 3\n"
+    assert "three is fresh" in kept.hugs("three", command="why")[0]
+    kept.edit("helper", "[:10_000]", "[:10_001]")
+    assert kept.hugs(command="accept")[0].count("accepted: ") == 4
+    assert list(kept.ran("--masks", "masks.txt", "--seed", "3", "--set", "two.word=b")) == []
+
+
+@pytest.mark.slow
+def test_other_options_take_the_place_of_the_runs_and_are_said(kept):
+    found, said = states(kept, "--seed", "0", "--set", "four.word=d")
+    assert "stale" in found and said == (
+        "other options than the last run of default (--set two.word=b --masks masks.txt --seed 3): "
+        "--set four.word=d --seed 0\n"
+    )
+    same = ("--seed", "3", "--set", "two.word=b", "--masks", str(kept.folder / "masks.txt"))
+    assert states(kept, *same) == ({"fresh"}, "")
+    assert list(kept.ran()) == ["one", "two", "three", "four"], "a run takes what it is given"
+    assert states(kept) == ({"fresh"}, ""), "and that is kept"
+
+
+@pytest.mark.slow
+def test_an_older_work_folder_has_no_options_and_broken_ones_are_not_taken(kept):
+    file = kept.work / "clip/default" / OPTIONS
+    whole = json.loads(file.read_text())
+    broken = [b"", b"[]", b"[" * 100_000, b'{"seed": "3"}', json.dumps(whole | {"seed": -1}).encode(), b'{"masks": 1}']
+    broken += [json.dumps(whole | {"pipelines_file": "/tmp/theirs.yaml"}).encode(), b'{"set_": [1]}', b"\xff"]
+    for content in [*broken, json.dumps(whole | {"person": "x" * options.LARGEST}).encode()]:
+        file.write_bytes(content)
+        given = RunOptions(work=kept.work)
+        said = io.StringIO()
+        assert given.of_last_run(CLIP, Console(err=said)) == given
+        assert said.getvalue().startswith("the options of the last run of default cannot be read and are not taken: ")
+    file.unlink()
+    os.mkfifo(file)
+    assert "stale" in states(kept)[0]
+    file.unlink()
+    found, said = states(kept)
+    assert "stale" in found and said == ""
+
+
+@pytest.mark.slow
+def test_hostile_options_name_no_code_and_obey_no_terminal(kept):
+    file = kept.work / "clip/default" / OPTIONS
+    hostile = json.loads(file.read_text()) | {"masks": "/nowhere/\x1b[31mred\x00"}
+    file.write_text(json.dumps(hostile))
+    _, err = kept.hugs(command="status", code=2)
+    assert "\x1b" not in err and "no file for --masks at /nowhere/\\x1b[31mred\\x00" in err
+    file.write_text(json.dumps(hostile | {"masks": str(kept.folder)}))
+    assert "results would be written into" in kept.hugs(command="status", code=2)[1]
+    file.write_text(json.dumps(hostile | {"set_": ["two.word=\x1b[2J"]}))
+    assert "control characters are not allowed" in kept.hugs(command="status", code=2)[1]
+
+
+@pytest.mark.slow
+def test_the_only_pipeline_with_results_is_taken_and_said(made):
+    links = made.work / "clip"
+    (links / "default").rename(links / "other")
+    for hostile in ("\x1b[31m", "-p", "Other"):
+        (links / hostile).mkdir()
+    assert states(made)[1] == "pipeline other, the only one with results of clip.mp4\n"
+    said = io.StringIO()
+    for stages, name in (((), "other"), (("one",), "other"), (("one", "export"), "default")):
+        assert options.pipeline_of(CLIP, made.work, None, Console(err=said), *stages) == name
+    assert options.pipeline_of(CLIP, made.work, "draft", Console(err=said)) == "draft"
+    (links / "other.10m").mkdir()
+    (links / "other.10m/one").symlink_to("../other/one")
+    assert options.pipeline_of(CLIP, made.work, None, Console(err=said)) == "default"
+    assert said.getvalue().count("\n") == 2
