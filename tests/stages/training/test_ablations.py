@@ -61,7 +61,7 @@ def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch
 @pytest.mark.slow
 def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
     free, decoded = fit_of(clip, 80, triplane=False), fit_of(clip, 80)
-    for a, b in zip(free.people[0].human()[0], decoded.human()[0], strict=True):
+    for a, b in zip(free.people[0].human()[0], decoded.people[0].human()[0], strict=True):
         assert torch.equal(a, b)
     numbers = run(free, 80)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
