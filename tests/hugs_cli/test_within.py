@@ -234,8 +234,8 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
 def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
     monkeypatch.setattr(within, "share", lambda: given)
     monkeypatch.syspath_prepend(clip.folder)
-    given = options.RunOptions(pipeline="tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml")
-    session = given.session(clip.folder / "clip.mp4")
+    run = options.RunOptions(pipeline="tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml")
+    session = run.session(clip.folder / "clip.mp4")
     promise = within.Promise(session, list(session.pipeline.stages), 60)
     guess = promise._guess(frozenset(), begun=False)
     assert guess["share"] == given and guess["before"] == pytest.approx(STAGE_START / given, abs=0.06)

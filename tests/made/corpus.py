@@ -313,7 +313,7 @@ def write_arrays(root: Path, rng: np.random.Generator) -> None:
     write_gaussians(root, Scene(*(part.astype(np.float32) for part in look)), rng)
     write_effects(
         root / "effects.npz",
-        Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, np.zeros((24, 3)), np.zeros((24, 3, 3)), 0.5, -0.3),
+        Effects([0.6, 0.8, 0.0], 0.5, 0.03, 1.4, 0.6, 0.5, -0.3),
     )
     weights = np.eye(24)[rng.integers(0, 24, rows)]
     rest = (weights, rng.normal(size=(24, 3)), np.arange(-1, 23), np.zeros(10), np.zeros(69))

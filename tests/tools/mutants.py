@@ -463,8 +463,8 @@ MUTANTS = (
     Mutant(
         "a checkpoint that survives --force",
         "hugs_cli/cache/engine.py",
-        "stage.resumes and Forced() not in reasons and not any(",
-        "stage.resumes and not any(",
+        "        and Forced() not in verdict.reasons\n        and not any(",
+        "        and not any(",
         "tests/hugs_cli/cache/test_engine.py::force_discards_what_a_stage_would_go_on_from",
     ),
     Mutant(
@@ -603,7 +603,7 @@ MUTANTS = (
     Mutant(
         "L08 masks of any number of pixels",
         "stages/formats/given_masks/coco.py",
-        'budget.spend(images[image][1] * images[image][2], f"the mask of annotation {i}, a byte a pixel,")',
+        'budget.spend(image.height * image.width, f"the mask of annotation {i}, a byte a pixel,")',
         "pass",
         "tests/stages/formats/given_masks/test_coco.py::masks_together_larger_than_any_clip_are_refused",
     ),
