@@ -156,8 +156,8 @@ def main() -> None:
     sights = {view: lens.viewmat[:3, :3].T @ (lens.viewmat @ middle)[:3] for view, lens in lenses.items()}
     body, (who,) = learned.body, cast.people
     for moved in (False, True):
-        transl = body.transl + moved * (hips.true / hips.scale - hips.ours)
-        person = PosedAvatar.of(who.avatar, body.global_orient, body.body_pose, transl)
+        apart = hips.true / hips.scale - hips.ours if moved else 0
+        person = PosedAvatar.of(who.avatar, body.global_orient, body.body_pose, body.transl + apart)
         alone = cast._replace(people=[person], scene=None, speeds=None)
         for view in VIEWS:
             angle = angle_between(sights[view], sights[VIEWS[0]])

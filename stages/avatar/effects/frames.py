@@ -61,10 +61,6 @@ class FrameEffects(nn.Module):
         """Whether frames have motion blur."""
         return self.shutter is not None
 
-    def swing(self, clothing: Clothing, body_pose: Tensor) -> Tensor | None:
-        """How far the bones of somebody's clothes turn and shift [K,6] in the pose [69]; None: they follow the skeleton."""
-        return None if self.clothes is None else clothing.swing(body_pose)
-
     def prior(self) -> Tensor | float:
         """The regularizer of the effects, part of a step's loss."""
         parts = (*(self.clothes or ()), self.shading)
