@@ -12,7 +12,7 @@ import torch
 
 from stages import records
 from stages.avatar.body.smpl import Body
-from stages.avatar.drawing.avatar import Baked, bones_of, load_avatar, posed_by
+from stages.avatar.drawing.avatar import Baked, PosedAvatar, load_avatar
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.effects.shadow import Casters
 from stages.avatar.motion.formulas import MOTIONS
@@ -77,16 +77,7 @@ class Actor:
 
     def cloth(self, picture: int) -> torch.Tensor:
         """The bones of their clothes [K,4,4] that a picture shows."""
-        return self.bones[self.row(picture), len(self.baked.parents) :]
-
-    def splats(self, picture: int) -> Splats:
-        """Their Gaussians in the film's world, in even light."""
-        transl = torch.as_tensor(self.transl[self.row(picture)]).to(self.baked.joints)
-        shown = posed_by(self.baked, self.bones[self.row(picture)], transl)
-        if self.scale == 1:
-            return shown
-        about = torch.as_tensor(self.place).to(shown.means)
-        return shown._replace(means=about + self.scale * (shown.means - about), axes=self.scale * shown.axes)
+        return self.posed.bones[self.row(picture), len(self.baked.parents) :]
 
     def shown(self, picture: int) -> bool:
         """Always: a person of a film is in all its pictures."""
@@ -95,13 +86,19 @@ class Actor:
     def means(self, picture: int) -> None:
         """Not known: a film's pictures have no motion blur."""
 
+    def splats(self, picture: int) -> Splats:
+        """Their Gaussians in the film's world, in even light."""
+        shown = self.posed.splats(self.row(picture))
+        if self.scale == 1:
+            return shown
+        about = torch.as_tensor(self.place).to(shown.means)
+        return shown._replace(means=about + self.scale * (shown.means - about), axes=self.scale * shown.axes)
+
     def casters(self, picture: int) -> Casters:
         """What casts their shadow."""
-        assert self.baked.casters is not None, "`cast` sees to it"
-        transl = torch.as_tensor(self.transl[self.row(picture)]).to(self.baked.joints)
-        posed = self.baked.casters.posed(self.bones[self.row(picture), : len(self.baked.parents)], transl)
-        about = torch.as_tensor(self.place).to(posed.middles)
-        return Casters(about + self.scale * (posed.middles - about), self.scale**2 * posed.covariances)
+        middles, covariances = self.posed.casters(self.row(picture))
+        about = torch.as_tensor(self.place).to(middles)
+        return Casters(about + self.scale * (middles - about), self.scale**2 * covariances)
 
     def joints(self, pictures: Sequence[int]) -> np.ndarray:
         """Joints [N,24,3] m in the film's world."""
@@ -115,10 +112,9 @@ class Actor:
         return float(left), float(forward)
 
     @cached_property
-    def bones(self) -> torch.Tensor:
-        """All bones [P,J,4,4] at each pose of the motion, of the skeleton and of clothes."""
-        orient, pose = (torch.as_tensor(part).to(self.baked.joints) for part in (self.global_orient, self.body_pose))
-        return bones_of(self.baked, orient, pose)
+    def posed(self) -> PosedAvatar:
+        """The person in each pose of the motion, as large as they are."""
+        return PosedAvatar.of(self.baked, self.global_orient, self.body_pose, self.transl)
 
 
 def cast(person: Person, name: str, ground: records.Ground, fps: float, device: str) -> Actor:

@@ -17,16 +17,17 @@ from stages.avatar.effects.speeds import Speeds
 from stages.avatar.model.scene import load_scene
 from stages.avatar.motion.placing import SOLID
 from stages.formats.clip import Clip, load_people
-from stages.formats.trained import read_trained
+from stages.formats.splats import read_avatar
+from stages.formats.trained import read_trained, trained_of
 from stages.records import Avatar, BodyModel, Ground, Rig
 
 
 def load_cast(sfm: Path, smpl: Path, train: Path, device: str) -> tuple[list[Clip], Cast[PosedAvatar]]:
     """The clip with the body of each of its people, and the people as training left them, in the same order."""
     clips = load_people(sfm, smpl, train)
-    given = [read_trained(train, clip.person) for clip in clips]
-    people = [posed_as(clip, avatar, device) for clip, (avatar, _, _) in zip(clips, given, strict=True)]
-    _, scene, learned = given[0]
+    avatar, scene, learned = read_trained(train)
+    avatars = [avatar, *(read_avatar(trained_of(train, clip.person) / "avatar.npz") for clip in clips[1:])]
+    people = [posed_as(*one, device) for one in zip(clips, avatars, strict=True)]
     effects, clip, speeds = load_effects(learned).to(device), clips[0], None
     if effects.takes_time:
         Ks = torch.as_tensor(clip.Ks).to(people[0].transl)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, read_npz, take
-from stages.formats.given_fits.tool_pickles import read_named
+from stages.formats.tool_pickles import read_named
 from stages.records import BETAS, JOINTS, BodyModel
 
 FREE_BODY = Path(__file__).parent.parent / "estimators" / "free_body.npz"

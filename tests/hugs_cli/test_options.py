@@ -106,7 +106,7 @@ def test_an_older_work_folder_has_no_options_and_broken_ones_are_not_taken(kept)
     file = kept.work / "clip/default" / OPTIONS
     whole = json.loads(file.read_text())
     broken = [b"", b"[]", b"[" * 100_000, b'{"seed": "3"}', json.dumps(whole | {"seed": -1}).encode(), b'{"masks": 1}']
-    broken += [json.dumps(whole | {"pipelines_file": "/tmp/theirs.yaml"}).encode(), b'{"set_": [1]}', b"\xff"]
+    broken += [json.dumps(whole | {"pipelines_file": "theirs.yaml"}).encode(), b'{"set_": [1]}', b"\xff"]
     for content in [*broken, json.dumps(whole | {"person": "x" * options.LARGEST}).encode()]:
         file.write_bytes(content)
         given = RunOptions(work=kept.work)

@@ -79,6 +79,8 @@ def _compare(
     stays, goes = moved < limit, moved > 3 * limit
     cell = (corners / size * CELLS).astype(int) @ [1, CELLS]
     share = [stays[cell == i].mean() for i in np.unique(cell) if (cell == i).sum() >= CELLS]
+    if not share:
+        return None
     mean = ((there - corners)[goes] / moved[goes, None]).mean(0) if goes.sum() >= FEW else np.zeros(2)
     drift = float(np.median(moved[stays])) if stays.any() else 0.0
     return float(np.mean(share)), float(np.mean(np.array(share) >= STAYS)), float(np.linalg.norm(mean)), drift

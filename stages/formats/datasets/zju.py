@@ -18,9 +18,9 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, take
 from stages.formats.datasets.capture import Capture, Shot, require
-from stages.formats.given_fits.tool_pickles import read_named
 from stages.formats.given_masks.values import read_values
 from stages.formats.images import read_pixels
+from stages.formats.tool_pickles import read_named
 
 MASKS = ("mask", "mask_cihp")
 PARAMS = ("new_params", "params")

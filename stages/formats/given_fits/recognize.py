@@ -24,8 +24,8 @@ from stages.formats.given_fits.easymocap import read_easymocap
 from stages.formats.given_fits.npz import TRANSL, read_plain
 from stages.formats.given_fits.people import read_phalp, read_romp
 from stages.formats.given_fits.record import SmplFit, join_fits
-from stages.formats.given_fits.tool_pickles import read_tool_file
 from stages.formats.given_fits.video import read_gvhmr, read_tram, read_wham
+from stages.formats.tool_pickles import read_tool_file
 
 HINT = (
     "a fit is an .npz with betas, global_orient, body_pose and transl, or what 4D-Humans, ROMP, WHAM, GVHMR, TRAM or "

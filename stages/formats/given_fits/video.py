@@ -14,7 +14,7 @@ import numpy as np
 
 from stages.contract import StageError
 from stages.formats.given_fits.record import OTHER_SHAPE, SMPLX_PELVIS, Fields, SmplFit, join_fits, same_picture
-from stages.formats.given_fits.tool_pickles import read_tool_file
+from stages.formats.tool_pickles import read_tool_file
 
 WHAM_HINT = "give wham_output.pkl, as `python demo.py --save_pkl` of WHAM writes it"
 GVHMR_HINT = "give hmr4d_results.pt, as tools/demo/demo.py of GVHMR writes it"

@@ -27,9 +27,9 @@ from stages.contract import StageError
 from stages.formats.arrays import as_array, checked, npz_names, read_npz, take
 from stages.formats.body_model import SMPL
 from stages.formats.budget import check_count
-from stages.formats.given_fits.tool_pickles import read_tool_file
 from stages.formats.motions.rates import usual_rate
 from stages.formats.poses import whose
+from stages.formats.tool_pickles import read_tool_file
 
 HINT = (
     "an SMPL motion needs trans or transl [F,3] and poses [F,72] (AMASS: 156 or 165), or global_orient [F,3] (root_orient) "

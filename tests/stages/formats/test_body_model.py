@@ -11,7 +11,7 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.body_model import FREE_BODY, read_body_model, write_body_model
-from stages.formats.given_fits.tool_pickles import read_named
+from stages.formats.tool_pickles import read_named
 from tests.made.skeleton import PARENTS
 
 V = 40

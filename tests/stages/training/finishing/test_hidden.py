@@ -179,6 +179,15 @@ def test_what_is_farther_and_seen_from_elsewhere_is_kept():
     assert len(away) >= (painted > 5).sum()
 
 
+def test_a_hole_is_as_deep_as_what_is_around_it_whatever_floats_there():
+    scene, views = wall([0.0])
+    behind = (scene.means[:, 0].abs() < 0.3) & (scene.means[:, 1].abs() < 0.7)
+    there = scene.means.detach()[behind] * torch.tensor([0.75, 0.75, 0.75])
+    scene.exchange(torch.zeros(len(scene), dtype=torch.bool), there, stripes(there), torch.full((len(there),), 0.03))
+    hole, inverse = never_seen(scene.splats().detach(), views, 0, [0], cast_of())
+    assert hole.sum() > 500 and abs(1 / inverse[hole] - AWAY).max() < 0.05
+
+
 @pytest.mark.parametrize("antialias", [False, True])
 def test_what_fills_a_hole_is_opaque(antialias):
     scene, views = wall([0.0, 0.02])

@@ -16,7 +16,7 @@ import torch
 
 from stages.contract import StageError
 from stages.formats.budget import Budget
-from stages.formats.given_fits.tool_pickles import OLD_TORCH, read_tool_file
+from stages.formats.tool_pickles import OLD_TORCH, read_tool_file
 from tests.made.fits import joblib_dump
 
 TYPES = (torch.float64, torch.float32, torch.float16, torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8)
