@@ -22,17 +22,14 @@ from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished
 from hugs_cli.cache.launcher import Launcher, Outcome
 from hugs_cli.cache.workspace import (
     LOG,
-    OPTIONS,
     OURS,
     STAMP,
     Accepted,
     FileFacts,
     Machine,
     Stamp,
-    read_json,
     remove,
     seal,
-    write_json,
 )
 from hugs_cli.console import Console
 from hugs_cli.direct import StageFailed, failed
@@ -69,9 +66,7 @@ def run(session: Session, wanted: list[str], forced: frozenset[str], device: str
     ran: list[Ran] = []
     stages = [session.pipeline.stages[name] for name in wanted]
     with session.workspace.lock(console.waiting) as lock, closing(Launcher(lock)) as launcher:
-        kept = session.workspace.links / OPTIONS
-        if session.options and read_json(kept) != session.options:
-            write_json(kept, session.options)
+        session.workspace.keep_options(session.options)
         for stage, after in zip_longest(stages, stages[1:]):
             name = stage.name
             verdict = session.verdict(stage, done, name in forced)

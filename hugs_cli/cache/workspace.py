@@ -165,6 +165,12 @@ class Workspace:
         name = result_behind(self.links / stage)
         return self.store / name if name else None
 
+    def keep_options(self, options: dict[str, Any]) -> None:
+        """Keep the options of the pipeline's last run beside its results; nothing where there are none."""
+        if options and read_json(self.links / OPTIONS) != options:
+            self.links.mkdir(exist_ok=True)
+            write_json(self.links / OPTIONS, options)
+
     def link(self, stage: str, folder: Path) -> None:
         """Point this pipeline's link at a result, in one step."""
         self.links.mkdir(exist_ok=True)
