@@ -9,7 +9,7 @@ import shutil
 
 import pytest
 
-from hugs_cli.cache.workspace import Workspace, read_json, write_json
+from hugs_cli.cache.workspace import OPTIONS, Workspace, read_json, write_json
 from hugs_cli.pipelines import UsageError
 from tests.made.flow import ALL, WHOLE
 
@@ -89,6 +89,16 @@ def test_a_small_file_is_replaced_in_one_step(tmp_path):
         write_json(path, {"a": 2})
         assert reader.read().split() == ["{", '"a":', "1", "}"], "who reads the old file reads it whole"
     assert read_json(path) == {"a": 2} and os.listdir(tmp_path) == ["stamp.json"]
+
+
+def test_options_are_kept_in_a_folder_that_no_run_has_made_yet(tmp_path):
+    """As of the variants of `hugs ablate` and of sweeps."""
+    Workspace(tmp_path / "clip.mp4", tmp_path / "work", "default").create()
+    variant = Workspace(tmp_path / "clip.mp4", tmp_path / "work", "default.no_lbs")
+    variant.keep_options({})
+    assert not variant.links.exists()
+    variant.keep_options({"seed": 3})
+    assert read_json(variant.links / OPTIONS) == {"seed": 3}
 
 
 def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
