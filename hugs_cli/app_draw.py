@@ -77,7 +77,7 @@ def render(
     )
     only = options.Only.human if avatar and not scene else only
     inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
-    run_directly("stages.views", job, {"only": only.value, "who": who}, **inputs)
+    run_directly("stages.commands.views", job, {"only": only.value, "who": who}, **inputs)
     console.result(words.relative(out))
 
 

@@ -13,7 +13,7 @@ from hugs_cli.console import Console
 from hugs_cli.direct import run_directly
 from stages.contract import Job, StageError
 
-MODULE = "stages.demo"
+MODULE = "stages.commands.demo"
 
 
 def synthetic_clip(work: Path, seed: int, console: Console) -> Path:

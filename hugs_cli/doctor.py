@@ -117,7 +117,7 @@ def models() -> list[Finding]:
         hint = HINTS.get(event["name"], "hugs doctor --fetch")
         found.append(Finding(event["name"], event["here"], event["why"], hint))
 
-    run_directly("stages.models", Job(Path(), emit=heard))
+    run_directly("stages.commands.models", Job(Path(), emit=heard))
     return found
 
 
@@ -128,4 +128,4 @@ def fetch_missing(say: Callable[[str], None]) -> None:
         if event["event"] == "note":
             say(event["text"])
 
-    run_directly("stages.models", Job(Path(), emit=heard), {"fetch": True})
+    run_directly("stages.commands.models", Job(Path(), emit=heard), {"fetch": True})

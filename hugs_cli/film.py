@@ -1,4 +1,4 @@
-"""film.yaml -> the settings of stages/compose.py: known keys, paths from the file's own folder, runs that are finished."""
+"""film.yaml -> the settings of stages/commands/compose.py: known keys, paths from the file's own folder, runs that are finished."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hugs_cli.cache.workspace import Stamp
 from hugs_cli.pipelines import UsageError, document, unknown
 from stages.contract import Params, load_stage
 
-MODULE = "stages.compose"
+MODULE = "stages.commands.compose"
 STAGES = ("train", "smpl", "sfm", "frames")  # of a run that a person, or a scene with `survey`, is taken from
 HINT = "`hugs compose --init RUN RUN` writes one to begin with"
 INTERNAL = ("keep", "code")

@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("stages", "hugs_cli")
 HOUSES = ("avatar", "training", "estimators", "formats", "synthetic", "filming")
+BELOW = ("commands", "records", "contract")  # what stages may import beside the houses
 LONGEST = 350  # lines
 TABLES: set[str] = set()  # files that are long because they are lists
 KERNELS = ("njit", "jit", "intrinsic", "overload", "vectorize")  # decorators of functions that numba gives their types
@@ -81,6 +82,18 @@ def test_circles_are_found():
 def test_nobody_imports_in_a_circle():
     found = circles(graph())
     assert not found, "\n".join(map(str, found))
+
+
+def is_stage(name: str) -> bool:
+    """A stage of the flow or of a command, or the front for scripts: what stands on top of the houses."""
+    house, _, module = name.replace("stages.commands.", "stages.").partition(".")
+    return house == "stages" and bool(module) and "." not in module and module not in (*HOUSES, *BELOW)
+
+
+def test_nobody_imports_a_stage():
+    """Stages exchange files, and are loaded by name."""
+    assert sum(map(is_stage, SOURCES)) > 15 and is_stage("stages.train") and is_stage("stages.commands.views")
+    assert [(name, one) for name, targets in graph().items() for one in targets if is_stage(one)] == []
 
 
 def test_the_product_imports_no_test():

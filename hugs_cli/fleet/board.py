@@ -158,7 +158,7 @@ def totals(rows: Sequence[dict[str, Any]], side_by_side: int) -> dict[str, Any]:
 def write(work: Path, name: str, rows: Sequence[dict[str, Any]], total: dict[str, Any], live: bool) -> None:
     """Write NAME.html and NAME.csv into the work folder, each whole and in one step."""
     inputs = {"name": name, "rows": rows, "totals": total, "live": live}
-    run_directly("stages.fleet_page", Job(work), None, **inputs)
+    run_directly("stages.commands.fleet_page", Job(work), None, **inputs)
     text = io.StringIO()
     table = csv.DictWriter(text, CSV, extrasaction="ignore", lineterminator="\n")
     table.writeheader()

@@ -15,5 +15,5 @@ def write(folder: Path, name: str, title: str, result: dict[str, Any]) -> Path:
     """Write NAME.svg, NAME.png and NAME.html into the folder; returns the path of the page."""
     regions = {region: REGIONS[region] for region in measured([row["scores"] for row in result["rows"]])}
     inputs = {"result": result, "regions": regions, "table": table(result)}
-    run_directly("stages.costs_page", Job(folder), {"name": name, "title": title}, **inputs)
+    run_directly("stages.commands.costs_page", Job(folder), {"name": name, "title": title}, **inputs)
     return folder / f"{name}.html"

@@ -37,7 +37,7 @@ def test_any_error_of_a_stage_that_runs_here_is_said(monkeypatch, kind):
 
     monkeypatch.setattr(direct, "load_stage", lambda name: SimpleNamespace(params=Params, run=fail))
     with pytest.raises(StageError) as caught:
-        run_directly("stages.compose", Job(Path()))
+        run_directly("stages.commands.compose", Job(Path()))
     assert problem in caught.value.problem and hint in caught.value.hint
     assert bool(getattr(caught.value, "traceback", "")) == (kind in ("bug", "deep"))
 
@@ -69,7 +69,7 @@ def test_a_request_to_stop_is_no_error_that_a_stage_could_swallow(monkeypatch):
 
     monkeypatch.setattr(direct, "load_stage", lambda name: SimpleNamespace(params=Params, run=careless))
     with pytest.raises(RunStopped):
-        run_directly("stages.compose", Job(Path()))
+        run_directly("stages.commands.compose", Job(Path()))
 
 
 @pytest.mark.parametrize(

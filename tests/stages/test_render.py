@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages import views
+from stages.commands import views
 from stages.contract import Job, StageError
 from stages.formats.cameras import write_cameras
 from stages.formats.images import read_pixels

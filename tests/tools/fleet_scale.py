@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages import fleet_page
+from stages.commands import fleet_page
 from stages.contract import Job
 from stages.formats.images import write_image
 from tests.made.devtools import Page

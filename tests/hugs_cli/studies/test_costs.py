@@ -11,7 +11,7 @@ import pytest
 
 from hugs_cli.studies import costs, costs_page
 from hugs_cli.studies.comparison import METRICS, REGIONS
-from stages import costs_page as drawing
+from stages.commands import costs_page as drawing
 from stages.contract import StageError
 from stages.formats.images import read_image
 from tests.made.browser import probe

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from hugs_cli.studies import sweep as sweeps
-from stages import costs_page
+from stages.commands import costs_page
 from stages.formats.plot import Dot
 from tests.made.studies import TRAIN
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages import compose
-from stages.compose import names_of
+from stages.commands import compose
+from stages.commands.compose import names_of
 from stages.contract import Job
 from stages.filming import outputs
 from stages.filming.cameras import cameras_of

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from stages.compose import Params, run
+from stages.commands.compose import Params, run
 from stages.contract import Job, StageError
 
 ONE = {"avatar": "nobody.npz", "motion": "wave"}

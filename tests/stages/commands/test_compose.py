@@ -9,8 +9,9 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from stages import compose, export
+from stages import export
 from stages.avatar.motion.formulas import MOTIONS
+from stages.commands import compose
 from stages.contract import Job, StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras

@@ -8,7 +8,7 @@ import os
 import numpy as np
 import pytest
 
-from stages import fleet_page
+from stages.commands import fleet_page
 from stages.contract import Job
 from stages.formats.images import write_image
 from tests.made import browser
