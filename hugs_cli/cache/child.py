@@ -33,6 +33,7 @@ LIBRARIES = {
     "pycolmap": "pycolmap",
     "cv2": "opencv-contrib-python-headless",
     "OpenImageIO": "OpenImageIO",
+    "PIL": "pillow",
     "av": "av",
     "trimesh": "trimesh",
     "ai_edge_litert": "ai-edge-litert",

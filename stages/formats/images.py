@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -9,10 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import OpenImageIO as oiio
+from PIL import Image, ImageCms
 
 from stages.contract import StageError
 from stages.formats.budget import Budget
 
+SRGB = ImageCms.createProfile("sRGB")
+PATCHES = np.stack(np.meshgrid(*[np.arange(0, 256, 51, dtype=np.uint8)] * 3), -1).reshape(12, 18, 3)
+ROUNDING = 2  # of 255, by which all PATCHES differ at most: the profile is one of sRGB, and the picture stays as it is
 KEPT = 1 << 28  # bytes of pictures that `Kept` holds
 # Each byte is written as its difference to a guess from its neighbours, and only runs are packed: less than half of the
 # time of zlib's search at level 3, and photos are as small.
@@ -27,9 +32,14 @@ TURNS, MIRRORED = {3: 2, 4: 2, 5: -1, 6: -1, 7: 1, 8: 1}, (2, 4, 5, 7)
 def read_pixels(path: Path) -> np.ndarray:
     """Read any picture OpenImageIO knows as [H,W,channels] upright: uint8 or uint16 as stored, anything else float32.
 
-    Raises StageError for a missing, unknown or damaged file, and for a size that no phone's picture has; a file cut short
-    is never returned with made-up rows.
+    Colours are as stored: see `read_image`. Raises StageError for a missing, unknown or damaged file, and for a size that no
+    phone's picture has; a file cut short is never returned with made-up rows.
     """
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[np.ndarray, bytes]:
+    """The pixels, and the colour profile that the file has; empty without one."""
     if not Path(path).is_file():
         raise StageError(f"no picture at {path}", "check the path")
     if (name := os.fsencode(path).decode(errors="replace")) != str(path):
@@ -52,7 +62,9 @@ def read_pixels(path: Path) -> np.ndarray:
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     stored = spec.get_int_attribute("Orientation", 1)
     upright = np.rot90(pixels, TURNS.get(stored, 0))
-    return np.ascontiguousarray(upright[:, ::-1] if stored in MIRRORED else upright)
+    profile = spec.getattribute("ICCProfile")
+    packed = b"" if profile is None else np.asarray(profile).tobytes()
+    return np.ascontiguousarray(upright[:, ::-1] if stored in MIRRORED else upright), packed
 
 
 class Kept:
@@ -74,11 +86,12 @@ class Kept:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Read a picture as uint8 [H,W,3] upright; grey is repeated, alpha is left out, 16 bit and float are rounded.
+    """Read a picture as uint8 [H,W,3] upright, in sRGB; grey is repeated, alpha is left out, 16 bit and float are rounded.
 
-    Raises StageError as `read_pixels` does, and for pixels that are not finite: as bytes they would be black.
+    Colours of another profile, as Display P3 of a phone, become sRGB; without one they are sRGB. Raises StageError as
+    `read_pixels` does, for a profile that cannot be read, and for pixels that are not finite: as bytes they would be black.
     """
-    pixels = read_pixels(path)
+    pixels, profile = _read(path)
     if not np.isfinite(pixels).all():
         count = int((~np.isfinite(pixels)).any(-1).sum())
         facts = [f"{count} of {pixels.shape[0] * pixels.shape[1]} pixels"]
@@ -88,8 +101,28 @@ def read_image(path: Path) -> np.ndarray:
     if pixels.dtype != np.uint8:
         top = 65535.0 if pixels.dtype == np.uint16 else 1.0
         pixels = np.rint(pixels.clip(0, top) * (255.0 / top)).astype(np.uint8)
-    color = pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1]
-    return np.ascontiguousarray(np.broadcast_to(color, (*pixels.shape[:2], 3)))
+    if pixels.shape[2] >= 3:
+        color = np.ascontiguousarray(pixels[..., :3])
+        return _srgb(path, color, profile) if profile else color
+    return np.ascontiguousarray(np.broadcast_to(pixels[..., :1], (*pixels.shape[:2], 3)))
+
+
+def _srgb(path: Path, pixels: np.ndarray, profile: bytes) -> np.ndarray:
+    """Pixels uint8 [H,W,3] of an ICC profile, in sRGB. A profile for grey or for inks is not of these pixels, and is left out."""
+    try:
+        known = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if known.profile.xcolor_space.strip() != "RGB":
+            return pixels
+        way = ImageCms.buildTransform(known, SRGB, "RGB", "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC)
+        same = np.abs(_through(way, PATCHES).astype(int) - PATCHES).max() <= ROUNDING
+        return pixels if same else _through(way, pixels)
+    except (OSError, ImageCms.PyCMSError) as error:
+        hint = "convert it to sRGB with the program that wrote it"
+        raise StageError(f"the colour profile of {path} cannot be read", hint, [first_line(str(error))]) from error
+
+
+def _through(way: ImageCms.ImageCmsTransform, pixels: np.ndarray) -> np.ndarray:
+    return np.array(ImageCms.applyTransform(Image.fromarray(pixels), way))
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
