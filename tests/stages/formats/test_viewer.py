@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from importlib import resources
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ from stages.formats import viewer
 from stages.formats.body_model import read_body_model
 from stages.formats.clip import load_clip
 from stages.formats.ground import read_ground
+from stages.formats.motions import bvh_names
 from stages.formats.splats import read_avatar
 from stages.formats.trained import read_trained
 from tests.made import bvh as bvh_made
@@ -240,11 +242,22 @@ def test_a_dropped_motion_is_played_and_a_bad_one_is_refused_in_words(page, fold
         ("a.npz", "", "is no BVH"),
         ("b.bvh", text[:400], "ends too soon"),
         ("c.bvh", text.replace("LeftLeg", "Tail"), "missing left knee"),
-        ("d.bvh", text.replace("Frames: 10", "Frames: 99999999"), "are too many"),
+        ("d.bvh", text.replace("Frames: 10", "Frames: 99999999"), "10 frames of 99999999"),
+        ("e.bvh", text.rstrip("\n").rpartition("\n")[0].rpartition("\n")[0], "8 frames of 10"),
     ):
         drop(page, name, content)
         wait(page, f"document.getElementById('message').textContent.includes({json.dumps(said)})")
     assert page.run("hugs.player.motions.length") == 6
+    drop(
+        page, "cut.bvh", text.replace("LeftForeArm", "LeftLowArm").replace("Frames: 10", "Frames: 11")
+    )  # as `read_bvh` takes it
+    wait(page, "hugs.player.motions.length === 7")
+    assert page.run("document.getElementById('motion').selectedOptions[0].textContent") == "cut (10 frames of 11)"
+
+
+def test_the_page_knows_the_names_of_joints_that_animate_knows():
+    page = resources.files("stages.formats.viewer") / "page" / "names.js"
+    assert dict(re.findall(r"^  (\w+): \"(.+)\",$", page.read_text(), re.MULTILINE)) == bvh_names.SYNONYMS
 
 
 def drop(page: Page, name: str, text: str) -> None:

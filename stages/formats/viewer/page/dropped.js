@@ -15,7 +15,8 @@ export async function readMotion(file, people) {
   try {
     const text = await file.text(), tracks = people.map((person) => performed(text, person));
     tracks.forEach(({ rotvecs, steps }, who) => stood(rotvecs, steps, people[who].stand, row(people[who].joints, 0)));
-    return new Motion(file.name.replace(/\.bvh$/i, ""), tracks[0].fps, tracks);
+    const name = file.name.replace(/\.bvh$/i, ""), said = tracks[0].said;
+    return new Motion(said ? `${name} (${said})` : name, tracks[0].fps, tracks);
   } catch (error) {
     throw new Error(`${file.name}: ${error.message}`);
   }
@@ -24,7 +25,7 @@ export async function readMotion(file, people) {
 /** A BVH's motion by a body {joints, parents, soles}: y up, floor at 0, the first frame over the origin. */
 export function performed(text, { joints, parents, soles }) {
   const bvh = parseBvh(text), performance = faceAhead(retarget(bvh, mapBody(bvh), joints, parents));
-  return { ...onFloor(performance, bvh.fps, soles, joints, parents), fps: bvh.fps };
+  return { ...onFloor(performance, bvh.fps, soles, joints, parents), fps: bvh.fps, said: bvh.said };
 }
 
 /** Take a motion, in place, to where the person stood: `turn` [9] to the clip's world, `spot` [3] m on its floor. */

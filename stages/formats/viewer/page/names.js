@@ -8,7 +8,7 @@ const SYNONYMS = {
   ankle: "ankle foot",
   foot: "toebase toe toes toe0 ball foot",
   shoulder: "upperarm uparm arm shldr shoulder",
-  elbow: "forearm lowerarm loarm elbow",
+  elbow: "forearm lowerarm lowarm loarm elbow",
   wrist: "wrist hand",
   collar: "collar clavicle shoulder",
 };
