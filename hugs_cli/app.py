@@ -128,7 +128,7 @@ def run_pipeline(
 
 def hint_accept(session: Session, wanted: list[str], console: Console) -> None:
     """Before a run: one line if it would make results again although only code has changed."""
-    if stamps := session.acceptable(wanted):
+    if stamps := [stamp for _, stamp in session.acceptable(wanted).values() if stamp]:
         workspace = session.workspace
         command = words.command("accept", session.video, pipeline=workspace.links.name, work=workspace.work)
         spent = words.duration(sum(stamp.seconds for stamp in stamps))

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from hugs_cli import plain_yaml
 from hugs_cli.cache.workspace import Stamp
-from hugs_cli.pipelines import UsageError, document, unknown
+from hugs_cli.pipelines import UsageError, document, unknown, wrong_values
 from stages.contract import Params, load_stage
 
 MODULE = "stages.commands.compose"
@@ -32,19 +32,17 @@ def checked(content: Any, where: str, folder: Path = Path()) -> Params:
     form = load_stage(MODULE).params
     if not isinstance(content, dict):
         raise UsageError(f"{where} holds no film", HINT, [f"it is {reprlib.repr(content)}"])
+    strange: list[tuple[int | str, ...]] = [(key,) for key in content if key in INTERNAL]
+    facts: list[str] = []
     try:
         film = form(**{str(key): value for key, value in content.items()})
-        wrong = []
     except ValidationError as error:
-        wrong = error.errors(include_url=False)
-    strange = [(key,) for key in content if key in INTERNAL]
-    for *inside, key in strange + [e["loc"] for e in wrong if e["type"] == "extra_forbidden"]:
+        strange += [e["loc"] for e in error.errors() if e["type"] == "extra_forbidden"]
+        facts = wrong_values(error, place)
+    for *inside, key in strange:
         allowed = [name for name in form_at(form, inside).model_fields if name not in INTERNAL]
         raise unknown("key", str(key), allowed, ", ".join([where, place(inside)] if inside else [where]))
-    if wrong:
-        facts = [
-            f"{place(e['loc'])}: {e['msg'][0].lower()}{e['msg'][1:]}, got {reprlib.repr(e['input'])}" for e in wrong
-        ]
+    if facts:
         raise UsageError(f"{where}: not a film that can be made", HINT, facts)
     return with_paths(film, folder)
 
