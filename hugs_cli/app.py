@@ -8,11 +8,13 @@ import signal
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer import Option
+from typer.core import TyperGroup
 
 from hugs_cli import options, pipelines, words
 from hugs_cli.app_compare import ablate, costs
@@ -45,9 +47,42 @@ from hugs_cli.options import (
 from hugs_cli.pipelines import UsageError
 
 HELP = "From a phone video to an animatable person and the scene, as 3D Gaussians."
+
+
+class Groups(TyperGroup):
+    """The commands, listed by what they are for."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the lists."""
+        for title, names in COMMANDS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(100)) for name in names])
+
+
 app = typer.Typer(
-    help=HELP, no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
+    cls=Groups,
+    help=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
+
+
+def show_version(asked: bool) -> None:
+    """Print the version and end."""
+    if asked:
+        Console().result(version("hugs-avatar"))
+        raise typer.Exit
+
+
+@app.callback()
+def hugs(
+    version: Annotated[
+        bool, Option("--version", callback=show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """The options before a command."""
 
 
 @on_a_run
@@ -128,7 +163,7 @@ def run_pipeline(
 
 def hint_accept(session: Session, wanted: list[str], console: Console) -> None:
     """Before a run: one line if it would make results again although only code has changed."""
-    if stamps := session.acceptable(wanted):
+    if stamps := [stamp for _, stamp in session.acceptable(wanted).values() if stamp]:
         workspace = session.workspace
         command = words.command("accept", session.video, pipeline=workspace.links.name, work=workspace.work)
         spent = words.duration(sum(stamp.seconds for stamp in stamps))
@@ -214,25 +249,22 @@ def doctor(
         raise typer.Exit(1)
 
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "run": run,
-    "status": status,
-    "why": why,
-    "stages": list_stages,
-    "accept": accept,
-    "gc": gc,
-    "demo": demo,
-    "doctor": doctor,
-    "ablate": ablate,
-    "costs": costs,
-    "render": render,
-    "animate": animate,
-    "compose": compose,
-    "view": view,
-    "fleet": fleet,
+COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
+    "Make": {"run": run, "demo": demo, "fleet": fleet},
+    "Look": {"view": view, "render": render, "animate": animate, "compose": compose},
+    "Know": {
+        "status": status,
+        "why": why,
+        "costs": costs,
+        "ablate": ablate,
+        "stages": list_stages,
+        "doctor": doctor,
+    },
+    "Keep": {"accept": accept, "gc": gc},
 }
-for name, command in COMMANDS.items():
-    app.command(name)(command)
+for group in COMMANDS.values():
+    for name, command in group.items():
+        app.command(name)(command)
 
 
 def clip_facts(workspace: Workspace) -> str:

@@ -11,6 +11,7 @@ from hugs_cli.cache.freshness import Verdict
 from hugs_cli.cache.workspace import Stamp
 from hugs_cli.console import Console
 from hugs_cli.options import AsJson, PipelineName, PipelinesFile, RunOptions, Settings, Stages, on_a_run
+from stages.contract import listed
 
 STAMP_FACTS = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
 
@@ -49,8 +50,13 @@ def list_stages(
     chosen = [loaded.stages[name] for name in stages or loaded.stages]
     if as_json:
         rows = [
-            {"stage": s.name, "needs": s.needs, "doc": s.doc, "params": s.params.model_dump(mode="json")}
-            for s in chosen
+            {
+                "stage": one.name,
+                "needs": one.needs,
+                "doc": one.doc,
+                "params": one.params.model_dump(mode="json", include={*listed(type(one.params))}),
+            }
+            for one in chosen
         ]
         console.result(json.dumps({"pipeline": pipeline, "doc": loaded.doc, "stages": rows}, indent=1))
         return
@@ -58,7 +64,7 @@ def list_stages(
         console.result(f"{'*' if name == pipeline else ' '} {name:<12}{doc}")
     for stage in chosen:
         console.result(f"\n{stage.name}  <- {', '.join(stage.needs)}\n  {stage.doc}".rstrip())
-        for name, info in type(stage.params).model_fields.items():
+        for name, info in listed(type(stage.params)).items():
             doc = " ".join((info.description or "").split())
             console.result(f"    {name} = {getattr(stage.params, name)}{'   ' + doc if doc else ''}")
 

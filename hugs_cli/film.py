@@ -13,13 +13,12 @@ from pydantic import BaseModel, ValidationError
 
 from hugs_cli import plain_yaml
 from hugs_cli.cache.workspace import Stamp
-from hugs_cli.pipelines import UsageError, document, unknown
-from stages.contract import Params, load_stage
+from hugs_cli.pipelines import UsageError, document, unknown, wrong_values
+from stages.contract import Params, listed, load_stage
 
 MODULE = "stages.commands.compose"
 STAGES = ("train", "smpl", "sfm", "frames")  # of a run that a person, or a scene with `survey`, is taken from
 HINT = "`hugs compose --init RUN RUN` writes one to begin with"
-INTERNAL = ("keep", "code")
 
 
 def read_film(file: Path) -> Params:
@@ -32,19 +31,18 @@ def checked(content: Any, where: str, folder: Path = Path()) -> Params:
     form = load_stage(MODULE).params
     if not isinstance(content, dict):
         raise UsageError(f"{where} holds no film", HINT, [f"it is {reprlib.repr(content)}"])
+    strange: list[tuple[int | str, ...]] = [(key,) for key in content if key in {*form.model_fields} - {*listed(form)}]
+    facts: list[str] = []
     try:
         film = form(**{str(key): value for key, value in content.items()})
-        wrong = []
     except ValidationError as error:
-        wrong = error.errors(include_url=False)
-    strange = [(key,) for key in content if key in INTERNAL]
-    for *inside, key in strange + [e["loc"] for e in wrong if e["type"] == "extra_forbidden"]:
-        allowed = [name for name in form_at(form, inside).model_fields if name not in INTERNAL]
-        raise unknown("key", str(key), allowed, ", ".join([where, place(inside)] if inside else [where]))
-    if wrong:
-        facts = [
-            f"{place(e['loc'])}: {e['msg'][0].lower()}{e['msg'][1:]}, got {reprlib.repr(e['input'])}" for e in wrong
-        ]
+        strange += [e["loc"] for e in error.errors() if e["type"] == "extra_forbidden"]
+        facts = wrong_values(error, place)
+    for *inside, key in strange:
+        raise unknown(
+            "key", str(key), listed(form_at(form, inside)), ", ".join([where, place(inside)] if inside else [where])
+        )
+    if facts:
         raise UsageError(f"{where}: not a film that can be made", HINT, facts)
     return with_paths(film, folder)
 

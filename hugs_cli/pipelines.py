@@ -5,7 +5,7 @@ from __future__ import annotations
 import graphlib
 import re
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import files
 from pathlib import Path
@@ -113,14 +113,25 @@ def names(file: Path = FILE) -> dict[str, str]:
     return {name: str(entry.get("doc", "")) for name, entry in read_yaml(file).items() if isinstance(entry, dict)}
 
 
-def document(file: Path, hint: str) -> Any:
-    """What a YAML file holds; UsageError where it cannot be read."""
+def document(file: Path, hint: str, most: int = plain_yaml.MOST) -> Any:
+    """What a YAML file of at most so many values holds; UsageError where it cannot be read."""
+    return read_text(text_of(file, hint), f"{file} is not valid YAML", "mend what is named above", most)
+
+
+def text_of(file: Path, hint: str) -> str:
+    """The text of a file in UTF-8; UsageError if it cannot be read."""
     try:
-        return plain_yaml.read(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"cannot read {file}", hint, [str(error.strerror)]) from error
+        return file.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise UsageError(f"cannot read {file}", hint, [getattr(error, "strerror", None) or str(error)]) from error
+
+
+def read_text(text: str, problem: str, hint: str, most: int = plain_yaml.MOST) -> Any:
+    """The value of a YAML text; UsageError with that problem and hint where it has none."""
+    try:
+        return plain_yaml.read(text, most)
     except (yaml.YAMLError, ValueError) as error:
-        raise UsageError(f"{file} is not valid YAML", "mend what is named above", str(error).splitlines()) from error
+        raise UsageError(problem, hint, str(error).splitlines()) from error
 
 
 def read_yaml(file: Path) -> dict[str, Any]:
@@ -218,11 +229,16 @@ def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) 
     try:
         return kind(**values)
     except ValidationError as error:
-        facts = [
-            f"{stage}.{'.'.join(map(str, e['loc']))}: {e['msg'][0].lower()}{e['msg'][1:]}, got {reprlib.repr(e['input'])}"
-            for e in error.errors(include_url=False)
-        ]
+        facts = wrong_values(error, lambda keys: ".".join([stage, *map(str, keys)]))
         raise UsageError(f"{where}: settings are not valid", f"`hugs stages {stage}` lists them", facts) from error
+
+
+def wrong_values(error: ValidationError, place: Callable[[tuple[int | str, ...]], str]) -> list[str]:
+    """What is wrong with values, a line each; `place` names where a value stands."""
+    return [
+        f"{place(one['loc'])}: {one['msg'][0].lower()}{one['msg'][1:]}, got {reprlib.repr(one['input'])}"
+        for one in error.errors(include_url=False)
+    ]
 
 
 def parse_override(text: str) -> Override:
@@ -231,13 +247,8 @@ def parse_override(text: str) -> Override:
     stage, dot, param = target.strip().partition(".")
     if not (equals and dot and stage and param):
         raise UsageError(f"--set {text} is not understood", "write `--set stage.param=value`")
-    try:
-        return stage, param, plain_yaml.read(value)
-    except (yaml.YAMLError, ValueError) as error:
-        start = text if len(text) < 80 else f"{text[:80]}..."
-        raise UsageError(
-            f"--set {start}: the value is not understood", "quote it for the shell", str(error).splitlines()
-        ) from error
+    start = text if len(text) < 80 else f"{text[:80]}..."
+    return stage, param, read_text(value, f"--set {start}: the value is not understood", "quote it for the shell")
 
 
 def unknown(kind: str, name: str, allowed: Iterable[str], where: str) -> UsageError:

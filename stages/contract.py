@@ -24,6 +24,16 @@ class Params(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
 
+def internal(default: Any, **limits: Any) -> Any:
+    """A setting that commands give and no user: it is not listed."""
+    return Field(default, json_schema_extra={"internal": True}, **limits)
+
+
+def listed(form: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The settings of a form that users give, by name."""
+    return {name: info for name, info in form.model_fields.items() if not _marked(info, "internal")}
+
+
 def speed_only(default: Any, **limits: Any) -> Any:
     """A setting that changes the speed and never the result. It stays out of the stage's key."""
     return Field(default, json_schema_extra={"speed_only": True}, **limits)
@@ -31,7 +41,11 @@ def speed_only(default: Any, **limits: Any) -> Any:
 
 def changes_speed_only(setting: FieldInfo) -> bool:
     """Whether a setting was declared with `speed_only`."""
-    return isinstance(setting.json_schema_extra, dict) and bool(setting.json_schema_extra.get("speed_only"))
+    return _marked(setting, "speed_only")
+
+
+def _marked(setting: FieldInfo, mark: str) -> bool:
+    return isinstance(setting.json_schema_extra, dict) and bool(setting.json_schema_extra.get(mark))
 
 
 LONGEST = 2000

@@ -12,13 +12,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from hugs_cli.cache import child, garbage, whole
 from hugs_cli.cache.fingerprint import files_under
-from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Unfinished, Verdict, is_code
+from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Verdict
 from hugs_cli.cache.launcher import Launcher, Outcome
 from hugs_cli.cache.workspace import (
     LOG,
@@ -265,28 +266,19 @@ def failure(stage: Stage, outcome: Outcome, log: Path, continues: bool) -> BaseE
     return StageFailed(f"stage {stage.name} was killed by {name}", hint, [memory, *lines])
 
 
-def accept(session: Session, wanted: list[str], console: Console) -> dict[str, tuple[Verdict, bool]]:
+def accept(session: Session, wanted: list[str], console: Console) -> dict[str, tuple[Verdict, Stamp | None]]:
     """Keep the results of the wanted stages where only code has changed: folder and stamp get the new key, the content
-    stays. Returns each wanted stage's verdict and whether it was accepted."""
-    found: dict[str, Verdict] = {}
-    said: dict[str, tuple[Verdict, bool]] = {}
+    stays. Returns each wanted stage's verdict and the new stamp of an accepted one."""
     with session.workspace.lock(console.waiting):
-        for name in session.pipeline.upstream(wanted):
-            verdict = session.verdict(session.pipeline.stages[name], found)
-            stamp = rekey(session, verdict) if name in wanted and not verdict.fresh else None
-            found[name] = replace(verdict, stamp=stamp) if stamp else verdict
-            if name in wanted:
-                said[name] = (verdict, stamp is not None)
-    return said
+        return session.acceptable(wanted, partial(rekey, session))
 
 
 def rekey(session: Session, verdict: Verdict) -> Stamp | None:
-    """Give the last result the key of the present code, and return its new stamp. None, and nothing is done, where more
-    than code differs or the result is damaged."""
+    """Give the last result the key of the present code, and return its new stamp. None, and nothing is done, where it is
+    damaged."""
     last, recipe, new = verdict.last, verdict.recipe, verdict.folder
     folder = session.workspace.linked(verdict.stage)
-    only_code = all(is_code(reason) or isinstance(reason, Unfinished) for reason in verdict.reasons)
-    if not (only_code and last and folder and recipe and new) or last.damage(folder) or new.exists():
+    if not (last and folder and recipe and new) or last.damage(folder) or new.exists():
         return None
     how: Accepted = {"when": now(), "instead_of": last.key, "changes": list(map(str, verdict.reasons))}
     stamp = replace(last, key=recipe.key, code=recipe.code, inputs=recipe.inputs, accepted=[*last.accepted, how])

@@ -77,10 +77,14 @@ def stat_digest(path: Path) -> str:
 
 
 class Code:
-    """Digests the code of stages. Remembers the digest of each source text in `memory`, a JSON file."""
+    """Digests the code of stages. Remembers the digest of each source text in `memory`, a JSON file.
 
-    def __init__(self, memory: Path | None = None):
+    `frozen`: each stage is looked at once.
+    """
+
+    def __init__(self, memory: Path | None = None, frozen: bool = False):
         self.memory = memory
+        self.frozen: dict[str, dict[str, str]] | None = {} if frozen else None
         self.known: dict[str, Any] = {}
         self.used: dict[str, Any] = {}
         self.files: dict[str, dict[str, Path]] = {}
@@ -89,8 +93,9 @@ class Code:
 
     def digests(self, module: str) -> dict[str, str]:
         """Digest of each module and data file that `module` depends on: {'stages.train': ..., 'stages/x.npz': ...}."""
-        top = module.partition(".")[0]
-        root = package_folder(top)
+        if self.frozen and module in self.frozen:
+            return self.frozen[module]
+        root = package_folder(module.partition(".")[0])
         found: dict[str, str] = {}
         seen: set[str] = set()
         open_ = [module]
@@ -107,7 +112,10 @@ class Code:
             for data in facts["names"]:
                 if file := self.data_files(root).get(Path(data).name):
                     found[file.relative_to(root.parent).as_posix()] = file_digest(file)
-        return dict(sorted(found.items()))
+        found = dict(sorted(found.items()))
+        if self.frozen is not None:
+            self.frozen[module] = found
+        return found
 
     def read(self, name: str, path: Path) -> dict[str, Any]:
         """The digest of one module, its imports, and the file names in it."""
@@ -129,9 +137,9 @@ class Code:
         """Write new digests to the memory. A folder that cannot be written only costs time."""
         if self.memory is None or set(self.used) <= set(self.known):
             return
-        modules = {**self.known, **self.used} if len(self.known) < REMEMBERED else self.used
+        self.known = {**self.known, **self.used} if len(self.known) < REMEMBERED else dict(self.used)
         with suppress(OSError):
-            replace(self.memory, json.dumps({"format": FORMAT, "modules": modules}))
+            replace(self.memory, json.dumps({"format": FORMAT, "modules": self.known}))
 
 
 def read_memory(memory: Path) -> dict[str, Any]:

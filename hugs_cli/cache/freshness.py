@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -152,6 +152,12 @@ class Verdict:
         return self.stamp is not None
 
     @property
+    def only_code(self) -> bool:
+        """Whether a result is there of which nothing but code has changed."""
+        only = all(is_code(reason) or isinstance(reason, Unfinished) for reason in self.reasons)
+        return only and self.last is not None and not self.fresh
+
+    @property
     def made(self) -> Stamp:
         """The stamp of a fresh result; an error where it is not fresh."""
         assert self.stamp is not None, f"{self.stage} is not fresh"
@@ -228,17 +234,20 @@ class Session:
             reasons = (Damaged("it is gone or has no stamp"),)
         return Verdict(stage.name, reasons, recipe, folder, None, last)
 
-    def acceptable(self, wanted: list[str]) -> list[Stamp]:
-        """The stamps of results that `hugs accept` would keep: nothing but code has changed."""
-        verdicts, kept = self.verdicts(wanted), dict[str, Stamp]()
-        for name, verdict in verdicts.items():
-            rest = [reason for reason in verdict.reasons if not is_code(reason)]
-            waits = {need for reason in rest if isinstance(reason, Upstream) for need in reason.stages}
-            only_code = all(isinstance(reason, Upstream | Unfinished) for reason in rest) and waits <= set(kept)
-            last = verdict.last if only_code and not verdict.fresh else None
-            if last and all(last.inputs.get(need) == kept[need].content for need in waits):
-                kept[name] = last
-        return list(kept.values())
+    def acceptable(
+        self, wanted: list[str], keep: Callable[[Verdict], Stamp | None] = lambda verdict: verdict.last
+    ) -> dict[str, tuple[Verdict, Stamp | None]]:
+        """A verdict on each wanted stage, as if the results before it were kept whose code alone has changed; and of those the
+        stamp that `keep` gives, None of others."""
+        found: dict[str, Verdict] = {}
+        kept: dict[str, tuple[Verdict, Stamp | None]] = {}
+        for name in self.pipeline.upstream(wanted):
+            verdict = found[name] = self.verdict(self.pipeline.stages[name], found)
+            if name in wanted:
+                stamp = keep(verdict) if verdict.only_code else None
+                found[name] = replace(verdict, stamp=stamp) if stamp else verdict
+                kept[name] = verdict, stamp
+        return kept
 
     def input_digest(self, need: str, before: dict[str, Verdict]) -> str | None:
         """The digest of an input's content: an earlier stage's result or a source."""

@@ -12,17 +12,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from hugs_cli import plain_yaml
 from hugs_cli.cache.fingerprint import digest
 from hugs_cli.cache.workspace import clip_name, read_json
-from hugs_cli.pipelines import UsageError, unknown
+from hugs_cli.pipelines import UsageError, document, text_of, unknown
 
 COLUMNS = ("clip", "pipeline", "settings", "masks", "fit", "person")
 TABLES = (".csv", ".yaml", ".yml")
 LISTS = (".txt",)
 LARGEST = 2_000_000  # values of a table
+READABLE = "check the path; it must be text in UTF-8"
 LONGEST = 240  # bytes of a folder's name, of 255 that it may have
 UNSAFE, OLD_UNSAFE = re.compile(r"[^\w.-]"), re.compile(r"[^A-Za-z0-9_.-]")  # in names of folders: now, and before
 
@@ -95,33 +93,22 @@ def entries(text: str) -> Iterator[tuple[dict[str, Any], str]]:
 
 def listed(path: Path) -> list[dict[str, Any]]:
     """A clip a line; empty lines and those that begin with # are left out."""
-    lines = (line.strip() for line in text_of(path).splitlines())
+    lines = (line.strip() for line in text_of(path, READABLE).splitlines())
     return [{"clip": line} for line in lines if line and not line.startswith("#")]
 
 
 def tabled(path: Path) -> list[dict[str, Any]]:
     """The rows of a table: columns by name."""
-    text = text_of(path)
     if path.suffix.lower() == ".csv":
+        text = io.StringIO(text_of(path, READABLE))
         try:
-            return [{str(k): v for k, v in row.items()} for row in csv.DictReader(io.StringIO(text), strict=True)]
+            return [{str(k): v for k, v in row.items()} for row in csv.DictReader(text, strict=True)]
         except csv.Error as error:
             raise UsageError(f"{path} is not valid CSV", "mend what is named above", [str(error)]) from error
-    try:
-        content = plain_yaml.read(text, LARGEST)
-    except (yaml.YAMLError, ValueError) as error:
-        raise UsageError(f"{path} is not valid YAML", "mend what is named above", str(error).splitlines()) from error
+    content = document(path, READABLE, LARGEST)
     if not isinstance(content, list) or not all(isinstance(entry, dict) for entry in content):
         raise UsageError(f"{path} holds no list of clips", "write each as `- {clip: dance.mp4, pipeline: draft}`")
     return content
-
-
-def text_of(path: Path) -> str:
-    """The text of a list or table; UsageError if it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise UsageError(f"cannot read {path}", "check the path; it must be text in UTF-8", [str(error)]) from error
 
 
 def beside(entry: dict[str, Any], folder: Path, where: str) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from hugs_cli.cache import child, engine
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Reason
@@ -172,7 +174,8 @@ def main(folder: Path, row_id: str, step: str, threads: str) -> int:
     me = leases.identity()
     while True:
         try:
-            work(row_of(plan["rows"][row_id]), common_of(plan), step, report, heart, me)
+            row = TypeAdapter(Row).validate_python(plan["rows"][row_id])
+            work(row, TypeAdapter(Common).validate_python(plan["common"]), step, report, heart, me)
             return 0
         except RunStopped:
             if heart.lost:
@@ -226,27 +229,6 @@ def told(error: Exception) -> dict[str, Any]:
     bug = bool(getattr(said, "traceback", "")) and not isinstance(error, StageError)
     kind = "bug" if bug else AGAIN if any(words in said.problem for words in OUT_OF_MEMORY) else "error"
     return {"kind": kind, "problem": said.problem, "hint": said.hint, "facts": list(said.facts)}
-
-
-def row_of(facts: dict[str, Any]) -> Row:
-    """A row as the plan keeps it."""
-    paths = {name: Path(facts[name]) if facts[name] else None for name in ("masks", "fit")}
-    settings = tuple(facts["settings"])
-    return Row(
-        Path(facts["video"]),
-        Path(facts["work"]),
-        facts["pipeline"],
-        settings,
-        paths["masks"],
-        paths["fit"],
-        facts["person"],
-    )
-
-
-def common_of(plan: dict[str, Any]) -> Common:
-    """What all rows share, as the plan keeps it."""
-    body = plan["body_model"]
-    return Common(Path(plan["work"]), Path(plan["pipelines_file"]), Path(body) if body else None, plan["device"])
 
 
 def listen(handler: Any) -> None:

@@ -25,27 +25,6 @@ PAGES = ("report/report.html", "export/viewer.html")
 """Of a result, stage and file: what a fleet's page links to."""
 
 
-class FrozenCode(Code):
-    """The code of stages as it is now: each stage is looked at once, and nothing is written before the end."""
-
-    def __init__(self, memory: Path | None = None):
-        super().__init__(memory)
-        self.found: dict[str, dict[str, str]] = {}
-
-    def digests(self, module: str) -> dict[str, str]:
-        """As `Code.digests`, remembered."""
-        if module not in self.found:
-            self.found[module] = super().digests(module)
-        return self.found[module]
-
-    def save(self) -> None:
-        """Write nothing yet."""
-
-    def save_now(self) -> None:
-        """Write new digests to the memory."""
-        super().save()
-
-
 @dataclass
 class Planned:
     """One row of the plan: fresh, todo, or failed where it cannot even begin."""
@@ -92,7 +71,7 @@ def session_of(row: Row, common: Common) -> Session:
 
 def opener(common: Common) -> Callable[[Row], Session]:
     """`session_of` for many rows: reads each pipeline, and the code, once."""
-    code = FrozenCode(common.work / options.CODE_MEMORY)
+    code = Code(common.work / options.CODE_MEMORY, frozen=True)
     known: dict[tuple[Any, ...], Session] = {}
 
     def open_(row: Row) -> Session:
@@ -110,16 +89,11 @@ def opener(common: Common) -> Callable[[Row], Session]:
 def plan(rows: list[Row], common: Common, history: History, split: bool) -> list[Planned]:
     """A verdict on each row. One that cannot begin, such as a clip that is not there, is failed and hurts no other."""
     open_, found = opener(common), []
-    code: Code | None = None
     for row in rows:
         try:
-            session = open_(row)
-            code = session.code
-            found.append(verdict(row, session, history, split))
+            found.append(verdict(row, open_(row), history, split))
         except (StageError, OSError) as error:
             found.append(refused(row, error))
-    if isinstance(code, FrozenCode) and common.work.is_dir():
-        code.save_now()
     return found
 
 

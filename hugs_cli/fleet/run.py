@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import to_jsonable_python
+
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.workspace import write_json
 from hugs_cli.console import QUIET_EVERY, Console
@@ -79,19 +81,13 @@ class Fleet:
                 shutil.rmtree(old, ignore_errors=True)  # a job of an earlier call may still write there
         for folder in (ROWS, LOGS):
             (room / folder).mkdir(parents=True)
-        common = self.common
-        write_json(
-            room / PLAN,
-            {
-                "owner": {} if self.profile else me,
-                "folder": os.getcwd(),
-                "work": str(common.work),
-                "pipelines_file": str(common.pipelines_file),
-                "body_model": str(common.body_model) if common.body_model else None,
-                "device": common.device,
-                "rows": {one.row.id: plain(one) for one in todo},
-            },
-        )
+        plan = {
+            "owner": {} if self.profile else me,
+            "folder": os.getcwd(),
+            "common": self.common,
+            "rows": {one.row.id: one.row for one in todo},
+        }
+        write_json(room / PLAN, to_jsonable_python(plan))
 
     def drive(self, order: Order, press: Press, held: lease.Lease) -> None:
         """Place the jobs, wait until all have ended, and keep the page up to date; on Ctrl-C let them stop."""
@@ -172,20 +168,6 @@ class Press:
         if time.monotonic() - self.last_line > QUIET_EVERY:
             self.last_line = time.monotonic()
             self.console.say(f"  {counts(total)}")
-
-
-def plain(one: Planned) -> dict[str, Any]:
-    """A row as jobs read it."""
-    row = one.row
-    return {
-        "video": str(row.video),
-        "work": str(row.work),
-        "pipeline": row.pipeline,
-        "settings": list(row.settings),
-        "masks": str(row.masks) if row.masks else None,
-        "fit": str(row.fit) if row.fit else None,
-        "person": row.person,
-    }
 
 
 def counts(total: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stages import contract
 from stages.contract import Job, StageError
 from stages.filming.spec import Film
 
@@ -22,9 +23,9 @@ if TYPE_CHECKING:
 class Params(Film):
     """The keys of film.yaml; `code` stands for the version of the program, with which all that was kept is out of date."""
 
-    keep: bool = True
+    keep: bool = contract.internal(True)
     """Keep in `job.out` what a later run may use."""
-    code: str = ""
+    code: str = contract.internal("")
 
 
 def run(job: Job, params: Params) -> None:

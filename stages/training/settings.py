@@ -12,11 +12,11 @@ from stages import contract
 class Params(contract.Params):
     steps: int = Field(1400, gt=0)
     """Training frames looked at. Time grows linearly."""
-    seconds: float = Field(0, ge=0)
+    seconds: float = contract.internal(0, ge=0)
     """Time to spend, on this machine: `steps` and the sizes are then chosen by timing a few steps; 0 = not limited."""
-    reserve: float = Field(0, ge=0)
+    reserve: float = contract.internal(0, ge=0)
     """Of `seconds`, the time of so many steps is left over, for what comes after training."""
-    reserve_least: float = Field(0, ge=0)
+    reserve_least: float = contract.internal(0, ge=0)
     """The least of `reserve`, used when time is short and later stages do less."""
     half_until: float = Field(0.4, ge=0, le=1)
     """Share of the steps, the first ones, that look at pictures of half the size."""

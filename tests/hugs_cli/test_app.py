@@ -7,6 +7,7 @@ import os
 import resource
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -138,7 +139,15 @@ def test_help_of_all_commands_fits_80_columns(tmp_path):
     command = [sys.executable, "-c", code, "--help"]
     out = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=env, check=True).stdout
     assert "..." not in out.replace("[ARGS]...", "") and max(map(len, out.splitlines())) <= 80
-    assert len(out.partition("Commands:\n")[2].splitlines()) == len(app.COMMANDS), "a line each"
+    listed = out.partition("--help ")[2].splitlines()
+    for group, names in app.COMMANDS.items():
+        place = listed.index(f"{group}:") + 1
+        assert [line.split()[0] for line in listed[place : place + len(names)]] == [*names], "a line each"
+
+
+def test_the_version_is_that_of_the_package(tmp_path):
+    result = CliRunner().invoke(app.app, ["--version"])
+    assert result.exit_code == 0 and result.output == f"{version('hugs-avatar')}\n"
 
 
 @pytest.mark.parametrize("command", ["run", "status", "why", "accept", "ablate", "costs", "demo"])

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.estimators.person.blazepose import NAMES, TORSO, Pose
+from stages.estimators.person.blazepose import NAMES, TORSO, BlazePose, Pose
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.sightings import PAINT
 
@@ -44,6 +44,8 @@ class Eyes:
     def average_looks(self, image: np.ndarray, roi: Roi) -> Pose | None:
         pose, _ = self.look(image, roi)
         return pose if pose.presence else None
+
+    read = BlazePose.read
 
     def detect(self, image: np.ndarray, window: Roi | None = None, least: float = 0.5) -> list[tuple[float, Roi]]:
         return [(0.9, pose_at(x).next_roi) for x in self.places(image)]

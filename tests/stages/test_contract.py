@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from stages import contract
-from stages.contract import Job, whole
+from stages.contract import Job, listed, load_stage, whole
 from stages.formats.exchange.ply import write_ply
 from stages.formats.exchange.spz import write_spz
 from stages.formats.images import write_image
@@ -89,3 +89,9 @@ def test_a_file_appears_whole_under_any_name_and_in_the_place_of_a_link(tmp_path
         part.write_text("half")
         raise KeyboardInterrupt
     assert out.read_text() == "new" and len(os.listdir(tmp_path)) == 2
+
+
+def test_settings_that_only_commands_give_are_not_listed():
+    shown = listed(load_stage("stages.train").params)
+    assert "steps" in shown and not {"seconds", "reserve", "reserve_least"} & {*shown}
+    assert not {"keep", "code"} & {*listed(load_stage("stages.commands.compose").params)}

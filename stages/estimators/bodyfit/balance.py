@@ -7,11 +7,11 @@ from functools import cache
 import torch
 from torch import Tensor
 
+from stages.avatar.body.joints import ANKLES, FEET
 from stages.estimators.bodyfit.terms import geman_mcclure
 from stages.records import JOINT_NAMES
 
 BALANCE, STRIDE = 0.04, 0.5  # m, spread of the mass beside the standing feet; s, half the window of the mean
-ANKLES, BALLS = ([JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "foot"))
 LOAD = 0.33  # people stand 4 to 5 cm before the ankle (Winter 1995)
 GRAVITY = 9.81  # m/s^2
 BODY_PARTS = (
@@ -42,7 +42,7 @@ def mass_shares() -> Tensor:
 def mass_and_soles(placed: Tensor) -> tuple[Tensor, Tensor]:
     """The center of mass [F,3] of joints `placed` [F,24,3] m, and where either foot bears it [F,2,3]."""
     mass = (placed * mass_shares()[:, None]).sum(1)
-    return mass, torch.lerp(placed[:, ANKLES], placed[:, BALLS], LOAD)
+    return mass, torch.lerp(placed[:, ANKLES], placed[:, FEET], LOAD)
 
 
 def smooth_acceleration(x: Tensor, times: Tensor, reach: float) -> Tensor:

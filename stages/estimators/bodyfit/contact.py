@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from stages.avatar.body.joints import ANKLES, FEET
 from stages.avatar.body.smpl import Body
 from stages.avatar.splats.neighbours import farthest_points
 from stages.estimators.bodyfit.scale import SOLE
 from stages.estimators.bodyfit.terms import geman_mcclure
-from stages.records import JOINT_NAMES
 
 STILL, GROUND = 0.008, 0.015  # m, a standing foot between two frames, and what touches the floor above it
 SLOW = 0.6  # m/s that a foot may move, before the feet are held still, and stand; 0.45 lets one in sixty slide by 2 cm
@@ -66,8 +66,7 @@ def loosen(share: float) -> float:
 def sole_vertices(body: Body, count: int = 8) -> Tensor:
     """Indices [2,count] of vertices spread over the left and the right sole: foot vertices within 12 mm of the lowest."""
     rows = []
-    for side in ("left", "right"):
-        joints = [JOINT_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
+    for joints in zip(ANKLES, FEET):
         foot = torch.nonzero(body.lbs_weights[:, joints].sum(1) > 0.5).flatten()
         foot = foot[body.v_template[foot, 1].argsort()]  # the lowest comes first, and is always taken
         foot = foot[body.v_template[foot, 1] < body.v_template[foot[0], 1] + 0.012]

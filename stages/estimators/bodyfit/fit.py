@@ -99,22 +99,12 @@ def fit_body(
     poses together. `metres` per SfM unit are kept where they are known: by somebody else in the clip. Frames not seen are filled
     in between and get confidence 0. Needs one seen frame.
     """
-    seen = np.flatnonzero(evidence.seen)
-    body = Body(model)
-    joints = body.rest(torch.zeros(10))[1].numpy().astype(np.float64)
-    motion = None
+    seen, motion = np.flatnonzero(evidence.seen), None
     if images is not None and masks is not None:
         motion = SurfaceMotion(images, masks, times, cameras.Ks, model.faces)
-    inputs = _Inputs(body, model, regressor, evidence, cameras, times, moving, motion)
+    inputs = _Inputs(Body(model), model, regressor, evidence, cameras, times, moving, motion)
     solver = _make_solver(inputs, seen)
-    turned = solver.evidence.world @ solver.sight.double().numpy().transpose(0, 2, 1)
-    root, local = start_pose(replace(solver.evidence, world=turned), joints)
-    local = fill_limbs(rotvec_from_matrix(torch.tensor(local)).numpy(), solver.evidence, times[seen])
-    pose = torch.tensor(unwrap_rotations(local), dtype=torch.float32)
-    state = State(torch.tensor(root, dtype=torch.float32), torch.zeros(len(seen), 3), pose.flatten(1), torch.zeros(10))
-    start, _ = solver.pose(state)
-    shift = solve_places(start.numpy().astype(np.float64), solver.evidence.xy, solver.evidence.weight, cameras.Ks[seen])
-    state.place = torch.tensor(shift, dtype=torch.float32)
+    state = _begin(solver, times[seen], cameras.Ks[seen])
     total, borders, near = FIRST + OUTLINED + LAST, None, None
     if masks is not None:
         borders, near = terms.outlines(masks), terms.outlines([masks[i] for i in seen])
@@ -128,12 +118,13 @@ def fit_body(
         found = {"how": KNOWN, "initial": metres}
     state.scale = found["initial"]
     spread = 1.0 if metres is None else KNOWN_SPREAD
-    if floor is not None and metres is None:
-        above = found["initial"] * np.median(floor.height(cameras.centers))
-        spread = max(SOLE_SPREAD / above, SCALE_SHARE * found["floor_spread"])
-    slope = None if floor is None else _slope_of(solver, state, cameras.viewmats[seen], floor)
-    if floor is not None and slope is not None:
-        found["floor_slope_degrees"] = float(np.degrees(np.arccos(slope[0] @ floor.normal)))
+    slope = None
+    if floor is not None:
+        if metres is None:
+            above = found["initial"] * np.median(floor.height(cameras.centers))
+            spread = max(SOLE_SPREAD / above, SCALE_SHARE * found["floor_spread"])
+        if (slope := _slope_of(solver, state, cameras.viewmats[seen], floor)) is not None:
+            found["floor_slope_degrees"] = float(np.degrees(np.arccos(slope[0] @ floor.normal)))
     whole = _make_solver(inputs, np.arange(len(times)), floor, spread, slope)
     whole.snug = solver.snug
     solver, state = whole, _extend_to_all_frames(solver, whole, state, times, seen)
@@ -142,7 +133,7 @@ def fit_body(
         pixels = solver.pixels(solver.pose(state)[0]).numpy()
     found["world_from_sfm"] = state.scale
     poses = _body_poses(solver, state, cameras, evidence.seen.astype(np.float64))
-    hidden = hidden_joints(body, solver.dense.template, solver.snug)
+    hidden = hidden_joints(solver.body, solver.dense.template, solver.snug)
     return BodyFit(poses, pixels, found, motion.cloth_off if motion else [], expected_errors(solver, state), hidden)
 
 
@@ -178,6 +169,19 @@ def _make_solver(
     )
     faces = torch.tensor(inputs.model.faces.astype(np.int64))
     return Solver(inputs.body, torch.tensor(inputs.regressor), faces, part, cameras.Ks[rows], world)
+
+
+def _begin(solver: Solver, times: np.ndarray, Ks: np.ndarray) -> State:
+    """The first state, by landmarks alone: limbs along their directions, the body where its landmarks lie on theirs."""
+    evidence, sight = solver.evidence, solver.sight.double().numpy()
+    joints = solver.body.rest(torch.zeros(10))[1].numpy().astype(np.float64)
+    root, local = start_pose(replace(evidence, world=evidence.world @ sight.transpose(0, 2, 1)), joints)
+    local = fill_limbs(rotvec_from_matrix(torch.tensor(local)).numpy(), evidence, times)
+    pose = torch.tensor(unwrap_rotations(local), dtype=torch.float32).flatten(1)
+    state = State(torch.tensor(root, dtype=torch.float32), torch.zeros(len(times), 3), pose, torch.zeros(10))
+    points = solver.pose(state)[0].numpy().astype(np.float64)
+    shift = solve_places(points, evidence.xy, evidence.weight, Ks)
+    return replace(state, place=torch.tensor(shift, dtype=torch.float32))
 
 
 def _find_scale(

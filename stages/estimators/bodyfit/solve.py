@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.avatar.body.joints import HIPS
+from stages.avatar.body.joints import ANKLES, HEAD, HIPS
 from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.avatar.body.smpl import Body, Landmarks, vertex_normals
 from stages.avatar.splats.neighbours import farthest_points
@@ -104,9 +104,7 @@ class Solver:
         self.body, self.evidence, self.world = body, evidence, world
         self.landmarks = Landmarks(body, regressor)
         f32 = torch.float32
-        self.K = torch.tensor(Ks, dtype=f32)
-        self.xy = torch.tensor(evidence.xy, dtype=f32)
-        self.height = torch.tensor(evidence.height, dtype=f32)
+        self.K, self.xy, self.height = (torch.tensor(a, dtype=f32) for a in (Ks, evidence.xy, evidence.height))
         trust = [LOOSE.get(name.partition("_")[2], 1.0) for name in evidence.names]
         # what BlazePose calls 30 % visible is a guess: an arm behind the body is 10 to 30 % of the height off
         self.weight = torch.tensor(evidence.weight, dtype=f32).square() * torch.tensor(trust)
@@ -115,7 +113,7 @@ class Solver:
         self.tail, self.head = (list(ends) for ends in zip(*pairs, strict=True))
         guessed = torch.tensor(evidence.world, dtype=f32)
         self.guessed = guessed[:, self.head] - guessed[:, self.tail]
-        self.sight = sight_turns(torch.tensor(evidence.middle, dtype=f32), self.K)
+        self.sight = terms.sight_turns(torch.tensor(evidence.middle, dtype=f32), self.K)
         self.segment_weight = (self.weight[:, self.head] * self.weight[:, self.tail]).sqrt()
         self.segment_spread = torch.tensor([DIRECTION[names[end].partition("_")[2]] for end in self.head])
         self.spread = terms.joint_spreads()
@@ -128,6 +126,7 @@ class Solver:
         self.normals = vertex_normals(body.v_template, faces)
         self.rim = Skin.of(body, torch.zeros(len(evidence.seen), 0, dtype=torch.long))  # until `match_outlines`
         self.snug = torch.ones(len(apart))  # until `look_for_wide_clothes`
+        self.stands = torch.zeros(len(evidence.seen), 2)  # until `_world_costs` looks
         self.mark_trust = torch.tensor(joint_trust(evidence), dtype=f32) @ self.marks.weights.T
 
     def bones(self, state: State) -> Bones:
@@ -230,9 +229,8 @@ class Solver:
 
     def size(self, betas: Tensor) -> Tensor:
         """Stature for `betas` over that of the mean body. Lengths are divided by it, so that being small never pays."""
-        head, ankle = JOINT_NAMES.index("head"), JOINT_NAMES.index("left_ankle")
-        tall = self.body.joint_template[head, 1] - self.body.joint_template[ankle, 1]
-        grown = self.body.joint_dirs[head, 1] - self.body.joint_dirs[ankle, 1]
+        tall = self.body.joint_template[HEAD, 1] - self.body.joint_template[ANKLES[0], 1]
+        grown = self.body.joint_dirs[HEAD, 1] - self.body.joint_dirs[ANKLES[0], 1]
         return 1 + (grown @ betas) / tall
 
     def motion_cost(self, state: State, joints: Tensor, scale: Tensor | None) -> Tensor:
@@ -280,7 +278,8 @@ class Solver:
         ray = torch.cat([side * state.place[:, :2] / depth, depth.log()], 1).requires_grad_()
         shared = (state.pose, state.betas, state.bias, state.cloth)
         pose, betas, bias, cloth = (part.clone().requires_grad_() for part in shared)
-        log_scale = torch.tensor(float(np.log(state.scale)), requires_grad=True)
+        first_scale = float(np.log(state.scale))
+        log_scale = torch.tensor(first_scale, requires_grad=True)
         groups = [(turn, 0.02), (ray, 0.01), (pose, 0.03), (betas, 0.03), (bias, 0.01), (cloth, 0.001)]
         if in_world and self.world.moving:
             groups.append((log_scale, 0.004))
@@ -291,11 +290,11 @@ class Solver:
             return min(1.0, (i + 1) / 10) * (0.02 + 0.98 * 0.5 * (1 + np.cos(np.pi * i / steps)))
 
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, rate)
-        root, stands = state.root, torch.zeros(len(state.pose), 2)
         for i in range(steps):
             z = side * ray[:, 2:].exp()
             scale = log_scale.exp()
-            now = State(matrix_from_rotvec(turn) @ root, torch.cat([ray[:, :2] * z, z], 1), pose, betas, bias, cloth)
+            place = torch.cat([ray[:, :2] * z, z], 1)
+            now = State(matrix_from_rotvec(turn) @ state.root, place, pose, betas, bias, cloth)
             if i % 25 == 0 and outlines is not None:
                 self.match_outlines(now, outlines)
             bones = self.bones(now)
@@ -306,29 +305,11 @@ class Solver:
             local = pose.unflatten(-1, (23, 3))
             total = cost.mean() + PRIOR_SHARE * terms.pose_prior(local, self.spread).mean()
             total = total + BETAS * betas.square().sum() + (bias / torch.tensor(BIAS)).square().sum()
-            total = total + ((log_scale - float(np.log(state.scale))) / self.world.scale_spread).square()
+            total = total + ((log_scale - first_scale) / self.world.scale_spread).square()
             total = total + ((cloth - CLOTH[0]) / CLOTH[1]).square().sum()
             total = total + self.motion_cost(now, joints, scale if in_world else None)
-            if in_world:
-                loose = loosen(i / steps)
-                marks, size = self.surface(now, self.marks, bones)[0], self.size(betas)
-                count = self.soles.numel()
-                feet = self.to_world(now, marks[:, :count], scale).unflatten(1, self.soles.shape)
-                trust = self.trusted(marks)
-                high = self.heights(now, marks, scale, trust)
-                low = None if high is None else high[:, :count].unflatten(1, self.soles.shape)
-                if i % 25 == 0:
-                    stands = stance(feet.detach(), None if low is None else low.detach(), self.world.times, loose)
-                    stands = stands * trust[:, :count].unflatten(1, self.soles.shape).mean(-1)
-                total = total + slide_cost(feet, stands, size)
-                if high is not None and low is not None:
-                    total = total + floor_cost(low, high, stands, size, loose)
-                if self.world.motion is not None:
-                    pixels, chosen = self.pixels(marks[:, count:]), self.marks.vertices[count:].numpy()
-                    whole = partial(self.bodies, now)
-                    total = total + self.world.motion.cost(pixels, self.height, chosen, whole, i / steps)
-                placed, up, spread = self.to_world(now, joints, scale), self.world.up, self.world.up_spread
-                total = total + balance_cost(placed, stands, self.world.times, up, spread, size)
+            for one in self._world_costs(now, bones, joints, scale, i / steps, i % 25 == 0) if in_world else ():
+                total = total + one
             adam.zero_grad()
             total.backward()
             adam.step()
@@ -338,12 +319,31 @@ class Solver:
         with torch.no_grad():
             z = side * ray[:, 2:].exp()
             place = torch.cat([ray[:, :2] * z, z], 1)
-            found = {"pose": pose, "betas": betas, "bias": bias, "cloth": cloth}
-            found = {name: part.detach() for name, part in found.items()} | {"place": place}
-            return State(root=matrix_from_rotvec(turn) @ root, scale=float(log_scale.exp()), **found)
+            root = matrix_from_rotvec(turn) @ state.root
+            pose, betas, bias, cloth = (part.detach() for part in (pose, betas, bias, cloth))
+        return State(root, place, pose, betas, bias, cloth, float(log_scale.detach().exp()))
 
+    def _world_costs(
+        self, now: State, bones: Bones, joints: Tensor, scale: Tensor, share: float, look: bool
+    ) -> Iterator[Tensor]:
+        """Costs of what holds in the world: feet, floor, flow and balance, after a `share` of the steps.
 
-def sight_turns(pixels: Tensor, K: Tensor) -> Tensor:
-    """Rotations [F,3,3] about the camera's y axis that take its z axis to the columns `pixels` [F,2] px; `K` [F,3,3]."""
-    angle = torch.atan2(pixels[:, 0] - K[:, 0, 2], K[:, 0, 0])
-    return matrix_from_rotvec(torch.stack([0 * angle, angle, 0 * angle], -1))
+        `look`: see again which feet stand; that is kept until the next look.
+        """
+        loose, world = loosen(share), self.world
+        marks, size, count = self.surface(now, self.marks, bones)[0], self.size(now.betas), self.soles.numel()
+        feet = self.to_world(now, marks[:, :count], scale).unflatten(1, self.soles.shape)
+        trust = self.trusted(marks)
+        high = self.heights(now, marks, scale, trust)
+        low = None if high is None else high[:, :count].unflatten(1, self.soles.shape)
+        if look:
+            stands = stance(feet.detach(), None if low is None else low.detach(), world.times, loose)
+            self.stands = stands * trust[:, :count].unflatten(1, self.soles.shape).mean(-1)
+        yield slide_cost(feet, self.stands, size)
+        if high is not None and low is not None:
+            yield floor_cost(low, high, self.stands, size, loose)
+        if world.motion is not None:
+            pixels, chosen = self.pixels(marks[:, count:]), self.marks.vertices[count:].numpy()
+            yield world.motion.cost(pixels, self.height, chosen, partial(self.bodies, now), share)
+        placed = self.to_world(now, joints, scale)
+        yield balance_cost(placed, self.stands, world.times, world.up, world.up_spread, size)

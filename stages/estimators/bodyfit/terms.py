@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stages.avatar.body.rotations import matrix_from_rotvec
 from stages.records import JOINT_NAMES
 
 SPREAD = {
@@ -137,3 +138,9 @@ def _smooth_contour(piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     area = (x * y_next - y * x_next).sum()
     outward = np.stack([along[:, 1], -along[:, 0]], -1) * np.sign(area)
     return line, outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+
+
+def sight_turns(pixels: Tensor, K: Tensor) -> Tensor:
+    """Rotations [F,3,3] about the camera's y axis that take its z axis to the columns `pixels` [F,2] px; `K` [F,3,3]."""
+    angle = torch.atan2(pixels[:, 0] - K[:, 0, 2], K[:, 0, 0])
+    return matrix_from_rotvec(torch.stack([0 * angle, angle, 0 * angle], -1))

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from stages.avatar.body.joints import ANKLES, HEAD
 from stages.avatar.cameras.pinhole import project
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import background_mask, brightness, sample
-from stages.records import JOINT_NAMES
 
 if TYPE_CHECKING:
     from stages.estimators.detectors.evidence import ClipEvidence
@@ -24,8 +24,6 @@ LEAST = 8  # frames that must see a spot of the floor
 TILTS, TURNS = np.radians([0, 12, 24, 36, 48, 60]), np.arange(16) * np.pi / 8  # lamps that are tried
 LOW = 0.3  # of its correlation that a lamp at the last of TILTS loses: of two that explain as much, the higher one is likelier
 EVERY = 2  # vertex of the body: dense enough for the grid
-HEAD = JOINT_NAMES.index("head")
-ANKLES = slice(JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle") + 1)
 LARGEST = 1.0  # log brightness: more than this is something else that hides the floor
 
 

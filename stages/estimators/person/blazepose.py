@@ -128,19 +128,9 @@ class BlazePose:
         """People in the picture: looks at all of it, then, if nobody is found, at parts of it, then turned."""
         height, width = image.shape[:2]
         found = self.detect(image)
-        for part in (1.0, 0.6):
-            side = part * min(width, height)
-            if not found:
-                places = [
-                    Roi(x, y, side, 0.0)
-                    for x in np.linspace(side / 2, width - side / 2, 1 + int(np.ceil(1.5 * (width / side - 1))))
-                    for y in np.linspace(side / 2, height - side / 2, 1 + int(np.ceil(1.5 * (height / side - 1))))
-                ]
-                found = [hit for place in places for hit in self.detect(image, place)]
-        for turn in (0.5, -0.5, 1.0):
-            if not found:
-                whole = Roi(width / 2, height / 2, float(max(width, height)), turn * np.pi)
-                found = self.detect(image, whole)
+        turned = [[Roi(width / 2, height / 2, float(max(width, height)), turn * np.pi)] for turn in (0.5, -0.5, 1.0)]
+        for places in (*(squares(height, width, part) for part in (1.0, 0.6)), *turned):
+            found = found or [hit for place in places for hit in self.detect(image, place)]
         return sorted(found, key=lambda hit: -hit[0])
 
     def look(self, image: np.ndarray, roi: Roi, mirrored: bool = False) -> tuple[Pose, np.ndarray]:
@@ -189,21 +179,19 @@ class BlazePose:
         next_roi = Roi(x, y, side, float(np.angle(up)))
         return Pose(**mean, presence=float(np.mean([p.presence for p in poses])), roi=roi, next_roi=next_roi)
 
-    def follow(self, image: np.ndarray, last: Roi | None) -> Pose | None:
-        """The pose of the person who was last seen at a crop, read again in a crop that fits; None if not there."""
-        for searching in (False, True):
-            if searching:
-                hits = [roi for _, roi in self.search(image)]
-                hits.sort(key=lambda roi: np.hypot(roi.x - last.x, roi.y - last.y) if last else 0)
-                start = hits[0] if hits else None
-            else:
-                start = last
-            if start is not None:
-                first, _ = self.look(image, start)
-                pose = self.average_looks(image, first.next_roi) if first.presence >= SURE else None
-                if pose is not None:
-                    return self.unstuck(image, pose)
-        return None
+    def read(self, image: np.ndarray, roi: Roi) -> Pose | None:
+        """The pose of the person in a crop, by several looks at the crop that fits; None if nobody is surely there."""
+        first, _ = self.look(image, roi)
+        return self.average_looks(image, first.next_roi) if first.presence >= SURE else None
+
+    def follow(self, image: np.ndarray, last: Roi) -> Pose | None:
+        """The pose of the person who was last seen at a crop; who is not there is looked for everywhere. None if not found."""
+        pose = self.read(image, last)
+        if pose is None:
+            hits = [roi for _, roi in self.search(image)]
+            nearest = min(hits, key=lambda roi: np.hypot(roi.x - last.x, roi.y - last.y), default=None)
+            pose = self.read(image, nearest) if nearest else None
+        return self.unstuck(image, pose) if pose else None
 
     def unstuck(self, image: np.ndarray, pose: Pose) -> Pose:
         """The pose, or that in the detector's crop where the person is surer there.
@@ -213,8 +201,7 @@ class BlazePose:
         around = pose.next_roi
         for _, roi in self.detect(image, Roi(around.x, around.y, WIDER * around.side, 0.0)):
             if around.covers(roi) and not around.resembles(roi, SLACK, TURN):
-                first, _ = self.look(image, roi)
-                other = self.average_looks(image, first.next_roi) if first.presence >= SURE else None
+                other = self.read(image, roi)
                 if other is not None and other.presence > pose.presence + BETTER:
                     return other
         return pose
@@ -259,6 +246,16 @@ class BlazePose:
                 pose = poses[i] = self.follow(images[i], last)
                 last = pose.next_roi if pose else last
         return poses
+
+
+def squares(height: int, width: int, part: float) -> list[Roi]:
+    """Crops of `part` of the picture's shorter side, which lap over each other and cover it."""
+    side = part * min(height, width)
+    across, down = (
+        np.linspace(side / 2, length - side / 2, 1 + int(np.ceil(1.5 * (length / side - 1)))).tolist()
+        for length in (width, height)
+    )
+    return [Roi(x, y, side, 0.0) for x in across for y in down]
 
 
 def paint_over(image: np.ndarray, people: list[Sighting]) -> np.ndarray:

@@ -163,10 +163,8 @@ def track_masked(
         last, found = (poses[-1] if poses else None), None
         image = np.where((other > 127)[..., None], np.uint8(PAINT), images[i])
         for roi in ([last.next_roi] if last else []) + ([around_mask(mask)] if (mask > 127).any() else []):
-            first, _ = network.look(image, roi)
-            pose = network.average_looks(image, first.next_roi) if first.presence >= SURE else None
-            if found is None and pose is not None and torso_share(pose, mask) > 0.5:
-                found = pose
+            pose = None if found else network.read(image, roi)
+            found = pose if pose is not None and torso_share(pose, mask) > 0.5 else found
         poses.append(found)
     return poses
 

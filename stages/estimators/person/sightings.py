@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stages.contract import Job
-from stages.estimators.person.blazepose import SEEDS, BlazePose, Images, Pose, Sighting, sigmoid, torso_share
+from stages.estimators.person.blazepose import SEEDS, BlazePose, Images, Pose, Sighting, sigmoid, squares, torso_share
 from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import paste
 from stages.estimators.person.people import describe_place
@@ -81,10 +81,11 @@ def sight_in(network: BlazePose, image: np.ndarray, i: int) -> list[Sighting]:
     stands where an outline of their own holds their trunk is somebody.
     """
     image, here = image.copy(), list[Sighting]()
-    covered = np.zeros(image.shape[:2], np.uint8)
+    (height, width), covered = image.shape[:2], np.zeros(image.shape[:2], np.uint8)
+    windows = [None, *(one for part in PARTS for one in squares(height, width, part))]
     while len(here) < MOST:
         known = len(here)
-        hits = [hit for window in _windows(*image.shape[:2]) for hit in network.detect(image, window, HARDLY)]
+        hits = [hit for window in windows for hit in network.detect(image, window, HARDLY)]
         for score, roi in sorted(hits, key=lambda hit: -hit[0]):
             first, _ = network.look(image, roi)
             pose, logits = network.look(image, first.next_roi)
@@ -97,19 +98,6 @@ def sight_in(network: BlazePose, image: np.ndarray, i: int) -> list[Sighting]:
         if len(here) == known:
             break
     return sorted(here, key=lambda one: -one.pose.next_roi.side)
-
-
-def _windows(height: int, width: int) -> list[Roi | None]:
-    """The whole picture, and squares that lap over each other."""
-    found: list[Roi | None] = [None]
-    for part in PARTS:
-        side = part * min(height, width)
-        across, down = (1 + int(np.ceil(1.5 * (length / side - 1))) for length in (width, height))
-        middles = [
-            np.linspace(side / 2, length - side / 2, count) for length, count in ((width, across), (height, down))
-        ]
-        found += [Roi(float(x), float(y), side, 0.0) for x in middles[0] for y in middles[1]]
-    return found
 
 
 def outlined_in(logits: np.ndarray, roi: Roi, shape: tuple[int, ...]) -> np.ndarray:

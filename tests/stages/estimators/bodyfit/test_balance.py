@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from stages.avatar.body.joints import ANKLES, FEET
 from stages.avatar.body.smpl import Body
-from stages.estimators.bodyfit.balance import ANKLES, BALLS, GRAVITY, balance_cost, mass_shares, smooth_acceleration
+from stages.estimators.bodyfit.balance import GRAVITY, balance_cost, mass_shares, smooth_acceleration
 from stages.formats.body_model import read_body_model
 
 MODEL = read_body_model()
@@ -19,7 +20,7 @@ def standing(beside: float = 0.0, ahead: float = 0.0) -> Tensor:
     """Joints [12,24,3] of somebody upright, y up, +x to the left; all but the feet stand off by so many m."""
     joints = Body(MODEL).rest(torch.zeros(10))[1]
     moved = joints + torch.tensor([float(beside), 0.0, float(ahead)])
-    moved[ANKLES + BALLS] = joints[ANKLES + BALLS]
+    moved[list(ANKLES) + list(FEET)] = joints[[*ANKLES, *FEET]]
     return moved.expand(12, 24, 3)
 
 
@@ -49,7 +50,7 @@ def test_who_speeds_up_leans_ahead_of_the_feet():
 def test_a_step_from_foot_to_foot_balances_in_the_mean_of_a_stride():
     joints, stands = standing(), torch.eye(2).repeat(6, 1)
     swaying = joints + torch.where(stands[:, :1] > 0, 0.05, -0.05)[..., None] * torch.tensor([1.0, 0, 0])
-    swaying[:, ANKLES + BALLS] = joints[:, ANKLES + BALLS]
+    swaying[:, list(ANKLES) + list(FEET)] = joints[:, [*ANKLES, *FEET]]
     assert float(balance_cost(swaying, stands, TIMES, UP, 0.0, torch.tensor(1.0))) < 2.5
     assert cost(standing(beside=0.05), 0.0, 1.0) > 3, "but who stays on one foot has to be over it"
 
@@ -57,7 +58,7 @@ def test_a_step_from_foot_to_foot_balances_in_the_mean_of_a_stride():
 @pytest.mark.parametrize("frames", [1, 2, 12])
 def test_feet_at_one_place_and_a_single_frame_have_finite_gradients(frames):
     joints = standing()[:frames].clone()
-    joints[:, ANKLES[1]], joints[:, BALLS[1]] = joints[:, ANKLES[0]], joints[:, BALLS[0]]
+    joints[:, ANKLES[1]], joints[:, FEET[1]] = joints[:, ANKLES[0]], joints[:, FEET[0]]
     joints.requires_grad_()
     stands = torch.ones(frames, 2)
     balance_cost(joints, stands, TIMES[:frames], UP, 0.0, torch.tensor(1.0)).backward()

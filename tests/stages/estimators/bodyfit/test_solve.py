@@ -14,7 +14,7 @@ from stages.avatar.cameras.pinhole import project
 from stages.estimators.bodyfit import fit, snug, solve
 from stages.estimators.bodyfit.evidence import drop_strangers, gather, model_landmarks, vote_sides
 from stages.estimators.bodyfit.fit import fit_body
-from stages.estimators.bodyfit.solve import sight_turns
+from stages.estimators.bodyfit.terms import sight_turns
 from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
