@@ -23,15 +23,16 @@ ACCOUNT = 10  # pictures of a motion between two reports
 
 
 class Params(contract.Params):
-    formats: list[Literal["ply", "spz", "glb", "viewer", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"]] = (
-        Field(["ply", "spz", "glb", "viewer"])
-    )
+    formats: list[
+        Literal["ply", "spz", "glb", "bvh", "viewer", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"]
+    ] = Field(["ply", "spz", "glb", "bvh", "viewer"])
     """What to write beside avatar.npz. viewer is the page viewer.html; usd needs the extra `usd`, sog the extra `sog`;
-    ..._motion is a file, or a folder of numbered files, of the person in `motion`."""
-    names: Literal["smpl", "mixamo", "vrm"] = "smpl"
-    """What the joints in avatar.glb are called."""
-    motion: Literal["clip", "jumping_jacks", "walk_in_place", "wave", "squats"] = "clip"
-    """The motion of the formats ..._motion; clip: the clip's own."""
+    bvh is the clip's motion, and also `motion` where that is another; ..._motion is a file, or a folder of numbered files,
+    of the person in `motion`."""
+    names: Literal["smpl", "mixamo", "vrm", "unreal"] = "smpl"
+    """What the joints in avatar.glb and motion.bvh are called."""
+    motion: Literal["clip", "jumping_jacks", "walk_in_place", "wave", "squats", "all"] = "clip"
+    """The motion of the formats bvh and ..._motion; clip: the clip's own; all: that and the made ones."""
 
 
 def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train: Path) -> None:
@@ -66,11 +67,14 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         rig = rig_of(avatar)
         soles = Soles.of_rig(rig)
         _still(own, formats, avatar, around, soles, ground)
-        takes = _takes(frames, there, ground, soles) if formats & {"glb", *MOVING} else []
+        takes = _takes(frames, there, ground, soles) if formats & {"glb", "bvh", *MOVING} else []
         if "glb" in formats:
             _rigged(own, params, avatar, rig, model, takes, soles.floor)
+        if "bvh" in formats:
+            _motions(own, params, rig, takes, soles.floor)
         if formats & set(MOVING):
-            _moving(own, params, avatar, takes, soles.floor)
+            for take in _chosen(takes, params.motion):
+                _moving(own, params, avatar, take, soles.floor)
         _lacks_of_person(own, formats, avatar, rig)
         cast.append((avatar, rig, soles))
         job.progress(len(cast), len(people) + 1)
@@ -164,7 +168,30 @@ def _rigged(
         job.warn(f"the mesh in avatar.glb is of the body model {model.name}: its licence says who may have the file")
 
 
-def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: float) -> None:
+def _chosen(takes: list[Take], motion: str) -> list[Take]:
+    """The takes that `motion` names; StageError where nobody was seen and the clip's own is asked for."""
+    found = [take for take in takes if motion in (take.name, "all")]
+    if not found:
+        raise StageError("nobody is seen in this clip, so it has no motion", "--set export.motion=wave")
+    return found
+
+
+def _motions(job: Job, params: Params, rig: Rig, takes: list[Take], floor: float) -> None:
+    """motion.bvh of the clip, and a file of each other motion that `motion` names."""
+    from stages.avatar.motion.takes import even
+    from stages.formats.exchange.motion_bvh import write_motion_bvh
+
+    for take in (one for one in takes if params.motion in (one.name, "all") or one.name == "clip"):
+        name = "motion.bvh" if take.name == "clip" else f"motion_{take.name}.bvh"
+        spaced = even(take)
+        write_motion_bvh(job.out / name, rig.joints, rig.parents.tolist(), spaced, params.names, floor)
+        made = f", {len(spaced) - len(take)} of them between two frames" if len(spaced) > len(take) else ""
+        job.note(f"{name}: {len(spaced)} poses{made}, {params.names} names, metres")
+    if all(take.name != "clip" for take in takes):
+        job.note("no motion.bvh: nobody is seen in this clip")
+
+
+def _moving(job: Job, params: Params, avatar: Avatar, take: Take, floor: float) -> None:
     """The person in one motion on a floor at height 0: a USD with a sample a frame, folders of numbered PLY or SPZ."""
     import numpy as np
 
@@ -175,9 +202,6 @@ def _moving(job: Job, params: Params, avatar: Avatar, takes: list[Take], floor: 
     from stages.formats.exchange.spz import write_spz
     from stages.formats.exchange.usd import write_usd
 
-    take = next((take for take in takes if take.name == params.motion), None)
-    if take is None:
-        raise StageError("nobody is seen in this clip, so it has no motion", "--set export.motion=wave")
     baked, name = load_avatar(avatar, job.device), f"avatar_{take.name}"
     numbered: dict[str, tuple[str, Callable[[Path, Scene], dict[str, int]]]] = {
         "ply_motion": ("ply", write_ply),

@@ -17,6 +17,7 @@ from stages.formats.exchange.ply import read_ply
 from stages.formats.exchange.read import read_any_scene
 from stages.formats.exchange.spz import read_spz
 from stages.formats.ground import read_ground
+from stages.formats.motions.bvh import read_bvh
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from tests.made.clothes import dress, some_clothes
 
@@ -51,7 +52,9 @@ def out(clip, tmp_path_factory):
 
 
 def test_what_is_written_by_default(clip, out):
-    wanted = "avatar.glb avatar.npz avatar.ply avatar.spz ground.json scene.ply scene.spz viewer.html".split()
+    wanted = (
+        "avatar.glb avatar.npz avatar.ply avatar.spz ground.json motion.bvh scene.ply scene.spz viewer.html".split()
+    )
     assert sorted(path.name for path in out.iterdir()) == wanted
     assert (out / "avatar.npz").read_bytes() == (clip["train"] / "avatar.npz").read_bytes()
 
@@ -130,6 +133,27 @@ def test_a_motion_as_numbered_files(clip, tmp_path):
         assert all(abs(read_any_scene(path).means[:, 1].max()) < 0.03 for path in files), "soles at height 0"
     names = ["avatar.npz", "avatar_clip_ply", "avatar_clip_spz", "ground.json"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
+
+
+def test_the_clips_motion_as_bvh_and_others_where_they_are_asked_for(clip, out, tmp_path):
+    """The clip's 8 frames show the person in 7, a tenth of a second apart; the floor is at 0."""
+    bvh = read_bvh(out / "motion.bvh")
+    assert len(bvh) == 7 and bvh.fps == pytest.approx(10) and bvh.names[0] == "pelvis"
+    assert 0.7 < bvh.places[0, 0, 1] < 1.2, "m: the pelvis over the floor"
+    for motion, more in (("wave", ["wave"]), ("all", ["jumping_jacks", "squats", "walk_in_place", "wave"])):
+        made(clip, tmp_path / motion, formats=["bvh"], motion=motion, names="unreal")
+        files = sorted(path.name for path in (tmp_path / motion).glob("*.bvh"))
+        assert files == ["motion.bvh", *(f"motion_{one}.bvh" for one in more)]
+        assert len(read_bvh(tmp_path / motion / "motion_wave.bvh")) == 120
+    assert "thigh_l" in read_bvh(tmp_path / "all" / "motion_squats.bvh").names
+
+
+def test_all_motions_as_numbered_files(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr("stages.avatar.motion.takes.SECONDS", 0.1)
+    made(clip, tmp_path, formats=["spz_motion"], motion="all")
+    counts = {path.name: len(list(path.iterdir())) for path in tmp_path.glob("*_spz")}
+    made_ones = ("jumping_jacks", "walk_in_place", "wave", "squats")
+    assert counts == {"avatar_clip_spz": 7} | {f"avatar_{name}_spz": 3 for name in made_ones}
 
 
 def test_what_numbered_spz_files_clamp_is_said(clip, tmp_path):

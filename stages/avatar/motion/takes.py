@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from stages import records
 from stages.avatar.motion.formulas import MOTIONS
@@ -45,3 +47,20 @@ def take_of(name: str, times: np.ndarray, orient: np.ndarray, pose: np.ndarray, 
     near = np.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)  # q and -q are one turn; players interpolate
     quats[1:] *= np.cumprod(near, axis=0)[..., None]
     return records.Take(name, times, quats, pelvis)
+
+
+def even(take: records.Take) -> records.Take:
+    """The take at its own pace, that of most of its steps: turns slerped, places linear between its poses, the ends kept.
+
+    Clothes are left out.
+    """
+    if len(take) < 2:
+        return replace(take, clothes=None)
+    steps = max(1, round(take.times[-1] / np.median(np.diff(take.times))))
+    times = np.linspace(0, take.times[-1], steps + 1)
+    turns = [
+        Slerp(take.times, Rotation.from_quat(quats, scalar_first=True))(times).as_quat(scalar_first=True)
+        for quats in np.moveaxis(take.rotations, 1, 0)
+    ]
+    pelvis = np.stack([np.interp(times, take.times, axis) for axis in take.pelvis.T], 1)
+    return records.Take(take.name, times, np.stack(turns, 1), pelvis)

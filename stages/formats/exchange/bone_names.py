@@ -6,27 +6,25 @@ from typing import Literal, get_args
 
 from stages.records import JOINT_NAMES
 
-Names = Literal["smpl", "mixamo", "vrm"]
-_MIDDLE = {
-    "pelvis": ("Hips", "hips"),
-    "spine1": ("Spine", "spine"),
-    "spine2": ("Spine1", "chest"),
-    "spine3": ("Spine2", "upperChest"),
-    "neck": ("Neck", "neck"),
-    "head": ("Head", "head"),
+Names = Literal["smpl", "mixamo", "vrm", "unreal"]
+_PARTS = {
+    "pelvis": ("Hips", "hips", "pelvis"),
+    "spine1": ("Spine", "spine", "spine_01"),
+    "spine2": ("Spine1", "chest", "spine_02"),
+    "spine3": ("Spine2", "upperChest", "spine_03"),
+    "neck": ("Neck", "neck", "neck_01"),
+    "head": ("Head", "head", "head"),
+    "hip": ("UpLeg", "UpperLeg", "thigh"),
+    "knee": ("Leg", "LowerLeg", "calf"),
+    "ankle": ("Foot", "Foot", "foot"),
+    "foot": ("ToeBase", "Toes", "ball"),
+    "collar": ("Shoulder", "Shoulder", "clavicle"),
+    "shoulder": ("Arm", "UpperArm", "upperarm"),
+    "elbow": ("ForeArm", "LowerArm", "lowerarm"),
+    "wrist": ("Hand", "Hand", "hand"),
+    "hand": ("HandMiddle1", "MiddleProximal", "middle_01"),
 }
-_SIDE = {
-    "hip": ("UpLeg", "UpperLeg"),
-    "knee": ("Leg", "LowerLeg"),
-    "ankle": ("Foot", "Foot"),
-    "foot": ("ToeBase", "Toes"),
-    "collar": ("Shoulder", "Shoulder"),
-    "shoulder": ("Arm", "UpperArm"),
-    "elbow": ("ForeArm", "LowerArm"),
-    "wrist": ("Hand", "Hand"),
-    "hand": ("HandMiddle1", "MiddleProximal"),
-}
-"""Part -> Mixamo's and VRM 1.0's name. What SMPL calls a hand is where its fingers begin."""
+"""Part -> the name in Mixamo, VRM 1.0 and Unreal's mannequin. What SMPL calls a hand is where its fingers begin."""
 
 
 def bone_names(names: Names) -> tuple[str, ...]:
@@ -37,6 +35,9 @@ def bone_names(names: Names) -> tuple[str, ...]:
     found = []
     for joint in JOINT_NAMES:
         side, _, part = joint.rpartition("_")
-        name = (_SIDE if side else _MIDDLE)[part][column]
-        found.append(f"mixamorig:{side.title()}{name}" if names == "mixamo" else f"{side}{name}")
+        name = _PARTS[part][column]
+        if names == "mixamo":
+            found.append(f"mixamorig:{side.title()}{name}")
+        else:
+            found.append(f"{side}{name}" if names == "vrm" else f"{name}_{side[:1]}".rstrip("_"))
     return tuple(found)

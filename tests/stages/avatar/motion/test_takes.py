@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from stages.avatar.body.smpl import Body
 from stages.avatar.drawing.rig import rig_of
 from stages.avatar.motion.placing import Soles
-from stages.avatar.motion.takes import clip_take, made_takes
+from stages.avatar.motion.takes import clip_take, even, made_takes
 from stages.formats.body_model import read_body_model
 from tests.made.tiny import EMPTY, FRAMES, make_avatar, make_ground, make_poses
 
@@ -82,3 +82,17 @@ def test_an_avatar_has_the_soles_of_its_body(soles):
     footless = {name: getattr(avatar, name)[:0] for name in ("means", "quats", "scales", "opacities", "sh0", "shN")}
     ankle = Soles.of_rig(rig_of(replace(avatar, **footless, lbs_weights=np.zeros((0, 24)))))
     assert ankle.floor == pytest.approx(soles.joints[:, 1].min(), abs=1e-6)
+
+
+def test_a_motion_with_gaps_is_even_at_its_own_pace():
+    take = made_takes(np.zeros(3))[0]
+    assert even(take).times == pytest.approx(take.times) and even(take).rotations == pytest.approx(take.rotations)
+    kept = np.r_[0:20, 23:50]
+    gaps = replace(take, times=take.times[kept], rotations=take.rotations[kept], pelvis=take.pelvis[kept])
+    filled = even(gaps)
+    assert len(filled) == 50 and filled.times[:50] == pytest.approx(take.times[:50])
+    turn = [Rotation.from_quat(one.rotations[:50].reshape(-1, 4), scalar_first=True) for one in (filled, take)]
+    away = np.degrees((turn[0].inv() * turn[1]).magnitude()).reshape(50, 24).max(1)
+    assert away[kept].max() < 1e-6 and 0 < away.max() < 5
+    one = replace(take, times=take.times[:1], rotations=take.rotations[:1], pelvis=take.pelvis[:1])
+    assert len(even(one)) == 1

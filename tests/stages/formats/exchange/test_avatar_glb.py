@@ -185,7 +185,10 @@ def test_the_same_avatar_makes_the_same_bytes(avatar, file, tmp_path):
     assert write(avatar, tmp_path / "again.glb").read_bytes() == file.read_bytes()
 
 
-@pytest.mark.parametrize(("names", "left_elbow"), [("mixamo", "mixamorig:LeftForeArm"), ("vrm", "leftLowerArm")])
+ELBOWS = {"mixamo": "mixamorig:LeftForeArm", "vrm": "leftLowerArm", "unreal": "lowerarm_l"}
+
+
+@pytest.mark.parametrize(("names", "left_elbow"), ELBOWS.items())
 def test_joints_have_the_names_of_other_skeletons(avatar, tmp_path, names, left_elbow):
     nodes = Glb(write(avatar, tmp_path / "a.glb", names)).content["nodes"]
     assert [node["name"] for node in nodes][3 + 18] == left_elbow

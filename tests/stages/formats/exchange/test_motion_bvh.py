@@ -1,0 +1,123 @@
+"""BVH as it is written: our reader and our retargeting find the same joints, Blender too."""
+
+import json
+import os
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.drawing.rig import rig_of
+from stages.avatar.motion.placing import Soles
+from stages.avatar.motion.takes import made_takes
+from stages.filming.motions import Manner, from_file
+from stages.formats.body_model import read_body_model
+from stages.formats.exchange.bone_names import Names, bone_names
+from stages.formats.exchange.motion_bvh import write_motion_bvh
+from stages.formats.motions.bvh import read_bvh
+from stages.records import JOINT_NAMES, Take
+from tests.made.tiny import make_avatar
+
+FLOOR = -1.1
+RIG = rig_of(make_avatar(read_body_model()))
+PARENTS = RIG.parents.tolist()
+
+
+def tumbling(poses=40):
+    """Every joint turns at random, the root by whole turns about all axes."""
+    rng = np.random.default_rng(3)
+    times = np.arange(poses) / 25
+    turns = Rotation.from_rotvec(rng.normal(0, 0.8, (24 * poses, 3))).as_quat(scalar_first=True).reshape(poses, 24, 4)
+    whole = Rotation.from_euler("yx", np.stack([times * 9, times * 7], 1))
+    turns[:, 0] = whole.as_quat(scalar_first=True)
+    return Take("tumbling", times, turns, RIG.joints[0] + rng.normal(0, 0.5, (poses, 3)))
+
+
+def where(take):
+    """The joints [F,24,3] m of a take, and their turns in the world."""
+    turns = Rotation.from_quat(take.rotations.reshape(-1, 4), scalar_first=True).as_matrix().reshape(-1, 24, 3, 3)
+    at = np.repeat(take.pelvis[:, None], 24, 1)
+    for joint, parent in list(enumerate(PARENTS))[1:]:
+        at[:, joint] = at[:, parent] + turns[:, parent] @ (RIG.joints[joint] - RIG.joints[parent])
+        turns[:, joint] = turns[:, parent] @ turns[:, joint]
+    return at, turns
+
+
+def read_back(path, names="smpl"):
+    """Joints [F,24,3] and turns in the world as the file has them, in our order."""
+    bvh, at = read_bvh(path), {}
+    turns = {}
+    for joint, parent in enumerate(bvh.parents.tolist()):
+        at[joint] = (
+            bvh.places[:, joint] if parent < 0 else at[parent] + (turns[parent] @ bvh.places[:, joint, :, None])[..., 0]
+        )
+        turns[joint] = bvh.rotations[:, joint] if parent < 0 else turns[parent] @ bvh.rotations[:, joint]
+    order = [bvh.names.index(name) for name in bone_names(names)]
+    return np.stack([at[i] for i in order], 1), np.stack([turns[i] for i in order], 1)
+
+
+@pytest.mark.parametrize("names", get_args(Names))
+def test_joints_come_back_to_a_tenth_of_a_degree_and_a_millimetre(tmp_path, names):
+    take = tumbling()
+    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take, names, FLOOR)
+    (at, turns), (there, found) = where(take), read_back(tmp_path / "a.bvh", names)
+    assert np.abs(there - at + [0, FLOOR, 0]).max() < 1e-3, "m, and the floor is at 0"
+    away = Rotation.from_matrix((turns.mT @ found).reshape(-1, 3, 3)).magnitude()
+    assert np.degrees(away.max()) < 0.1
+    assert read_bvh(tmp_path / "a.bvh").fps == 25 and len(read_bvh(tmp_path / "a.bvh")) == len(take)
+
+
+@pytest.mark.parametrize("names", get_args(Names))
+@pytest.mark.parametrize("motion", [0, 3])
+def test_we_animate_with_it_as_with_the_take(tmp_path, names, motion):
+    take, soles = made_takes(RIG.joints[0])[motion], Soles.of_rig(RIG)
+    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take, names, soles.floor)
+    placed, said = from_file(tmp_path / "a.bvh", Manner(30.0), soles, PARENTS)
+    turns = Rotation.from_rotvec(np.concatenate([placed.global_orient, placed.body_pose], 1).reshape(-1, 3))
+    away = turns.inv() * Rotation.from_quat(take.rotations.reshape(-1, 4), scalar_first=True)
+    assert len(placed.transl) == len(take) and "y is up" in said
+    assert np.degrees(away.magnitude().max()) < 0.1, f"{np.degrees(away.magnitude().reshape(-1, 24).max(0))}"
+    steps = placed.transl - placed.transl[0] - take.pelvis + take.pelvis[0]
+    assert np.abs(steps[:, [0, 2]]).max() < 1e-3
+
+
+def test_angles_do_not_jump_where_nothing_does(tmp_path):
+    """Players and retargeters go straight from number to number: a whole turn goes on beyond 180 degrees."""
+    rest = np.tile([1.0, 0, 0, 0], (100, 24, 1))
+    take = Take("turn", np.arange(100) / 25, rest, np.tile(RIG.joints[0], (100, 1)))
+    knee, elbow = JOINT_NAMES.index("left_knee"), JOINT_NAMES.index("left_elbow")
+    shoulder, bend = JOINT_NAMES.index("left_shoulder"), np.linspace(0, 150, 100)
+    for joint, axis, turn in ((0, "y", 8 * bend), (knee, "x", bend), (elbow, "y", -bend), (shoulder, "z", -bend)):
+        take.rotations[:, joint] = Rotation.from_euler(axis, turn[:, None], degrees=True).as_quat(scalar_first=True)
+    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take)
+    rows = (tmp_path / "a.bvh").read_text().partition("Frame Time:")[2].splitlines()[1:]
+    angles = np.array([row.split() for row in rows], float)[:, 3:]
+    assert np.abs(np.diff(angles, axis=0)).max() < 13 and np.ptp(angles, axis=0).max() == pytest.approx(1200)
+
+
+def test_one_pose_is_a_motion(tmp_path):
+    take = tumbling(1)
+    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, replace(take, times=np.zeros(1)))
+    assert len(read_bvh(tmp_path / "a.bvh")) == 1
+
+
+@pytest.mark.slow
+def test_blender_moves_the_bones_as_we_do(tmp_path):
+    """Where HUGS_BLENDER_PYTHON names a Python that has bpy."""
+    python = os.environ.get("HUGS_BLENDER_PYTHON")
+    if not python:
+        pytest.skip("HUGS_BLENDER_PYTHON names no Python with bpy")
+    take = tumbling()
+    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, take, floor=FLOOR)
+    script = Path(__file__).parents[3] / "tools" / "bvh_in_blender.py"
+    plain = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    command = [python, str(script), str(tmp_path / "a.bvh")]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, env=plain).stdout
+    found = json.loads(said.strip().splitlines()[-1])
+    assert set(found) == set(JOINT_NAMES)
+    heads = np.stack([found[name] for name in JOINT_NAMES], 1)
+    assert np.abs(heads - where(take)[0] + [0, FLOOR, 0]).max() < 1e-3, "m, z up as Blender has it"
