@@ -19,7 +19,7 @@ from hugs_cli import app, pipelines, within
 from hugs_cli.studies import variants
 from tests.docs.documents import ROOT, documents
 
-CHEAP = {"hugs stages", "hugs doctor", "hugs --help"}
+CHEAP = {"hugs stages", "hugs doctor", "hugs --help", "hugs --version"}
 CODES = {"hugs doctor": (0, 1)}  # 1 where models are missing
 PREFIXES = ("hugs ", "make ", "pip ", "python -m ")
 HUGS = typer.main.get_command(app.app)
@@ -59,7 +59,7 @@ def parsed(words: list[str], example: bool) -> tuple[str, dict]:
 
 
 def check_hugs(words: list[str], example: bool) -> None:
-    if words[0].isupper() or words == ["--help"]:
+    if words[0].isupper() or words in (["--help"], ["--version"]):
         return
     command, values = parsed(words, example)
     pipeline_name = values.get("pipeline") or "default"

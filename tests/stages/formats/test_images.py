@@ -1,14 +1,18 @@
 """Pictures: exact round trips, turned as EXIF says, damaged files refused, full disks told."""
 
+import resource
+import struct
+
 import cv2
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 from PIL import Image, ImageCms
 
-from stages.contract import StageError
+from stages.contract import StageError, peak_memory
 from stages.formats.images import read_image, read_mask, read_pixels, write_image, write_mask
 from tests.made import icc
+from tests.tools.mutations import with_checksums
 
 
 def picture(height=37, width=53, channels=3, seed=0):
@@ -53,6 +57,79 @@ def test_exif_orientation_is_applied(tmp_path, orientation):
     write_raw(tmp_path / "a.jpg", flat, Orientation=orientation, Compression="jpeg:100")
     got, want = read_image(tmp_path / "a.jpg"), cv2.imread(str(tmp_path / "a.jpg"))[..., ::-1]
     assert got.shape == want.shape and np.abs(got.astype(int) - want).mean() < 4
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_i15_a_file_cut_short_is_refused(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    write_image(path, picture(200, 200))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(StageError, match="damaged or cut short"):
+        read_image(path)
+
+
+def test_g13_pixels_that_are_not_finite_are_refused_by_file_and_count(tmp_path):
+    light = picture().astype(np.float32) / 255
+    write_raw(tmp_path / "good.exr", light)
+    assert np.abs(read_image(tmp_path / "good.exr").astype(int) - picture()).max() <= 1
+    light[3, 4, 1], light[3, 4, 2], light[9, 9] = np.nan, np.nan, np.inf
+    write_raw(tmp_path / "bad.exr", light)
+    with pytest.raises(StageError, match=r"bad\.exr has pixels that are not finite") as error:
+        read_image(tmp_path / "bad.exr")
+    assert error.value.facts == ("2 of 1961 pixels",)
+
+
+def test_missing_and_foreign_files_are_named(tmp_path):
+    with pytest.raises(StageError, match="no picture"):
+        read_image(tmp_path / "no.png")
+    (tmp_path / "t.png").write_text("hello")
+    with pytest.raises(StageError, match="not a picture"):
+        read_image(tmp_path / "t.png")
+    write_image(tmp_path / "c.png", picture())
+    with pytest.raises(StageError, match="8-bit grey"):
+        read_mask(tmp_path / "c.png")
+
+
+def test_l12_writing_fails_loudly(tmp_path):
+    with pytest.raises(StageError, match="cannot write"):
+        write_image(tmp_path / "nowhere" / "a.png", picture())
+    with pytest.raises(ValueError, match="uint8"):
+        write_image(tmp_path / "a.png", picture().astype(np.float32))
+    with pytest.raises(ValueError, match="uint8"):
+        write_mask(tmp_path / "a.png", picture())
+
+
+def test_a_full_disk_is_told_and_leaves_no_picture_that_looks_whole(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        with pytest.raises(StageError, match="cannot write") as error:
+            write_image(tmp_path / "a.png", noise)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "large" in error.value.facts[0]
+    with pytest.raises(StageError, match="cut short"):
+        read_image(tmp_path / "a.png")
+
+
+def one_bit(path, side):
+    """The first rows of a black PNG of 1 bit a pixel that says it is side x side px."""
+    write_mask(path, np.zeros((8, 8), np.uint8))
+    png = bytearray(path.read_bytes())
+    png[16:25] = struct.pack(">IIB", side, side, 1)
+    path.write_bytes(with_checksums(bytes(png)))
+    return path
+
+
+def test_a_small_file_of_an_enormous_picture_is_refused_before_it_is_unpacked(tmp_path):
+    before = peak_memory()
+    with pytest.raises(StageError, match="asks for too much memory") as error:
+        read_image(one_bit(tmp_path / "a.png", 20_000))
+    assert "a picture of 20000x20000 px, 1 channels would take 1.20 GB" in error.value.facts[0]
+    assert peak_memory() - before < 1 << 28
+    with pytest.raises(StageError, match="cut short"):
+        read_image(one_bit(tmp_path / "a.png", 64))
 
 
 @pytest.mark.parametrize(
