@@ -90,7 +90,7 @@ def run(
     video: options.Video,
     given: RunOptions,
     stages: Stages = None,
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     force: Force = False,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -129,7 +129,13 @@ def run_pipeline(
     video, workspace = session.video, session.workspace
     session.check_sources()
     workspace.create()
-    console.header(video.name, clip_facts(workspace), session.pipeline.name, words.relative(workspace.root))
+    console.header(
+        video.name,
+        clip_facts(workspace),
+        session.pipeline.name,
+        words.relative(workspace.root),
+        *engine.device_of(device),
+    )
     if not forced:
         hint_accept(promised.last_session() if promised else session, wanted, console)
     if promised:
@@ -215,7 +221,7 @@ def demo(
     pipeline: PipelineName = "default",
     set_: Settings = None,
     seed: Seed = None,
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     work: Work = Path("work"),
     pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:

@@ -21,7 +21,7 @@ def ablate(
         list[str] | None, Option(help="Leave out only this part (may be repeated); none: the pipeline alone.")
     ] = None,
     seeds: Annotated[int, Option(min=1, help="Seeds per variant, starting at --seed.")] = 3,
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
@@ -59,7 +59,7 @@ def costs(
     seeds: Annotated[int, Option(min=1, help="Seeds per case, starting at --seed (with --sweep).")] = 3,
     budget: Annotated[float, Option(min=0, help="Minutes to train; 0: only cached results (with --sweep).")] = 120,
     plot: Annotated[bool, Option("--plot", help="Also write a plot and a page beside the results.")] = False,
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:

@@ -42,7 +42,7 @@ def compose(
     force: Annotated[
         bool, Option("--force", help="Write over what others made; never over a source or a result.")
     ] = False,
-    device: DeviceName = Device.cpu,
+    device: DeviceName = Device.auto,
     work: Work = Path("work"),
 ) -> None:
     """Put people of several clips into one scene.
@@ -75,7 +75,7 @@ def shoot(
             raise UsageError(f"{one} and {other} cannot both be written", "give each a place of its own")
     for path in outs:
         check_out(path, work, sources, force, is_folder=path == folder)
-    where = engine.device_of(device)
+    where, _ = engine.device_of(device)
     console = Console()
     console.started(name, ())
 

@@ -51,7 +51,7 @@ def render(
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
     force: Overwrite = False,
     pipeline: AnyPipeline = None,
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     work: Work = Path("work"),
 ) -> None:
     """Render the result for your own cameras and poses.
@@ -70,7 +70,7 @@ def render(
         train, smpl = finished(video, work, pipeline_of(video, work, pipeline, console, "train"), "train", "smpl")
     check_files(cameras, poses, avatar, scene)
     check_out(out, work, (video, cameras, poses, avatar, scene), force, is_folder=True)
-    where = engine.device_of(device.value)
+    where, _ = engine.device_of(device.value)
     said = {"warning": "warning: "}
     job = Job(
         out, where, emit=remembering(work, lambda event: console.say(said.get(event["event"], "") + event["text"]))
@@ -108,7 +108,7 @@ def animate(
     up: Annotated[options.Up | None, Option(help="Up in the file; where pelvises point if none.")] = None,
     force: Overwrite = False,
     pipeline: AnyPipeline = None,
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     work: Work = Path("work"),
 ) -> None:
     """Let the person perform a motion file.

@@ -41,7 +41,7 @@ def fleet(
     ] = None,
     split: Annotated[Split | None, Option(help="Two jobs a clip: what comes before training, and the rest.")] = None,
     name: Annotated[str, Option(help="Of the page, NAME.html in the work folder.")] = "fleet",
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     dry_run: DryRun = False,
     as_json: AsJson = False,
     pipeline: PipelineName = "default",

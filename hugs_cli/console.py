@@ -108,9 +108,9 @@ class Console:
         self.clear()
         print(f"{before}{plain(text)}", file=self.err, flush=True)
 
-    def header(self, clip: str, facts: str, pipeline: str, folder: str) -> None:
+    def header(self, clip: str, facts: str, pipeline: str, folder: str, device: str, why: str) -> None:
         """The first line of a run."""
-        self.say(f"{clip}  {facts}".rstrip() + f"   pipeline {pipeline}   {folder}")
+        self.say(f"{clip}  {facts}".rstrip() + f"   pipeline {pipeline}   {folder}   {device}: {why}")
 
     def row(self, stage: str, state: str, seconds: str, text: str) -> str:
         """Stage, state, time, text in columns."""

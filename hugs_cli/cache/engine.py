@@ -125,7 +125,7 @@ def make(
         remove(part)
     part.mkdir(exist_ok=True)
     (part / STAMP).unlink(missing_ok=True)
-    device = device_of(device)
+    device, _ = device_of(device)
     inputs = {need: session.input_path(need, done) for need in stage.needs}
     job = {
         "module": stage.module,
@@ -300,16 +300,18 @@ def uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
-def device_of(name: str) -> str:
-    """'cpu' or 'cuda' for a name that may be 'auto'; UsageError where the GPU, or gsplat, is missing."""
-    found = child.find_device() if name != "cpu" else "cpu"
-    if name == "cuda" and found != "cuda":
-        raise UsageError("no GPU that torch can use", "leave out `--device cuda`; `hugs doctor` shows what is here")
-    if found == "cuda" and importlib.util.find_spec("gsplat") is None:
-        if name == "cuda":
-            raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
-        return "cpu"
-    return found
+def device_of(name: str) -> tuple[str, str]:
+    """'cpu' or 'cuda' for a name that may be 'auto', and why; UsageError where the GPU, or gsplat, is missing."""
+    if name == "cpu":
+        return "cpu", "as asked"
+    gpu, why = child.find_device() == "cuda", "no GPU that torch can use"
+    if gpu and importlib.util.find_spec("gsplat"):
+        return "cuda", "a GPU that torch can use, and gsplat"
+    if name == "cuda" and not gpu:
+        raise UsageError(why, "leave out `--device cuda`; `hugs doctor` shows what is here")
+    if name == "cuda":
+        raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
+    return "cpu", "a GPU is here, but not gsplat: pip install 'hugs-avatar[gpu]'" if gpu else why
 
 
 def now() -> str:

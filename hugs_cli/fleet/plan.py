@@ -51,7 +51,7 @@ class Common:
     work: Path
     pipelines_file: Path = pipelines.FILE
     body_model: Path | None = None
-    device: str = "cpu"
+    device: str = "auto"
 
 
 def session_of(row: Row, common: Common) -> Session:

@@ -64,7 +64,7 @@ def stamp(stage: str, **facts) -> Stamp:
 
 def a_run(console: Console, clock: list[float]) -> None:
     """Five stages of a run, as the engine tells them."""
-    console.header("dance.mp4", "12.4 s, 372 frames, 1280x720", "default", "work/dance")
+    console.header("dance.mp4", "12.4 s, 372 frames, 1280x720", "default", "work/dance", "cpu", "as asked")
     console.cached("frames", stamp("frames", seconds=4.1))
     console.cached("sfm", stamp("sfm", seconds=151.0, warnings=["static camera: the scene cannot be had"]))
     console.started("smpl", (ParamChanged("smooth_hz", 4, 6),))

@@ -404,12 +404,16 @@ def test_runs_are_logged_with_cost_and_machine(flow):
 def test_a_gpu_counts_only_with_gsplat(monkeypatch):
     monkeypatch.setattr(engine.child, "find_device", lambda: "cuda")
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
-    assert engine.device_of("auto") == engine.device_of("cpu") == "cpu"
+    assert (
+        engine.device_of("auto")[0] == engine.device_of("cpu")[0] == "cpu" and "gsplat" in engine.device_of("auto")[1]
+    )
     with pytest.raises(UsageError) as error:
         engine.device_of("cuda")
     assert "gsplat" in error.value.problem and "hugs-avatar[gpu]" in error.value.hint
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: object())
-    assert engine.device_of("auto") == engine.device_of("cuda") == "cuda"
+    assert engine.device_of("auto")[0] == engine.device_of("cuda")[0] == "cuda" and engine.device_of("cpu")[0] == "cpu"
+    monkeypatch.setattr(engine.child, "find_device", lambda: "cpu")
+    assert engine.device_of("auto") == ("cpu", "no GPU that torch can use")
 
 
 def written_by_older_code(flow) -> None:
