@@ -249,6 +249,11 @@ class Metrics(Facts):
 F = TypeVar("F", bound=Facts)
 
 
+def write_facts(path: Path, facts: Any) -> None:
+    """Write values as JSON."""
+    path.write_text(json.dumps(facts, indent=1) + "\n")
+
+
 def read_facts(path: Path, form: type[F], hint: str = "") -> F:
     """Read a .json file as `form`; StageError where it cannot be read, or with the place that does not fit.
 
