@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -249,7 +249,7 @@ class Metrics(Facts):
 F = TypeVar("F", bound=Facts)
 
 
-def write_facts(path: Path, facts: Any) -> None:
+def write_facts(path: Path, facts: Mapping[str, Any]) -> None:
     """Write values as JSON."""
     path.write_text(json.dumps(facts, indent=1) + "\n")
 

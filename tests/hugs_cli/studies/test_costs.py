@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hugs_cli.studies import costs, costs_page
+from hugs_cli.studies import costs
 from hugs_cli.studies.comparison import METRICS, REGIONS
 from stages.commands import costs_page as drawing
 from stages.contract import StageError
@@ -103,7 +103,7 @@ def test_where_nothing_was_measured_times_are_compared_and_that_is_said(tmp_path
         "note: no accuracy was measured in all of them, so there is none to compare"
     )
     with pytest.raises(StageError, match="nothing to plot"):
-        costs_page.write(tmp_path, "costs", "clip", result)
+        costs.write_page(tmp_path, "costs", "clip", result)
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
     result = costs.compared(found)
     panels = drawing.panels(result, {region: REGIONS[region] for region in ("full", "person_crop")})
     assert [panel.y_name for panel in panels] == ["PSNR dB, whole picture", "PSNR dB, person"] * 2
-    text = (page := costs_page.write(tmp_path, "costs", "<clip>", result)).read_text()
+    text = (page := costs.write_page(tmp_path, "costs", "<clip>", result)).read_text()
     assert text.count(">Pareto front</text>") == 1 and "<h1>&lt;clip&gt;</h1>" in text and "a<b" not in text
     seen, logged = probe(page, tmp_path, width)
     assert logged == [] and not seen["wide"]
