@@ -92,10 +92,8 @@ def costs(
         result = accounts.compared(accounts.runs(session.workspace))
     result = {"clip": clip, **result}
     if plot:
-        from hugs_cli.studies import costs_page
-
         name, title = (
             ("sweep-" + session.pipeline.name, f"around {session.pipeline.name}") if sweep else ("costs", "costs")
         )
-        console.say(words.relative(costs_page.write(root, name, f"{clip}: {title}", result)))
+        console.say(words.relative(accounts.write_page(root, name, f"{clip}: {title}", result)))
     console.result(json.dumps(result, indent=1) if as_json else "\n".join(accounts.table(result)))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from stages import contract
 from stages.contract import Job, StageError
-from stages.formats.facts import DatasetListing, GivenSfm, read_facts
+from stages.formats.facts import DatasetListing, GivenSfm, read_facts, write_facts
 
 
 class Params(contract.Params):
@@ -64,5 +63,5 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path) -> None:
         "points": points,
         **read_facts(given / "sfm.json", GivenSfm).model_dump(exclude_unset=True),
     }
-    (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
+    write_facts(job.out / "sfm.json", facts)
     job.note(f"{len(cameras)} cameras and {points} points as given; the lens moves pixels by up to {shift:.1f} px")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -55,6 +54,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     blurred ones are dropped. One pass, one frame in memory. Raises StageError for a path that is missing, not a video,
     cut short, or has too few frames.
     """
+    from stages.formats.facts import write_facts
     from stages.formats.film_times import FilmTimes, TimesFall
     from stages.formats.frame_names import plain
     from stages.formats.told_focal import told_focal
@@ -106,7 +106,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     }
     if told := told_focal(video, width, height):
         facts["focal"] = asdict(told)
-    (job.out / "frames.json").write_text(json.dumps(facts, indent=1) + "\n")
+    write_facts(job.out / "frames.json", facts)
     job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
     if video.is_dir():
         job.note(f"a folder does not say how fast: {pace:g} pictures a second taken (`--set frames.folder_fps=30`)")

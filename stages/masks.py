@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
@@ -12,7 +11,7 @@ from pydantic import Field
 from stages import contract
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
-from stages.formats.facts import Listing, read_facts
+from stages.formats.facts import Listing, read_facts, write_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -111,7 +110,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     if seen:
         counted = [sum(there) for there in zip(*seen, strict=True)]
         summary["people"] = {str(k): {"frames": count} for k, count in enumerate(counted, 1)}
-    (job.out / "masks.json").write_text(json.dumps(summary, indent=1) + "\n")
+    write_facts(job.out / "masks.json", summary)
 
 
 def check_motion(job: Job, listing: Listing, frames: Path) -> None:

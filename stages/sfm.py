@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -12,7 +11,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
-from stages.formats.facts import Listing, read_facts
+from stages.formats.facts import Listing, read_facts, write_facts
 
 if TYPE_CHECKING:
     from stages.estimators.cameras.intrinsics import Prior
@@ -102,7 +101,7 @@ def run(
         **found.facts,
         **model,
     }
-    (job.out / "sfm.json").write_text(json.dumps(facts, indent=1) + "\n")
+    write_facts(job.out / "sfm.json", facts)
     # Not in sfm.json: the same clip gives the same bytes, and the stages after it stay fresh.
     job.note(f"what took how long: {parts}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ from pydantic import Field
 from stages import contract
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
-from stages.formats.facts import Listing, read_facts
+from stages.formats.facts import Listing, read_facts, write_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -111,7 +110,7 @@ def fit_person(
     warn_of_scale(job, facts["scale"])
     report(job, params, poses, clip.model, quality)
     facts = {**facts, **summary(params, poses, clip.model, quality)}
-    (folder / "smpl.json").write_text(json.dumps(facts, indent=1) + "\n")
+    write_facts(folder / "smpl.json", facts)
     return poses
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -67,7 +66,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     from stages.estimators.detectors.every import DETECTORS
     from stages.estimators.detectors.evidence import ClipEvidence
     from stages.formats.clip import load_people
-    from stages.formats.facts import Sfm, read_facts
+    from stages.formats.facts import Sfm, read_facts, write_facts
     from stages.formats.images import Kept
 
     facts = read_facts(sfm / "sfm.json", Sfm)
@@ -93,7 +92,7 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     decisions = {"scene": scene} | {name: effect["on"] for name, effect in effects.items()}
     starts = {name: list(finding.start) for name, finding in findings.items() if finding.start}
     found = {"measures": measures, "effects": effects, "decisions": decisions, "starts": starts}
-    (job.out / "survey.json").write_text(json.dumps(found, indent=1) + "\n")
+    write_facts(job.out / "survey.json", found)
 
 
 def apart(clip: Clip, people: list[Clip]) -> Clip:

@@ -15,10 +15,11 @@ from pydantic import BaseModel, FiniteFloat, ValidationError, model_validator
 
 from hugs_cli.cache.fingerprint import digest
 from hugs_cli.cache.workspace import Stamp, Workspace, result_behind
+from hugs_cli.direct import run_directly
 from hugs_cli.pipelines import UsageError
 from hugs_cli.studies.comparison import LAST, METRICS, REGIONS, Scores, cell, measured, over_seeds
 from hugs_cli.words import count, duration, size
-from stages.contract import StageError
+from stages.contract import Job, StageError
 
 WORTH = 0.1  # dB that a doubling of the time must buy
 METRIC = "psnr"  # by which results are set against each other
@@ -280,3 +281,11 @@ def advice(result: dict[str, Any]) -> Iterable[str]:
         if name == slowest.get("pipeline"):
             more = f"each doubling of the time up to it bought {WORTH:g} dB or more; nothing slower was better"
         yield f"knee: {name} ({where}); {more}"
+
+
+def write_page(folder: Path, name: str, title: str, result: dict[str, Any]) -> Path:
+    """Write NAME.svg, NAME.png and NAME.html into the folder; returns the path of the page."""
+    regions = {region: REGIONS[region] for region in measured([row["scores"] for row in result["rows"]])}
+    inputs = {"result": result, "regions": regions, "table": table(result)}
+    run_directly("stages.commands.costs_page", Job(folder), {"name": name, "title": title}, **inputs)
+    return folder / f"{name}.html"

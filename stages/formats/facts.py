@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -247,6 +247,11 @@ class Metrics(Facts):
 
 
 F = TypeVar("F", bound=Facts)
+
+
+def write_facts(path: Path, facts: Mapping[str, Any]) -> None:
+    """Write values as JSON."""
+    path.write_text(json.dumps(facts, indent=1) + "\n")
 
 
 def read_facts(path: Path, form: type[F], hint: str = "") -> F:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from stages.formats.facts import Facts, Number, Whole, not_as_written, read_facts
+from stages.formats.facts import Facts, Number, Whole, not_as_written, read_facts, write_facts
 from stages.records import Ground
 
 Axis = tuple[Number, Number, Number]
@@ -30,7 +29,7 @@ class GroundFacts(Facts):
 def write_ground(path: Path, ground: Ground) -> None:
     """Write the floor as JSON; the numbers come back as they are."""
     axes = {name: getattr(ground, name).tolist() for name in ("point", "up", "ahead")}
-    path.write_text(json.dumps(asdict(ground) | axes, indent=1) + "\n")
+    write_facts(path, asdict(ground) | axes)
 
 
 def read_ground(path: Path) -> Ground:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from stages.formats.facts import SplitFacts, not_as_written, read_facts
+from stages.formats.facts import SplitFacts, not_as_written, read_facts, write_facts
 from stages.records import Split
 
 EVERY_FIFTH = "Every 5th registered frame is held out."
@@ -17,7 +16,7 @@ HELD_OUT_EVERY, HELD_OUT_FIRST = 5, 2
 def write_split(path: Path, rule: str, frames: dict[str, tuple[str, int]]) -> None:
     """Write `frames`: name -> (train, heldout or unused; moment)."""
     rows = {name: {"split": split, "moment": moment} for name, (split, moment) in frames.items()}
-    path.write_text(json.dumps({"rule": rule, "frames": rows}, indent=1) + "\n")
+    write_facts(path, {"rule": rule, "frames": rows})
 
 
 def read_split(path: Path, names: tuple[str, ...]) -> Split:

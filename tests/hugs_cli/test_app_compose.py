@@ -25,6 +25,7 @@ from stages.formats.images import read_image
 from stages.formats.video import decode
 from tests.made import finished
 from tests.made.command import hugs_here
+from tests.made.said import holds
 from tests.made.tiny import colour_of
 
 pytestmark = pytest.mark.slow
@@ -92,8 +93,8 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
     text = (made / "new/both.yaml").read_text()
     assert [line.split()[1] for line in text.splitlines() if line.startswith("    who:")] == ["1", "2"]
     shutil.rmtree(others.parent)
-    assert "first.yaml is already there" in hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1]
-    assert "nobody to make a film of" in hugs("--init", code=2)[1]
+    assert "first.yaml is already" in hugs("--init", "work/ann/default", "--out", "new/first.yaml", code=2)[1]
+    assert "nobody" in hugs("--init", code=2)[1]
     (made / "work/ann: a dance #1").symlink_to("ann")
     hugs("--init", "work/ann: a dance #1/default", "--out", "new/no: 1.yaml")
     text = (made / "new/no: 1.yaml").read_text()
@@ -119,7 +120,7 @@ def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs
     columns = np.argwhere(seen == 3)[:, 1]  # heads
     assert (columns < 48).sum() > 20 and (columns > 48).sum() > 20
     again = hugs(film)[1]
-    assert "a.mp4 is as it was made before" in again and len(drawn) == 10
+    assert holds(again, "a.mp4", "before") and len(drawn) == 10
     other = write(made, "b.yaml", "film: b.mp4")
     hugs(other)
     assert (made / "b.mp4").read_bytes() == first and len(drawn) == 20
@@ -142,7 +143,7 @@ def test_a_second_compose_of_a_film_waits_for_the_first(made, hugs, monkeypatch)
     say = Console.say
     monkeypatch.setattr(Console, "say", lambda self, text: done.set() if "waiting" in text else say(self, text))
     _, err = hugs(film)
-    assert done.is_set() and "twice.ply is as it was made before" in err
+    assert done.is_set() and holds(err, "twice.ply", "before")
     thread.join()
 
 
@@ -162,7 +163,7 @@ def test_a_compose_killed_after_some_of_its_files_makes_the_rest(made, hugs, mon
         patch.setattr(outputs if at != "page" else pages, at, kill)
         hugs(film)
     _, err = hugs(film)
-    assert f"{at}k.mp4 is as it was made before" in err and (made / f"{at}k.glb").is_file()
+    assert holds(err, f"{at}k.mp4", "before") and (made / f"{at}k.glb").is_file()
 
 
 @pytest.mark.parametrize("out", ["page: a.html; stills: {folder: a.html, at: [0]}",
@@ -196,7 +197,7 @@ def test_a_still_takes_the_place_of_a_link_and_what_it_leads_to_stays(made, hugs
     assert "linked is already there" in hugs(film, code=2)[1]
     hugs(film, "--force")
     assert stored.read_bytes() == before and read_image(made / "linked/000.000.png").shape == (128, 96, 3)
-    assert "linked is as it was made before" in hugs(film)[1]
+    assert holds(hugs(film)[1], "linked", "before")
 
 
 def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monkeypatch):
@@ -234,7 +235,7 @@ def test_a_film_is_no_strangers_where_what_comes_after_it_was_not_made(made, hug
     assert (made / "h.mp4").exists() and drawn
     drawn.clear()
     _, err = hugs(film)
-    assert "h.mp4 is as it was made before" in err and not drawn
+    assert holds(err, "h.mp4", "before") and not drawn
 
 
 def test_a_change_draws_again_what_depends_on_it_and_nothing_else(made, hugs, drawn):
@@ -284,7 +285,7 @@ def test_the_page_has_all_people_and_the_films_camera(made, hugs):
 
 def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs, drawn):
     film = write(made, "f.yaml", "stills: {folder: near, at: [0]}", ("at: [0.45, 0.0]", "at: [-0.3, 0.0]"))
-    assert re.search(r"warning: ann and bob are in each other by \d+ cm at \d\.\d s", hugs(film)[1])
+    assert re.search(r"warning: ann and bob .* \d+ cm at \d\.\d s", hugs(film)[1])
     for old, new, problem in (
         ("motion: wave", "motion: wvae", "no motion 'wvae'"),
         ("camera: still", "camera: stil", "no camera 'stil'"),
@@ -296,4 +297,4 @@ def test_people_in_each_other_are_warned_of_and_wrong_wishes_refused(made, hugs,
     assert "cannot write g.obj" in hugs(write(made, "g.yaml", "film: g.mp4; splats: g.obj"), code=1)[1] and not drawn
     assert "asks for nothing" in hugs(write(made, "g.yaml", "{}"), code=2)[1]
     inside = write(made, "g.yaml", "film: work/ann/default/train/film.mp4")
-    assert "is a folder of results, or lies in it" in hugs(inside, "--force", code=2)[1]
+    assert "folder of results" in hugs(inside, "--force", code=2)[1]

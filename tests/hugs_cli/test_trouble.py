@@ -16,6 +16,7 @@ from hugs_cli.cache.freshness import Recipe
 from hugs_cli.cache.workspace import Stamp, clip_name
 from hugs_cli.pipelines import UsageError
 from tests.made.flow import ALL, LONGEST, WHOLE
+from tests.made.said import holds
 
 FULL = "open('/dev/full', 'w').write('x' * 100_000); "
 
@@ -31,7 +32,7 @@ def kept(flow) -> dict[str, str]:
 def test_a_full_disk_stops_a_stage_and_keeps_what_is_finished(flow):
     flow.edit("two", "from flow import helper", FULL + "from flow import helper")
     _, err = flow.hugs(code=1)
-    assert "error: the disk is full at " in err and "hint: free some space; `hugs gc`" in err and "Traceback" not in err
+    assert holds(err, "error", "disk is full", "hint", "hugs gc") and "Traceback" not in err
     before = kept(flow)
     assert [name[:3] for name in before] == ["one"]
     flow.edit("two", FULL, "")
@@ -45,7 +46,7 @@ def test_a_full_disk_stops_the_run_itself_and_the_result_stands(flow):
     (flow.work / "clip").mkdir(parents=True)
     (flow.work / "clip" / "runs.jsonl").symlink_to("/dev/full")
     _, err = flow.hugs(code=1)
-    assert "error: the disk is full" in err and "Traceback" not in err
+    assert holds(err, "error", "disk is full") and "Traceback" not in err
     assert [name[:3] for name in kept(flow)] == ["one"]
     (flow.work / "clip" / "runs.jsonl").unlink()
     assert list(flow.ran()) == ["two", "three", "four"]
@@ -61,7 +62,7 @@ def test_a_result_made_on_a_disk_that_is_full_now_is_not_believed(importable, mo
     recipe = Recipe("two", 0, {}, {}, {"one": "its content"})
     assert engine.distrust(session, stage, recipe, importable.folder) is None
     monkeypatch.setattr(engine, "FULL_DISK", 1 << 62)
-    assert "the disk is full at" in engine.distrust(session, stage, recipe, importable.folder)["problem"]
+    assert holds(engine.distrust(session, stage, recipe, importable.folder)["problem"], "disk is full")
 
 
 def test_a_full_disk_behind_the_error_of_a_library_is_found():
@@ -73,7 +74,7 @@ def test_a_full_disk_behind_the_error_of_a_library_is_found():
 
     with pytest.raises(RuntimeError) as caught:
         wrapped()
-    assert child.error_event(caught.value, "x.part")["problem"] == "the disk is full at x.part"
+    assert child.error_event(caught.value, "x.part")["problem"].endswith("disk is full at x.part")
 
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS, errno.EPERM])
@@ -93,7 +94,7 @@ def test_a_folder_that_may_only_be_read(flow, number, monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         app.main()
     err = capsys.readouterr().err
-    assert end.value.code == 1 and "error: cannot read or write work/clip/store/two.part: " in err and "--work" in err
+    assert end.value.code == 1 and holds(err, "error", "work/clip/store/two.part") and "--work" in err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
@@ -102,7 +103,7 @@ def test_a_store_that_may_only_be_read(flow):
     flow.store.chmod(0o555)
     _, err = flow.hugs(code=1)
     flow.store.chmod(0o755)
-    assert "error: cannot read or write" in err and "Traceback" not in err and kept(flow)
+    assert holds(err, "error", "write") and "Traceback" not in err and kept(flow)
 
 
 @pytest.mark.slow
@@ -112,8 +113,8 @@ def test_a_video_that_vanishes_while_it_is_read(flow):
     flow.video.rename(flow.folder / "away")
     flow.go()
     _, err = run.communicate(timeout=LONGEST)
-    assert run.returncode == 1 and "clip.mp4 is gone or cannot be read" in err and "Traceback" not in err
-    assert "hint: put it back, and run again" in err and kept(flow) == {}
+    assert run.returncode == 1 and holds(err, "clip.mp4", "cannot be read") and "Traceback" not in err
+    assert holds(err, "hint", "run again") and kept(flow) == {}
     (flow.folder / "away").rename(flow.video)
     assert flow.ran()["one"] == ["first run", "last run was cut short"]
 
@@ -125,7 +126,7 @@ def test_a_video_that_changes_while_it_is_read_makes_no_result(flow):
     flow.video.write_text("other pixels")
     flow.go()
     _, err = run.communicate(timeout=LONGEST)
-    assert run.returncode == 1 and "error: clip.mp4 changed while one ran" in err
+    assert run.returncode == 1 and holds(err, "error", "clip.mp4", "changed", "one")
     assert kept(flow) == {}
     flow.hugs()
     assert "other pixels" in flow.text("four")
@@ -136,7 +137,7 @@ def test_a_link_to_nothing_in_a_folder_of_pictures(flow):
     flow.video.mkdir()
     (flow.video / "a.png").symlink_to("nowhere.png")
     _, err = flow.hugs(code=1)
-    assert "error: clip.mp4/a.png is gone or cannot be read" in err and "Traceback" not in err
+    assert holds(err, "error", "clip.mp4/a.png", "cannot be read") and "Traceback" not in err
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from hugs_cli import options, within
 from hugs_cli.pipelines import UsageError
 from hugs_cli.studies.calibration import STAGE_START
 from tests.made.flow import Flow
+from tests.made.said import holds
 
 TRAIN = """
 '''Writes what it was told; fails while there is a file `stop` beside the video.'''
@@ -124,7 +125,7 @@ def test_a_second_run_trains_no_more_unless_forced(timed):
     before = told(timed)
     out, err = run(timed, "--within", "60s", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(timed) == before
-    assert "continuing the training that was begun" in err
+    assert holds(err, "continuing", "training")
     out, err = run(timed, "--within", "60s", "--dry-run", "--json")
     assert "stale" not in out and "waiting" not in out, out
     out, err = run(timed, "--within", "60s", "--force", "--json")
@@ -158,9 +159,9 @@ def test_changed_settings_are_timed_anew(timed):
 
 def test_a_run_that_does_not_train_is_refused(clip):
     _, err = run(clip, "one", "--within", "60s", code=2)
-    assert "--within is for runs that train" in err
+    assert "--within" in err and "train" in err
     _, err = clip.hugs("--within", "60s", code=2)
-    assert "--within is for runs that train" in err
+    assert "--within" in err and "train" in err
 
 
 @pytest.mark.slow
@@ -168,7 +169,7 @@ def test_its_results_have_a_name_for_other_commands(timed):
     states = json.loads(timed.hugs("--pipeline", "tiny.60s", "--json", command="status")[0])
     assert [row["state"] for row in states] == ["fresh"] * 3
     _, err = timed.hugs("--pipeline", "tiny.5m", command="status", code=2)
-    assert "no run of pipeline tiny within 5m" in err and "--within 5m" in err
+    assert holds(err, "no run", "tiny", "5m") and "--within 5m" in err
 
 
 @pytest.mark.slow
@@ -178,13 +179,13 @@ def test_a_variant_within_a_time_has_a_name_too(clip):
     states = json.loads(clip.hugs("--pipeline", "tiny.no_lbs.60s", "--json", command="status")[0])
     assert [row["state"] for row in states] == ["fresh"] * 3
     _, err = clip.hugs("--pipeline", "tiny.no_lbs.5m", command="status", code=2)
-    assert "no run of pipeline tiny.no_lbs within 5m" in err
+    assert holds(err, "no run", "tiny.no_lbs", "5m")
 
 
 def test_a_training_in_two_parts_is_refused_before_anything_runs(clip):
     clip.edit("train", "    size: int = 1", "    size: int = 1\n    joint: bool = True")
     _, err = run(clip, "--within", "60s", "--set", "train.joint=false", code=2)
-    assert "--within is for trainings of person and scene together" in err and "leave out train.joint" in err
+    assert holds(err, "within", "person and scene") and "train.joint" in err
 
 
 def with_measuring(clip) -> None:
@@ -203,7 +204,7 @@ def test_what_follows_a_training_takes_the_time_that_is_left_then(clip, step, fi
     out, err = run(clip, "--within", "60s", "--json")
     assert told(clip)["reserve"] == 100 and told(clip)["reserve_least"] == 40
     assert json.loads(out)["within"]["settings"]["evaluate"] == ({} if fitted else {"fit_steps": 0})
-    assert ("held-out poses are not fitted" in err) is (fitted == 0)
+    assert holds(err, "held-out poses", "not fitted") is (fitted == 0)
     chosen = json.loads((clip.work / "clip" / "tiny.60s" / within.CHOSEN).read_text())
     assert chosen["evaluate"] == ({} if fitted else {"fit_steps": 0}) and "before" in chosen["guess"]
     out, _ = run(clip, "--within", "60s", "--json")
@@ -214,7 +215,7 @@ def test_what_follows_a_training_takes_the_time_that_is_left_then(clip, step, fi
 def test_what_cannot_fit_is_said_before_the_first_stage_and_ends_in_a_result(clip):
     _, err = run(clip, "--within", "1s")
     before, _, rest = err.partition("is too short, going by a guess")
-    assert rest and " one " not in before and "the run goes on, and will be about" in rest and "took" in rest
+    assert rest and " one " not in before and holds(rest, "goes on", "took")
     assert (clip.work / "clip" / "tiny.1s" / "after" / "out.txt").exists()
     assert "is too short" not in run(clip, "--within", "99h")[1]
 
@@ -228,7 +229,7 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
     out, _ = run(timed, "--within", "60s", "--json")
     assert {row["state"] for row in json.loads(out)["stages"]} == {"cached"} and told(timed) == before
     timed.edit("train", "more = 1", "more = 2")
-    assert "`hugs accept clip.mp4 --pipeline tiny.60s` keeps" in run(timed, "--within", "60s")[1]
+    assert "`hugs accept clip.mp4 --pipeline tiny.60s`" in run(timed, "--within", "60s")[1]
 
 
 @pytest.mark.parametrize("given", [1.0, 0.5, 0.2])

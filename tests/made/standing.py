@@ -24,7 +24,7 @@ def stand(frames: int) -> tuple[HumanModel, Person]:
     body, betas, still = Body(data), torch.zeros(10), torch.zeros(1, 3)
     vertices = body(betas, still, DA_POSE[None], still)[0][0]
     faces = torch.as_tensor(data.faces.astype(np.int64))
-    sizes = {"channels": 2, "resolution": 8, "sh_degree": 0}
+    sizes = {"channels": 2, "resolution": 8}
     human = HumanModel(
         on_vertices(vertices, faces, body.lbs_weights), **sizes, generator=torch.Generator().manual_seed(0)
     )

@@ -41,7 +41,7 @@ def ellipsoid():
 
 def models(seed: int = 1, **more):
     generator = torch.Generator().manual_seed(seed)
-    sizes = {"channels": 8, "resolution": 24, "sh_degree": 0} | more
+    sizes = {"channels": 8, "resolution": 24} | more
     human = HumanModel(on_vertices(*ellipsoid()), **sizes, generator=generator)
     wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
     return human, SceneModel(wall, torch.full((150, 3), 0.5), 1, 1.0), generator
@@ -134,7 +134,7 @@ def everything(clip, steps: int = 24) -> Fit:
     person = dressed(person, TRAIN)
     generator = torch.Generator().manual_seed(1)
     skin, sizes = on_vertices(person.vertices, person.faces, person.weights), {"channels": 8, "resolution": 24}
-    human = HumanModel(skin, person.cloth, **sizes, sh_degree=0, generator=generator)
+    human = HumanModel(skin, person.cloth, **sizes, generator=generator)
     wall = torch.rand(150, 3, generator=generator) * torch.tensor([4.0, 3, 0.2]) - torch.tensor([2, 1.5, -1])
     scene = SceneModel(wall, torch.full((150, 3), 0.5), 3, 1.0, antialias=True)
     scene.add_sky(

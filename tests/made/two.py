@@ -77,7 +77,7 @@ def make_wall(seed: int) -> SceneModel:
 
 def model(person: Person, seed: int) -> HumanModel:
     generator = torch.Generator().manual_seed(seed)
-    sizes = {"channels": 8, "resolution": 24, "sh_degree": 0}
+    sizes = {"channels": 8, "resolution": 24}
     return HumanModel(on_vertices(person.vertices, person.faces, person.weights), **sizes, generator=generator)
 
 

@@ -12,6 +12,7 @@ from stages.contract import Job, StageError
 from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.landmarks import read_landmarks
 from tests.made.rooms import texture
+from tests.made.said import any_holds, holds
 
 SIZE = (96, 128)
 
@@ -106,7 +107,7 @@ def test_a_person_who_fills_the_picture_is_left_and_said(tmp_path, frames):
     close[8:, 10:-10] = 255
     facts, made, said = run(tmp_path, frames, given(tmp_path, {f"{i}.png": close for i in range(12)}))
     assert not facts["inverted"] and np.array_equal(made["000000"], close)
-    assert any("unsure" in line for line in said) and any("cut off at the bottom in 4 of 4" in line for line in said)
+    assert any("unsure" in line for line in said) and any_holds(said, "cut off", "bottom", "4 of 4")
     assert facts["frames"]["000000"]["touches_border"] == ["bottom"]
 
 
@@ -115,7 +116,7 @@ def test_k03_masks_of_the_full_video_are_resized_and_others_refused(tmp_path, fr
     _, made, _ = run(tmp_path, frames, given(tmp_path, large))
     assert ((made["000003"] > 127) != (body(3) > 127)).mean() < 0.01
     turned = {f"{i}.png": np.ascontiguousarray(body(i).T) for i in range(12)}
-    with pytest.raises(StageError, match="not a mask of these frames") as error:
+    with pytest.raises(StageError, match="not a mask") as error:
         run(tmp_path, frames, given(tmp_path, turned))
     assert "96x128" in error.value.facts[0] and "128x96" in error.value.facts[0]
 
@@ -124,7 +125,7 @@ def test_g06_frames_without_a_person_are_named_and_none_at_all_is_refused(tmp_pa
     named = {f"{i}.png": body(i) if i != 9 else np.zeros(SIZE, np.uint8) for i in range(12)}
     facts, _, said = run(tmp_path, frames, given(tmp_path, named))
     assert facts["no_person"] == ["000009"] and any("nobody in 1 of 4 frames: 000009" in line for line in said)
-    with pytest.raises(StageError, match="the given masks show nobody in any of 4 frames"):
+    with pytest.raises(StageError, match=r"masks show nobody.* 4 frames"):
         run(tmp_path, frames, given(tmp_path, {f"{i}.png": np.zeros(SIZE, np.uint8) for i in range(12)}))
 
 
@@ -145,7 +146,7 @@ def test_given_masks_are_corrected_when_asked_and_else_kept(tmp_path):
     (out := tmp_path / "corrected").mkdir()
     events = []
     masks.run(Job(out=out, emit=events.append), masks.Params(outlines="always"), frames=frames, mask_files=folder)
-    assert any("what other frames show behind them" in event.get("text", "") for event in events)
+    assert any(holds(event.get("text", ""), "outlines", "other frames") for event in events)
     widths = [(read_mask(path)[50] > 127).sum() for path in sorted((out / "masks").iterdir())]
     assert np.median(widths) <= 28 and min(widths) >= 24  # 25 is true, 31 was given
     shares = [event["done"] / event["total"] for event in events if "done" in event]
@@ -154,7 +155,7 @@ def test_given_masks_are_corrected_when_asked_and_else_kept(tmp_path):
 
 @pytest.mark.slow
 def test_an_empty_room_has_no_person(tmp_path, frames, blazepose):
-    with pytest.raises(StageError, match="no person found in any of 4 frames"):
+    with pytest.raises(StageError, match=r"no person .* 4 frames"):
         run(tmp_path, frames, None)
 
 
@@ -205,13 +206,13 @@ def test_all_people_of_given_masks_get_masks_of_their_own(tmp_path, frames):
         assert np.array_equal(own[1][name] > 127, two(i) == 1) and np.array_equal(own[2][name] > 127, two(i) == 2)
         assert np.array_equal(made[name], np.maximum(own[1][name], own[2][name]))
     assert facts["person"] == ["1", "2"] and facts["people"] == {"1": {"frames": 4}, "2": {"frames": 4}}
-    assert any("2 people, each with masks of their own: person 1 in 4, 2 in 4 of 4 frames" in line for line in said)
+    assert any_holds(said, "2 people", "person 1 in 4", "2 in 4 of 4 frames")
     assert not any("following" in line or "second large part" in line for line in said)
 
 
 def test_masks_of_several_people_are_not_inverted(tmp_path, frames):
     folder = given(tmp_path, {f"{i:06d}.png": two(i) for i in range(12)})
-    with pytest.raises(StageError, match="several people cannot be inverted") as refused:
+    with pytest.raises(StageError, match=r"people cannot be inverted") as refused:
         run(tmp_path, frames, folder, person="all", invert="always")
     assert refused.value.facts == ("2 objects: 1, 2",) and "--person ID" in refused.value.hint
 
@@ -236,9 +237,8 @@ def test_all_of_one_person_is_that_person(tmp_path, frames):
     usual = run(tmp_path, frames, folder)
     facts, made, said = run(tmp_path, frames, folder, person="all")
     assert facts == usual[0] and all(np.array_equal(made[n], usual[1][n]) for n in made)
-    assert [line for line in said if line not in usual[2]] == [
-        "--person all: one person is found, and followed as without it"
-    ]
+    (line,) = (line for line in said if line not in usual[2])
+    assert line.startswith("--person all") and holds(line, "one person")
     assert not (tmp_path / "out" / "people").exists()
 
 

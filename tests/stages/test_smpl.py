@@ -33,6 +33,7 @@ from stages.formats.poses import read_poses
 from stages.records import BodyPoses
 from tests.made import bodyfit_clips
 from tests.made.possible import impossible
+from tests.made.said import any_holds, holds
 
 MODEL = read_body_model()
 LIMBS = [4, 5, 7, 8, 16, 17, 18, 19, 20, 21]
@@ -127,7 +128,7 @@ def test_i05_j05_a_fit_in_camera_frames_lands_in_the_world_with_one_scale(folder
     ground, floor = read_ground(tmp_path / "out" / "ground.json"), clip.points[:400] * poses.world_from_sfm
     assert np.abs((floor - ground.point) @ ground.up).mean() < 0.012 and ground.points > 250
     assert ground.metres == poses.world_from_sfm and ground.height_error < 0.01
-    assert any("points of the scene lie in it" in event.get("text", "") for event in said)
+    assert any(holds(event.get("text", ""), "floor", "points of the scene") for event in said)
     assert not (tmp_path / "out" / "landmarks.npz").exists()
     assert (tmp_path / "out" / "body_model.npz").exists()
 
@@ -147,7 +148,7 @@ def test_where_the_scene_shows_no_floor_it_is_guessed_and_that_is_said(folders, 
     assert ground.points == 0 and "guessed from the bodies" in ground.how
     assert np.abs((floor - ground.point) @ ground.up).mean() < 0.08
     warned = [event["text"] for event in said if event["event"] == "warning"]
-    assert any(text.startswith("no floor is found in the scene under the person: it is guessed") for text in warned)
+    assert any_holds(warned, "no floor", "guessed")
 
 
 @pytest.mark.slow
@@ -206,11 +207,8 @@ def test_of_two_people_in_a_folder_of_easymocap_the_masked_one_is_taken(folders,
     assert error.mean() < 0.04 and facts["mean_iou"] > 0.85
     assert facts["person"] == "1" and facts["overlap"] > 0.8 and facts["people"]["0"] < 0.3
     texts = [event["text"] for event in said if event["event"] in ("note", "warning")]
-    assert any(text.startswith("person 1 of EasyMocap is the masked one; overlap with the masks: ") for text in texts)
-    assert any(
-        "the poses of EasyMocap are SMPL's, carried over to the free body" in text and "--body-model" in text
-        for text in texts
-    )
+    assert any_holds(texts, "person 1", "EasyMocap", "overlap")
+    assert any_holds(texts, "EasyMocap", "SMPL", "free body", "body-model")
 
 
 @pytest.mark.slow
@@ -218,12 +216,12 @@ def test_a_fit_of_somebody_else_is_refused_and_a_doubtful_one_is_said(folders, t
     clip, frames, sfm = folders
     fit = camera_fit(clip) | {"names": np.array(clip.cameras.names)}
     np.savez(tmp_path / "far.npz", **fit | {"transl": fit["transl"] + [3.0, 0, 0]})
-    with pytest.raises(StageError, match="shows nobody where the masks do"):
+    with pytest.raises(StageError, match="nobody where the masks"):
         run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "far.npz")
     np.savez(tmp_path / "near.npz", **fit | {"transl": fit["transl"] + [0.35, 0, 0]})
     _, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "near.npz")
     assert 0.1 < facts["overlap"] < 0.5
-    assert any("overlaps the masks by only" in event.get("text", "") for event in said)
+    assert any(holds(event.get("text", ""), "overlaps", "masks", "only") for event in said)
 
 
 @pytest.mark.slow
@@ -281,7 +279,7 @@ def test_of_several_people_the_one_without_poses_is_named(folders, tmp_path, mon
     monkeypatch.setattr("stages.estimators.person.identities.track_masked", lambda *given: [None] * 16)
     inputs = read_inputs(read_facts(frames / "frames.json", Listing), sfm, None)
     second = of_person(inputs, tmp_path / "sfm", 2)
-    with pytest.raises(StageError, match="person 2 was found in only 0 of 16 frames") as error:
+    with pytest.raises(StageError, match=r"person 2 .* 0 of 16 frames") as error:
         smpl.estimate_poses(Job(out=tmp_path), tmp_path, tmp_path / "sfm", second, 1.0)
     assert "--person ID" in error.value.hint
 
@@ -291,7 +289,7 @@ def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
     scale = {"initial": 0.5, "how": "standing feet", "floor_refused": 1.1, "floor_spread": 0.08}
     smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
     (text,) = (event["text"] for event in said)
-    assert "does not stand on the plane" in text and "1.1 m per SfM unit" in text and "0.5" in text
+    assert holds(text, "not", "plane") and "1.1 m per SfM unit" in text and "0.5" in text
 
 
 def test_a_floor_that_slopes_is_said_with_its_degrees(tmp_path):
@@ -352,7 +350,7 @@ def test_a_fit_that_has_one_person_for_two_of_the_masks_is_refused(tmp_path):
     poses = BodyPoses(("0",), np.zeros(10), np.zeros((1, 3)), np.zeros((1, 69)), np.zeros((1, 3)), np.ones(1))
     smpl.check_apart([poses, replace(poses, transl=poses.transl + 1)], tmp_path / "fit.npz")
     smpl.check_apart([poses, poses], None)
-    with pytest.raises(StageError, match=r"fit\.npz has one person for persons 1 and 2"):
+    with pytest.raises(StageError, match=r"fit\.npz .*one person.*1 and 2"):
         smpl.check_apart([poses, poses], tmp_path / "fit.npz")
 
 

@@ -41,6 +41,7 @@ from stages.training.run import SAVED, Training, begin, finish, learn
 from stages.training.step import losses
 from stages.training.step.fit import Fit
 from stages.training.timing.deadline import Pace
+from tests.made.said import any_holds, holds
 from tests.made.training import posed
 
 FRAMES, WIDTH, HEIGHT = 8, 48, 40
@@ -294,12 +295,12 @@ def test_h01_a_failure_in_the_middle_of_training_is_replayed_from_the_step_befor
     monkeypatch.setattr(losses, "photometric", lambda *a: real(*a) * torch.nan)
     with pytest.raises(StageError, match="training broke down") as error:
         train.run(job, params, **inputs)
-    assert "step 19, frame" in error.value.facts[0] and "20 bad steps in a row, loss" in error.value.facts[0]
-    with pytest.raises(FloatingPointError, match="20 bad steps in a row, loss") as again:
+    assert holds(error.value.facts[0], "step 19", "20 bad steps", "loss")
+    with pytest.raises(FloatingPointError, match=r"20 bad steps.*loss") as again:
         train.replay(job.out / "failure.npz")
     assert str(again.value) in error.value.facts[0]
     monkeypatch.setattr(losses, "photometric", real)
-    with pytest.raises(StageError, match="step 19 went well this time"):
+    with pytest.raises(StageError, match=r"step 19.*well"):
         train.replay(job.out / "failure.npz")
     (tmp_path / "other.npz").write_text("no archive")
     with pytest.raises(StageError, match="cannot read"):
@@ -316,7 +317,7 @@ def test_h01_a_failure_is_replayed_without_the_effects_that_time_was_too_short_f
     monkeypatch.setattr(losses, "photometric", lambda *a: real(*a) * torch.nan)
     with pytest.raises(StageError, match="training broke down"):
         train.run(job, PARAMS.model_copy(update={"steps": 40}), **inputs)
-    with pytest.raises(FloatingPointError, match="20 bad steps in a row, loss"):
+    with pytest.raises(FloatingPointError, match=r"20 bad steps.*loss"):
         train.replay(job.out / "failure.npz")
 
 
@@ -331,7 +332,7 @@ def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted
     fit.scene.quats.data[2] = 0
     fit.people[0].human.log_sizes[4] = 200  # the exponential overflows
     train.write(job.out, finish(training, job))
-    assert "3 Gaussians left out of the result because they are not finite" in said
+    assert any_holds(said, "3 Gaussians", "not finite")
     scene, avatar = read_scene(job.out / "scene.npz"), read_avatar(job.out / "avatar.npz")
     facts = json.loads((job.out / "train.json").read_text())
     assert len(scene) == sizes["scene"] - 2 and facts["broken"] == 3
@@ -347,7 +348,7 @@ def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
     job = fresh(tmp_path, "out")
     job.emit = lambda event: said.append(event.get("text", ""))
     train.run(job, PARAMS, **inputs)
-    assert "1 points left out that lie on a camera" in said
+    assert any_holds(said, 1, "points", "camera")
 
 
 @pytest.mark.slow
@@ -442,7 +443,7 @@ def test_refined_poses_are_written_and_off_means_untouched(tmp_path, inputs, pla
 def test_g06_no_person_anywhere_is_a_clear_error(tmp_path, inputs):
     for path in (inputs["sfm"] / "masks").iterdir():
         write_mask(path, np.zeros((HEIGHT, WIDTH), np.uint8))
-    with pytest.raises(StageError, match="no training frame shows a person") as error:
+    with pytest.raises(StageError, match=r"no training frame.*person") as error:
         train.run(fresh(tmp_path, "out"), PARAMS, **inputs)
     assert "6 training frames" in error.value.facts[0]
 
@@ -473,7 +474,7 @@ def test_every_ablation_reaches_what_is_trained(inputs):
 @pytest.mark.parametrize("setting", ["human_loss", "joint"])
 def test_a_person_that_needs_a_scene_to_learn_says_so(tmp_path, inputs, setting):
     decide(inputs["survey"], scene=False)
-    with pytest.raises(StageError, match="no scene to train the person with"):
+    with pytest.raises(StageError, match="no scene"):
         train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={setting: False}), **inputs)
 
 
@@ -502,7 +503,7 @@ def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path
     for data, said in ((whole, "size mismatch"), (whole[:-50], "checkpoint.pt: "), (b"", "checkpoint.pt: "),
                        (path.read_bytes(), "checkpoint.pt: "), (pickle.dumps(Touches(sign)), "checkpoint.pt: ")):  # fmt: skip
         path.write_bytes(data)
-        with pytest.raises(StageError, match="checkpoint of the stopped training cannot be used") as error:
+        with pytest.raises(StageError, match=r"checkpoint.*cannot be used") as error:
             checkpoint = Checkpoint(path)
             checkpoint.resume(Refuses(), checkpoint.load(SAVED)["fit"])
         assert said in error.value.facts[0] and "--force" in error.value.hint and not sign.exists()
@@ -566,8 +567,8 @@ def test_within_a_time_steps_and_sizes_are_chosen_and_a_stopped_run_goes_on(tmp_
     job.emit = lambda event: (said.append(event.get("text", "")), stop(event))
     with pytest.raises(Stopped):
         train.run(job, params, **inputs)
-    assert any("15 steps of 1000 ms, with at most 28,000 Gaussians" in text for text in said)
-    assert any("about 5.4 dB short of what 10,000 steps reach" in text for text in said)
+    assert any_holds(said, "15 steps", "1000 ms", "28,000 Gaussians")
+    assert any_holds(said, "5.4 dB", "10,000 steps")
     begun = now[0]
     train.run(Job(out=job.out), params, **inputs)
     facts = json.loads((job.out / "train.json").read_text())
@@ -584,8 +585,8 @@ def test_an_effect_that_the_clock_does_not_see_is_not_said_to_save_time(tmp_path
     told = effect_facts(found, 100.0, Job(tmp_path, emit=lambda event: said.append(event["text"])))
     assert [effect["seconds"] for effect in told.values()] == [-4.6, 10.0], "as measured"
     where = "-0.3 in the poses farthest from training"
-    assert said[0] == f"shadow: +2.6 / +0.5 dB on held-out frames, {where}, no measurable time of training"
-    assert said[1] == "exposure: +1.0 / +1.0 dB on held-out frames, 10 s of training"
+    assert said[0].startswith("shadow: +2.6 / +0.5 dB") and where in said[0] and "no measurable" in said[0]
+    assert said[1].startswith("exposure: +1.0 / +1.0 dB") and holds(said[1], "10 s")
 
 
 @pytest.mark.slow
@@ -599,18 +600,18 @@ def test_a_finished_training_is_kept_where_its_effects_cannot_be_timed(tmp_path,
     job.emit = lambda event: said.append(event.get("text", ""))
     train.run(job, PARAMS, **inputs)
     assert json.loads((job.out / "train.json").read_text())["effects"] == {}
-    assert any("could not be measured: too many bad steps" in text for text in said)
+    assert any_holds(said, "not be measured", "bad steps")
 
 
 def test_a_time_is_for_a_training_of_person_and_scene_together(tmp_path, inputs):
-    with pytest.raises(StageError, match="together can be fitted into a time"):
+    with pytest.raises(StageError, match=r"person and scene.*time"):
         train.run(Job(tmp_path), PARAMS.model_copy(update={"seconds": 60.0, "joint": False}), **inputs)
 
 
 def test_a_person_whose_poses_nothing_trusts_is_a_clear_error(tmp_path, inputs):
     poses = read_poses(inputs["smpl"] / "body.npz")
     write_poses(inputs["smpl"] / "body.npz", replace(poses, confidence=np.zeros(FRAMES)))
-    with pytest.raises(StageError, match="no training frame has a body fit to learn from"):
+    with pytest.raises(StageError, match=r"no training frame.*body fit"):
         train.run(fresh(tmp_path, "out"), PARAMS, **inputs)
 
 
@@ -659,7 +660,7 @@ def test_a_finished_training_is_kept_where_what_is_hidden_cannot_be_filled(tmp_p
     job.emit = lambda event: said.append(event.get("text", ""))
     training = trained(inputs, PARAMS, job)
     assert finish(training, job).facts["filled"] == 0
-    assert any("could not be filled and stays as it was before: no memory left" in text for text in said)
+    assert any_holds(said, "not be filled", "no memory left")
     assert all(len(one.means) == len(training.fit.people[0].human) and not one.means.requires_grad for one in met), (
         "who is there"
     )
@@ -671,7 +672,7 @@ def test_a_training_that_breaks_down_while_it_is_timed_says_so(tmp_path, inputs,
         raise FloatingPointError("20 bad steps in a row")
 
     monkeypatch.setattr("stages.training.timing.deadline.rehearse", broken)
-    with pytest.raises(StageError, match="broke down in its first steps") as error:
+    with pytest.raises(StageError, match="first steps") as error:
         train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={"seconds": 60.0}), **inputs)
     assert error.value.facts == ("20 bad steps in a row",)
 

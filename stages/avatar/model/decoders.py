@@ -10,8 +10,6 @@ import llvmlite.binding
 import torch
 from torch import Tensor, nn
 
-from stages.avatar.splats.sh import bases
-
 TEMPERATURE = 0.1  # of the skinning softmax (paper, appendix)
 OWN = "opacity", "sh", "turn", "scale"  # corrections that each Gaussian has of its own, beside those of the networks
 WIDTHS = {"appearance": (64, 64), "geometry": (128, 128), "deformation": (128, 128, 128)}  # released configuration
@@ -44,21 +42,20 @@ def _run(network: nn.Sequential, features: Tensor) -> Tensor:
 class Decoders(nn.Module):
     """Features [N,F] -> corrections of opacity, colour, position, rotation, scale and, with `joints`, skinning weights."""
 
-    def __init__(self, features: int, sh_degree: int, joints: int, generator: torch.Generator):
+    def __init__(self, features: int, joints: int, generator: torch.Generator):
         super().__init__()
-        self.coefficients = bases(sh_degree)
-        self.appearance = _network(features, WIDTHS["appearance"], 1 + 3 * self.coefficients, generator)
+        self.appearance = _network(features, WIDTHS["appearance"], 1 + 3, generator)
         self.geometry = _network(features, WIDTHS["geometry"], 12, generator)
         self.deformation = _network(features, WIDTHS["deformation"], joints, generator) if joints else None
 
     def forward(self, features: Tensor) -> dict[str, Tensor]:
-        """Corrections: opacity [N] logit, sh [N,K,3], offset [N,3] m, turn [N,6], scale [N,3] log, skin [N,J]."""
+        """Corrections: opacity [N] logit, sh [N,1,3], offset [N,3] m, turn [N,6], scale [N,3] log, skin [N,J]."""
         look = _run(self.appearance, features)
         shape = _run(self.geometry, features)
         skin = {"skin": _run(self.deformation, features)} if self.deformation else {}
         return {
             "opacity": look[:, 0],
-            "sh": look[:, 1:].reshape(-1, self.coefficients, 3),
+            "sh": look[:, None, 1:],
             "offset": shape[:, 0:3],
             "turn": shape[:, 3:9],
             "scale": shape[:, 9:12],
@@ -72,9 +69,9 @@ class Residuals(nn.Module):
     places and skinning weights.
     """
 
-    def __init__(self, rows: int, sh_degree: int, joints: int, alone: bool):
+    def __init__(self, rows: int, joints: int, alone: bool):
         super().__init__()
-        shapes = {"opacity": (), "sh": (bases(sh_degree), 3), "turn": (6,), "scale": (3,)}
+        shapes = {"opacity": (), "sh": (1, 3), "turn": (6,), "scale": (3,)}
         if alone:
             shapes |= {"offset": (3,)} | ({"skin": (joints,)} if joints else {})
         for name, shape in shapes.items():

@@ -12,7 +12,6 @@ from stages.avatar.body.rotations import matrix_from_6d
 from stages.avatar.model.decoders import OWN, TEMPERATURE, Decoders, Residuals
 from stages.avatar.model.person import Canonical, Surfels
 from stages.avatar.model.triplane import Triplane
-from stages.avatar.splats.sh import bases
 
 MARGIN = 0.2  # of the body's size, on each side of the box of the triplane
 START_OPACITY = 0.8  # an opaque body from the first step leaves the scene nothing to explain behind it
@@ -64,7 +63,6 @@ class HumanModel(nn.Module):
         *,
         channels: int,
         resolution: int,
-        sh_degree: int,
         generator: torch.Generator,
         lbs_learning: bool = True,
         triplane: bool = True,
@@ -72,15 +70,15 @@ class HumanModel(nn.Module):
         super().__init__()
         start = skin if cloth is None else Surfels(*(torch.cat(pair) for pair in zip(skin, cloth, strict=True)))
         points, rotations, sizes, skinning = start
-        self.coefficients, joints = bases(sh_degree), skinning.shape[1] if lbs_learning else 0
+        joints = skinning.shape[1] if lbs_learning else 0
         self.triplane: Triplane | None = None
         self.decoders: Decoders | None = None
         if triplane:
             low, high = points.amin(0), points.amax(0)
             pad = MARGIN * torch.maximum(high - low, (high - low).max() * 0.25)
             self.triplane = Triplane(low - pad, high + pad, channels, resolution, generator)
-            self.decoders = Decoders(self.triplane.width, sh_degree, joints, generator).to(points)
-        self.residuals = Residuals(len(points), sh_degree, joints, alone=not triplane).to(points)
+            self.decoders = Decoders(self.triplane.width, joints, generator).to(points)
+        self.residuals = Residuals(len(points), joints, alone=not triplane).to(points)
         self.xyz = nn.Parameter(points.clone())
         self.register_buffer("rotations", rotations)
         self.register_buffer("log_sizes", sizes.log())
@@ -133,7 +131,7 @@ class HumanModel(nn.Module):
             self.rotations @ matrix_from_6d(identity + turn),
             (self.log_sizes + scale).exp(),
             torch.sigmoid(self.logits + opacity),
-            torch.cat([self.sh_starts[:, None] + sh[:, :1], sh[:, 1:]], 1),
+            self.sh_starts[:, None] + sh,
             (scale.square().sum(1) + opacity.square() + COLOR * own["sh"].square().sum((1, 2))).mean(),
         )
 
@@ -142,8 +140,6 @@ class HumanModel(nn.Module):
 
         There the networks' features are still random, and Adam turns gradients near 0 into full steps.
         """
-        sh = torch.zeros(len(self), self.coefficients, 3).to(self.homes)
-        sh[:, 0] = self.sh_starts
         weights = torch.softmax(self.skin_logits / TEMPERATURE, 1)
         opacities = torch.sigmoid(self.logits)
-        return Canonical(self.homes, self.rotations, self.log_sizes.exp(), opacities, sh, weights)
+        return Canonical(self.homes, self.rotations, self.log_sizes.exp(), opacities, self.sh_starts[:, None], weights)

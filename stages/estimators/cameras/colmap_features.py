@@ -14,8 +14,7 @@ import numpy as np
 import pycolmap
 
 from stages.estimators.cameras.colmap import pinhole_params
-from stages.estimators.cameras.features import sift
-from stages.estimators.cameras.matching import nearest, neighbours
+from stages.estimators.cameras.features import nearest, neighbours, sift
 from stages.estimators.cameras.motion import Pair
 from stages.formats.images import read_image, read_mask
 

@@ -9,7 +9,6 @@ given/smpl_fit.npz              body poses, as formats.given_fits reads them
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import checked, read_npz, take, write_npz
 from stages.formats.cameras import write_cameras
+from stages.formats.facts import write_facts
 from stages.formats.images import read_image, shrink, write_image, write_mask
 from stages.formats.points import write_points
 from stages.records import Cameras
@@ -100,13 +100,13 @@ def write_capture(out: Path, capture: Capture, max_side: int) -> Iterator[int]:
     np.savez(given / "lenses.npz", distortion=np.asarray(capture.lenses, np.float64))
     write_points(given / "points.ply", capture.points, capture.colors)
     write_npz(given / "smpl_fit.npz", {"names": np.array(names, np.str_)} | capture.fit)
-    (given / "sfm.json").write_text(json.dumps(capture.facts, indent=1) + "\n")
+    write_facts(given / "sfm.json", capture.facts)
     moments = len({shot.moment for shot in capture.shots})
     video = {"path": capture.sequence, "width": capture.width, "height": capture.height, "fps": 1.0,
              "frames": len(rows), "duration_s": float(moments), "rotation": 0}  # fmt: skip
     dataset = {"name": capture.dataset, "sequence": capture.sequence, "rule": capture.rule}
     facts = {"video": video, "dataset": dataset, "width": width, "height": height, "frames": rows, "dropped": {}}
-    (out / "frames.json").write_text(json.dumps(facts, indent=1) + "\n")
+    write_facts(out / "frames.json", facts)
 
 
 def given_by(frames: Path, name: str) -> Path | None:

@@ -209,9 +209,8 @@ class ForeignMasks:
     def read(self, key: Hashable, labels: frozenset[int] = frozenset()) -> np.ndarray:
         """The mask as uint8 [H,W], 255 = marked; of label masks only `labels`, or all but the background."""
         found = self.values_of(key)
-        if found is None:
-            raise KeyError(key)
-        return self.kinds[found[1]].marked(found[0], labels)
+        assert found, "of those in `keys`"
+        return self.keys[key].marked(found[0], labels)
 
     def encodings(self) -> dict[str, int]:
         """Encoding in words -> number of files."""

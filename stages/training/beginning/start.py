@@ -212,7 +212,6 @@ class _Start:
             person.cloth,
             channels=params.channels,
             resolution=params.resolution,
-            sh_degree=0,  # as in the paper
             generator=self.generator,
             lbs_learning=params.lbs_learning,
             triplane=params.triplane,

@@ -15,6 +15,7 @@ from hugs_cli.cache.engine import UsageError
 from hugs_cli.cache.fingerprint import digest
 from hugs_cli.pipelines import SOURCES
 from tests.made.flow import ALL, LONGEST, STAGE, WHOLE
+from tests.made.said import holds
 
 
 def child_of(pid: int) -> list[int]:
@@ -79,8 +80,9 @@ def test_a_changed_input_tells_what_its_stage_decides_otherwise(flow):
     flow.edit("one", "true", "false")
     assert flow.ran("one") == {"one": ["code flow.one edited"]}
     out, _ = flow.hugs("two", command="why")
-    assert "inputs   one                    changed since: shadow on -> off" in out and "sky" not in out
-    assert flow.ran("two")["two"] == ["inputs.one changed (shadow on -> off)"]
+    assert holds(out, "inputs", "one", "shadow", "on", "off") and "sky" not in out
+    (reason,) = flow.ran("two")["two"]
+    assert holds(reason, "inputs.one", "shadow", "on", "off")
 
 
 @pytest.mark.slow
@@ -185,7 +187,7 @@ def test_stage_killed_from_outside_is_an_error_that_names_the_signal(flow):
     os.kill(child_of(run.pid)[0], signal.SIGKILL)
     _, err = run.communicate(timeout=LONGEST)
     assert run.returncode == 1
-    assert "error: stage two was killed by SIGKILL" in err and "hint: most often the system ran out of memory" in err
+    assert holds(err, "error", "two", "SIGKILL", "hint", "memory")
     lines = [json.loads(line) for line in (flow.work / "clip/runs.jsonl").read_text().splitlines()]
     assert [(line["stage"], line["result"]) for line in lines] == [("one", "done"), ("two", "killed")]
 
@@ -198,7 +200,7 @@ def test_stopped_run_ends_at_once_keeps_what_is_done_and_goes_on(flow, number, s
     run.send_signal(number)
     _, err = run.communicate(timeout=LONGEST)
     assert run.returncode == 130
-    assert err.splitlines()[-1].startswith(f"stopped in {stage}; the next run ")
+    assert holds(err.splitlines()[-1], "stopped", stage, "next run")
     spent = [json.loads(line)["seconds"] for line in (flow.work / "clip/runs.jsonl").read_text().splitlines()][-1]
     ran = flow.ran("--set", f"{stage}.delay=0.05")
     assert "one" not in ran and stage in ran
@@ -227,7 +229,7 @@ def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
     first = flow.start(*flow.hold("two"))
     flow.wait_for(lambda: list(flow.store.glob("two-*.part/step0")))
     second = flow.start()
-    assert any(f"waiting: process {first.pid} is working on this clip" in line for line in second.stderr)
+    assert any(holds(line, "waiting", first.pid) for line in second.stderr)
     flow.go()
     _, err = second.communicate(timeout=LONGEST)
     assert second.returncode == 0 and err.count(" cached ") == 4
@@ -242,11 +244,13 @@ def test_damaged_results_are_made_again(made):
     folder = (made.work / "clip/default/two").resolve()
     time_ = (folder / "out.txt").stat().st_mtime_ns
     (folder / "out.txt").write_text("half")
-    assert made.ran() == {"two": ["result damaged: out.txt is not what was written"]}
+    ((stage, (reason,)),) = made.ran().items()
+    assert stage == "two" and holds(reason, "damaged", "out.txt") and "missing" not in reason
     (folder / "out.txt").write_text((folder / "out.txt").read_text())  # same bytes, another time
     assert made.ran() == {} and (folder / "out.txt").stat().st_mtime_ns != time_
     (folder / "out.txt").unlink()
-    assert made.ran() == {"two": ["result damaged: out.txt is missing"]}
+    ((stage, (reason,)),) = made.ran().items()
+    assert stage == "two" and holds(reason, "damaged", "out.txt", "missing")
     (folder / "stamp.json").write_text("{")
     assert list(made.ran()) == ["two"]
     assert made.text("four") == WHOLE
@@ -313,7 +317,7 @@ def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
     assert "Traceback" not in err and "  two      failed" in err
     flow.edit("two", "raise StageError(", "print('seen'); 1 / 0; StageError(")
     _, err = flow.hugs(code=1)
-    assert "Traceback" in err and "error: stage two has a bug: ZeroDivisionError: division by zero" in err
+    assert "Traceback" in err and holds(err, "error", "two", "bug", "ZeroDivisionError", "division by zero")
     assert "seen" in next(flow.store.glob("two-*.part/log.txt")).read_text()
     assert (flow.work / "clip/default/one").is_dir()
 
@@ -322,13 +326,13 @@ def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
 def test_a_stage_that_writes_nothing_or_dies_early_is_an_error(flow):
     flow.edit("two", "helper.work(", "return (")
     _, err = flow.hugs(code=1)
-    assert "error: stage two has a bug: it ended as if all was well but wrote no file" in err
+    assert holds(err, "error", "two", "bug", "no file")
     flow.edit("two", "from flow import helper", "import os; os._exit(3)")
     _, err = flow.hugs(code=1)
-    assert "error: stage two ended with exit code 3" in err
+    assert holds(err, "error", "two", "exit code 3")
     flow.edit("two", "import os; os._exit(3)", "import os; os.abort()")
     _, err = flow.hugs(code=1)
-    assert "error: stage two was killed by SIGABRT" in err
+    assert holds(err, "error", "two", "SIGABRT")
 
 
 @pytest.mark.slow
@@ -350,10 +354,10 @@ def test_status_why_and_dry_run_say_what_would_run(flow):
     states = {line.split()[0]: line.split()[1] for line in out.splitlines()}
     assert states == {"one": "fresh", "two": "stale", "three": "fresh", "four": "waits"}
     out, _ = flow.hugs("two", "--set", "two.word=b", command="why")
-    assert "two would run. Its last result (" in out
-    assert "  code     flow.two               edited since" in out
+    assert holds(out, "two", "would run", "last result")
+    assert holds(out, "code", "flow.two", "edited")
     assert "  params   word                   a -> b" in out
-    assert "Same as before: one, 0 settings, 2 modules" in out
+    assert holds(out, "one", 0, "settings", 2, "modules")
     out, _ = flow.hugs("one", command="why")
     assert out.startswith("one is fresh (")
     rows = json.loads(flow.hugs("--json", command="status")[0])
@@ -365,13 +369,13 @@ def test_accept_takes_code_changes_and_nothing_else(made):
     made.hugs("--pipeline", "other")
     made.edit("helper", "count = len(", "count = 0 + len(")
     out, _ = made.hugs("two", command="accept")
-    assert "two not accepted, only changes of code can be: code flow.helper edited, after one" in out
+    assert holds(out, "two", "not accepted", "code flow.helper", "edited", "one")
     out, _ = made.hugs(command="accept")
     assert out.count("accepted: ") == 4 and "code flow.helper edited" in out
     assert made.ran() == {}
     assert made.ran("--pipeline", "other") == {"four": ["code flow.helper edited"]}
     out, _ = made.hugs("--set", "two.word=b", "two", command="accept")
-    assert out == "two not accepted, only changes of code can be: params.word: a -> b\n"
+    assert out.count("\n") == 1 and holds(out, "two", "not accepted", "params.word", "a", "b")
     stamp = json.loads((made.work / "clip/default/one/stamp.json").read_text())
     assert stamp["accepted"][0]["changes"] == ["code flow.helper edited"]
 
@@ -438,7 +442,7 @@ def test_results_of_older_code_are_kept_as_they_are(made):
     written_by_older_code(made)
     before = {path.stat().st_ino for path in made.store.glob("*/out.txt")}
     out, _ = made.hugs(command="accept")
-    assert out.count(" accepted: ") == 4 and "four accepted" in out and "inputs.one no longer read" in out
+    assert out.count(" accepted: ") == 4 and "four accepted" in out and holds(out, "inputs.one", "no longer read")
     assert made.ran() == {} and made.text("four") == WHOLE
     assert before == {path.stat().st_ino for path in made.store.glob("*/out.txt")}, "nothing was made again"
     assert len(before) == 4
@@ -450,10 +454,10 @@ def test_results_of_older_code_are_kept_as_they_are(made):
 def test_an_input_that_was_given_and_is_not_any_more_is_no_change_of_code(flow):
     (flow.folder / "masks.txt").write_text("m")
     flow.hugs("--masks", "masks.txt")
-    assert flow.hugs("three", command="accept")[0] == "three is fresh: nothing to accept\n"
+    assert holds(flow.hugs("three", command="accept")[0], "three", "fresh")
     (flow.work / "clip/default/options.json").unlink()
     out, _ = flow.hugs("three", command="accept")
-    assert out == "three not accepted, only changes of code can be: inputs.mask_files gone\n"
+    assert out.count("\n") == 1 and holds(out, "three", "not accepted", "inputs.mask_files", "gone")
 
 
 @pytest.mark.slow
@@ -469,7 +473,7 @@ def test_a_run_says_how_to_keep_results_where_only_code_changed(flow):
     assert hint not in flow.hugs("--set", "two.word=b")[1]
     flow.hugs("--pipeline", "other")
     flow.edit("four", "helper.work(", "helper.x = 1; helper.work(")
-    assert "`hugs accept clip.mp4 --pipeline other` keeps" in flow.hugs("--pipeline", "other")[1]
+    assert "`hugs accept clip.mp4 --pipeline other`" in flow.hugs("--pipeline", "other")[1]
 
 
 @pytest.mark.slow

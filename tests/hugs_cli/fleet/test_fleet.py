@@ -18,6 +18,7 @@ from hugs_cli.fleet import lease
 from hugs_cli.fleet.job import SNAKEMAKE_LOG
 from tests.made.fleet import WAYS, Fleet, states
 from tests.made.flow import LONGEST
+from tests.made.said import holds
 from tests.tools.fleet_kills import below, what
 
 pytestmark = pytest.mark.slow
@@ -40,17 +41,14 @@ def test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left(fleet)
     assert {clip for clip, state in states(said).items() if state == "done"} == {"c00000", "c00001"}
     assert said["totals"]["states"] == {"failed": 10, "done": 2} and len(said["totals"]["failures"]) == 10
     problems = {row["clip"]: row for row in said["rows"] if row["state"] == "failed"}
-    assert (
-        problems["b00000"]["problem"].startswith("no person in any of")
-        and problems["b00000"]["hint"] == "film somebody"
-    )
-    assert "one: no person in any of N frames of ..." in said["totals"]["failures"]
+    assert holds(problems["b00000"]["problem"], "no person") and problems["b00000"]["hint"] == "film somebody"
+    assert any(holds(kind, "one", "no person", "N", "frames") for kind in said["totals"]["failures"])
     assert all(row["problem"] and row["hint"] for row in problems.values())
     tries = [run for run in fleet.runs() if run["result"] != "done"]
     assert len(tries) == 7 + 2  # killed, and out of memory, are tried twice
     with open(fleet.work / "fleet.csv", newline="") as file:
         rows = {row["clip"]: row for row in csv.DictReader(file)}
-    assert len(rows) == 12 and rows["b00001"]["kind"] == "one: stage one has a bug: KeyError: ..."
+    assert len(rows) == 12 and holds(rows["b00001"]["kind"], "one", "bug", "KeyError")
     page = (fleet.work / "fleet.html").read_text()
     assert page.count("<tr>") > 12 and "film somebody" in page and "location.reload" not in page
 
@@ -70,7 +68,7 @@ def test_a_dry_run_does_nothing_and_says_how_long(fleet):
     fleet.done("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1")
     out, _ = fleet.fleet("--dry-run", "--pipeline", "short").communicate(timeout=LONGEST)
     assert "work/c00000" in out and "fresh" in out and re.search(r"1 stage to do, about \d", out)
-    assert "2 clips: 1 fresh, 1 to do, about" in out
+    assert holds(out, "2 clips", "1 fresh", "1 to do")
 
 
 def test_ctrl_c_keeps_what_is_finished_and_goes_on_later(fleet):
@@ -129,7 +127,7 @@ def test_a_second_fleet_of_the_same_name_is_refused(fleet):
     run = fleet.fleet("--jobs", "1", *fleet.hold("one"))
     fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/one-*.part/step0")))
     _, err = fleet.fleet("--jobs", "1").communicate(timeout=LONGEST)
-    assert "a fleet fleet is at work in this folder: process" in err and "--name" in err
+    assert holds(err, "fleet", "at work", "process") and "--name" in err
     run.send_signal(signal.SIGINT)
     run.communicate(timeout=LONGEST)
 
@@ -145,7 +143,7 @@ def test_a_clip_that_changes_while_it_waits_is_made_as_it_is_then(fleet):
     said = json.loads(out)
     assert states(said) == {"c00000": "done", "c00001": "done", "c00002": "failed"} and run.returncode == 1
     assert "other pixels" in (fleet.work / "c00001/short/one/out.txt").read_text()
-    assert said["rows"][2]["problem"] == "no video at clips/c00002.mp4"
+    assert holds(said["rows"][2]["problem"], "no video", "clips/c00002.mp4")
 
 
 def test_a_full_disk_hurts_reports_and_not_results(fleet):
@@ -153,7 +151,7 @@ def test_a_full_disk_hurts_reports_and_not_results(fleet):
     (fleet.folder / "sitecustomize.py").write_text(FULL)
     run = fleet.fleet("clips/c00000.mp4", "--jobs", "1", "--pipeline", "short")
     _, err = run.communicate(timeout=LONGEST)
-    assert 1 <= err.count("the page cannot be written: No space left on device") <= 2, "it is said once, and at the end"
+    assert 1 <= err.count("No space left on device") <= 2, "it is said once, and at the end"
     assert "Traceback" not in err
     assert run.returncode == 1 and len(fleet.made()) == 1  # nobody could be told that the clip is done
     (fleet.folder / "sitecustomize.py").unlink()
@@ -172,7 +170,7 @@ def test_without_the_extra_it_says_what_to_install_and_runs_one_after_another(fl
         assert run.returncode == 2 and "pip install 'hugs-avatar[fleet]'" in err
     said, err = fleet.done("--pipeline", "short")
     assert states(said) == {"c00000": "done", "c00001": "done"}
-    assert "1 clip at a time: pip install 'hugs-avatar[fleet]' lets" in err
+    assert holds(err, "1 clip") and "pip install 'hugs-avatar[fleet]'" in err
 
 
 @needs_snakemake
@@ -219,7 +217,7 @@ def test_ctrl_c_and_kills_with_snakemake(fleet):
         assert run.returncode == code
         if number:
             fleet.wait_for(lambda: not leases())
-    assert "error: Snakemake was killed by SIGKILL" in err
+    assert holds(err, "error", "Snakemake", "SIGKILL")
     before = fleet.made()
     said, _ = fleet.done("--jobs", "2")
     assert set(states(said).values()) <= {"done", "fresh"} and before.items() <= fleet.made().items()
@@ -231,7 +229,7 @@ def test_a_profile_that_places_no_job_ends_the_page_too(fleet):
     (fleet.folder / "profile" / "config.yaml").write_text("executor: nowhere\n")
     run = fleet.fleet("--profile", "./profile")
     _, err = run.communicate(timeout=LONGEST)
-    assert run.returncode == 1 and "error: Snakemake placed no job" in err and "nowhere" in err
+    assert run.returncode == 1 and holds(err, "error", "Snakemake", "no job") and "nowhere" in err
     page = (fleet.work / "fleet.html").read_text()
     assert "location.reload" not in page and page.count("its job never began") == 2 + 1
     assert page.count(f'{SNAKEMAKE_LOG}">log<') == 2

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hugs_cli.studies import costs, costs_page
+from hugs_cli.studies import costs
 from hugs_cli.studies.comparison import METRICS, REGIONS
 from stages.commands import costs_page as drawing
 from stages.contract import StageError
 from stages.formats.images import read_image
 from tests.made.browser import probe
+from tests.made.said import any_holds, holds
 
 
 def run_(name: str, seconds: float, psnr: float, **changed) -> costs.Run:
@@ -68,20 +69,21 @@ def test_rows_take_the_least_time_and_mean_accuracy_of_their_seeds_and_gains_are
     assert rows["a"]["db_per_minute"] == {"full": None, "person_crop": None} and rows["worse"]["front"] == []
     text = "\n".join(costs.table(result))
     assert f"{'b':<26}{'30.00':<26}{'30.0000':<26}{'30.0000':<26}+3.00  knee" in text
-    assert "beyond it a doubling of the time buys less than 0.1 dB" in text and "note" not in text
+    assert holds(text, "doubling", "0.1 dB") and "note" not in text
 
 
 def test_what_was_measured_on_other_pictures_is_shown_but_on_no_front():
     found = [run_("a", 70, 28.0), run_("b", 130, 30.0), run_("small", 40, 35.0, pictures="small")]
     result = costs.compared(found)
     assert result["rows"][0]["front"] == [] and result["knee"]["full"] == "b"
-    assert result["notes"] == ["measured on other frames, sizes or masks than the rest, so on no front: small"]
+    (note,) = result["notes"]
+    assert holds(note, "frames", "no front", "small")
 
 
 def test_machines_and_code_that_differ_are_named():
     result = costs.compared([run_("a", 70, 28.0), run_("b", 130, 30.0, machine="there", code="then")])
-    assert result["notes"][0] == "times are of different machines: here, there"
-    assert result["notes"][1].startswith("trained by different versions of the code")
+    assert holds(result["notes"][0], "different machines", "here", "there")
+    assert holds(result["notes"][1], "different versions", "code")
 
 
 def test_without_a_scene_the_person_over_white_is_compared():
@@ -99,11 +101,9 @@ def test_where_nothing_was_measured_times_are_compared_and_that_is_said(tmp_path
         found[1].scores[region] = dict.fromkeys(METRICS)
     result = costs.compared(found)
     lines = "\n".join(costs.table(result))
-    assert "1m 10s" in lines and lines.endswith(
-        "note: no accuracy was measured in all of them, so there is none to compare"
-    )
+    assert "1m 10s" in lines and holds(lines.splitlines()[-1], "note", "no accuracy")
     with pytest.raises(StageError, match="nothing to plot"):
-        costs_page.write(tmp_path, "costs", "clip", result)
+        costs.write_page(tmp_path, "costs", "clip", result)
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
     result = costs.compared(found)
     panels = drawing.panels(result, {region: REGIONS[region] for region in ("full", "person_crop")})
     assert [panel.y_name for panel in panels] == ["PSNR dB, whole picture", "PSNR dB, person"] * 2
-    text = (page := costs_page.write(tmp_path, "costs", "<clip>", result)).read_text()
+    text = (page := costs.write_page(tmp_path, "costs", "<clip>", result)).read_text()
     assert text.count(">Pareto front</text>") == 1 and "<h1>&lt;clip&gt;</h1>" in text and "a<b" not in text
     seen, logged = probe(page, tmp_path, width)
     assert logged == [] and not seen["wide"]
@@ -123,15 +123,13 @@ def test_the_page_and_its_plot_are_whole_in_a_browser(tmp_path, width):
 @pytest.mark.slow
 def test_fewer_than_two_pipelines_are_nothing_to_compare(clip):
     _, err = clip.hugs("--axis", "sh", command="costs", code=2)
-    assert err == "error: only a sweep has axes\n\nhint: add `--sweep`\n"
+    assert holds(err, "error", "axes", "hint", "--sweep")
     _, err = clip.hugs(command="costs", code=2)
-    assert (
-        "fewer than two pipelines of work/clip can be compared\n  finished: none" in err and "hint: run another" in err
-    )
+    assert holds(err, "two pipelines", "work/clip", "finished: none", "hint")
     clip.hugs("train", "--pipeline", "tiny")
     clip.hugs("--pipeline", "quick")
     _, err = clip.hugs(command="costs", code=2)
-    assert "finished: quick" in err and "not finished, or trained again since it was measured: tiny" in err
+    assert "finished: quick" in err and holds(err, "trained again", "tiny")
 
 
 @pytest.mark.slow
@@ -141,7 +139,7 @@ def test_pipelines_that_were_run_are_compared_drawn_and_told_as_json(clip):
     out, err = clip.hugs("--plot", command="costs")
     lines = [line.split() for line in out.splitlines()]
     assert lines[1][0] == "quick" and lines[2][:1] == ["tiny"] and lines[2][-3:] == ["40", "+", "80"]
-    assert "knee: tiny (whole picture and person); each doubling of the time up to it bought 0.1 dB or more" in out
+    assert holds(out, "knee: tiny", "whole picture", "person", "0.1 dB")
     assert err.endswith("work/clip/costs.html\n")
     root = clip.work / "clip"
     assert ET.parse(root / "costs.svg").getroot().tag.endswith("svg")
@@ -156,7 +154,7 @@ def test_pipelines_that_were_run_are_compared_drawn_and_told_as_json(clip):
     clip.hugs("--pipeline", "z_again")
     again = json.loads(clip.hugs("--json", command="costs")[0])
     assert [row["pipeline"] for row in again["rows"]] == ["quick", "tiny"], "one training is shown once"
-    assert "z_again: the training of tiny, shown once" in again["notes"]
+    assert any_holds(again["notes"], "z_again", "tiny", "once")
     clip.hugs("train", "--pipeline", "quick", "--set", "train.steps=101")
     _, err = clip.hugs(command="costs", code=2)
-    assert "trained again since it was measured: quick" in err
+    assert holds(err, "trained again", "quick")

@@ -92,7 +92,7 @@ def test_defect_8_a_background_pixel_teaches_the_same_however_large_the_person_i
 @pytest.mark.parametrize("size", [0.02, 1.0, 6.0])
 def test_defect_9_bodies_of_any_size_and_points_that_drift_away_are_decoded(size):
     vertices, faces, weights = ellipsoid()
-    sizes = {"channels": 8, "resolution": 24, "sh_degree": 0}
+    sizes = {"channels": 8, "resolution": 24}
     human = HumanModel(
         on_vertices(size * vertices, faces, weights), **sizes, generator=torch.Generator().manual_seed(0)
     )

@@ -29,6 +29,7 @@ from stages.synthetic.clip import make_clip
 from tests.made import camera_files as files
 from tests.made.datasets import points_of
 from tests.made.rooms import FOCAL, HEIGHT, WALLS, WIDTH, walk, write_clip
+from tests.made.said import any_holds, holds
 from tests.made.truth import align, camera_errors
 
 FRAMES, TOTAL = 10, 30
@@ -155,7 +156,7 @@ def test_points_of_a_program_that_keeps_no_tracks_are_kept(tmp_path, truth, poin
     facts = read_facts(tmp_path / "out/sfm.json", Sfm)
     assert len(read_points(tmp_path / "out/points.ply")[0]) > 200
     assert facts.median_triangulation_deg is None and facts.reprojection_px is None
-    assert any("in fewer than 3 pictures each: kept as they are" in text for text in said)
+    assert any_holds(said, 3, "pictures", "kept")
     assert not any("no colours" in text for text in said)
 
 
@@ -168,7 +169,7 @@ def test_points_of_another_clip_are_doubted(tmp_path, truth, points, stages):
     said: list[str] = []
     job = Job(tmp_path / "out", emit=lambda event: said.append(event.get("text", "")))
     sfm.run(job, sfm.Params(), frames=stages / "frames", masks=stages / "masks", cameras=model)
-    assert any("may belong to another clip" in text for text in said)
+    assert any_holds(said, "another clip")
 
 
 @pytest.mark.slow
@@ -196,9 +197,9 @@ def test_cameras_without_points_get_them_by_triangulation(tmp_path, monkeypatch)
     away = np.min([abs(placed @ normal - offset) for normal, offset, _ in WALLS], 0)
     assert len(placed) > 200 and np.median(away) < 0.02
     wrong = replace(truth, viewmats=truth.viewmats[::-1].copy())
-    with pytest.raises(StageError, match="the given cameras do not fit the frames") as error:
+    with pytest.raises(StageError, match="do not fit the frames") as error:
         run("again", files.nerfstudio(tmp_path / "wrong.json", wrong))
-    assert "px off their epipolar lines" in error.value.facts[0]
+    assert holds(error.value.facts[0], "px", "epipolar")
 
 
 @pytest.mark.parametrize(
@@ -244,7 +245,7 @@ def test_of_frames_that_have_a_lens_each_no_more_than_a_few_grids_are_held(tmp_p
 
 
 def test_a_lens_that_sees_sideways_is_refused(truth):
-    with pytest.raises(StageError, match="cannot be turned into a pinhole") as error:
+    with pytest.raises(StageError, match="pinhole") as error:
         given.straighten(Lens("OPENCV_FISHEYE", (20, 20, 48, 64, 0, 0, 0, 0), 96, 128), 96, 128)
     assert "OPENCV_FISHEYE 20" in error.value.facts[0]
 
@@ -265,9 +266,9 @@ def test_frames_are_joined_by_number_or_by_name_and_doubt_is_refused(tmp_path, t
     assert found.names == list(truth.names)
     cut = Cameras(every[:-2], views[:-2], of_video.Ks[:-2], 96, 128)
     path = files.instant_ngp(tmp_path / "cut.json", cut)
-    with pytest.raises(StageError, match="do not tell which frames") as error:
+    with pytest.raises(StageError, match="which frames") as error:
         read(path, truth)
-    assert "frame_00001.jpg to ./images/frame_00028.jpg, the video has 30" in error.value.facts[0]
+    assert holds(error.value.facts[0], "frame_00001.jpg", "frame_00028.jpg", "30 frames")
     _, cameras, _ = read(path, truth, first=1)
     assert camera_errors(cameras, truth, FRAMES).turn_degrees < 1e-5
     named = listing(truth, **{name: f"IMG_{int(name) + 40}" for name in truth.names})
@@ -280,7 +281,7 @@ def test_frames_without_a_camera_are_left_out_and_said(tmp_path, truth):
     some = [0, 1, 2, 4, 5, 6, 9]
     part = replace(truth, names=tuple(truth.names[i] for i in some), viewmats=truth.viewmats[some], Ks=truth.Ks[some])
     found, _, said = read(files.colmap(tmp_path / "model", part), truth)
-    assert found.names == list(part.names) and any("3 of 10 frames have no camera" in text for text in said)
+    assert found.names == list(part.names) and any_holds(said, "3 of 10 frames")
     with pytest.raises(StageError, match="3 of 10 frames have no camera") as error:
         read(tmp_path / "model", truth, min_share=0.8)
     assert "000009, 000021, 000024" in error.value.facts[0]

@@ -11,6 +11,7 @@ from stages.formats.motions.bvh import read_bvh
 from stages.formats.motions.bvh_names import map_body
 from stages.records import JOINT_NAMES
 from tests.made.bvh import MIXAMO
+from tests.made.said import holds
 from tests.made.skeleton import PARENTS
 
 GOOD = """HIERARCHY
@@ -100,7 +101,7 @@ def test_broken_files_are_refused_with_line_and_expectation(tmp_path, old, new, 
     path = write(tmp_path, GOOD.replace(old, new, 1))
     with pytest.raises(StageError) as refused:
         read_bvh(path)
-    assert refused.value.problem == f"line {line} of {path} is not as in a BVH"
+    assert holds(refused.value.problem, f"line {line}", path, "BVH")
     assert expected in refused.value.facts[0] and found in refused.value.facts[1] and refused.value.hint
 
 
@@ -147,7 +148,8 @@ def test_rows_that_are_not_as_many_as_promised_are_taken_and_said_or_refused(tmp
         return
     bvh = read_bvh(write(tmp_path, head + rows))
     assert len(bvh) == there and bvh.places[-1, 0, 0] == there - 1
-    assert bvh.said == (f"it says {promised} frames and holds {there}: these are taken",)
+    (said,) = bvh.said
+    assert holds(said, promised, "frames", there)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp932", "latin-1"])
@@ -242,16 +244,20 @@ def test_toes_collars_and_a_head_may_be_missing(tmp_path):
 
 def test_a_missing_limb_is_named_with_what_there_is(tmp_path):
     path = named(tmp_path, MIXAMO, without=(4, 21, 23))
-    with pytest.raises(StageError, match="no person's legs and arms") as refused:
+    with pytest.raises(StageError, match="legs and arms") as refused:
         map_body(read_bvh(path), path)
     missing, joints = refused.value.facts
-    assert missing == "missing: left knee, right wrist" and "LeftUpLeg" in joints and "Mixamo" in refused.value.hint
+    assert (
+        holds(missing, "missing", "left knee", "right wrist")
+        and "LeftUpLeg" in joints
+        and "Mixamo" in refused.value.hint
+    )
 
 
 def test_a_number_of_frames_with_thousands_of_digits_is_refused(tmp_path):
-    with pytest.raises(StageError, match="is not as in a BVH") as refused:
+    with pytest.raises(StageError, match="BVH") as refused:
         read_bvh(write(tmp_path, GOOD.replace("Frames: 2", f"Frames: {'1' * 5000}")))
-    assert refused.value.facts[0] == "expected a whole number of frames, at least 1"
+    assert holds(refused.value.facts[0], "whole number of frames", 1)
 
 
 def test_joints_without_channels_take_no_more_memory_than_a_motion_needs(tmp_path):
@@ -259,8 +265,8 @@ def test_joints_without_channels_take_no_more_memory_than_a_motion_needs(tmp_pat
     text = f"HIERARCHY\nROOT r {{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n{still}}}\nMOTION\nFrames: 6000\nFrame Time: 1\n"
     path = write(tmp_path, text + "0\n" * 6000)
     tracemalloc.start()
-    with pytest.raises(StageError, match="asks for too much memory") as refused:
+    with pytest.raises(StageError, match="too much memory") as refused:
         read_bvh(path)
     assert tracemalloc.get_traced_memory()[1] < 1 << 25
     tracemalloc.stop()
-    assert "2001 joints in 6000 frames would take 1.15 GB" in refused.value.facts[0]
+    assert holds(refused.value.facts[0], "2001 joints", "6000 frames", "1.15 GB")

@@ -68,7 +68,7 @@ def test_a_skirt_is_found_where_it_is_with_bones_that_share_it(filmed):
 def test_its_gaussians_begin_there_and_the_first_picture_is_of_a_skirt(filmed):
     bare, _, views, _ = filmed
     found = clothed(bare, views, list(range(FRAMES)), 0.025)
-    sizes = {"channels": 4, "resolution": 8, "sh_degree": 0}
+    sizes = {"channels": 4, "resolution": 8}
     generator = torch.Generator().manual_seed(0)
     skin = on_vertices(found.vertices, found.faces, found.weights)
     human = HumanModel(skin, found.cloth, **sizes, generator=generator)
