@@ -76,6 +76,16 @@ def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
     assert read_spz(out / "avatar.spz").antialias
 
 
+def test_spz_with_the_axes_of_its_paper_and_of_version_4(clip, out, tmp_path):
+    said = made(clip, tmp_path, formats=["ply", "spz"], spz_axes="y_up", spz_version=4)
+    assert [line.partition(":")[0] for line in said if "y up" in line or "y down" in line] == ["ply", "spz"]
+    for name in ("avatar", "scene"):
+        assert (tmp_path / f"{name}.spz").read_bytes()[:5] == b"NGSP\4"
+        up, down = read_spz(tmp_path / f"{name}.spz"), read_spz(out / f"{name}.spz")
+        np.testing.assert_allclose(up.means, down.means * [1, -1, -1], atol=3e-4)
+    np.testing.assert_array_equal(read_ply(tmp_path / "avatar.ply").means, read_ply(out / "avatar.ply").means)
+
+
 def test_the_scene_stays_as_it_is(clip, out):
     scene = read_scene(clip["train"] / "scene.npz")
     np.testing.assert_array_equal(read_ply(out / "scene.ply").means, scene.means)

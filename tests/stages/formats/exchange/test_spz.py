@@ -32,10 +32,11 @@ def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.rad2deg(angle_between(*turns).numpy())
 
 
+@pytest.mark.parametrize("version", [3, 4])
 @pytest.mark.parametrize("degree", range(4))
-def test_what_comes_back(tmp_path, degree, held):
+def test_what_comes_back(tmp_path, degree, version, held):
     splats = some(degree=degree, antialias=degree == 2)
-    assert write_spz(tmp_path / "a.spz", splats) == {}
+    assert write_spz(tmp_path / "a.spz", splats, version) == {}
     back = read_spz(tmp_path / "a.spz")
     away = np.linalg.norm(back.means - splats.means, axis=1)
     held(np.percentile(away, 99) * 1000, 0.2, "p99 of places, mm")
@@ -102,6 +103,33 @@ def test_version_2_is_read(tmp_path):
     assert back.opacities.tolist() == [1, 0] and np.allclose(back.scales, 1)
 
 
+def test_a_table_of_version_4_that_unpacks_to_more_than_it_may_is_refused(tmp_path):
+    """A gigabyte of zeros in a few bytes."""
+    from backports import zstd
+
+    write_spz(tmp_path / "a.spz", some(5), version=4)
+    data = (tmp_path / "a.spz").read_bytes()
+    bomb = zstd.compress(bytes(1 << 30))
+    start = 32 + 5 * 16
+    packed = struct.unpack_from("<Q", data, 32)[0]
+    bombed = data[:32] + struct.pack("<Q", len(bomb)) + data[40:start] + bomb + data[start + packed :]
+    (tmp_path / "a.spz").write_bytes(bombed)
+    tracemalloc.start()
+    with pytest.raises(StageError, match="cut short or damaged"):
+        read_spz(tmp_path / "a.spz")
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+
+
+def test_version_4_cut_anywhere_is_refused(tmp_path):
+    write_spz(tmp_path / "a.spz", some(5, 1), version=4)
+    data = (tmp_path / "a.spz").read_bytes()
+    for end in range(4, len(data)):
+        (tmp_path / "b.spz").write_bytes(data[:end])
+        with pytest.raises(StageError, match=r"b\.spz"):
+            read_spz(tmp_path / "b.spz")
+
+
 def packed(*head: int, body: bytes = b"", magic: bytes = MAGIC) -> bytes:
     return gzip.compress(HEAD.pack(magic, *head, 0) + body, mtime=0)
 
@@ -111,7 +139,9 @@ def packed(*head: int, body: bytes = b"", magic: bytes = MAGIC) -> bytes:
     [
         (b"", "no SPZ"),
         (b"ply\n", "cannot read"),
-        (struct.pack("<4sII", MAGIC, 4, 1) + bytes(40), "version 4"),
+        (HEAD.pack(MAGIC, 5, 1, 0, 12, 0, 5) + bytes(40), "version 5"),
+        (HEAD.pack(MAGIC, 4, 1, 0, 12, 0, 5) + struct.pack("<I12x", 32) + b"\xff" * 80, "cut short"),
+        (packed(4, 1, 0, 12, 0), "version 4"),
         (gzip.compress(b"NGS", mtime=0), "no SPZ"),
         (packed(3, 1, 0, 12, 0, magic=b"NGSQ"), "no SPZ"),
         (packed(1, 1, 0, 12, 0), "version 1"),
