@@ -45,7 +45,7 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; (3, 11) <= sys.version_info < (3, 14) or sys.exit("hugs needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + "; name another: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --upgrade pip
-	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test,fleet]'
+	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test,fleet,usd,sog]'
 	touch $@
 
 .PHONY: run test quick hard mutants lowest bench

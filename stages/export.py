@@ -34,6 +34,11 @@ class Params(contract.Params):
     motion: Literal["clip", "jumping_jacks", "walk_in_place", "wave", "squats", "all"] = "clip"
     """The motion of the formats bvh and ..._motion; clip: the clip's own; all: that and the made ones."""
 
+    spz_axes: Literal["y_down", "y_up"] = "y_down"
+    """Which way is up in .spz files: y_down as in a .ply, which most programs expect, or y_up as the format's paper says."""
+    spz_version: Literal[3, 4] = 3
+    """Of .spz files. 4 is a little smaller, and some programs refuse it."""
+
 
 def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train: Path) -> None:
     """Write avatar.npz (skeleton and weights), avatar and scene as .ply, .spz, .glb or other formats, and viewer.html.
@@ -66,7 +71,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         own.note(f"avatar {len(avatar)} Gaussians" + (f", scene {len(around)}" if around else ""))
         rig = rig_of(avatar)
         soles = Soles.of_rig(rig)
-        _still(own, formats, avatar, around, soles, ground)
+        _still(own, params, avatar, around, soles, ground)
         takes = _takes(frames, there, ground, soles) if formats & {"glb", "bvh", *MOVING} else []
         if "glb" in formats:
             _rigged(own, params, avatar, rig, model, takes, soles.floor)
@@ -78,7 +83,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         _lacks_of_person(own, formats, avatar, rig)
         cast.append((avatar, rig, soles))
         job.progress(len(cast), len(people) + 1)
-    _lacks(job, formats, [avatar for avatar, *_ in cast], scene, shaded)
+    _lacks(job, params, [avatar for avatar, *_ in cast], scene, shaded)
     if "viewer" in formats:
         _viewer(job, frames, sfm, smpl, train, cast, scene, ground)
 
@@ -103,7 +108,7 @@ def _check(formats: set[str]) -> None:
         check_sog()
 
 
-def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None, soles: Soles, ground: Ground) -> None:
+def _still(job: Job, params: Params, avatar: Avatar, scene: Scene | None, soles: Soles, ground: Ground) -> None:
     """The person in the canonical pose, soles at height 0, and the scene. Viewers take ply, spz and sog as y down.
 
     There the scene keeps the axes of its cameras, y down. In USD y is up, and the scene's floor is at 0.
@@ -113,9 +118,9 @@ def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None, sol
     from stages.avatar.splats.turn import OVER, turned
     from stages.formats.exchange.ply import write_ply
     from stages.formats.exchange.sog import write_sog
-    from stages.formats.exchange.spz import write_spz
     from stages.formats.exchange.usd import write_usd
 
+    formats: set[str] = set(params.formats)
     feet, _ = soles.at(np.zeros((1, 3)), avatar.canonical_pose[None], np.zeros((1, 3)))
     below = np.array([0, feet[..., 1].min(), 0])
     down = {"avatar": turned(avatar, OVER, below)} | ({"scene": scene} if scene else {})
@@ -123,13 +128,24 @@ def _still(job: Job, formats: set[str], avatar: Avatar, scene: Scene | None, sol
         if "ply" in formats:
             _say_held(job, f"{name}.ply", write_ply(job.out / f"{name}.ply", splats))
         if "spz" in formats:
-            _say_held(job, f"{name}.spz", write_spz(job.out / f"{name}.spz", splats))
+            _say_held(job, f"{name}.spz", _spz(params)(job.out / f"{name}.spz", splats))
         if "sog" in formats:
             write_sog(job.out / f"{name}.sog", splats)
     if "usd" in formats:
         write_usd(job.out / "avatar.usdc", {"avatar": turned(avatar, np.eye(3), below)})
     if "usd" in formats and scene:
         write_usd(job.out / "scene.usdc", {"scene": turned(scene, ground.turn.T, ground.point)})
+
+
+def _spz(params: Params) -> Callable[[Path, Scene], dict[str, int]]:
+    """What writes Gaussians whose y is down as .spz, with the axes and of the version that are wanted."""
+    from stages.avatar.splats.turn import OVER, turned
+    from stages.formats.exchange.spz import write_spz
+
+    def write(path: Path, splats: Scene) -> dict[str, int]:
+        return write_spz(path, splats if params.spz_axes == "y_down" else turned(splats, OVER), params.spz_version)
+
+    return write
 
 
 def _say_held(job: Job, name: str, clamped: dict[str, int]) -> None:
@@ -199,13 +215,12 @@ def _moving(job: Job, params: Params, avatar: Avatar, take: Take, floor: float) 
     from stages.avatar.drawing.takes import posed
     from stages.avatar.splats.turn import OVER, turned
     from stages.formats.exchange.ply import write_ply
-    from stages.formats.exchange.spz import write_spz
     from stages.formats.exchange.usd import write_usd
 
     baked, name = load_avatar(avatar, job.device), f"avatar_{take.name}"
     numbered: dict[str, tuple[str, Callable[[Path, Scene], dict[str, int]]]] = {
         "ply_motion": ("ply", write_ply),
-        "spz_motion": ("spz", write_spz),
+        "spz_motion": ("spz", _spz(params)),
     }
     chosen = [numbered[one] for one in params.formats if one in numbered]
     most: dict[str, dict[str, int]] = {}
@@ -253,13 +268,16 @@ def _lacks_of_person(job: Job, formats: set[str], avatar: Avatar, rig: Rig) -> N
             job.note(f"clothes have {len(avatar.clothes)} bones and stand still in {stiff}")
 
 
-def _lacks(job: Job, formats: set[str], people: list[Avatar], scene: Scene | None, lit: bool) -> None:
+def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, lit: bool) -> None:
     """Say once what each format that was written does not hold, and which way up it stands; `lit`: by a light of the clip."""
-    if down := _among(formats, "ply", "spz", "sog"):
+    formats: set[str] = set(params.formats)
+    spz = ("spz", "spz_motion")
+    turned = set(spz) if params.spz_axes == "y_up" else set()
+    if down := _among(formats - turned, "ply", "spz", "sog"):
         job.note(
             f"{down}: y down, upright in SuperSplat and PlayCanvas; Spark and viser turn nothing: half a turn about x"
         )
-    if up := _among(formats, "usd", "usd_motion"):
+    if up := _among(formats & ({"usd", "usd_motion"} | turned), "usd", "usd_motion", *spz):
         job.note(f"{up}: y up")
     if people[0].shN.shape[1] and "glb" in formats:
         job.note("avatar.glb: view-dependent colours turn with the person, not with each bone")
@@ -284,52 +302,10 @@ def _viewer(
     ground: Ground,
 ) -> None:
     """The page on which people and scene move: viewer.html."""
-    from importlib.metadata import version
+    from stages.filming.clip_page import write_clip_page
 
-    import numpy as np
-
-    from stages.avatar.motion.moves import clip_move, made_moves
-    from stages.filming.clip_cast import floor_under, with_casters
-    from stages.formats import viewer
-    from stages.formats.clip import load_people
-    from stages.formats.effects import read_effects
-    from stages.formats.facts import Listing, read_facts
-
-    people, listing = load_people(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
-    clip, gaussians = people[0], sum(len(rig) for _, rig, _ in cast)
-    title, made_by = Path(listing.video.path).name, f"hugs {version('hugs-avatar')}"
     path = job.out / "viewer.html"
-    around = "none" if scene is None else f"{len(scene):,} Gaussians"
-    facts = {
-        "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
-        ("Person" if len(cast) == 1 else f"{len(cast)} people"): f"{gaussians:,} Gaussians",
-        "Scene": around,
-        "Result": train.resolve().name,
-        "Made by": made_by,
-    }
-    effects = read_effects(train / "effects.npz")
-    times, figures = np.array(listing.times(clip.names)), []
-    for one, (avatar, rig, soles) in zip(people, cast, strict=True):
-        floor = floor_under(one, rig, ground)
-        parts = None if effects.light is None else with_casters(avatar, one.body_model).casters
-        moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
-        stand, absent = (ground.turn, floor.point), np.flatnonzero(one.body.confidence <= 0).tolist()
-        figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, *stand, sole, parts, absent=absent))
-    shown = viewer.Exhibit(
-        title=title,
-        subtitle=f"{gaussians:,} Gaussians in the {'person' if len(cast) == 1 else 'people'}"
-        + ("" if scene is None else f", {len(scene):,} in the scene"),
-        facts=list(facts.items()),
-        figures=figures,
-        scene=scene,
-        effects=effects,
-        cameras=clip.world_cameras,
-        images=clip.images,
-        turn=ground.turn,
-        spot=ground.point,
-        made_by=made_by,
-    )
-    lacks = viewer.write_viewer(path, shown)
+    lacks = write_clip_page(path, frames, sfm, smpl, train, cast, scene, ground)
     job.note(f"viewer.html, {path.stat().st_size / 1e6:.1f} MB")
     for line in lacks:
         job.note(f"not in viewer.html: {line}")

@@ -1,8 +1,6 @@
 """Files for other programs: what is written, which way up, and what is said about it."""
 
-import os
 import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +17,7 @@ from stages.formats.exchange.spz import read_spz
 from stages.formats.ground import read_ground
 from stages.formats.motions.bvh import read_bvh
 from stages.formats.splats import read_avatar, read_scene, write_splats
+from tests.made import judges
 from tests.made.clothes import dress, some_clothes
 
 
@@ -74,6 +73,16 @@ def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
         assert (turns[1].inv() * half * turns[0]).magnitude().max() < 0.01
         np.testing.assert_allclose(found.shN, avatar.shN * np.array([-1, -1, 1])[:, None], atol=5 / 128)
     assert read_spz(out / "avatar.spz").antialias
+
+
+def test_spz_with_the_axes_of_its_paper_and_of_version_4(clip, out, tmp_path):
+    said = made(clip, tmp_path, formats=["ply", "spz"], spz_axes="y_up", spz_version=4)
+    assert [line.partition(":")[0] for line in said if "y up" in line or "y down" in line] == ["ply", "spz"]
+    for name in ("avatar", "scene"):
+        assert (tmp_path / f"{name}.spz").read_bytes()[:5] == b"NGSP\4"
+        up, down = read_spz(tmp_path / f"{name}.spz"), read_spz(out / f"{name}.spz")
+        np.testing.assert_allclose(up.means, down.means * [1, -1, -1], atol=3e-4)
+    np.testing.assert_array_equal(read_ply(tmp_path / "avatar.ply").means, read_ply(out / "avatar.ply").means)
 
 
 def test_the_scene_stays_as_it_is(clip, out):
@@ -203,12 +212,9 @@ def test_a_body_model_with_a_licence_of_its_own_is_named(clip, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["avatar.ply", "avatar.spz", "scene.ply"])
 def test_supersplats_converter_stands_them_upright(out, tmp_path, name):
-    """Where Node is, and HUGS_NODE_MODULES names a folder with the npm package @playcanvas/splat-transform: .glb is y up."""
-    modules = os.environ.get("HUGS_NODE_MODULES")
-    if not modules or not shutil.which("node"):
-        pytest.skip("HUGS_NODE_MODULES names no folder with splat-transform, or there is no node")
-    command = ["node", f"{modules}/.bin/splat-transform", "-q", str(out / name), str(tmp_path / "a.glb")]
-    subprocess.run(command, check=True, capture_output=True)
+    """Its .glb is y up."""
+    program = judges.modules() / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
+    judges.node(program, "-q", out / name, tmp_path / "a.glb")
     glb = Glb(tmp_path / "a.glb")
     places = glb.array(glb.content["meshes"][0]["primitives"][0]["attributes"]["POSITION"], "<f4", 3)
     ours = read_any_scene(out / name).means

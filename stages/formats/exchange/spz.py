@@ -1,19 +1,23 @@
 """SPZ: 3D Gaussians in about a tenth of a PLY's bytes, for the web. https://github.com/nianticlabs/spz
 
-Version 3 is written, 2 and 3 are read: gzip over a header of 16 bytes and one table a property. Places have 24 bits, 12
-of them the fraction (0.24 mm); scales are steps of 1/16 of a logarithm; colours, opacities and harmonics have 8 bits;
-rotations the three smaller components in 10 bits each (version 2: x y z in 8). The axes are those of a PLY.
+Versions 3 and 4 are written, 2 to 4 are read: a header of 16 bytes and one table a property, with gzip over all; in version 4
+each table is packed with zstd, and a list says how long they are. Places have 24 bits, 12 of them the fraction (0.24 mm);
+scales are steps of 1/16 of a logarithm; colours, opacities and harmonics have 8 bits; rotations the three smaller components in
+10 bits each (version 2: x y z in 8). The axes are those of the Gaussians given; docs/exports.md says what programs take them for.
 """
 
 from __future__ import annotations
 
 import gzip
+import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import IO
 
 import numpy as np
+from backports import zstd
 
 from stages.contract import StageError
 from stages.formats.budget import Budget
@@ -21,7 +25,8 @@ from stages.formats.exchange.ply import AGAIN, CONVERT
 from stages.records import Scene
 
 MAGIC, VERSION = b"NGSP", 3
-HEAD = struct.Struct("<4sIIBBBB")  # magic, version, Gaussians, degree, fraction bits, flags, reserved
+HEAD = struct.Struct("<4sIIBBBB")  # magic, version, Gaussians, degree, fraction bits, flags, reserved (4: tables)
+LISTED = struct.Struct("<I12x")  # of version 4, after the head: where the list of the tables' lengths begins
 ANTIALIAS, MORE = 1, 2  # flags; MORE: extensions follow the tables
 FRACTION = 12  # bits
 FARTHEST = 1 << (23 - FRACTION)  # m
@@ -32,12 +37,13 @@ GLOSSIEST = 1.0  # of a coefficient of degree 1 and higher
 STEPS = (8, 16)  # the bytes of degree 1 and of higher degrees are multiples of these
 LARGEST = 2**-0.5  # of a quaternion's components that are not the largest one
 CHUNK = 1 << 14  # rows made at a time
+File = IO[bytes] | gzip.GzipFile
 LEVEL = 5  # of gzip: 9 saves a thousandth, and takes 15 times as long for colours of degree 3
-HINT = f"give an .spz of version 2 or 3, or a .ply; {CONVERT} from others"
+HINT = f"give an .spz of version 2 to 4, or a .ply; {CONVERT} from others"
 
 
-def write_spz(path: Path, splats: Scene) -> dict[str, int]:
-    """Write Gaussians as SPZ version 3, with the flag for anti-aliasing; says what was clamped, in words, and how often.
+def write_spz(path: Path, splats: Scene, version: int = VERSION) -> dict[str, int]:
+    """Write Gaussians as SPZ version 3 or 4, with the flag for anti-aliasing; says what was clamped, in words, and how often.
 
     Degrees 0 to 3. The same Gaussians make the same bytes.
     """
@@ -47,11 +53,21 @@ def write_spz(path: Path, splats: Scene) -> dict[str, int]:
     wide = splats.scales > WIDEST
     most = np.stack([splats.shN.max((1, 2), initial=0), -splats.shN.min((1, 2), initial=0)], 1)
     flags = ANTIALIAS if splats.antialias else 0
-    with Path(path).open("wb") as plain, gzip.GzipFile("", "wb", LEVEL, plain, mtime=0) as file:
-        file.write(HEAD.pack(MAGIC, VERSION, len(splats), degree, FRACTION, flags, 0))
-        for table in (_places, _opacities, _colours, _scales, _turns, _higher):
-            for start in range(0, len(splats), CHUNK):
-                file.write(table(splats, slice(start, start + CHUNK)).tobytes())
+    tables = (_places, _opacities, _colours, _scales, _turns, _higher)[: 6 if degree else 5]
+    chunks = [slice(start, start + CHUNK) for start in range(0, len(splats), CHUNK)]
+    head = HEAD.pack(MAGIC, version, len(splats), degree, FRACTION, flags, 0 if version == VERSION else len(tables))
+    with Path(path).open("wb") as plain:
+        if version == VERSION:
+            with gzip.GzipFile("", "wb", LEVEL, plain, mtime=0) as file:
+                file.write(head)
+                for table in tables:
+                    for rows in chunks:
+                        file.write(table(splats, rows).tobytes())
+        else:
+            whole = [b"".join(table(splats, rows).tobytes() for rows in chunks) for table in tables]
+            packed = [zstd.compress(data) for data in whole]
+            lengths = [struct.pack("<QQ", len(small), len(data)) for small, data in zip(packed, whole, strict=True)]
+            plain.write(b"".join([head, LISTED.pack(HEAD.size + LISTED.size), *lengths, *packed]))
     clamped = {
         f"beyond {FARTHEST} m": far,
         f"wider than {WIDEST:.0f} m": wide,
@@ -107,38 +123,40 @@ def _higher(splats: Scene, rows: slice) -> np.ndarray:
 
 
 def read_spz(path: Path) -> Scene:
-    """Read an .spz of version 2 or 3; StageError for other files and versions, by name, and for one cut short."""
+    """Read an .spz of version 2 to 4; StageError for other files and versions, by name, and for one cut short."""
     try:
-        with Path(path).open("rb") as plain, gzip.GzipFile(fileobj=plain) as file:
-            return _read(file, path)
+        with Path(path).open("rb") as plain:
+            if plain.peek(len(MAGIC)).startswith(MAGIC):
+                return _read(plain, path, (4,), _packed_tables)
+            with gzip.GzipFile(fileobj=plain) as file:
+                return _read(file, path, (2, 3), _tables)
     except OSError as error:  # gzip.BadGzipFile is one
-        with_zstd = "version 4 is not packed with gzip" if _starts(path, MAGIC) else str(error)
-        raise StageError(f"cannot read {path}", HINT, [with_zstd]) from error
-    except (EOFError, zlib.error) as error:
+        raise StageError(f"cannot read {path}", HINT, [str(error)]) from error
+    except (EOFError, ValueError, struct.error, zlib.error, zstd.ZstdError) as error:
         raise StageError(f"{path} is cut short or damaged", AGAIN, [str(error)]) from error
 
 
-def _starts(path: Path, mark: bytes) -> bool:
-    return Path(path).is_file() and Path(path).open("rb").read(len(mark)) == mark
+Tables = Callable[[File, int, int, Sequence[int]], Iterator[np.ndarray]]
+"""From a file after its head: the bytes [N,width] of each property, given how many tables the head names, N and the widths."""
 
 
-def _read(file: gzip.GzipFile, path: Path) -> Scene:
+def _read(file: File, path: Path, versions: tuple[int, ...], tables: Tables) -> Scene:
     head = file.read(HEAD.size)
     if len(head) < HEAD.size or not head.startswith(MAGIC):
         raise StageError(f"{path} is no SPZ", HINT, [f"it begins with {head[:4]!r}, not {MAGIC!r}"])
-    _, version, count, degree, fraction, flags, _ = HEAD.unpack(head)
-    if version not in (2, VERSION) or degree > 3 or fraction > 23:
+    _, version, count, degree, fraction, flags, streams = HEAD.unpack(head)
+    if version not in versions or degree > 3 or fraction > 23:
         facts = [f"version {version}, degree {degree}, {fraction} bits of fraction"]
         raise StageError(f"{path} is an SPZ of an unknown kind", HINT, facts)
-    bases, turn = (degree + 1) ** 2 - 1, 4 if version == VERSION else 3
-    widths = (9, 1, 3, 3, turn, 3 * bases)
+    bases, turn = (degree + 1) ** 2 - 1, 3 if version == 2 else 4
+    widths = (9, 1, 3, 3, turn, 3 * bases)[: 6 if bases else 5]
     Budget(path, Path(path).stat().st_size).spend(count * (sum(widths) + 4 * (14 + 3 * bases)), f"{count} Gaussians")
-    places, opacities, colours, scales, turns, higher = _tables(file, count, widths)
+    places, opacities, colours, scales, turns, *more = tables(file, streams, count, widths)
     if not flags & MORE and file.read(1):
         raise StageError(f"{path} is longer than its header says", AGAIN, [f"{count} Gaussians of degree {degree}"])
     whole = np.zeros((count, 3, 4), np.uint8)
     whole[..., 1:] = places.reshape(count, 3, 3)
-    unpack: Callable[[np.ndarray], np.ndarray] = _unpack_turns if version == VERSION else _unpack_turns_2
+    unpack: Callable[[np.ndarray], np.ndarray] = _unpack_turns_2 if version == 2 else _unpack_turns
     least, steps = LOGS
     return Scene(
         means=(whole.view("<i4")[..., 0] / np.float64(1 << 8 + fraction)).astype(np.float32),
@@ -146,17 +164,31 @@ def _read(file: gzip.GzipFile, path: Path) -> Scene:
         scales=np.exp(scales / np.float32(steps) + np.float32(least)),
         opacities=opacities[:, 0] / np.float32(255),
         sh0=(colours / np.float32(255) - np.float32(0.5)) / np.float32(COLOUR),
-        shN=((higher.astype(np.float32) - 128) / 128).reshape(count, bases, 3),
+        shN=((np.array(more, np.float32) - 128) / 128).reshape(count, bases, 3),
         antialias=bool(flags & ANTIALIAS),
     )
 
 
-def _tables(file: gzip.GzipFile, count: int, widths: tuple[int, ...]) -> Iterator[np.ndarray]:
+def _tables(file: File, streams: int, count: int, widths: Sequence[int]) -> Iterator[np.ndarray]:
     for width in widths:
-        data = file.read(count * width)
-        if len(data) != count * width:
-            raise EOFError(f"a table of {count} x {width} bytes ends after {len(data)}")
-        yield np.frombuffer(data, np.uint8).reshape(count, width)
+        yield _table(file.read(count * width), count, width)
+
+
+def _packed_tables(file: File, streams: int, count: int, widths: Sequence[int]) -> Iterator[np.ndarray]:
+    """Of version 4, where more tables may follow."""
+    (start,) = LISTED.unpack(file.read(LISTED.size))
+    file.seek(start)
+    lengths = [packed for packed, _ in struct.iter_unpack("<QQ", file.read(16 * streams))]
+    size = os.fstat(file.fileno()).st_size
+    for width, length in zip(widths, lengths):
+        packed = file.read(min(length, size))
+        yield _table(zstd.ZstdDecompressor().decompress(packed, count * width + 1), count, width)
+
+
+def _table(data: bytes, count: int, width: int) -> np.ndarray:
+    if len(data) != count * width:
+        raise EOFError(f"a table of {count} x {width} bytes ends after {len(data)}")
+    return np.frombuffer(data, np.uint8).reshape(count, width)
 
 
 def _unpack_turns(packed: np.ndarray) -> np.ndarray:
