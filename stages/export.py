@@ -15,6 +15,7 @@ from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
+    from stages.formats.viewer import Exhibit
     from stages.records import Avatar, BodyPoses, Ground, Rig, Scene, Take
 
 LOADS = contract.TORCH
@@ -50,6 +51,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     """
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
+    from stages.filming.clip_page import clip_page
     from stages.formats.effects import read_effects
     from stages.formats.ground import read_ground, write_ground
     from stages.formats.people import folder_of, people_of
@@ -87,7 +89,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         job.progress(len(cast), len(people) + 1)
     _lacks(job, formats, [avatar for avatar, *_ in cast], scene, shaded)
     if "viewer" in formats:
-        _viewer(job, frames, sfm, smpl, train, cast, scene, ground)
+        _viewer(job, clip_page(frames, sfm, smpl, train, cast, scene, ground))
 
 
 def _of_person(job: Job, person: int, out: Path) -> Job:
@@ -294,63 +296,12 @@ def _lacks(job: Job, formats: set[str], people: list[Avatar], scene: Scene | Non
         job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
 
 
-def _viewer(
-    job: Job,
-    frames: Path,
-    sfm: Path,
-    smpl: Path,
-    train: Path,
-    cast: list[tuple[Avatar, Rig, Soles]],
-    scene: Scene | None,
-    ground: Ground,
-) -> None:
+def _viewer(job: Job, shown: Exhibit) -> None:
     """The page on which people and scene move: viewer.html."""
-    from importlib.metadata import version
+    from stages.formats.viewer import write_viewer
 
-    import numpy as np
-
-    from stages.avatar.motion.moves import clip_move, made_moves
-    from stages.filming.clip_cast import floor_under, with_casters
-    from stages.formats import viewer
-    from stages.formats.clip import load_people
-    from stages.formats.effects import read_effects
-    from stages.formats.facts import Listing, read_facts
-
-    people, listing = load_people(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
-    clip, gaussians = people[0], sum(len(rig) for _, rig, _ in cast)
-    title, made_by = Path(listing.video.path).name, f"hugs {version('hugs-avatar')}"
     path = job.out / "viewer.html"
-    around = "none" if scene is None else f"{len(scene):,} Gaussians"
-    facts = {
-        "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
-        ("Person" if len(cast) == 1 else f"{len(cast)} people"): f"{gaussians:,} Gaussians",
-        "Scene": around,
-        "Result": train.resolve().name,
-        "Made by": made_by,
-    }
-    effects = read_effects(train / "effects.npz")
-    times, figures = np.array(listing.times(clip.names)), []
-    for one, (avatar, rig, soles) in zip(people, cast, strict=True):
-        floor = floor_under(one, rig, ground)
-        parts = None if effects.light is None else with_casters(avatar, one.body_model).casters
-        moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
-        stand, absent = (ground.turn, floor.point), np.flatnonzero(one.body.confidence <= 0).tolist()
-        figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, *stand, sole, parts, absent=absent))
-    shown = viewer.Exhibit(
-        title=title,
-        subtitle=f"{gaussians:,} Gaussians in the {'person' if len(cast) == 1 else 'people'}"
-        + ("" if scene is None else f", {len(scene):,} in the scene"),
-        facts=list(facts.items()),
-        figures=figures,
-        scene=scene,
-        effects=effects,
-        cameras=clip.world_cameras,
-        images=clip.images,
-        turn=ground.turn,
-        spot=ground.point,
-        made_by=made_by,
-    )
-    lacks = viewer.write_viewer(path, shown)
+    lacks = write_viewer(path, shown)
     job.note(f"viewer.html, {path.stat().st_size / 1e6:.1f} MB")
     for line in lacks:
         job.note(f"not in viewer.html: {line}")
