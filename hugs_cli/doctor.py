@@ -20,7 +20,7 @@ from stages.contract import Job
 
 DISTRIBUTIONS = {
     **child.LIBRARIES,
-    **{name: name for name in ("typer", "pydantic", "typing_extensions", "jinja2", "matplotlib")},
+    **{name: name for name in ("typer", "pydantic", "typing_extensions", "jinja2", "matplotlib", "backports-zstd")},
     "yaml": "PyYAML",
 }
 HINTS = {"free body": "clone the repository again", "film colours": "pip install --upgrade av"}

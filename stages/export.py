@@ -15,22 +15,31 @@ from stages.contract import Job, StageError
 
 if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
-    from stages.records import Avatar, BodyModel, BodyPoses, Ground, Rig, Scene, Take
+    from stages.formats.viewer import Exhibit
+    from stages.records import Avatar, BodyPoses, Ground, Rig, Scene, Take
 
 LOADS = contract.TORCH
+RIGGED = ("glb", "splats_glb")
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
 ACCOUNT = 10  # pictures of a motion between two reports
 
 
+Format = Literal[
+    "ply", "spz", "glb", "bvh", "viewer", "splats_glb", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"
+]
+
+
 class Params(contract.Params):
-    formats: list[
-        Literal["ply", "spz", "glb", "bvh", "viewer", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"]
-    ] = Field(["ply", "spz", "glb", "bvh", "viewer"])
-    """What to write beside avatar.npz. viewer is the page viewer.html; usd needs the extra `usd`, sog the extra `sog`;
-    bvh is the clip's motion, and also `motion` where that is another; ..._motion is a file, or a folder of numbered files,
-    of the person in `motion`."""
+    formats: list[Format] = Field(["ply", "spz", "glb", "bvh", "viewer"])
+    """What to write beside avatar.npz. viewer is the page viewer.html; splats_glb are the Gaussians on the skeleton; usd needs the
+    extra `usd`, sog the extra `sog`; bvh is the clip's motion, and also `motion` where that is another; ..._motion is a file, or a
+    folder of numbered files, of the person in `motion`."""
     names: Literal["smpl", "mixamo", "vrm", "unreal"] = "smpl"
     """What the joints in avatar.glb and motion.bvh are called."""
+    triangles: int = Field(20_000, ge=200, le=200_000)
+    """Triangles of the mesh in avatar.glb, about."""
+    texture: int = Field(2048, ge=64, le=8192)
+    """Width and height of its texture, px."""
     motion: Literal["clip", "jumping_jacks", "walk_in_place", "wave", "squats", "all"] = "clip"
     """The motion of the formats bvh and ..._motion; clip: the clip's own; all: that and the made ones."""
 
@@ -47,7 +56,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     """
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
-    from stages.formats.body_model import read_body_model
+    from stages.filming.clip_page import clip_page
     from stages.formats.effects import read_effects
     from stages.formats.ground import read_ground, write_ground
     from stages.formats.people import folder_of, people_of
@@ -55,7 +64,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
 
     formats: set[str] = set(params.formats)
     _check(formats)
-    model, people = read_body_model(smpl / "body_model.npz"), people_of(sfm)
+    people = people_of(sfm)
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     ground = read_ground(smpl / "ground.json")
     write_ground(job.out / "ground.json", ground)
@@ -72,9 +81,9 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         rig = rig_of(avatar)
         soles = Soles.of_rig(rig)
         _still(own, params, avatar, around, soles, ground)
-        takes = _takes(frames, there, ground, soles) if formats & {"glb", "bvh", *MOVING} else []
-        if "glb" in formats:
-            _rigged(own, params, avatar, rig, model, takes, soles.floor)
+        takes = _takes(frames, there, ground, soles) if formats & {*RIGGED, "bvh", *MOVING} else []
+        if formats & set(RIGGED):
+            _rigged(own, params, avatar, rig, takes, soles.floor)
         if "bvh" in formats:
             _motions(own, params, rig, takes, soles.floor)
         if formats & set(MOVING):
@@ -85,7 +94,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
         job.progress(len(cast), len(people) + 1)
     _lacks(job, params, [avatar for avatar, *_ in cast], scene, shaded)
     if "viewer" in formats:
-        _viewer(job, frames, sfm, smpl, train, cast, scene, ground)
+        _viewer(job, clip_page(frames, sfm, smpl, train, cast, scene, ground))
 
 
 def _of_person(job: Job, person: int, out: Path) -> Job:
@@ -168,20 +177,28 @@ def _takes(frames: Path, train: Path, ground: Ground, soles: Soles) -> list[Take
     return [*([clip] if clip else []), *made_takes(soles.joints[0])]
 
 
-def _rigged(
-    job: Job, params: Params, avatar: Avatar, rig: Rig, model: BodyModel, takes: list[Take], floor: float
-) -> None:
+def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take], floor: float) -> None:
+    """The person on a skeleton with motions: as a textured mesh, and as Gaussians."""
     from stages.avatar.drawing.avatar import load_avatar
-    from stages.avatar.drawing.surface import surface_of
     from stages.avatar.drawing.takes import hung
+    from stages.avatar.surface.mesh import NoSurfaceError, surface_of
     from stages.formats.exchange.avatar_glb import write_avatar_glb
+    from stages.formats.exchange.splats_glb import write_splats_glb
 
-    told = [hung(load_avatar(avatar), take) for take in takes]
-    write_avatar_glb(job.out / "avatar.glb", rig, surface_of(model, rig), told, params.names, floor)
-    listed = ", ".join(take.name for take in takes)
-    job.note(f"avatar.glb: mesh, {params.names} skeleton, Gaussians as points; motions {listed}")
-    if model.name != "free body":
-        job.warn(f"the mesh in avatar.glb is of the body model {model.name}: its licence says who may have the file")
+    baked, has = load_avatar(avatar), f"{params.names} skeleton; motions {', '.join(take.name for take in takes)}"
+    told, glb = [hung(baked, take) for take in takes], job.out / "avatar.glb"
+    if "glb" in params.formats:
+        try:
+            mesh = surface_of(avatar, params.triangles, params.texture)
+        except NoSurfaceError as error:
+            hint = f"--set 'export.formats=[{', '.join(one for one in params.formats if one != 'glb')}]'"
+            raise StageError("the person's Gaussians make no mesh for avatar.glb", hint, [str(error)]) from error
+        write_avatar_glb(glb, rig, mesh, told, params.names, floor)
+        size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px, {glb.stat().st_size / 1e6:.1f} MB"
+        job.note("; ".join([f"avatar.glb: {size}", has, *mesh.said]))
+    if "splats_glb" in params.formats:
+        write_splats_glb(job.out / "avatar_splats.glb", rig, told, params.names, floor)
+        job.note(f"avatar_splats.glb: Gaussians as points; {has}")
 
 
 def _chosen(takes: list[Take], motion: str) -> list[Take]:
@@ -256,14 +273,14 @@ def _among(formats: set[str], *names: str) -> str:
 
 def _lacks_of_person(job: Job, formats: set[str], avatar: Avatar, rig: Rig) -> None:
     """Say what the files of one person do not hold."""
-    if "glb" in formats:
+    if "splats_glb" in formats:
         job.note(
-            "avatar.glb: y up; eight bones a Gaussian, and the first four "
+            "avatar_splats.glb: eight bones a Gaussian, and the first four "
             f"hold {100 * rig.kept.mean():.1f} % of its weights"
         )
     if avatar.clothes is not None:
-        if "glb" in formats:
-            job.note(f"avatar.glb: the {len(avatar.clothes)} bones of clothes move in its own motions")
+        if rigged := _among(formats, *RIGGED):
+            job.note(f"{rigged}: the {len(avatar.clothes)} bones of clothes move in the file's own motions")
         if stiff := _among(formats, "ply", "spz", "usd", "sog"):
             job.note(f"clothes have {len(avatar.clothes)} bones and stand still in {stiff}")
 
@@ -280,32 +297,29 @@ def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, 
     if up := _among(formats & ({"usd", "usd_motion"} | turned), "usd", "usd_motion", *spz):
         job.note(f"{up}: y up")
     if people[0].shN.shape[1] and "glb" in formats:
-        job.note("avatar.glb: view-dependent colours turn with the person, not with each bone")
-    if lit and (even := _among(formats, "ply", "spz", "glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion")):
+        job.note("avatar.glb: its texture holds no view-dependent colours")
+    if people[0].shN.shape[1] and "splats_glb" in formats:
+        job.note("avatar_splats.glb: view-dependent colours turn with the person, not with each bone")
+    if lit and (
+        even := _among(
+            formats, "ply", "spz", "glb", "splats_glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion"
+        )
+    ):
         job.note(
             f"the person's colours in {even} are those in even light: the clip's, which stays when they turn, is not in them"
         )
     antialias = any(avatar.antialias for avatar in people) or (scene is not None and scene.antialias)
-    silent = _among(formats, "glb", "usd", "sog", "usd_motion")
+    silent = _among(formats, "splats_glb", "usd", "sog", "usd_motion")
     if antialias and silent:
         job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
 
 
-def _viewer(
-    job: Job,
-    frames: Path,
-    sfm: Path,
-    smpl: Path,
-    train: Path,
-    cast: list[tuple[Avatar, Rig, Soles]],
-    scene: Scene | None,
-    ground: Ground,
-) -> None:
+def _viewer(job: Job, shown: Exhibit) -> None:
     """The page on which people and scene move: viewer.html."""
-    from stages.filming.clip_page import write_clip_page
+    from stages.formats.viewer import write_viewer
 
     path = job.out / "viewer.html"
-    lacks = write_clip_page(path, frames, sfm, smpl, train, cast, scene, ground)
+    lacks = write_viewer(path, shown)
     job.note(f"viewer.html, {path.stat().st_size / 1e6:.1f} MB")
     for line in lacks:
         job.note(f"not in viewer.html: {line}")

@@ -114,7 +114,7 @@ class Avatar:
 
 
 def load_avatar(path: str | PathLike[str], device: str = "cpu") -> Avatar:
-    """The avatar in avatar.npz or avatar.glb; StageError, with facts and a hint, for any other file."""
+    """The avatar in avatar.npz or avatar_splats.glb; StageError, with facts and a hint, for any other file."""
     return Avatar(_load(read_any_avatar(Path(path)), device))
 
 

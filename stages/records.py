@@ -252,18 +252,22 @@ class Rig(Scene):
 
 @dataclass(frozen=True)
 class Mesh:
-    """A skinned surface in a rig's T-pose: V vertices, T triangles.
+    """A skinned, textured surface in a rig's T-pose: V vertices, T triangles, counter-clockwise from outside.
 
-    `vertices` [V,3] m, `normals` [V,3] unit, `faces` [T,3] int32, `colors` [V,3] as shown on a display, 0..1; `bones` and
-    `weights` [V,4] uint8 as a Rig's.
+    `vertices` [V,3] m, `normals` [V,3] unit, `faces` [T,3] int32; `uvs` [V,2] are places in `texture` [S,S,3] uint8, as shown on
+    a display, from its upper left corner (0, 0) to its lower right one (1, 1). `bones` [V,4] uint8 as a Rig's, the heaviest
+    first, `weights` [V,4] uint16, rows adding up to 65535. A vertex on a seam of the texture is there twice. `said`: what was
+    left out, in words.
     """
 
     vertices: np.ndarray
     normals: np.ndarray
     faces: np.ndarray
-    colors: np.ndarray
+    uvs: np.ndarray
+    texture: np.ndarray
     bones: np.ndarray
     weights: np.ndarray
+    said: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,8 @@ import pytest
 from stages import hugs as front
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.rig import rig_of
-from stages.avatar.drawing.surface import surface_of
-from stages.formats.body_model import read_body_model
 from stages.formats.cameras import write_cameras
-from stages.formats.exchange.avatar_glb import write_avatar_glb
+from stages.formats.exchange.splats_glb import write_splats_glb
 from stages.formats.images import read_image
 from stages.formats.splats import read_avatar, write_splats
 from stages.records import Avatar, Cameras
@@ -34,8 +32,7 @@ def npz(path: Path, avatar: Avatar) -> None:
 
 
 def glb(path: Path, avatar: Avatar) -> None:
-    rig = rig_of(avatar)
-    write_avatar_glb(path.with_suffix(".glb"), rig, surface_of(read_body_model(), rig), [])
+    write_splats_glb(path.with_suffix(".glb"), rig_of(avatar), [])
 
 
 def older(path: Path, avatar: Avatar, version: int | None) -> None:

@@ -36,6 +36,9 @@ LIBRARIES = {
     "PIL": "pillow",
     "av": "av",
     "trimesh": "trimesh",
+    "skimage": "scikit-image",
+    "fast_simplification": "fast-simplification",
+    "xatlas": "xatlas",
     "ai_edge_litert": "ai-edge-litert",
 }
 """Libraries that compute: module -> name of the package."""

@@ -1,8 +1,7 @@
-"""The page of a trained clip: its people and their scene, in their own and in made motions, from the clip's cameras."""
+"""A clip as a page: its people, each with their own motion and the made ones, and its scene and cameras."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,48 +11,40 @@ from stages.avatar.motion.moves import clip_move, made_moves
 from stages.avatar.motion.placing import Soles
 from stages.filming.clip_cast import floor_under, with_casters
 from stages.formats import viewer
-from stages.formats.clip import load_people
+from stages.formats.clip import Clip, load_people
 from stages.formats.effects import read_effects
 from stages.formats.facts import Listing, read_facts
 from stages.records import Avatar, Ground, Rig, Scene
 
 
-def write_clip_page(
-    path: Path,
+def clip_page(
     frames: Path,
     sfm: Path,
     smpl: Path,
     train: Path,
-    cast: Sequence[tuple[Avatar, Rig, Soles]],
+    cast: list[tuple[Avatar, Rig, Soles]],
     scene: Scene | None,
     ground: Ground,
-) -> list[str]:
-    """Write the page of a clip whose stages left these folders, and say what it does not hold, in words."""
+) -> viewer.Exhibit:
+    """What the page of a clip shows; `cast` are its people in their order."""
     people, listing = load_people(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
     clip, gaussians = people[0], sum(len(rig) for _, rig, _ in cast)
     title, made_by = Path(listing.video.path).name, f"hugs {version('hugs-avatar')}"
-    around = "none" if scene is None else f"{len(scene):,} Gaussians"
     facts = {
         "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
         ("Person" if len(cast) == 1 else f"{len(cast)} people"): f"{gaussians:,} Gaussians",
-        "Scene": around,
+        "Scene": "none" if scene is None else f"{len(scene):,} Gaussians",
         "Result": train.resolve().name,
         "Made by": made_by,
     }
-    effects = read_effects(train / "effects.npz")
-    times, figures = np.array(listing.times(clip.names)), []
-    for one, (avatar, rig, soles) in zip(people, cast, strict=True):
-        floor = floor_under(one, rig, ground)
-        parts = None if effects.light is None else with_casters(avatar, one.body_model).casters
-        moves, sole = [clip_move(one.body, times), *made_moves(floor, soles)], soles.at_rest()
-        stand, absent = (ground.turn, floor.point), np.flatnonzero(one.body.confidence <= 0).tolist()
-        figures.append(viewer.Figure(rig, avatar.lbs_weights, moves, *stand, sole, parts, absent=absent))
-    shown = viewer.Exhibit(
+    effects, times = read_effects(train / "effects.npz"), np.array(listing.times(clip.names))
+    lit = effects.light is not None
+    return viewer.Exhibit(
         title=title,
         subtitle=f"{gaussians:,} Gaussians in the {'person' if len(cast) == 1 else 'people'}"
         + ("" if scene is None else f", {len(scene):,} in the scene"),
         facts=list(facts.items()),
-        figures=figures,
+        figures=[_figure(one, *parts, ground, times, lit) for one, parts in zip(people, cast, strict=True)],
         scene=scene,
         effects=effects,
         cameras=clip.world_cameras,
@@ -62,4 +53,14 @@ def write_clip_page(
         spot=ground.point,
         made_by=made_by,
     )
-    return viewer.write_viewer(path, shown)
+
+
+def _figure(
+    clip: Clip, avatar: Avatar, rig: Rig, soles: Soles, ground: Ground, times: np.ndarray, lit: bool
+) -> viewer.Figure:
+    """A person as the page has them; `lit`: by a light that casts shadows."""
+    floor = floor_under(clip, rig, ground)
+    parts = with_casters(avatar, clip.body_model).casters if lit else None
+    moves, sole = [clip_move(clip.body, times), *made_moves(floor, soles)], soles.at_rest()
+    absent = np.flatnonzero(clip.body.confidence <= 0).tolist()
+    return viewer.Figure(rig, avatar.lbs_weights, moves, ground.turn, floor.point, sole, parts, absent=absent)

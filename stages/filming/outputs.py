@@ -5,32 +5,33 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.avatar.drawing.surface import surface_of
 from stages.avatar.drawing.takes import hung
 from stages.avatar.motion.takes import take_of
 from stages.avatar.splats.factor import factored
 from stages.avatar.splats.sh import with_gain
 from stages.avatar.splats.turn import OVER, turned
+from stages.avatar.surface.mesh import NoSurfaceError, surface_of
 from stages.contract import StageError
 from stages.filming.cast import Actor
 from stages.filming.parts import Parts, spans
 from stages.filming.shoot import Shoot
-from stages.formats.exchange.avatar_glb import Stand, write_film_glb
+from stages.formats.exchange.film_glb import Stand, write_film_glb
 from stages.formats.exchange.limits import held
 from stages.formats.exchange.ply import write_ply
 from stages.formats.exchange.spz import write_spz
 from stages.formats.exchange.usd import write_usd
 from stages.formats.images import write_image
 from stages.formats.video import join_videos, write_alpha_video, write_video
-from stages.records import Rig, Scene, Take
+from stages.records import Mesh, Scene, Take
 
 PIECE = 2.0  # s of film that are drawn and kept as one
+S = TypeVar("S", bound=Scene)
 SPLATS: dict[str, Callable[[Path, Scene], dict[str, int]]] = {".ply": write_ply, ".spz": write_spz}
 
 
@@ -130,20 +131,25 @@ def glb(shoot: Shoot, out: Path, parts: Parts) -> bool:
     def make(part: Path) -> None:
         figures = []
         for actor in shoot.cast:
-            rig = in_gain(actor)
-            mesh = None if actor.model is None else surface_of(actor.model, rig)
-            figures.append((actor.name, rig, mesh, take(shoot, actor), stand(shoot, actor)))
+            figures.append((actor.name, actor.rig, mesh_of(actor), take(shoot, actor), stand(shoot, actor)))
         write_film_glb(part, figures, None if scene is None else turned(scene, ground.turn.T, ground.point))
 
     return parts.bring(out, make, shoot.made_of(range(shoot.count)), shoot.fps, shoot.names)
 
 
-def in_gain(actor: Actor) -> Rig:
-    """An actor's rig in the colours of the film."""
-    rig = actor.rig
-    as_learned = torch.as_tensor(np.concatenate([rig.sh0[:, None], rig.shN], 1))
-    sh = with_gain(as_learned, torch.tensor(actor.gain)).numpy()
-    return replace(rig, sh0=sh[:, 0], shN=sh[:, 1:])
+def in_gain(splats: S, gain: tuple[float, float, float]) -> S:
+    """A rig or an avatar in the colours of the film."""
+    as_learned = torch.as_tensor(np.concatenate([splats.sh0[:, None], splats.shN], 1))
+    sh = with_gain(as_learned, torch.tensor(gain)).numpy()
+    return replace(splats, sh0=sh[:, 0], shN=sh[:, 1:])
+
+
+def mesh_of(actor: Actor) -> Mesh:
+    """An actor's surface in the colours of the film; StageError where their Gaussians form none."""
+    try:
+        return surface_of(in_gain(actor.record, actor.gain))
+    except NoSurfaceError as error:
+        raise StageError(f"the Gaussians of {actor.name} make no mesh", "leave the .glb out", [str(error)]) from error
 
 
 def stand(shoot: Shoot, actor: Actor) -> Stand:

@@ -58,7 +58,7 @@ def figure(shoot: Shoot, actor: Actor) -> viewer.Figure:
     rotvecs = np.concatenate([actor.global_orient[rows], actor.body_pose[rows]], 1)
     own = replace(shoot.setting.ground, point=actor.place, up=actor.turn[:, 1], ahead=actor.turn[:, 2])
     return viewer.Figure(
-        rig=in_gain(actor),
+        rig=in_gain(actor.rig, actor.gain),
         weights=actor.record.lbs_weights,
         moves=[Move("The film", shoot.fps, rotvecs, actor.transl[rows]), *made_moves(own, actor.soles)],
         turn=actor.turn,

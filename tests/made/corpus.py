@@ -18,8 +18,8 @@ from stages.formats import images
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.effects import read_effects, write_effects
-from stages.formats.exchange.avatar_glb import read_avatar_glb, write_avatar_glb
 from stages.formats.exchange.ply import read_ply, write_ply
+from stages.formats.exchange.splats_glb import read_avatar_glb, write_splats_glb
 from stages.formats.exchange.spz import read_spz, write_spz
 from stages.formats.facts import Facts, Listing, Metrics, Survey, read_facts
 from stages.formats.failure import read_failure, write_failure
@@ -32,7 +32,7 @@ from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.formats.splits import read_split, write_split
 from stages.formats.video import write_video
-from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Mesh, Rig, Scene
+from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Rig, Scene
 from tests.made.fits import listed
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
@@ -216,7 +216,7 @@ KINDS = [
     one("splats.ply", read_ply),
     one("splats.spz", read_spz),
     Kind("unpacked.spz", read_unpacked),
-    one("avatar.glb", read_avatar_glb),
+    one("avatar_splats.glb", read_avatar_glb),
     one("effects.npz", read_effects),
     one("body_model.npz", read_body_model),
     one("body_model.pkl", read_body_model),
@@ -345,9 +345,7 @@ def write_gaussians(root: Path, scene: Scene, rng: np.random.Generator) -> None:
     rig = Rig(**vars(scene), joints=rng.normal(size=(24, 3)).astype(f32), parents=np.arange(-1, 23).astype(np.int32),
               **dict(zip(("bones", "weights", "kept", "bones8", "words8"), weights)),
               facing=scene.means, betas=np.zeros(10, f32))  # fmt: skip
-    up, three = np.tile(np.array([0, 1, 0], f32), (3, 1)), (four[:3, :4], bytes_[:3].astype(np.uint8))
-    mesh = Mesh(rng.normal(size=(3, 3)).astype(f32), up, np.arange(3)[None].astype(np.int32), np.abs(up), *three)
-    write_avatar_glb(root / "avatar.glb", rig, mesh, [])
+    write_splats_glb(root / "avatar_splats.glb", rig, [])
 
 
 def write_facts(root: Path) -> None:

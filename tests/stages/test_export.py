@@ -9,22 +9,24 @@ from scipy.spatial.transform import Rotation
 
 from stages import export
 from stages.contract import Job, StageError
-from stages.formats.exchange.avatar_glb import read_avatar_glb
 from stages.formats.exchange.glb import Glb
 from stages.formats.exchange.ply import read_ply
 from stages.formats.exchange.read import read_any_scene
+from stages.formats.exchange.splats_glb import read_avatar_glb
 from stages.formats.exchange.spz import read_spz
 from stages.formats.ground import read_ground
 from stages.formats.motions.bvh import read_bvh
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from tests.made import judges
 from tests.made.clothes import dress, some_clothes
+from tests.made.meshes import coarse
 
 
 def made(clip, out, **settings):
     """Run the stage; what it said."""
     said: list[str] = []
     out.mkdir(exist_ok=True)
+    settings = {"triangles": 500, "texture": 64} | settings
     needs = {name: clip[name] for name in ("frames", "sfm", "smpl", "train")}
     export.run(Job(out, emit=lambda e: said.append(e.get("text", ""))), export.Params(**settings), **needs)
     return said
@@ -41,6 +43,12 @@ def clip(tiny, tmp_path_factory):
     more = {"shN": rng.normal(0, 0.1, (len(avatar), 3, 3)), "quats": rng.normal(size=(len(avatar), 4))}
     write_splats(train / "avatar.npz", dress(replace(avatar, **more, antialias=True), some_clothes(2)))
     return tiny | {"train": train}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quick():
+    with coarse():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -91,19 +99,45 @@ def test_the_scene_stays_as_it_is(clip, out):
     np.testing.assert_allclose(read_spz(out / "scene.spz").means, scene.means, atol=2e-4)
 
 
-def test_the_rig_stands_up_and_has_the_clips_motion(out):
-    rig, glb = read_avatar_glb(out / "avatar.glb"), Glb(out / "avatar.glb")
-    assert np.ptp(rig.means[:, 1]) > 1.2 and rig.means[:, 1].max() < 1
-    names = [move["name"] for move in glb.content["animations"]]
+def test_the_mesh_stands_up_and_has_the_clips_motion(out):
+    glb = Glb(out / "avatar.glb")
+    accessors, content = glb.content["accessors"], glb.content
+    (stand,) = (node for node in content["nodes"] if node["name"] == "stand")
+    place = accessors[content["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    low, high = place["min"][1] + stand["translation"][1], place["max"][1] + stand["translation"][1]
+    assert abs(low) < 0.05 and 1.5 < high < 1.9
+    names = [move["name"] for move in content["animations"]]
     assert names == ["clip", "jumping_jacks", "walk_in_place", "wave", "squats"]
-    accessors = glb.content["accessors"]
-    times = accessors[glb.content["animations"][0]["samplers"][0]["input"]]
+    times = accessors[content["animations"][0]["samplers"][0]["input"]]
     assert times["count"] == 7 and times["min"] == [0] and times["max"][0] == pytest.approx(18 / 30)
+
+
+def test_gaussians_on_the_skeleton_are_a_file_of_their_own(clip, tmp_path):
+    said = made(clip, tmp_path, formats=["splats_glb"])
+    rig = read_avatar_glb(tmp_path / "avatar_splats.glb")
+    assert np.ptp(rig.means[:, 1]) > 1.2 and rig.means[:, 1].max() < 1
+    assert not (tmp_path / "avatar.glb").exists()
+    assert [line for line in said if "eight bones" in line]
+
+
+@pytest.mark.parametrize(("setting", "value"), [("texture", 0), ("texture", 65536), ("triangles", 0)])
+def test_a_mesh_of_impossible_size_is_refused_by_the_settings(setting, value):
+    with pytest.raises(ValueError, match=setting):
+        export.Params(**{setting: value})
+
+
+def test_gaussians_that_nobody_sees_make_no_mesh_and_no_file(clip, tmp_path):
+    train = shutil.copytree(clip["train"], tmp_path / "train")
+    avatar = read_avatar(train / "avatar.npz")
+    write_splats(train / "avatar.npz", replace(avatar, opacities=np.full(len(avatar), 0.05)))
+    with pytest.raises(StageError, match="no mesh") as refused:
+        made(clip | {"train": train}, tmp_path / "out", formats=["glb", "ply"])
+    assert "[ply]" in refused.value.hint and not (tmp_path / "out" / "avatar.glb").exists()
 
 
 def test_what_a_viewer_cannot_show_is_said_once(out):
     said = (out.parent / "said.txt").read_text()
-    for words in ("clothes have 2 bones", "anti-aliasing", "y down", "eight bones", "view-dependent"):
+    for words in ("clothes have 2 bones", "y down", "view-dependent", "500 triangles"):
         assert said.count(words) == 1, words
 
 
@@ -112,7 +146,7 @@ def test_only_formats_that_lack_something_are_said_to_lack_it(clip, tmp_path):
     for formats, clothes, antialias in (
         (["viewer"], None, None),
         (["spz"], "stand still in spz", None),
-        (["ply", "glb", "spz_motion"], "stand still in ply", "by glb:"),
+        (["ply", "splats_glb", "spz_motion"], "stand still in ply", "by splats_glb:"),
     ):
         said = made(clip, tmp_path / "-".join(formats), formats=formats)
         for wanted, about in ((clothes, "clothes have"), (antialias, "learned with anti-aliasing")):
@@ -198,15 +232,6 @@ def test_a_format_whose_package_is_missing_is_refused_before_anything_is_written
         with pytest.raises(StageError, match=package):
             made(clip, tmp_path / name, formats=["ply", name])
         assert not list((tmp_path / name).iterdir())
-
-
-def test_a_body_model_with_a_licence_of_its_own_is_named(clip, tmp_path):
-    from stages.formats.body_model import read_body_model, write_body_model
-
-    write_body_model(tmp_path / "body_model.npz", replace(read_body_model(), name="SMPL_NEUTRAL"))
-    shutil.copyfile(clip["smpl"] / "ground.json", tmp_path / "ground.json")
-    said = made(clip | {"smpl": tmp_path}, tmp_path / "out")
-    assert [line for line in said if "SMPL_NEUTRAL" in line and "licence" in line]
 
 
 @pytest.mark.slow

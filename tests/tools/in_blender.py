@@ -1,7 +1,7 @@
 """What Blender makes of an avatar.glb, for a Python that has bpy: `python in_blender.py avatar.glb truth.npz`.
 
-`truth.npz` has, for each motion NAME, `NAME_frame`, and where our own skinning puts `NAME_body` and `NAME_gaussians`, y up. Prints
-JSON: the motions, the mean and largest distances in mm, and the attributes of the points that Blender kept.
+`truth.npz` has, for each motion NAME, `NAME_frame`, and where our own skinning puts `NAME_body`, y up. Prints
+JSON: the motions, the mean and largest distances in mm, and where each bone points.
 """
 
 import json
@@ -37,12 +37,12 @@ def main(glb: str, truth: str, fps: int = 30) -> None:
         bpy.context.scene.frame_set(int(wanted[f"{action.name}_frame"]))
         away = {
             name: 1000 * np.linalg.norm(places(things[name]) - wanted[f"{action.name}_{name}"], axis=1)
-            for name in ("body", "gaussians")
+            for name in ("body",)
         }
         found[action.name] = {name: [float(mm.mean()), float(mm.max())] for name, mm in away.items()}
-    kept = [attribute.name for attribute in things["gaussians"].data.attributes]
-    bones = [bone.name for bone in armature.data.bones]
-    print("\n" + json.dumps({"motions": found, "attributes": kept, "bones": bones}))
+    ways = {bone.name: bone.tail_local - bone.head_local for bone in armature.data.bones}
+    bones = {name: [way.normalized()[0], way.normalized()[2], -way.normalized()[1]] for name, way in ways.items()}
+    print("\n" + json.dumps({"motions": found, "bones": bones}))
 
 
 if __name__ == "__main__":

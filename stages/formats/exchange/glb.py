@@ -19,7 +19,8 @@ MAGIC, VERSION = b"glTF", 2
 CHUNKS = (b"JSON", b"BIN\0")
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 KINDS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-HINT = "give the avatar.glb or avatar.npz that the export stage wrote"
+VERTICES, TRIANGLES = 34962, 34963  # glTF's targets of buffer views
+HINT = "give the avatar.npz or avatar_splats.glb that the export stage wrote; avatar.glb holds a mesh"
 
 
 class Arrays:
@@ -54,10 +55,16 @@ class Arrays:
         self.data += bytes(-len(self.data) % 4)
         return len(self.accessors) - 1
 
+    def add_bytes(self, data: bytes) -> int:
+        """Store a file, such as a picture; the number of its buffer view."""
+        self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)})
+        self.data += data + bytes(-len(data) % 4)
+        return len(self.views) - 1
+
 
 def write_glb(path: Path, content: dict[str, Any], arrays: Arrays) -> None:
-    """Write `content` with the arrays that it names; the same content makes the same bytes."""
-    whole = content | {
+    """Write `content` with the arrays that it names; the same content makes the same bytes. glTF knows no empty lists."""
+    whole = {name: part for name, part in content.items() if part != []} | {
         "buffers": [{"byteLength": len(arrays.data)}],
         "bufferViews": arrays.views,
         "accessors": arrays.accessors,

@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from stages.contract import StageError
 from stages.formats.clothes import has_old_clothes
-from stages.formats.exchange.avatar_glb import read_avatar_glb
 from stages.formats.exchange.ply import CONVERT, read_ply
+from stages.formats.exchange.splats_glb import read_avatar_glb
 from stages.formats.exchange.spz import read_spz
 from stages.formats.splats import read_avatar, read_scene
 from stages.formats.trained import read_trained
@@ -21,8 +21,8 @@ T = TypeVar("T")
 
 
 def read_any_avatar(path: Path) -> Avatar:
-    """Read avatar.npz or avatar.glb of the export stage, of this version or an earlier one."""
-    return _read(path, AVATARS, "avatar that can be posed", "give avatar.npz or avatar.glb of the export stage")
+    """Read avatar.npz or avatar_splats.glb of the export stage, of this version or an earlier one."""
+    return _read(path, AVATARS, "avatar that can be posed", "give avatar.npz or avatar_splats.glb of the export stage")
 
 
 def read_any_scene(path: Path) -> Scene:

@@ -100,6 +100,7 @@ def test_the_pelvis_of_a_glb_is_where_the_film_has_it(tmp_path):
 
 
 def test_files_that_name_people_are_made_again_when_these_are_called_otherwise(shoot, tmp_path, monkeypatch):
+    monkeypatch.setattr(outputs, "mesh_of", lambda actor: None)
     writers = ((outputs, "write_film_glb"), (outputs, "write_usd"), (viewer, "write_viewer"))
     for module, name in writers:
         monkeypatch.setattr(module, name, lambda out, *rest: [out.touch()][1:])

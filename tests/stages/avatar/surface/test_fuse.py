@@ -1,0 +1,35 @@
+"""Gaussians on a sphere become a closed sphere of its size; two balls stay two."""
+
+import numpy as np
+import pytest
+import torch
+
+from stages.avatar.surface.fuse import fused
+from stages.avatar.surface.looks import all_around
+from tests.made.meshes import FEW, balls, edges
+
+
+def test_a_sphere_of_gaussians_becomes_a_closed_sphere():
+    splats = balls([0.1, 0.2, -0.1])
+    vertices, faces = fused(splats, all_around(splats.means.numpy(), 200, FEW), 0.01)
+    radii = np.linalg.norm(vertices - [0.1, 0.2, -0.1], axis=1)
+    assert abs(radii.mean() - 0.15) < 0.003 and radii.std() < 0.003
+    assert (edges(faces) == 2).all()
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    volume = (a * np.cross(b, c)).sum() / 6
+    assert volume == pytest.approx(4 / 3 * np.pi * 0.15**3, rel=0.05), (
+        "from outside counter-clockwise, and hollow nowhere"
+    )
+
+
+def test_two_balls_that_nearly_touch_stay_two():
+    splats = balls([-0.17, 0, 0], [0.17, 0, 0])
+    vertices, _ = fused(splats, all_around(splats.means.numpy(), 200, FEW), 0.01)
+    assert (np.abs(vertices[:, 0]) > 0.01).all()
+
+
+@pytest.mark.parametrize("opacity", [0.05, 0.3])
+def test_a_haze_has_no_surface(opacity):
+    splats = balls([0, 0, 0], count=60)
+    splats = splats._replace(opacities=torch.full_like(splats.opacities, opacity))
+    assert len(fused(splats, all_around(splats.means.numpy(), 100, FEW), 0.02).faces) == 0

@@ -1,0 +1,111 @@
+"""An avatar's surface: as large as it, coloured as it, moved as it, and clear about what makes none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from stages.avatar.body.skinning import all_bones, skin
+from stages.avatar.drawing.avatar import bones_of, load_avatar, pose_avatar
+from stages.avatar.surface import mesh as surface
+from stages.avatar.surface.mesh import NoSurfaceError, surface_of
+from stages.formats.body_model import read_body_model
+from tests.made.clothes import dress, some_clothes
+from tests.made.meshes import balls, coarse, edges, solid_avatar
+
+MODEL = read_body_model()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick():
+    with coarse():
+        yield
+
+
+@pytest.fixture(scope="module")
+def avatar():
+    return solid_avatar(MODEL)
+
+
+@pytest.fixture(scope="module")
+def mesh(avatar):
+    return surface_of(avatar, 3000, 128)
+
+
+def apart(means, vertices, faces):
+    """How far, at most, 98 % of Gaussians are from a surface, and of places on it from Gaussians, m."""
+    places = trimesh.sample.sample_surface(trimesh.Trimesh(vertices, faces, process=False), 20_000, seed=0)[0]
+    both = cKDTree(places).query(means)[0], cKDTree(means).query(places)[0]
+    return max(np.quantile(one, 0.98) for one in both)
+
+
+def test_the_surface_is_closed_and_of_the_size_that_was_asked(mesh):
+    assert 2500 < len(mesh.faces) <= 3000 and mesh.texture.shape == (128, 128, 3)
+    _, row = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    assert (edges(row[mesh.faces]) % 2 == 0).all(), "no edge has one side alone"
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
+    assert (mesh.weights.sum(1) == 65535).all() and mesh.weights.dtype == np.uint16 and mesh.said == ()
+
+
+def test_it_stands_in_the_t_pose_where_the_gaussians_do(avatar, mesh):
+    means = load_avatar(avatar).resting.means.numpy()
+    assert apart(means, mesh.vertices, mesh.faces) < 0.03
+
+
+def test_it_moves_as_the_gaussians_do(avatar, mesh):
+    baked, pose = load_avatar(avatar), torch.zeros(69)
+    pose[[2, 5, 47, 50, 53]] = torch.tensor([0.3, -0.3, -0.8, 0.8, 0.9])
+    weights = torch.as_tensor(all_bones(mesh.bones, mesh.weights, 24)).float()
+    vertices = skin(torch.as_tensor(mesh.vertices), weights, bones_of(baked, torch.zeros(3), pose))[0].numpy()
+    means = pose_avatar(baked, torch.zeros(3), pose, torch.zeros(3)).means.numpy()
+    assert apart(means, vertices, mesh.faces) < 0.03
+
+
+def test_its_colours_are_those_of_the_gaussians(mesh):
+    at = np.clip((mesh.uvs * 128).astype(int), 0, 127)
+    found = mesh.texture[at[:, 1], at[:, 0]] / 255
+    head = (mesh.bones[:, 0] == 15) & (mesh.weights[:, 0] > 60000)
+    front = (mesh.normals[:, 2] > 0.8) & np.isin(mesh.bones[:, 0], [0, 3, 6, 9])
+    np.testing.assert_allclose(found[head].mean(0), [0.9, 0.9, 0.1], atol=0.08)
+    np.testing.assert_allclose(found[front].mean(0), [0.9, 0.1, 0.1], atol=0.15)
+
+
+def test_bones_of_clothes_move_what_they_move_of_the_gaussians(avatar):
+    dressed = dress(avatar, some_clothes())
+    mesh = surface_of(dressed, 2000, 64)
+    own = (np.where(mesh.bones >= 24, mesh.weights, 0) / 65535).sum(1)
+    assert own.max() > 0.5 and abs(own.mean() - dressed.lbs_weights[:, 24:].sum(1).mean()) < 0.2
+
+
+def test_specks_are_left_out_and_counted(avatar, monkeypatch):
+    """Two balls of 8 cm hang in the air beside the head, and what is smaller than 300 cm^2 counts as a speck."""
+    monkeypatch.setattr(surface, "SPECK", 0.03)
+    means, axes, *_ = balls([-0.3, 0.8, 0.0], [0.3, 0.75, 0.1], radius=0.04, count=150)
+    rows = np.zeros(len(means), int)
+    parts = {name: getattr(avatar, name)[rows] for name in ("opacities", "sh0", "shN", "lbs_weights")}
+    turns, scales = axes / axes.norm(dim=1, keepdim=True), axes.norm(dim=1)
+    parts |= {"means": means, "scales": scales, "quats": Rotation.from_matrix(turns).as_quat(scalar_first=True)}
+    more = {name: np.concatenate([getattr(avatar, name), np.asarray(part)]) for name, part in parts.items()}
+    mesh = surface_of(replace(avatar, **more), 2000, 64)
+    assert mesh.said[0].startswith("2 specks") and np.abs(mesh.vertices[mesh.vertices[:, 1] > 0.6, 0]).max() < 0.15
+
+
+def some(avatar, count, **more):
+    rows = np.arange(0, len(avatar), len(avatar) // count)
+    names = ("means", "quats", "scales", "opacities", "sh0", "shN", "lbs_weights")
+    few = replace(avatar, **{name: getattr(avatar, name)[rows] for name in names})
+    return replace(few, **{name: np.full_like(getattr(few, name), value) for name, value in more.items()})
+
+
+@pytest.mark.parametrize(("opacity", "said"), [(0.1, "none of"), (0.35, "form no surface")])
+def test_gaussians_that_make_no_surface_are_refused_with_numbers(avatar, opacity, said):
+    with pytest.raises(NoSurfaceError, match=said):
+        surface_of(some(avatar, 50, opacities=opacity, scales=0.01), 2000, 64)
+
+
+def test_a_hundred_gaussians_make_a_coarse_mesh(avatar):
+    assert len(surface_of(some(avatar, 100, scales=0.04), 2000, 64).faces) > 100
