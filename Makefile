@@ -21,7 +21,7 @@ test: $(VENV)/ready
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/mypy
-	$(PYTEST)
+	$(PYTEST) --durations=40
 
 quick: $(VENV)/ready
 	$(PYTEST) -m "not slow"

@@ -2,6 +2,9 @@
 
 One linearised bundle adjustment (Triggs et al. 2000). Each camera may move a little, each point freely; one number for the
 clip says how long a frame takes to be read, another how the lens bends. All are solved at once, so none passes for another.
+
+`cameras/adjustment.py` is no substitute: it moves cameras freely until nothing is left over. Here they are known to be off by
+little (TURN, MOVE), and how much of the error goes when they move is what is measured.
 """
 
 from __future__ import annotations
