@@ -26,7 +26,7 @@ from stages.training.finishing.swing import fit_swing
 from stages.training.seen import unseen
 from stages.training.step.fit import Fit
 from stages.training.step.person import PersonLearner
-from stages.training.views import Person
+from stages.training.views import FittedBody
 
 UNFINISHED = (ValueError, IndexError, RuntimeError, ArithmeticError, MemoryError)
 """What finishing raises where somebody cannot be finished: the training is over, and is kept."""
@@ -187,7 +187,7 @@ def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener
     return facts
 
 
-def _settle_swing(fit: Fit, body: Person, clothing: Clothing, table: Tensor, say: Listener) -> None:
+def _settle_swing(fit: Fit, body: FittedBody, clothing: Clothing, table: Tensor, say: Listener) -> None:
     bones = [bone_transforms(body.joints, body.parents, *pose) for pose in zip(body.global_orient, body.body_pose)]
     try:
         untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, torch.stack(bones), body.body_pose)
@@ -198,7 +198,7 @@ def _settle_swing(fit: Fit, body: Person, clothing: Clothing, table: Tensor, say
     say.note(f"{len(clothing)} bones of clothes; {told}")
 
 
-def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Finished:
+def _finished(fit: Fit, who: PersonLearner, body: FittedBody, say: Listener) -> Finished:
     baked, _ = who.baked()
     seen = who.masked(fit.seen())
     dressed = body._replace(antialias=fit.options.antialias)
@@ -218,7 +218,7 @@ def _finished(fit: Fit, who: PersonLearner, body: Person, say: Listener) -> Fini
     return kept
 
 
-def _avatar(kept: Finished, who: PersonLearner, body: Person, betas: np.ndarray, antialias: bool) -> Avatar:
+def _avatar(kept: Finished, who: PersonLearner, body: FittedBody, betas: np.ndarray, antialias: bool) -> Avatar:
     person, clothes, (middles, covariances) = kept.person, None, who.casters
     if body.clothing is not None:
         clothes = Clothes(**{field.name: _array(getattr(body.clothing, field.name)) for field in fields(Clothes)})

@@ -55,7 +55,7 @@ def shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
     return F.adaptive_avg_pool2d(picture.float(), size).round().to(torch.uint8)
 
 
-class Person(NamedTuple):
+class FittedBody(NamedTuple):
     """The fitted body of all frames, and what the canonical pose needs.
 
     global_orient[F,3], body_pose[F,69], transl[F,3], confidence[F] from 0 (no fit worth learning from) to 1, joints[24,3]
@@ -112,7 +112,7 @@ class Person(NamedTuple):
         return pose(resting, self.bones(frame), self.transl[frame])._replace(antialias=self.antialias)
 
 
-def person_frames(body: Person, views: Views, frames: list[int]) -> list[int]:
+def person_frames(body: FittedBody, views: Views, frames: list[int]) -> list[int]:
     """At most LOOKS of those `frames` that show the person, spread evenly."""
     return spread_evenly([i for i in frames if body.confidence[i] > 0 and views.masks[i].max() > 0], LOOKS)
 

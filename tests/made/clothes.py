@@ -12,7 +12,7 @@ from stages.avatar.body.rotations import rotation_z_to
 from stages.avatar.effects.clothing import Clothing, bones_for
 from stages.avatar.model.person import Surfels
 from stages.records import JOINTS, Avatar, Clothes
-from stages.training.views import Person
+from stages.training.views import FittedBody
 
 WIDE = 0.2  # m: how far a bone reaches
 MOSTLY = 0.7  # of the weight
@@ -44,7 +44,7 @@ def dress(avatar: Avatar, clothes: Clothes) -> Avatar:
     return replace(avatar, lbs_weights=np.concatenate([skin, own], 1), clothes=clothes)
 
 
-def dressed(person: Person, frames: list[int]) -> Person:
+def dressed(person: FittedBody, frames: list[int]) -> FittedBody:
     """The ellipsoid with some cloth a third larger than itself."""
     chosen = slice(0, None, 6)
     points, weights = 1.3 * person.vertices[chosen], person.weights[chosen]

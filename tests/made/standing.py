@@ -9,7 +9,7 @@ from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import Canonical, bone_transforms, pose, rest
 from stages.avatar.rasterize import Camera
 from stages.formats.body_model import read_body_model
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 from tests.made.learned import compose
 from tests.made.skin import on_vertices
 
@@ -18,7 +18,7 @@ EYES = ((0, 0, 3), (3, 0, 0.5), (-3, 0, 0.5))
 """Three square cameras, m: `views`, `drawn` and `silhouettes` are theirs."""
 
 
-def stand(frames: int) -> tuple[HumanModel, Person]:
+def stand(frames: int) -> tuple[HumanModel, FittedBody]:
     """The untrained person, a Gaussian a vertex, and where it stands in `frames` frames."""
     data = read_body_model(None)
     body, betas, still = Body(data), torch.zeros(10), torch.zeros(1, 3)
@@ -30,7 +30,7 @@ def stand(frames: int) -> tuple[HumanModel, Person]:
     )
     poses = (torch.zeros(frames, 3), DA_POSE.expand(frames, -1), torch.zeros(frames, 3))
     confidence, joints = torch.ones(frames), body.rest(betas)[1]
-    return human, Person(*poses, confidence, joints, body.parents, DA_POSE, vertices, body.lbs_weights, faces)
+    return human, FittedBody(*poses, confidence, joints, body.parents, DA_POSE, vertices, body.lbs_weights, faces)
 
 
 def around(eyes: tuple[tuple[float, float, float], ...], focal: float, side: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -41,7 +41,7 @@ def around(eyes: tuple[tuple[float, float, float], ...], focal: float, side: int
     return viewmats, K.expand(len(eyes), 3, 3)
 
 
-def stand_red() -> tuple[Canonical, Person]:
+def stand_red() -> tuple[Canonical, FittedBody]:
     """A red person as the free body has it, opaque, and where it stands in three frames."""
     human, where = stand(len(EYES))
     red = torch.tensor([1.0, -1, -1]).expand(len(human), 1, 3)
@@ -50,7 +50,7 @@ def stand_red() -> tuple[Canonical, Person]:
     return person, where
 
 
-def drawn(person: Canonical, where: Person, frame: int, body_pose=DA_POSE):
+def drawn(person: Canonical, where: FittedBody, frame: int, body_pose=DA_POSE):
     """What the camera of a frame sees of a canonical person in a pose [69]."""
     resting = rest(person, where.canonical_bones())
     splats = pose(resting, bone_transforms(where.joints, where.parents, STILL, body_pose), STILL)
@@ -63,6 +63,6 @@ def views(masks) -> Views:
     return Views(torch.zeros(len(EYES), SIZE, SIZE, 3), (255 * masks).round().byte(), *around(EYES, 270.0, SIZE))
 
 
-def silhouettes(person: Canonical, where: Person, body_pose=DA_POSE) -> torch.Tensor:
+def silhouettes(person: Canonical, where: FittedBody, body_pose=DA_POSE) -> torch.Tensor:
     """How opaque a canonical person is [3,SIZE,SIZE] in a pose [69]."""
     return torch.stack([drawn(person, where, frame, body_pose).alpha for frame in range(len(EYES))])

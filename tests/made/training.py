@@ -20,7 +20,7 @@ from stages.training.step.fit import Fit
 from stages.training.step.person import Starting
 from stages.training.step.schedule import Options
 from stages.training.step.transients import Transients
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 from tests.made.clothes import dressed
 from tests.made.learned import compose
 from tests.made.skeleton import PARENTS
@@ -58,7 +58,7 @@ def make_clip():
     body_pose[:, 8] = torch.linspace(-0.5, 0.5, FRAMES)
     still, joints = torch.zeros(FRAMES, 3), torch.zeros(24, 3)
     confidence = torch.ones(FRAMES)
-    person = Person(
+    person = FittedBody(
         still, body_pose, still, confidence, joints, PARENTS, torch.zeros(69), vertices, weights, ellipsoid()[1]
     )
     human, scene, generator = models(0)

@@ -15,7 +15,7 @@ from stages.avatar.splats.sh import sh_from_rgb
 from stages.training.step.fit import Fit
 from stages.training.step.outlines import Outline, outlines
 from stages.training.step.person import Starting
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 from tests.made.skeleton import PARENTS
 from tests.made.skin import on_vertices
 from tests.made.training import FRAMES, HEIGHT, TRAIN, WIDTH, ellipsoid, settings
@@ -24,7 +24,7 @@ INKS = ((0.9, 0.1, 0.1), (0.1, 0.1, 0.9))
 PLACES = ((0.5, -0.4), (-0.5, 0.4))  # m: x where each begins and ends on the other side, and depth
 
 
-def make_two() -> tuple[Views, list[Person], list[Tensor]]:
+def make_two() -> tuple[Views, list[FittedBody], list[Tensor]]:
     """Views whose masks are of both, the two, and each one's own masks uint8[F,H,W]."""
     vertices, faces, weights = ellipsoid()
     viewmats = torch.eye(4).repeat(FRAMES, 1, 1)
@@ -35,7 +35,7 @@ def make_two() -> tuple[Views, list[Person], list[Tensor]]:
     for (x, depth), ink in zip(PLACES, INKS):
         transl = torch.stack([x * way, 0 * way, 0 * way + depth], 1)
         body = still, torch.zeros(FRAMES, 69), transl, torch.ones(FRAMES), joints, PARENTS, torch.zeros(69)
-        people.append(Person(*body, vertices, weights, faces))
+        people.append(FittedBody(*body, vertices, weights, faces))
         human = model(people[-1], 0)
         human.sh_starts.copy_(sh_from_rgb(torch.tensor(ink).expand(len(human), 3)))
         canonical = human()[0]
@@ -75,14 +75,14 @@ def make_wall(seed: int) -> SceneModel:
     return scene
 
 
-def model(person: Person, seed: int) -> HumanModel:
+def model(person: FittedBody, seed: int) -> HumanModel:
     generator = torch.Generator().manual_seed(seed)
     sizes = {"channels": 8, "resolution": 24}
     return HumanModel(on_vertices(person.vertices, person.faces, person.weights), **sizes, generator=generator)
 
 
 def fit_of_two(
-    clip: tuple[Views, list[Person], list[Tensor]], steps: int = 40, alone: int | None = None, **more
+    clip: tuple[Views, list[FittedBody], list[Tensor]], steps: int = 40, alone: int | None = None, **more
 ) -> Fit:
     """The training of both; `alone` of one, the other masked away."""
     views, people, masks = clip

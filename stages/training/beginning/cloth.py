@@ -14,13 +14,13 @@ from stages.avatar.effects.clothing import Clothing, bones_for
 from stages.avatar.kernels.mesh import covered
 from stages.avatar.model.person import Surfels
 from stages.avatar.splats.neighbours import spread_evenly
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 
 LOOKED = 60  # frames that carve, at most: more tell little that is new
 
 
 @torch.no_grad()
-def clothed(person: Person, views: Views, frames: list[int], spacing: float) -> Person:
+def clothed(person: FittedBody, views: Views, frames: list[int], spacing: float) -> FittedBody:
     """A person whose canonical pose is that at rest, with the cloth and hair that most of `frames` show off the body.
 
     Its points are about `spacing` m apart. Weights are then of the skeleton's bones and of those of the clothes.
@@ -41,7 +41,7 @@ def clothed(person: Person, views: Views, frames: list[int], spacing: float) -> 
     return person._replace(weights=torch.cat([person.weights, own], 1), clothing=clothing, cloth=cloth)
 
 
-def _sights(person: Person, views: Views, frames: list[int]) -> Iterator[Sight]:
+def _sights(person: FittedBody, views: Views, frames: list[int]) -> Iterator[Sight]:
     """The frames as carving takes them."""
     height, width = views.masks.shape[1:]
     faces = person.faces.cpu().numpy()

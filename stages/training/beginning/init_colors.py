@@ -8,14 +8,14 @@ from torch import Tensor
 from stages.avatar.model.human import HumanModel
 from stages.avatar.model.person import pose, rest
 from stages.avatar.splats.neighbours import nearest
-from stages.training.views import NEAR, Person, Views
+from stages.training.views import NEAR, FittedBody, Views
 
 FACING = 0.3  # cosine between normal and view from which a Gaussian counts as seen; no occlusion is tested
 LEAST = 2.0  # summed cosines of a Gaussian that has been seen enough
 
 
 @torch.no_grad()
-def seen_colors(human: HumanModel, person: Person, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:
+def seen_colors(human: HumanModel, person: FittedBody, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:
     """Mean colours [N,3] in 0..1 of an untrained person over `frames`, and how well each Gaussian was seen [N], 0..1.
 
     A Gaussian is seen where its normal faces the camera and its centre falls on the person's mask, weighted by the

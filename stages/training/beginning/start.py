@@ -35,7 +35,7 @@ from stages.training.step.outlines import Outline, outlines
 from stages.training.step.person import Starting
 from stages.training.step.schedule import Options
 from stages.training.step.transients import Transients
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 
 PAINTED = 24  # frames from which the person's first colours are read
 LEAST_DARK = 0.05  # share of the light, at least, that a shadow begins with: at 0 it would learn nothing
@@ -159,7 +159,7 @@ class _Start:
             torch.as_tensor(clip.split.moments, device=self.device),
         )
 
-    def _outlines(self, views: Views, people: list[Person]) -> list[Outline | None]:
+    def _outlines(self, views: Views, people: list[FittedBody]) -> list[Outline | None]:
         """What the frames tell of each of several people; None for one who is alone."""
         if len(people) == 1:
             return [None]
@@ -167,17 +167,17 @@ class _Start:
         masks = [np.stack([one.own_mask(i) for i in frames]) for one in self.clips]
         return [*outlines(views, [torch.as_tensor(one, device=self.device) for one in masks], people)]
 
-    def _starting(self, body: Person, outline: Outline | None, views: Views) -> Starting:
+    def _starting(self, body: FittedBody, outline: Outline | None, views: Views) -> Starting:
         body = self._clothed(body, views, outline)
         return Starting(body, self._human(body, views, outline), outline)
 
-    def _person(self, fitted: BodyPoses) -> Person:
+    def _person(self, fitted: BodyPoses) -> FittedBody:
         model = self.clip.body_model
         body, betas = Body(model), torch.as_tensor(fitted.betas, dtype=torch.float32)
         # clothes hang at rest: legs apart would pull a skirt apart
         pose = torch.zeros_like(DA_POSE) if self.decisions.get("clothing", False) else DA_POSE
         vertices, _ = body(betas, torch.zeros(1, 3), pose[None], torch.zeros(1, 3))
-        return Person(
+        return FittedBody(
             self._tensor(fitted.global_orient),
             self._tensor(fitted.body_pose),
             self._tensor(fitted.transl),
@@ -190,7 +190,7 @@ class _Start:
             faces=torch.as_tensor(np.asarray(model.faces).astype(np.int64), device=self.device),
         )
 
-    def _clothed(self, person: Person, views: Views, seen: Outline | None) -> Person:
+    def _clothed(self, person: FittedBody, views: Views, seen: Outline | None) -> FittedBody:
         """The person with what stands off their body, where the clip calls for it."""
         if not self.decisions.get("clothing", False):
             return person
@@ -204,7 +204,7 @@ class _Start:
             self.note(f"{count:,} Gaussians of cloth or hair begin off the body, with {bones} bones of their own")
         return found
 
-    def _human(self, person: Person, views: Views, outline: Outline | None) -> HumanModel:
+    def _human(self, person: FittedBody, views: Views, outline: Outline | None) -> HumanModel:
         params = self.params
         skin = even_skin(person.vertices, person.faces, person.weights, params.human_points)
         human = HumanModel(
@@ -224,7 +224,7 @@ class _Start:
         self.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
         return human
 
-    def _scene(self, people: list[Person], extent: float) -> SceneModel | None:
+    def _scene(self, people: list[FittedBody], extent: float) -> SceneModel | None:
         """None where all points lie on a camera."""
         clip, on, chosen = self.clip, self.decisions, spread_evenly(self.train, FILLED)
         images, masks = [clip.images(i) for i in chosen], [clip.mask(i) for i in chosen]

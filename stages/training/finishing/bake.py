@@ -18,7 +18,7 @@ from stages.training.finishing.painted import count_pixels
 from stages.training.finishing.reskin import reskin
 from stages.training.finishing.unseen import FAR, on_body, unseen_colors
 from stages.training.seen import far_from_surface
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 
 EDGE_DOUBT = 0.02  # weight of neighbours per pixel at an outline; with 0.05, and DOUBT 0.02, it looks the same
 DOUBT = 0.01  # of the mean of pixels painted inside: at so many, half of a colour is its neighbours'
@@ -69,7 +69,7 @@ class Finished(NamedTuple):
     counts: Counter[str]
 
 
-def finish(person: Canonical, begun: Canonical, body: Person, views: Views, frames: list[int]) -> Finished:
+def finish(person: Canonical, begun: Canonical, body: FittedBody, views: Views, frames: list[int]) -> Finished:
     """Remove invalid, stray and floating Gaussians; then snap, shorten, recolour and add the lining.
 
     Skinning that left the body's comes back first, that of the person as `begun`. `frames` of `views` are those that they were
@@ -104,7 +104,7 @@ def as_trained(person: Canonical, begun: Canonical) -> Finished:
     return Finished(kept, Known(none[:, 0], none, none[:, 0]), Counter(broken=int((~whole).sum())))
 
 
-def floating(person: Canonical, body: Person) -> Tensor:
+def floating(person: Canonical, body: FittedBody) -> Tensor:
     """Which rows [N] are no part of a surface: far from their neighbours by the body's spacing there (APART) and by
     their own size (SMALL), or THICK across the skin.
     """
@@ -123,7 +123,7 @@ def shorten(person: Canonical, most: Tensor) -> tuple[Canonical, int]:
     return person._replace(scales=torch.minimum(person.scales, most)), int((person.scales > most).any(1).sum())
 
 
-def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, Known]:
+def recolor(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> tuple[Canonical, Known]:
     """Blend colours that frames do not show well with the median of the nearest that they do, or with `unseen_colors`.
 
     At an outline a pixel mixes the person with the background, and masks end late. A Gaussian that `frames` of `views`
@@ -151,7 +151,7 @@ def recolor(person: Canonical, body: Person, views: Views, frames: list[int]) ->
     return leant, Known(own, own[:, None] * (1 - along), aslant)
 
 
-def _bare(person: Canonical, body: Person, clear: Tensor) -> Tensor:
+def _bare(person: Canonical, body: FittedBody, clear: Tensor) -> Tensor:
     """How far frames show each Gaussian itself [N], 0 to 1, by how `clear` [N] they show it.
 
     Skin under cloth shines through it and learns to make up for what the cloth gets wrong: bright specks where a knee

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from stages.avatar.model.person import Canonical, rest
 from stages.avatar.splats.neighbours import nearest
-from stages.training.views import Person, Views, person_frames
+from stages.training.views import FittedBody, Views, person_frames
 
 UNDER = 4  # points of the surface that tell where it is
 AROUND = 24  # neighbours over the skin whose middle height is that of the surface
@@ -19,7 +19,7 @@ ONE_SIDE = 0.8  # least share of the main sight in all: frames that look from el
 
 
 @torch.no_grad()
-def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
+def snap_to_surface(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> tuple[Canonical, int]:
     """Move Gaussians that stand out of the canonical person's surface back along the sights of `frames`; also how many.
 
     Those frames see no change; from the side it was a dot off the outline, and longer training makes more of
@@ -41,7 +41,7 @@ def snap_to_surface(person: Canonical, body: Person, views: Views, frames: list[
     return person._replace(means=person.means - back), int((moved | proud).sum())
 
 
-def _sights(person: Canonical, body: Person, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:
+def _sights(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> tuple[Tensor, Tensor]:
     """The line [N,3] along which frames mainly look at each Gaussian, in the canonical frame, and its share [N] of all.
 
     The share is 1 if all look along it, 1/3 if they look from everywhere, 0 if nobody looks.

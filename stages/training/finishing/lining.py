@@ -9,7 +9,7 @@ from stages.avatar.body.smpl import edge_lengths
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.neighbours import median_near, nearest
 from stages.training.finishing.painted import count_pixels
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 
 UNDER_SKIN = (0.02, 1.2), (0.034, 1.2), (0.058, 1.2), (0.058, 0.7)
 """m under the skin, and sigma in halves of a gap between vertices: a lining Gaussian that shows takes the next place."""
@@ -27,7 +27,7 @@ NEIGHBOURS = 8  # that tell the colour above a lining Gaussian, and whether ther
 OPAQUE = 0.5  # opacity from which they do
 
 
-def add_lining(person: Canonical, body: Person, views: Views, frames: list[int]) -> Canonical:
+def add_lining(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> Canonical:
     """The person and, after its rows, the points of the body's skin and cloth moved inwards and opaque, in the colours above.
 
     Where one would show in `frames` of `views`, it goes deeper, then becomes smaller, and is left out at last: beside the
@@ -46,7 +46,7 @@ def add_lining(person: Canonical, body: Person, views: Views, frames: list[int])
     return Canonical(*(torch.cat(pair) for pair in zip(person, inner, strict=True)))
 
 
-def _sheer(person: Canonical, body: Person) -> Tensor:
+def _sheer(person: Canonical, body: FittedBody) -> Tensor:
     """Which points of skin and cloth [S] are of cloth where the person did not become opaque."""
     sheer = torch.zeros(len(body.surface()[0]), dtype=torch.bool, device=person.means.device)
     if body.cloth is not None:
@@ -55,7 +55,7 @@ def _sheer(person: Canonical, body: Person) -> Tensor:
     return sheer
 
 
-def _lining(person: Canonical, body: Person, place: Tensor) -> tuple[Canonical, Tensor]:
+def _lining(person: Canonical, body: FittedBody, place: Tensor) -> tuple[Canonical, Tensor]:
     """Gaussians under those points of skin and cloth whose `place`[S] is not OUT, and their rows [M]."""
     surface, normals, weights = body.surface()
     turns, gaps = _gaps(body.vertices, body.faces, normals[: len(body.vertices)])

@@ -16,7 +16,7 @@ from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 from stages.training.seen import EDGE
 from stages.training.step.losses import dilated
-from stages.training.views import Person, Views, person_frames
+from stages.training.views import FittedBody, Views, person_frames
 
 
 class Painted(NamedTuple):
@@ -37,7 +37,7 @@ class Painted(NamedTuple):
     pixels: float
 
 
-def count_pixels(person: Canonical, body: Person, views: Views, frames: list[int]) -> Painted:
+def count_pixels(person: Canonical, body: FittedBody, views: Views, frames: list[int]) -> Painted:
     """What the person's Gaussians paint in the `person_frames` of `frames` of `views`."""
     bones = body.canonical_bones()
     surface, normals, _ = body.surface()

@@ -7,13 +7,15 @@ from torch import Tensor
 
 from stages.avatar.body.skinning import skin
 from stages.avatar.model.person import Canonical, rest
-from stages.training.views import Person, Views, person_frames
+from stages.training.views import FittedBody, Views, person_frames
 
 OTHER = 0.5  # sum of |differences| of weights; kitchen clip: 2 % of the Gaussians, and specks in a new pose with them
 
 
 @torch.no_grad()
-def reskin(person: Canonical, usual: Tensor, body: Person, views: Views, frames: list[int]) -> tuple[Canonical, int]:
+def reskin(
+    person: Canonical, usual: Tensor, body: FittedBody, views: Views, frames: list[int]
+) -> tuple[Canonical, int]:
     """Replace skinning weights that are far from the `usual` ones [N,J], the body's, by those; also how many.
 
     In a new pose such Gaussians would fly off, and without them there would be holes: they go to where their new

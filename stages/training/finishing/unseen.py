@@ -17,7 +17,7 @@ from torch import Tensor
 from stages.avatar.body.joints import COLLARS, HEAD, NECK, SPINE
 from stages.avatar.model.person import Canonical
 from stages.avatar.splats.neighbours import farthest_points, median_near, nearest
-from stages.training.views import Person
+from stages.training.views import FittedBody
 
 TRUNK = (0, *SPINE, *COLLARS)
 SCALP = 0.3, 0.5  # of a head's box: its scalp is above 0.3 of the height at the back, and 0.5 more at the front
@@ -88,7 +88,7 @@ def _light(
     return continued(light, near, hidden, part)
 
 
-def on_body(person: Canonical, body: Person) -> OnBody:
+def on_body(person: Canonical, body: FittedBody) -> OnBody:
     """Where on the `body` a person's Gaussians are."""
     own, (height, depth) = len(body.joints), person.means[:, 1:].unbind(1)
     cloth = person.weights[:, own:].sum(1) > 0.5

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from stages.training.step.losses import SEAM, dilated
-from stages.training.views import Person, Views, shrunk
+from stages.training.views import FittedBody, Views, shrunk
 
 CLOSE = 0.3  # m of depth between two hips: closer ones the fits cannot order
 NEXT = 0.01  # of the longer side: somebody so near in the picture may hide part of a person
@@ -39,7 +39,7 @@ class Outline(NamedTuple):
         return bool((dilated(self.hidden[frame] / 255, NEXT) * self.masks[frame] > 127).any())
 
 
-def outlines(views: Views, masks: Sequence[Tensor], people: Sequence[Person]) -> list[Outline]:
+def outlines(views: Views, masks: Sequence[Tensor], people: Sequence[FittedBody]) -> list[Outline]:
     """The outline of each person, from their masks uint8[F,H,W] and their bodies; those of `views` cover everybody.
 
     A person is hidden where somebody is who stands nearer to the camera, or not surely farther away.
@@ -56,7 +56,7 @@ def outlines(views: Views, masks: Sequence[Tensor], people: Sequence[Person]) ->
     return found
 
 
-def _depths(views: Views, person: Person) -> Tensor:
+def _depths(views: Views, person: FittedBody) -> Tensor:
     """How far before the camera the hips are [F] m; nearest of all where no fit tells."""
     hips = person.transl + person.joints[0]
     depth = (views.viewmats[:, 2, :3] * hips).sum(1) + views.viewmats[:, 2, 3]

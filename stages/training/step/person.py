@@ -26,7 +26,7 @@ from stages.training.step import losses
 from stages.training.step.guard import Guard
 from stages.training.step.outlines import Outline
 from stages.training.step.refine import BodyCorrections
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 
 NEIGHBOURS = 8  # a surface Gaussian is held at their mean height
 Poses = tuple[Tensor, Tensor, Tensor]
@@ -37,7 +37,7 @@ MOVED = 0.005  # metres after which a Gaussian looks for its neighbours on the b
 class Starting(NamedTuple):
     """A person before training: their fitted body, model and outline; without an outline they are alone."""
 
-    body: Person
+    body: FittedBody
     human: HumanModel
     outline: Outline | None = None
 

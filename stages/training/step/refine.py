@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from stages.avatar.effects.camera_refinement import correct_cameras
-from stages.training.views import Person
+from stages.training.views import FittedBody
 
 SWING, JERK = 0.01, 0.03  # weights of the priors on the swing of clothes
 
@@ -59,7 +59,7 @@ class BodyCorrections(nn.Module):
         return SWING * rows.square().mean() + JERK * gap.square().mean()
 
     @torch.no_grad()
-    def bodies(self, person: Person, trained: Tensor, moments: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+    def bodies(self, person: FittedBody, trained: Tensor, moments: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
         """Corrected global_orient[F,3], body_pose[F,69], transl[F,3]; frames not trained[F] take their neighbours'."""
         turn, place = (spread(table.weight, trained, moments) for table in (self.pose, self.place))
         return person.global_orient + turn[:, :3], person.body_pose + turn[:, 3:], person.transl + place

@@ -12,7 +12,7 @@ from stages.formats.body_model import read_body_model
 from stages.synthetic import person
 from stages.synthetic.clip import camera_path
 from stages.training.beginning.cloth import clothed
-from stages.training.views import Person, Views
+from stages.training.views import FittedBody, Views
 from tests.made.skin import on_vertices
 from tests.made.synthetic import cloth as moving
 from tests.made.synthetic import garments
@@ -22,7 +22,7 @@ FRAMES, WIDTH, HEIGHT = 24, 96, 128
 
 @pytest.fixture(scope="module")
 def filmed():
-    """The masks of a bare body and of one in a skirt that turns before a camera: Person and two Views."""
+    """The masks of a bare body and of one in a skirt that turns before a camera: FittedBody and two Views."""
     model, rng = read_body_model(), np.random.default_rng(0)
     body, betas, faces = Body(model, dtype=torch.float64), np.zeros(10), np.asarray(model.faces, np.int64)
     orient, pose = person.make_motion(FRAMES, 8.0, rng)
@@ -42,7 +42,7 @@ def filmed():
     views = [
         Views(torch.zeros(FRAMES, 1, 1, 3), torch.as_tensor(255 * mask.astype(np.uint8)), *cameras) for mask in masks
     ]
-    return Person(*parts, *still), *views, skirt.cloth.places
+    return FittedBody(*parts, *still), *views, skirt.cloth.places
 
 
 @pytest.mark.slow

@@ -11,13 +11,13 @@ from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 from stages.training.finishing import bake, painted
 from stages.training.finishing.painted import count_pixels
-from stages.training.views import Person, Views, person_frames
+from stages.training.views import FittedBody, Views, person_frames
 from tests.made.learned import compose
 from tests.made.standing import EYES, SIZE, drawn, silhouettes, stand_red, views
 
 
 @pytest.fixture(scope="module")
-def standing() -> tuple[Canonical, Person]:
+def standing() -> tuple[Canonical, FittedBody]:
     """A red person, opaque, and where it stands."""
     return stand_red()
 

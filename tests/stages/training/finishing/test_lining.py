@@ -11,7 +11,7 @@ from stages.training.finishing import lining
 from stages.training.finishing.lining import OUT, UNDER_CLOTH, UNDER_SKIN, _gaps, _lining, add_lining
 from stages.training.finishing.painted import count_pixels
 from stages.training.step.losses import dilated
-from stages.training.views import Person
+from stages.training.views import FittedBody
 from tests.made.standing import EYES, SIZE, drawn, silhouettes, stand_red, views
 
 ARMS_UP = DA_POSE.clone().view(23, 3)
@@ -19,7 +19,7 @@ ARMS_UP[15, 2], ARMS_UP[16, 2] = 1.0, -1.0  # shoulders, far above the da-pose
 
 
 @pytest.fixture(scope="module")
-def standing() -> tuple[Canonical, Person]:
+def standing() -> tuple[Canonical, FittedBody]:
     """A red person, opaque, and where it stands."""
     return stand_red()
 

@@ -9,14 +9,14 @@ from stages.avatar.model.person import Canonical
 from stages.avatar.splats.neighbours import median_near
 from stages.training.finishing import bake, unseen
 from stages.training.finishing.unseen import OnBody, continued, on_body, unseen_colors
-from stages.training.views import Person
+from stages.training.views import FittedBody
 from tests.made.standing import silhouettes, stand_red, views
 
 RED, BLUE = torch.tensor([1.0, -1, -1]), torch.tensor([-1.0, -1, 1])
 
 
 @pytest.fixture(scope="module")
-def standing() -> tuple[Canonical, Person]:
+def standing() -> tuple[Canonical, FittedBody]:
     """A red person of 20,000 Gaussians, by chance but as dense everywhere, and where it stands."""
     person, where = stand_red()
     generator = torch.Generator().manual_seed(0)
@@ -41,7 +41,7 @@ def painted(person: Canonical, colors: torch.Tensor) -> Canonical:
     return person._replace(sh=colors[:, None].clone())
 
 
-def guessed(person: Canonical, where: Person, hidden: torch.Tensor) -> torch.Tensor:
+def guessed(person: Canonical, where: FittedBody, hidden: torch.Tensor) -> torch.Tensor:
     """Colours [H,3] of what is `hidden` [N], where all else is seen."""
     black = painted(person, torch.where(hidden[:, None], 0.0, person.sh[:, 0]))
     around, _ = median_near(black.sh[~hidden], black.means[~hidden], black.means, 24)
