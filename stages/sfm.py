@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from stages.estimators.cameras.intrinsics import Prior
     from stages.estimators.cameras.parts import Parts
     from stages.estimators.cameras.sparse_model import Pinholes
-    from stages.formats.datasets.undistorted import Grid
 
 LOADS = ("pycolmap", "scipy.optimize", "cv2")
 
@@ -134,21 +132,13 @@ def map_cameras(
     told: Prior | None,
 ) -> Pinholes:
     """Cameras found by COLMAP, and the pinhole that replaces their lens; `told` is what a file says of it."""
-    import numpy as np
+    from stages.estimators.cameras import solving
+    from stages.estimators.cameras.pinholes import pinholes_of
 
-    from stages.avatar.cameras import lens
-    from stages.avatar.cameras.pinhole import pinhole
-    from stages.estimators.cameras import colmap, solving
-    from stages.estimators.cameras.solving import GUESSED_FOCAL, Task
-    from stages.estimators.cameras.sparse_model import Pinholes
-    from stages.formats.datasets.undistorted import HELD
-
-    names, (width, height) = [frame.name for frame in listing.frames], (listing.width, listing.height)
-    size = (width, height)
-    task = Task(
+    task = solving.Task(
         job=job,
-        names=names,
-        size=size,
+        names=[frame.name for frame in listing.frames],
+        size=(listing.width, listing.height),
         images=frames / "images",
         masks=masks,
         scratch=scratch,
@@ -165,46 +155,7 @@ def map_cameras(
         job.note("the camera is taken to stand still, as set")
     else:
         solution = solving.solve(task)
-    k, center = solution.k, np.array(solution.center)
-    pinholes = {focal: focal for focal in solution.focals.tolist()}
-    shift = max(lens.max_shift(focal, k, width, height) for focal in pinholes)
-    if params.undistort == "never":
-        shift = 0.0  # as if there were no lens, and sfm.json says so
-    bends = params.undistort == "always" or shift >= lens.NO_SHIFT
-    if bends:
-        pinholes = {focal: lens.pinhole_focal(focal, center, k, width, height) for focal in pinholes}
-    focal_of = dict(zip(solution.names, solution.focals.tolist(), strict=True))
-    focals = [pinholes[focal] for focal in focal_of.values()]
-
-    @lru_cache(HELD)
-    def grid(focal: float) -> Grid:
-        return lens.remap_grid(focal, center, k, pinholes[focal], width, height)
-
-    def grid_of(name: str) -> Grid | None:
-        return grid(focal_of[name]) if bends else None
-
-    if solution.model is not None:
-        colmap.make_pinhole(solution.model, dict(zip([f"{name}.png" for name in solution.names], focals, strict=True)))
-    found = float(np.median(solution.focals))
-    source = "given" if params.focal else "estimated"
-    if solution.verdict == "static camera" and params.focal is None:
-        source = "file" if told else "guessed"
-    if source == "guessed":
-        job.warn(
-            f"the focal length is a guess ({found:.0f} px, {GUESSED_FOCAL} x the longer side); "
-            "if you know it, give it with --set sfm.focal=PX"
-        )
-    facts = {
-        "focal_px": found,
-        "focal_source": source,
-        "pinhole_focal_px": float(np.median(focals)),
-        "distortion": {"model": "SIMPLE_RADIAL", "params": [k], "max_shift_px": shift},
-        **solution.facts,
-    }
-    if params.focal is None and (spread := solution.facts.get("lens", {}).get("focal_spread_px")):
-        job.note(f"focal length {found:.0f} px, give or take {spread:.0f}")
-    Ks = np.array([pinhole(focal, width, height) for focal in focals])
-    return Pinholes(solution.verdict, solution.names, solution.viewmats, Ks, grid_of, facts, solution.model)
+    return pinholes_of(task, solution, params.undistort)
 
 
 def check_masks(names: list[str], masks: Path, width: int, height: int) -> None:
