@@ -9,6 +9,7 @@ import pytest
 from hugs_cli.app_draw import finished
 from hugs_cli.pipelines import UsageError
 from tests.made.flow import Flow
+from tests.made.said import holds
 
 
 @pytest.fixture
@@ -37,8 +38,8 @@ def test_the_result_of_another_film_of_the_same_name_is_not_taken(two_films):
     run_other(two_films, "two")
     with pytest.raises(UsageError) as caught:
         finished(Path("clip.mp4"), Path("work"), "default", "two")
-    assert caught.value.problem == "two was not made from clip.mp4, or that has changed since"
-    assert caught.value.hint.startswith("`hugs run clip.mp4` brings it up to date; `--work`")
+    assert holds(caught.value.problem, "two", "not made from", "clip.mp4")
+    assert caught.value.hint.startswith("`hugs run clip.mp4`") and "`--work`" in caught.value.hint
     assert caught.value.facts[0].startswith("digest of clip.mp4: ") and len(set(caught.value.facts)) == 2
     (folder,) = finished(Path("b/clip.mp4"), Path("work"), "default", "two")
     assert "others" in (folder / "out.txt").read_text()
@@ -76,7 +77,7 @@ def test_a_result_whose_film_cannot_be_told_is_not_taken(two_films):
     two_films.hugs(command="gc")
     with pytest.raises(UsageError) as caught:
         finished(Path("clip.mp4"), Path("work"), "default", "two")
-    assert "unknown: results before it are gone" in caught.value.facts[1]
+    assert holds(caught.value.facts[1], "unknown", "gone")
 
 
 def test_a_film_that_is_gone_is_said(two_films):

@@ -18,6 +18,7 @@ from stages.formats.frame_names import stem
 from stages.formats.images import read_image, write_image
 from stages.formats.video import VideoInfo, decode, write_video
 from tests.made import ffmpeg
+from tests.made.said import holds
 
 HEIGHT, WIDTH = 96, 128
 TICKS = 15360  # a second, in films of 30 frames a second
@@ -106,7 +107,8 @@ def test_oblong_pixels_are_said(tmp_path):
     said = []
     info = VideoInfo("v.mp4", 1920, 1080, 25.0, 50, 2.0, 0, "sdr", 4 / 3)
     frames.check_video(Job(tmp_path, emit=lambda event: said.append(event["text"])), info)
-    assert said == ["the video's pixels are 1.33 times as wide as high: made square, 1920x1080"]
+    (only,) = said
+    assert holds(only, "pixels", 1.33, "square", "1920x1080")
 
 
 def test_h19_i20_too_little_video_is_refused(tmp_path):
@@ -211,7 +213,8 @@ def test_times_that_run_back_are_counted(tmp_path):
     facts, _, warnings = run(tmp_path, tmp_path / "v.avi", count=20)
     times = [frame["time_s"] for frame in facts["frames"]]
     assert 18 <= len(times) <= 20 and (np.diff(times) > 0.02).all()
-    assert warnings == ["the times of the film's pictures run back: they are counted instead, 30 a second"]
+    (warning,) = warnings
+    assert holds(warning, "times", "run back", "counted", 30)
 
 
 def test_interlaced_frames_are_said(tmp_path):
@@ -253,5 +256,5 @@ def test_names_that_are_no_text_are_read_by_the_next_stage(tmp_path):
     assert stem(f"{strange}3.png") == "\ufffd_3"
     (tmp_path / strange).mkdir()
     (tmp_path / strange / "1.png").touch()
-    with pytest.raises(StageError, match=r"the name of .*1.png is not UTF-8"):
+    with pytest.raises(StageError, match=r"1\.png .*UTF-8"):
         frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / strange)

@@ -7,6 +7,7 @@ from stages.contract import StageError
 from stages.formats.splats import read_avatar, read_scene, write_splats
 from stages.records import Avatar, Scene
 from tests.made.clothes import dress, some_clothes
+from tests.made.said import holds
 
 
 def scene(n: int = 5) -> dict[str, np.ndarray]:
@@ -41,17 +42,17 @@ def test_l07_round_trip_without_pickles(tmp_path):
 def test_k02_l01_damage_is_named(tmp_path):
     path = tmp_path / "avatar.npz"
     np.savez(path, **scene())
-    with pytest.raises(StageError, match="does not hold the Gaussians of the avatar") as error:
+    with pytest.raises(StageError, match="Gaussians of the avatar") as error:
         read_avatar(path)
     assert "lbs_weights" in error.value.facts[0]
     np.savez(path, **(avatar() | {"sh0": np.zeros((4, 3), np.float32)}))
-    with pytest.raises(StageError, match=r"sh0 in avatar.npz has the wrong shape") as error:
+    with pytest.raises(StageError, match=r"sh0 .*avatar\.npz.* shape") as error:
         read_avatar(path)
     assert error.value.facts[0] == "found 4x3, wanted 5x3"
     broken = avatar()
     broken["means"][2, 1] = np.nan
     np.savez(path, **broken)
-    with pytest.raises(StageError, match=r"means in avatar.npz has numbers that are not finite") as error:
+    with pytest.raises(StageError, match=r"means .*avatar\.npz.*not finite") as error:
         read_avatar(path)
     assert "[2, 1]" in error.value.facts[0]
     np.savez(path, **(avatar() | {"lbs_weights": np.full((5, 24), 0.05, np.float32)}))
@@ -65,7 +66,7 @@ def test_a19_a_zero_quaternion_is_no_rotation(tmp_path):
     np.savez(tmp_path / "scene.npz", **damaged)
     with pytest.raises(StageError, match="damaged") as error:
         read_scene(tmp_path / "scene.npz")
-    assert error.value.facts[0] == "1 Gaussians have a quaternion of zeros, the first is row 3"
+    assert holds(error.value.facts[0], 1, "quaternion", "zeros", "row 3")
 
 
 @pytest.mark.parametrize(
@@ -125,7 +126,7 @@ def test_files_of_earlier_versions_are_read_and_newer_ones_refused(tmp_path):
     for name, value in (("old.npz", {}), ("now.npz", {"version": 1}), ("new.npz", {"version": 3})):
         np.savez(tmp_path / name, **avatar(), **{key: np.int32(number) for key, number in value.items()})
     assert len(read_avatar(tmp_path / "old.npz")) == len(read_avatar(tmp_path / "now.npz")) == 5
-    with pytest.raises(StageError, match=r"new.npz was made by a newer hugs"):
+    with pytest.raises(StageError, match=r"new\.npz .*newer"):
         read_avatar(tmp_path / "new.npz")
     write_splats(tmp_path / "written.npz", Avatar(**avatar()))
     with np.load(tmp_path / "written.npz") as data:

@@ -17,6 +17,7 @@ from stages.formats.given_masks.coco import decode, polygons
 from stages.formats.images import read_mask, write_image, write_mask
 from stages.synthetic.clip import make_clip
 from tests.made import mask_files as files
+from tests.made.said import any_holds
 
 TOTAL, PICKED = 10, (0, 2, 3, 5, 9)
 
@@ -129,14 +130,14 @@ def test_another_person_is_picked_by_id(tmp_path, truth, frames, layout, asked):
     facts, made, _ = run(tmp_path / "stage", frames, path, person=asked)
     np.testing.assert_array_equal(made, truth[1][list(PICKED)])
     assert facts["no_person"] == ["000009"], "who has left is not there"
-    with pytest.raises(StageError, match="no person 77 in the given masks") as error:
+    with pytest.raises(StageError, match="no person 77") as error:
         run(tmp_path / "again", frames, path, person=77)
     assert "covers" in error.value.facts[0] and "in 4 pictures" in error.value.facts[0]
 
 
 def test_a_stack_with_names_may_lack_other_frames(tmp_path, truth, frames):
     path = numpy_names(tmp_path / "a.npz", *truth)
-    with pytest.raises(StageError, match="masks are missing for 2 of 5 frames") as error:
+    with pytest.raises(StageError, match=r"masks are missing.* 2 of 5 frames") as error:
         run(tmp_path / "stage", frames, path)
     assert "000000, 000002" in error.value.facts[0] and "frame_0003" in error.value.facts[1]
 
@@ -167,7 +168,7 @@ def test_two_people_in_one_mask_are_said(tmp_path, truth, frames):
     person, _ = truth
     both = np.concatenate([person[:, :, ::2], person[:, :, 1::2]], axis=2)
     _, _, said = run(tmp_path / "stage", frames, saved(tmp_path / "a.npy", both))
-    assert any("second large part in 5 of 5 frames" in text for text in said)
+    assert any_holds(said, "second", "part", "5 of 5 frames")
 
 
 def test_overlapping_objects_stay_whole(tmp_path, truth, frames):
