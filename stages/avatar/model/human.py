@@ -54,7 +54,7 @@ class HumanModel(nn.Module):
         "sh_starts",
         "skin_logits",
         "homes",
-    )  # buffers with one row a Gaussian, besides `xyz`
+    )  # buffers, a row a Gaussian, as `xyz`
 
     def __init__(
         self,

@@ -15,12 +15,8 @@ from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
 from stages.formats.images import read_image
 
-MATCHES_OFF = (
-    0.01  # of the longer side: verified matches that lie farther from their epipolar lines contradict the cameras
-)
-COLORS_FIT = (
-    0.5  # correlation of the points' colours with the frames' below which cameras are doubtful; true ones have 0.9
-)
+MATCHES_OFF = 0.01  # of the longer side: matches farther from their epipolar lines contradict the cameras
+COLORS_FIT = 0.5  # correlation of colours of points and frames: under it cameras are doubtful; true ones have 0.9
 LOOKED_AT = 12  # frames in which the points' colours are compared
 
 

@@ -21,9 +21,7 @@ from stages.formats.given_cameras.record import Lens, possible_errors, widest_an
 SEED = 1  # of every random draw of a mapper
 TRACKS = 100  # longest tracks a frame to map with; all take three times as long, and are as far off once refined
 TOLERANCE = 3e-4  # of the cost: smaller changes end the global mapper's adjustments; 1e-4 takes 20 % longer
-STRAY = (
-    2.03  # times the middle point's error: about Cauchy's 2.385 standard deviations. Matches farther off hardly pull
-)
+STRAY = 2.03  # times the middle point's error: Cauchy's 2.385 standard deviations; farther matches hardly pull
 LEAST_STRAY = 0.1  # px: finer than SIFT's places are
 CLOSER = 3e-4  # of the cost: where `adjust_again` ends
 ADJUSTMENTS = 8  # bundle adjustments of the global mapper, of which each gets this part of its time

@@ -19,10 +19,7 @@ from stages.formats.images import read_image, read_mask
 LOOKED_AT = 12  # frames, evenly spread; each is compared with those 1, 2, 4 and 8 of these later
 CORNERS = Choice(most=1600, apart=0, quality=0.01, returns=0.5)
 APART = 0.012  # of the longer side between two corners
-MOST, SOME = (
-    0.5,
-    0.1,
-)  # share of a cell's corners that stay: with most the camera stands still; with some, if the rest agrees
+MOST, SOME = 0.5, 0.1  # share of a cell's corners that stay: most, the camera stands still; some, if the rest agrees
 CELLS, STAYS, COVERED = 4, 0.2, 0.15  # the picture is cut into 4 by 4; this share must stay in this share of the cells
 ONE_WAY = 0.7  # length of the mean direction: what moves past a camera that slides moves one way, a crowd does not
 FEW = 20  # corners: fewer say nothing

@@ -19,19 +19,7 @@ SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
 FAR = 1e9
 """Focal length in px that stands for weak perspective: a camera so far away that depth does not matter."""
 OTHER_SHAPE = "the shape numbers are those of {}, which SMPL reads as nearly the same shape"
-_PER_ROW = (
-    "betas",
-    "global_orient",
-    "body_pose",
-    "transl",
-    "scale",
-    "turns",
-    "offset",
-    "numbers",
-    "times",
-    "focal",
-    "center",
-) + ("joints2d",)
+_SHARED = ("path", "tool", "pelvis", "body", "notes")
 
 
 @dataclass(frozen=True)
@@ -76,23 +64,30 @@ class SmplFit:
 
     def rows(self, rows: Sequence[int]) -> SmplFit:
         """The same fit with only these rows."""
-        index = list(rows)
-        parts: dict[str, Any] = {key: v[index] for key in _PER_ROW if (v := getattr(self, key)) is not None}
-        parts |= {k: tuple(v[i] for i in index) for k in ("names", "tracks") if (v := getattr(self, k)) is not None}
-        return replace(self, **parts)
+        return replace(self, **{name: _taken(values, rows) for name, values in _per_row(self).items()})
+
+
+def _per_row(fit: SmplFit) -> dict[str, Any]:
+    """What a fit has for each row."""
+    every = {field.name: getattr(fit, field.name) for field in fields(SmplFit) if field.name not in _SHARED}
+    return {name: values for name, values in every.items() if values is not None}
+
+
+def _taken(values: Any, rows: Sequence[int]) -> Any:
+    return values[list(rows)] if isinstance(values, np.ndarray) else tuple(values[i] for i in rows)
 
 
 def join_fits(fits: Sequence[SmplFit], path: str) -> SmplFit:
     """The rows of all `fits` of one tool in one; StageError naming `path` if there are none."""
     if not fits:
         raise StageError(f"{path} holds no poses", "let the tool run again: it found nobody")
-    parts: dict[str, Any] = {}
-    for name in (field.name for field in fields(SmplFit)):
-        values = [getattr(fit, name) for fit in fits]
-        if name in _PER_ROW and values[0] is not None:
-            parts[name] = np.concatenate(values)
-        elif name in ("names", "tracks") and values[0] is not None:
-            parts[name] = tuple(one for value in values for one in value)
+    each = [_per_row(fit) for fit in fits]
+    parts: dict[str, Any] = {
+        name: np.concatenate([one[name] for one in each])
+        if isinstance(values, np.ndarray)
+        else tuple(value for one in each for value in one[name])
+        for name, values in each[0].items()
+    }
     notes = tuple(dict.fromkeys(note for fit in fits for note in fit.notes))
     return replace(fits[0], **parts, path=path, notes=notes)
 
