@@ -159,3 +159,20 @@ def as_array(value: object, key: str, path: Path | str, hint: str = "") -> np.nd
         return np.asarray(value)
     except (ValueError, TypeError, OverflowError) as error:
         raise StageError(f"{key} in {path} is not an array", hint, [str(error)]) from error
+
+
+def texts(array: np.ndarray, count: int, key: str, path: Path | str, hint: str = "") -> list[str]:
+    """The `count` texts of an array, whole numbers as texts; StageError for anything else."""
+    if array.shape != (count,) or array.dtype.kind not in "USiu":
+        facts = [f"found {array.dtype} {array.shape}, wanted {count} texts or whole numbers"]
+        raise StageError(f"{key} in {path} does not name its rows", hint, facts)
+    return [one.decode(errors="replace") if isinstance(one, bytes) else str(one) for one in array.tolist()]
+
+
+def check_radians(rotvecs: np.ndarray, key: str, path: Path | str) -> None:
+    """StageError if rotation vectors [N,J,3] turn so far that they must be in degrees."""
+    angles = np.linalg.norm(rotvecs, axis=2)
+    if angles.size and angles.max() > 4 * np.pi:
+        row, joint = (int(i) for i in np.unravel_index(angles.argmax(), angles.shape))
+        facts = [f"row {row}, joint {joint} turns by {angles.max():.1f}"]
+        raise StageError(f"{key} in {path} looks like degrees", "rotation vectors are in radians", facts)

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.arrays import checked
+from stages.formats.arrays import checked, texts
 from stages.formats.given_fits.record import OTHER_SHAPE, SMPLX_PELVIS, Fields, SmplFit
 from stages.formats.poses import whose
 
@@ -97,11 +97,7 @@ def _names(file: Fields, count: int) -> tuple[str, ...] | None:
     key = next((key for key in _NAMES if key in file), None)
     if key is None:
         return None
-    array = np.asarray(file.take(key))
-    if array.shape != (count,) or array.dtype.kind not in "USiu":
-        facts = [f"found {array.shape} of {array.dtype}, wanted {count} texts or whole numbers"]
-        raise StageError(f"{key} in {file.where} does not name its rows", HINT, facts)
-    return tuple(name.decode(errors="replace") if isinstance(name, bytes) else str(name) for name in array.tolist())
+    return tuple(texts(np.asarray(file.take(key)), count, key, file.where, HINT))
 
 
 def _times(file: Fields, count: int) -> np.ndarray | None:

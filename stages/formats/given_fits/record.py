@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stages.contract import StageError
-from stages.formats.arrays import checked, take
+from stages.formats.arrays import check_radians, checked, take
 from stages.formats.body_model import SMPL
 from stages.formats.images import same_shape
 
@@ -141,11 +141,7 @@ class Fields:
             return self._from_matrices(checked(array, array.shape, key, self.where, self.hint), key, joints)
         flat = array.reshape(count, -1) if array.ndim == 3 and array.shape[0] == count else array
         flat = checked(flat, (count, joints * 3), key, self.where, self.hint).astype(np.float64)
-        angle = np.linalg.norm(flat.reshape(count, joints, 3), axis=-1)
-        if angle.size and angle.max() > 4 * np.pi:
-            row, joint = (int(i) for i in np.unravel_index(angle.argmax(), angle.shape))
-            facts = [f"row {row}, joint {joint} turns by {angle.max():.1f}"]
-            raise StageError(f"{key} in {self.where} looks like degrees", "rotation vectors are in radians", facts)
+        check_radians(flat.reshape(count, joints, 3), key, self.where)
         return flat
 
     def _from_matrices(self, array: np.ndarray, key: str, joints: int) -> np.ndarray:

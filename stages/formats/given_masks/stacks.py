@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import BROKEN, read_npz
+from stages.formats.arrays import BROKEN, read_npz, texts
 from stages.formats.budget import STACK
 from stages.formats.frame_names import stem
 from stages.formats.given_masks.mask_set import MaskSet, Values, check_one_per_frame
@@ -62,13 +62,7 @@ def one_stack(
     if found is None:
         check_one_per_frame(len(stack), frames, f"{key} in {path}", film)
     else:
-        given = arrays[found]
-        if given.shape != (len(stack),) or given.dtype.kind not in "USiu":
-            facts = [f"found {given.dtype} {given.shape}, wanted {len(stack)} texts or whole numbers"]
-            raise StageError(f"{found} in {path} does not name its masks", HINT, facts)
-        names = tuple(
-            stem(name.decode(errors="replace") if isinstance(name, bytes) else str(name)) for name in given.tolist()
-        )
+        names = tuple(stem(name) for name in texts(arrays[found], len(stack), found, path, HINT))
 
     def read(_: str, i: int) -> Values:
         values = checked_values(np.asarray(stack[i]), f"mask {i} of {key} in {path}")

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.arrays import as_array, checked, npz_names, read_npz, take
+from stages.formats.arrays import as_array, check_radians, checked, npz_names, read_npz, take
 from stages.formats.body_model import SMPL
 from stages.formats.budget import check_count
 from stages.formats.motions.rates import usual_rate
@@ -129,11 +129,7 @@ def _poses(arrays: Mapping[str, np.ndarray], count: int, path: Path) -> tuple[np
     kept = 24 if width == 72 else BODY
     whole = np.zeros((count, 24, 3))
     whole[:, :kept] = poses[:, : 3 * kept].reshape(count, kept, 3)
-    angles = np.linalg.norm(whole, axis=2)
-    if angles.max() > 4 * np.pi:
-        frame, joint = (int(i) for i in np.unravel_index(angles.argmax(), angles.shape))
-        facts = [f"frame {frame}, joint {joint} turns by {angles.max():.1f}"]
-        raise StageError(f"{key} in {path} looks like degrees", "rotation vectors are in radians", facts)
+    check_radians(whole, key, path)
     left_out = {
         156: ("fingers left out",),
         165: ("fingers and face left out",),

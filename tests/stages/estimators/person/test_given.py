@@ -257,7 +257,7 @@ MALFORMED = {
     "npz cut short": (lambda d, p, o: cut(stack(d / "a.npz", masks=p), 500), "cannot read", "zip"),
     "npz of something else": (lambda d, p, o: stack(d / "a.npz", poses=np.zeros((10, 72))), "do(es)? not have|missing|told apart",
                               "poses|given"),
-    "names too few": (lambda d, p, o: stack(d / "a.npz", masks=p, names=np.array(["1", "2"])), "does not name its masks",
+    "names too few": (lambda d, p, o: stack(d / "a.npz", masks=p, names=np.array(["1", "2"])), "does not name its rows",
                       r"\(2,\), wanted 10"),
     "two names alike": (lambda d, p, o: stack(d / "a.npz", masks=p, names=np.array(["000000"] * 10)), "two masks have the name",
                         "000000"),
