@@ -20,6 +20,7 @@ from hugs_cli import options, pipelines, words
 from hugs_cli.app_compare import ablate, costs
 from hugs_cli.app_compose import compose
 from hugs_cli.app_draw import animate, render
+from hugs_cli.app_export import export
 from hugs_cli.app_fleet import fleet
 from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
 from hugs_cli.app_view import view
@@ -257,7 +258,7 @@ def doctor(
 
 COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     "Make": {"run": run, "demo": demo, "fleet": fleet},
-    "Look": {"view": view, "render": render, "animate": animate, "compose": compose},
+    "Look": {"view": view, "render": render, "animate": animate, "compose": compose, "export": export},
     "Know": {
         "status": status,
         "why": why,

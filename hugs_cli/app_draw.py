@@ -33,6 +33,9 @@ SceneFile = Annotated[
         help="A scene of Gaussians (.ply, .spz, .npz) in place of the trained one; for animate also a run's folder.",
     ),
 ]
+SceneAxes = Annotated[
+    options.Axes, Option("--scene-axes", help="Of the --scene file: y_down, as trainers write it, or y_up.")
+]
 Who = Annotated[int, Option(min=1, help="Which of the people of VIDEO, where its run has several.")]
 Overwrite = Annotated[bool, Option("--force", help="Write over what others made; never over a source or a result.")]
 
@@ -47,6 +50,7 @@ def render(
     poses: Annotated[Path | None, Option(help="Body poses (npz); the clip's own if none.")] = None,
     avatar: AvatarFile = None,
     scene: SceneFile = None,
+    scene_axes: SceneAxes = options.Axes.y_down,
     who: Who = 1,
     only: Annotated[options.Only, Option(help="What to show.")] = options.Only.both,
     force: Overwrite = False,
@@ -76,8 +80,9 @@ def render(
         out, where, emit=remembering(work, lambda event: console.say(said.get(event["event"], "") + event["text"]))
     )
     only = options.Only.human if avatar and not scene else only
+    settings = {"only": only.value, "who": who, "scene_axes": scene_axes.value}
     inputs = {"train": train, "smpl": smpl, "avatar": avatar, "scene": scene, "cameras": cameras, "poses": poses}
-    run_directly("stages.commands.views", job, {"only": only.value, "who": who}, **inputs)
+    run_directly("stages.commands.views", job, settings, **inputs)
     console.result(words.relative(out))
 
 
@@ -89,6 +94,7 @@ def animate(
     ] = None,
     avatar: AvatarFile = None,
     scene: SceneFile = None,
+    scene_axes: SceneAxes = options.Axes.y_down,
     at: Annotated[
         tuple[float, float, float],
         Option(
@@ -138,6 +144,7 @@ def animate(
     person: dict[str, Any] = {"avatar": run_folder or avatar, "who": who, "motion": str(motion)}
     person |= {"motion_fps": motion_fps, "up": up and up.value}
     film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene": scene}
+    film["scene_axes"] = scene_axes.value
     film["camera"] = str(cameras) if cameras else "before"
     if scene is not None and scene.is_dir():
         film |= {"people": [person | {"at": (at[0], at[2])}], "camera": str(cameras) if cameras else "still"}

@@ -46,6 +46,13 @@ class Only(StrEnum):
     both = "both"
 
 
+class Axes(StrEnum):
+    """Which way y points in a file of Gaussians."""
+
+    y_down = "y_down"
+    y_up = "y_up"
+
+
 class Up(StrEnum):
     """An axis of a motion file."""
 

@@ -15,11 +15,12 @@ from datetime import UTC, datetime
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hugs_cli.cache import child, garbage, whole
 from hugs_cli.cache.fingerprint import files_under
-from hugs_cli.cache.freshness import Forced, Reason, Recipe, Session, Verdict
+from hugs_cli.cache.freshness import Forced, ParamChanged, Reason, Recipe, Session, Verdict, changes
 from hugs_cli.cache.launcher import Launcher, Outcome
 from hugs_cli.cache.workspace import (
     LOG,
@@ -32,7 +33,7 @@ from hugs_cli.cache.workspace import (
     remove,
     seal,
 )
-from hugs_cli.console import Console
+from hugs_cli.console import Console, reasons_text
 from hugs_cli.direct import StageFailed, failed
 from hugs_cli.pipelines import Stage, UsageError
 from stages.contract import StageRecord
@@ -60,10 +61,17 @@ class RunStopped(BaseException):
         self.stage, self.continues = stage, continues
 
 
-def run(session: Session, wanted: list[str], forced: frozenset[str], device: str, console: Console) -> list[Ran]:
+def run(
+    session: Session,
+    wanted: list[str],
+    forced: frozenset[str],
+    device: str,
+    console: Console,
+    taken: Mapping[str, Verdict] = MappingProxyType({}),
+) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
-    stage that does not finish. What was finished before stays."""
-    done: dict[str, Verdict] = {}
+    stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are."""
+    done = dict(taken)
     ran: list[Ran] = []
     stages = [session.pipeline.stages[name] for name in wanted]
     with session.workspace.lock(console.waiting) as lock, closing(Launcher(lock)) as launcher:
@@ -75,6 +83,8 @@ def run(session: Session, wanted: list[str], forced: frozenset[str], device: str
             if stamp := verdict.stamp or rescued(session, verdict):
                 console.cached(name, stamp)
                 state = "cached"
+                if verdict.last and verdict.recipe and (back := other_settings(verdict.last, verdict.recipe)):
+                    console.below(f"linked again: {reasons_text(back)}")
             else:
                 then = after.loads if after else None
                 stamp, state = make(session, stage, verdict, done, device, launcher, then, console), "done"
@@ -83,6 +93,11 @@ def run(session: Session, wanted: list[str], forced: frozenset[str], device: str
             ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
         session.code.save()
     return ran
+
+
+def other_settings(last: Stamp, recipe: Recipe) -> tuple[Reason, ...]:
+    """The settings in which a result that is there differs from the one that was linked last."""
+    return tuple(reason for reason in changes(last, recipe) if isinstance(reason, ParamChanged))
 
 
 def rescued(session: Session, verdict: Verdict) -> Stamp | None:

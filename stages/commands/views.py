@@ -16,6 +16,8 @@ class Params(contract.Params):
     """What to show."""
     who: int = Field(1, ge=1)
     """Which of the people of a run."""
+    scene_axes: Literal["y_down", "y_up"] = "y_down"
+    """Of a scene from a file; y_up: turned by half a turn about x."""
     turntable: int = Field(24, gt=0)
     """Pictures around an avatar for which no cameras are given."""
 
@@ -49,15 +51,19 @@ def run(
     from stages.avatar.model.scene import load_scene
     from stages.avatar.rasterize import Camera
     from stages.filming.clip_cast import with_casters
+    from stages.filming.scenes import stood
     from stages.formats.body_model import read_body_model
     from stages.formats.cameras import read_cameras
     from stages.formats.exchange.read import lacks, read_given
+    from stages.formats.ground import read_ground
     from stages.formats.images import write_image
     from stages.formats.poses import read_poses
     from stages.formats.trained import check_scene, read_trained_poses
 
     only = params.only
     given, room, effects = read_given(train, avatar, scene, params.who)
+    if room is not None and scene is not None:
+        room = stood(room, params.scene_axes, None if smpl is None else read_ground(smpl / "ground.json"))
     model = None if smpl is None else read_body_model(smpl / "body_model.npz")
     baked = load_avatar(with_casters(given, model), job.device)
     for fact in lacks(avatar, scene, room is not None and room.antialias):

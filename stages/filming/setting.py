@@ -14,6 +14,7 @@ from stages.avatar.effects.shadow import DARKNESS, Shadow
 from stages.avatar.model.scene import load_scene
 from stages.avatar.splats.gaussians import Splats
 from stages.contract import StageError
+from stages.filming.scenes import stood
 from stages.filming.spec import Film, Floor
 from stages.formats.clip import Clip, load_clip
 from stages.formats.effects import read_effects
@@ -58,7 +59,8 @@ def load_setting(film: Film, device: str) -> Setting:
                 "`ground: {point: [0, 1, 3]}` in the film, in the scene's axes; up and ahead as its people should stand"
             )
             raise StageError(f"where is the floor of {film.scene}?", hint, ["a file of Gaussians does not say it"])
-        ground, scene = _floor(film.ground), read_any_scene(film.scene)
+        ground = _floor(film.ground)
+        scene = stood(read_any_scene(film.scene), film.scene_axes, ground)
         if film.only == "human":
             return Setting(None, None, ground, None, None, nothing, ())
         shadow, fact = lamp_of(None, ground, film.light)
@@ -75,6 +77,7 @@ def load_setting(film: Film, device: str) -> Setting:
     if film.gaussians is None:
         check_scene(train)
     scene = read_any_scene(film.gaussians or train / "scene.npz")
+    scene = stood(scene, film.scene_axes, ground) if film.gaussians else scene
     shadow, fact = lamp_of(film.scene, ground, film.light)
     if ground.points == 0:
         fact = (*fact, f"the floor of {film.scene} is {ground.how}")

@@ -12,6 +12,7 @@ from stages import contract
 DAY = 86400.0  # s
 Far = Annotated[float, Field(ge=-1e5, le=1e5)]  # m; single precision is 8 mm there
 Axis = tuple[Far, Far, Far]
+Axes = Literal["y_down", "y_up"]
 Matching = Literal["off", "auto", "always"]
 Moment = Annotated[float, Field(ge=0, le=DAY)]
 Times = Annotated[float, Field(ge=0.01, le=100)]
@@ -84,6 +85,8 @@ class Film(contract.Params):
     """The folder of a run, or a .ply, .spz or .npz of Gaussians; none: over white."""
     gaussians: Path | None = None
     """A file in place of the Gaussians that the run of `scene` trained, in its axes: a scene that was edited."""
+    scene_axes: Axes = "y_down"
+    """Of a scene, or Gaussians, from a file: y_down, as trainers write them, or y_up: turned by half a turn about x."""
     ground: Floor | None = None
     """The floor of a scene that is a file."""
     people: list[Person] = Field(min_length=1)
