@@ -99,8 +99,9 @@ def measure(
     mesh = surface_of(avatar)
     spent = time.process_time() - began
     rig = rig_of(avatar)
-    parts = (part.numpy().astype(float) for part in (person.global_orient, person.body_pose))
-    take = take_of("asked", np.arange(len(person.transl)) * 1.0, *parts, person.transl.numpy() + rig.joints[0])
+    asked = [*range(len(person.transl)), -1]  # the last twice: at its end a motion begins again
+    turns, bends, places = (part.numpy()[asked].astype(float) for part in _pose(person))
+    take = take_of("asked", np.arange(len(asked)) * 1.0, turns, bends, places + rig.joints[0])
     rows: dict[str, list[dict[str, float]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         glb = Path(folder, "avatar.glb")

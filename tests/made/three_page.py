@@ -9,19 +9,21 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from stages.avatar.rasterize import Camera
 from tests.made.devtools import SOFTWARE, Page
 
+FINER = 3  # times as many pixels each way are drawn, and averaged
 PAGE = """<!doctype html><script type="importmap">
 {"imports": {"three": "ROOT/build/three.module.js", "three/addons/": "ROOT/examples/jsm/"}}
 </script>
 <script type="module">
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
-const renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
+const renderer = new THREE.WebGLRenderer({ antialias: false, alpha: true, preserveDrawingBuffer: true });
 renderer.setClearColor(0xffffff, 0);
 const began = performance.now();
 const bytes = await (await fetch("data:model/gltf-binary;base64,DATA")).arrayBuffer();
@@ -75,11 +77,13 @@ class Gltf:
         self.found = tab.run("window.found")
 
     def picture(self, motion: str, seconds: float, camera: Camera) -> np.ndarray:
-        """A motion at a time as a camera sees it: [H,W,4] in 0..1, colours over white and coverage."""
-        K, near, far = np.asarray(camera.K, float), 0.05, 100.0
+        """A motion at a time as a camera sees it: [H,W,4] in 0..1, colours over white and coverage; FINER times finer, averaged."""
+        near, far = 0.05, 100.0
+        K = np.diag([FINER, FINER, 1]) @ np.asarray(camera.K, float)
+        width, height = FINER * camera.width, FINER * camera.height
         projection = np.zeros((4, 4))
-        projection[0, 0], projection[0, 2] = 2 * K[0, 0] / camera.width, 1 - 2 * K[0, 2] / camera.width
-        projection[1, 1], projection[1, 2] = 2 * K[1, 1] / camera.height, 2 * K[1, 2] / camera.height - 1
+        projection[0, 0], projection[0, 2] = 2 * K[0, 0] / width, 1 - 2 * K[0, 2] / width
+        projection[1, 1], projection[1, 2] = 2 * K[1, 1] / height, 2 * K[1, 2] / height - 1
         projection[2, 2:] = -(far + near) / (far - near), -2 * far * near / (far - near)
         projection[3, 2] = -1
         world = np.linalg.inv(np.asarray(camera.viewmat, float)) @ np.diag([1.0, -1, -1, 1])
@@ -88,20 +92,13 @@ class Gltf:
             "seconds": seconds,
             "world": world.T.ravel().tolist(),
             "projection": projection.T.ravel().tolist(),
-            "size": [camera.width, camera.height],
+            "size": [width, height],
         }
         drawn = self.folder / "drawn.png"
         drawn.write_bytes(base64.b64decode(self.tab.run(f"window.draw({json.dumps(asked)})")))
-        shown = _rgba(drawn)
-        alpha = shown[..., 3:]
-        return np.concatenate([shown[..., :3] * alpha + 1 - alpha, alpha], 2)
-
-
-def _rgba(path: Path) -> np.ndarray:
-    import cv2
-
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    return pixels[..., [2, 1, 0, 3]] / 255
+        pixels = cv2.imread(str(drawn), cv2.IMREAD_UNCHANGED)[..., [2, 1, 0, 3]] / 255
+        pixels[..., :3] = pixels[..., :3] * pixels[..., 3:] + 1 - pixels[..., 3:]
+        return pixels.reshape(camera.height, FINER, camera.width, FINER, 4).mean((1, 3))
 
 
 @contextlib.contextmanager

@@ -23,6 +23,7 @@ CELL = 0.005  # m, of the grid
 NEAR = 0.03  # m from a Gaussian: where distances are fused
 REACH = 0.015  # m: how far behind a surface a picture knows what is there
 UNSURE = 0.02  # m: where the depths behind a pixel deviate by more, it shows two surfaces
+SKIN = 0.007  # m: how far Gaussians show beyond their middles, which is where their depth is; outlines hold it
 OUTLINE = 0.5  # coverage of the outline
 SMOOTH = 0.7  # cells: sigma over which distances are smoothed
 SEEN = 0.1  # opacity from which a Gaussian is looked at
@@ -76,7 +77,7 @@ def _distances(points: Tensor, splats: Splats, cameras: Sequence[Camera]) -> Ten
         unit = 2 * at / torch.tensor([camera.width, camera.height]) - 1
         covered = grid_sample(alpha[None, None], unit[None, None], align_corners=False)[0, 0, 0]
         beyond = torch.maximum(beyond, 2 * REACH * (OUTLINE - covered))
-    return torch.maximum(torch.where(count > 0, total / count.clamp_min(1), -REACH), beyond)
+    return torch.maximum(torch.where(count > 0, total / count.clamp_min(1), -REACH) - SKIN, beyond)
 
 
 def _depths(splats: Splats, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
