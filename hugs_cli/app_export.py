@@ -42,7 +42,7 @@ def export(
     set_: Settings = None,
     force: Overwrite = False,
     pipeline: AnyPipeline = None,
-    device: DeviceName = options.Device.cpu,
+    device: DeviceName = options.Device.auto,
     work: Work = Path("work"),
     pipelines_file: PipelinesFile = pipelines.FILE,
 ) -> None:
