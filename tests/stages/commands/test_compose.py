@@ -26,6 +26,7 @@ from stages.records import Cameras
 from tests.made import bvh as bvh_made
 from tests.made import finished
 from tests.made.command import hugs_here
+from tests.made.said import holds
 from tests.made.tiny import HEIGHT, WIDTH, WORLD_FROM_SFM, colour_of
 
 RED_SIDE, BLUE_SIDE, ARM, HEAD = range(4)
@@ -70,8 +71,8 @@ def test_the_person_waves_where_it_stood(trained, hugs, motion):
     out, err = hugs(motion, "--fps", "4", "--only", "human", "--out", f"films/{motion}.mp4")
     assert out == f"films/{motion}.mp4\n"
     about, made = err.splitlines()
-    assert about.startswith(f"{motion}  50 frames, 2.0 s at 25 fps; ") and about.endswith(
-        "fingers left out; z is up" if motion == "amass.npz" else "22 of 24 joints used; y is up"
+    assert holds(about, motion, "50 frames", "2.0 s", "25 fps") and holds(
+        about, *(("fingers", "z is up") if motion == "amass.npz" else ("22 of 24 joints", "y is up"))
     )
     assert made == "8 frames, 2.0 s at 4 fps"
     frames = film(trained / out.strip())
@@ -99,7 +100,7 @@ def test_cameras_of_ones_own_and_the_scene(trained, hugs):
     frames = film(trained / "one.mp4")
     assert frames.shape == (3, HEIGHT // 2, WIDTH // 2, 3) and frames[:, :4, :4].max() < 140, "a wall, not white"
     _, err = hugs("amass.npz", "--fps", "1", "--cameras", "two.npz", code=1)
-    assert "error: cameras and motion do not belong together\n  2 cameras in two.npz\n  3 pictures" in err
+    assert holds(err, "error", "2 cameras", "two.npz", "3 pictures")
 
 
 @pytest.mark.parametrize(
@@ -135,7 +136,7 @@ def test_a_motion_that_does_not_say_how_fast_or_which_way(trained, hugs):
     poses = np.tile([0, 0, np.pi / 2] + [0] * 69, (11, 1))
     np.savez(trained / "plain.npz", poses=poses, trans=np.zeros((11, 3)))
     args = ("--fps", "5", "--only", "human", "--out", "p.mp4", "--up", "y")
-    assert "11 frames, 0.3 s at 30 fps; how fast is not said" in hugs("plain.npz", *args)[1]
+    assert holds(hugs("plain.npz", *args)[1], "11 frames", "0.3 s", "30 fps", "not said")
     assert hugs("plain.npz", *args, "--motion-fps", "10")[1].endswith("\n6 frames, 1.2 s at 5 fps\n")
     assert Path(trained / "p.mp4").stat().st_size > 500
 
@@ -152,7 +153,7 @@ def test_an_animation_is_named_after_clip_and_motion_and_may_be_made_again(train
     assert edited[: len(first)] != first, "drawn again"
     (trained / "clip-amass.mp4").write_bytes(edited)
     _, err = hugs("amass.npz", *FAST, code=2)
-    assert "error: clip-amass.mp4 is already there\n" in err and "`--force`" in err
+    assert holds(err, "error", "clip-amass.mp4", "already there") and "`--force`" in err
     assert (trained / "clip-amass.mp4").read_bytes() == edited
     hugs("amass.npz", *FAST, "--force")
     assert (trained / "clip-amass.mp4").read_bytes() == first
@@ -178,8 +179,8 @@ def test_pictures_go_to_a_folder_of_their_own(trained, hugs):
     (trained / "mine").mkdir()
     (trained / "mine/a.png").write_text("my picture")
     (trained / "notes.txt").write_text("my notes")
-    assert "error: mine is already there" in hugs(*args, "mine", command="render", code=2)[1]
-    assert "notes.txt: it is a file, and pictures" in hugs(*args, "notes.txt", "--force", command="render", code=2)[1]
+    assert "mine is already there" in hugs(*args, "mine", command="render", code=2)[1]
+    assert "notes.txt: it is a file" in hugs(*args, "notes.txt", "--force", command="render", code=2)[1]
     assert "clip.mp4 is a source" in hugs(*args, "clip.mp4", "--force", command="render", code=2)[1]
     assert "notes.txt is no folder" in hugs(*args, "notes.txt/x", "--force", command="render", code=2)[1]
     for _ in range(2):
@@ -194,7 +195,7 @@ def test_pictures_go_to_a_folder_of_their_own(trained, hugs):
 
 def test_a_video_needs_a_name_that_is_no_folder(trained, hugs):
     (trained / "folder.mp4").mkdir()
-    assert "a folder, and a video is a file" in hugs("amass.npz", "--out", "folder.mp4", "--force", code=2)[1]
+    assert "a video is a file" in hugs("amass.npz", "--out", "folder.mp4", "--force", code=2)[1]
 
 
 @pytest.fixture(scope="module")

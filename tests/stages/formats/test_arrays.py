@@ -12,6 +12,7 @@ from stages.contract import StageError
 from stages.formats.arrays import PIECE, read_npy, read_npz
 from stages.formats.budget import STACK, Budget
 from stages.formats.given_masks.stacks import read_stack
+from tests.made.said import holds
 
 
 def test_arrays_of_all_kinds_come_back_and_can_be_written_to(tmp_path):
@@ -51,11 +52,11 @@ def test_a_packed_archive_larger_than_its_budget_takes_no_memory(tmp_path):
         file.write(bytes(1 << 26))
     assert path.stat().st_size < 1 << 17
     tracemalloc.start()
-    with pytest.raises(StageError, match="asks for too much memory") as caught:
+    with pytest.raises(StageError, match="too much memory") as caught:
         read_npz(path, most=60_000_000)
     assert tracemalloc.get_traced_memory()[1] < 1 << 20
     tracemalloc.stop()
-    assert "array 'viewmats' would take 0.07 GB, 0.06 of its 0.06 GB are left" in caught.value.facts[0]
+    assert holds(caught.value.facts[0], "viewmats", "0.07 GB", 0.06, "0.06 GB")
     assert read_npz(path, only=("other",)) == {}, "what is not asked for is not unpacked"
 
 
@@ -103,6 +104,6 @@ def test_a_budget_is_spent_to_its_last_byte():
     budget = Budget("a.file", there=10, most=90)
     budget.spend(60, "one")
     budget.spend(40, "two")
-    with pytest.raises(StageError, match=r"a\.file asks for too much memory") as caught:
+    with pytest.raises(StageError, match=r"a\.file .*too much memory") as caught:
         budget.spend(1, "three")
     assert caught.value.facts[0].startswith("three would take") and caught.value.hint

@@ -12,6 +12,7 @@ from PIL import Image, ImageCms
 from stages.contract import StageError, peak_memory
 from stages.formats.images import read_image, read_mask, read_pixels, write_image, write_mask
 from tests.made import icc
+from tests.made.said import holds
 from tests.tools.mutations import with_checksums
 
 
@@ -74,7 +75,7 @@ def test_g13_pixels_that_are_not_finite_are_refused_by_file_and_count(tmp_path):
     assert np.abs(read_image(tmp_path / "good.exr").astype(int) - picture()).max() <= 1
     light[3, 4, 1], light[3, 4, 2], light[9, 9] = np.nan, np.nan, np.inf
     write_raw(tmp_path / "bad.exr", light)
-    with pytest.raises(StageError, match=r"bad\.exr has pixels that are not finite") as error:
+    with pytest.raises(StageError, match=r"bad\.exr .*not finite") as error:
         read_image(tmp_path / "bad.exr")
     assert error.value.facts == ("2 of 1961 pixels",)
 
@@ -124,9 +125,9 @@ def one_bit(path, side):
 
 def test_a_small_file_of_an_enormous_picture_is_refused_before_it_is_unpacked(tmp_path):
     before = peak_memory()
-    with pytest.raises(StageError, match="asks for too much memory") as error:
+    with pytest.raises(StageError, match="too much memory") as error:
         read_image(one_bit(tmp_path / "a.png", 20_000))
-    assert "a picture of 20000x20000 px, 1 channels would take 1.20 GB" in error.value.facts[0]
+    assert holds(error.value.facts[0], "20000x20000 px", 1, "1.20 GB")
     assert peak_memory() - before < 1 << 28
     with pytest.raises(StageError, match="cut short"):
         read_image(one_bit(tmp_path / "a.png", 64))
