@@ -38,6 +38,8 @@ def export(
     ] = None,
     names: Annotated[str | None, Option(help="Names of joints: smpl, mixamo, vrm, unreal.")] = None,
     motion: Annotated[str | None, Option(help="Motion of bvh and ..._motion: clip, wave, all and others.")] = None,
+    triangles: Annotated[int | None, Option(help="Triangles of the mesh, about.", show_default="20000")] = None,
+    texture: Annotated[int | None, Option(help="Width of its texture, px.", show_default="2048")] = None,
     spz_axes: Annotated[options.Axes | None, Option(help="Which way y points in .spz; y_down as in a .ply.")] = None,
     set_: Settings = None,
     force: Overwrite = False,
@@ -50,7 +52,13 @@ def export(
 
     With other settings than the run's where some are given; its own export stays as it is.
     """
-    asked = {"names": names, "motion": motion, "spz_axes": spz_axes and spz_axes.value}
+    asked = {
+        "names": names,
+        "motion": motion,
+        "triangles": triangles,
+        "texture": texture,
+        "spz_axes": spz_axes and spz_axes.value,
+    }
     values: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if formats is not None:
         values["formats"] = [one.strip() for one in formats.split(",") if one.strip()]

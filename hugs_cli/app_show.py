@@ -64,9 +64,10 @@ def list_stages(
         console.result(f"{'*' if name == pipeline else ' '} {name:<12}{doc}")
     for stage in chosen:
         console.result(f"\n{stage.name}  <- {', '.join(stage.needs)}\n  {stage.doc}".rstrip())
+        values = stage.params.model_dump(mode="json")
         for name, info in listed(type(stage.params)).items():
             doc = " ".join((info.description or "").split())
-            console.result(f"    {name} = {getattr(stage.params, name)}{'   ' + doc if doc else ''}")
+            console.result(f"    {name} = {values[name]}{'   ' + doc if doc else ''}")
 
 
 def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:

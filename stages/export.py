@@ -12,6 +12,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.exchange.vrm_meta import VrmMeta
 
 if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
@@ -19,30 +20,31 @@ if TYPE_CHECKING:
     from stages.records import Avatar, BodyPoses, Ground, Rig, Scene, Take
 
 LOADS = contract.TORCH
-RIGGED = ("glb", "splats_glb")
+RIGGED = ("glb", "vrm", "splats_glb")
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
 ACCOUNT = 10  # pictures of a motion between two reports
 
 
 Format = Literal[
-    "ply", "spz", "glb", "bvh", "viewer", "splats_glb", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"
+    "ply", "spz", "glb", "bvh", "viewer", "vrm", "splats_glb", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"
 ]
 
 
 class Params(contract.Params):
     formats: list[Format] = Field(["ply", "spz", "glb", "bvh", "viewer"])
-    """What to write beside avatar.npz. viewer is the page viewer.html; splats_glb are the Gaussians on the skeleton; usd needs the
-    extra `usd`, sog the extra `sog`; bvh is the clip's motion, and also `motion` where that is another; ..._motion is a file, or a
-    folder of numbered files, of the person in `motion`."""
+    """What to write beside avatar.npz. viewer is the page viewer.html; vrm is avatar.vrm; splats_glb are the Gaussians on the
+    skeleton; usd needs the extra `usd`, sog the extra `sog`; bvh is the clip's motion, and also `motion` where that is another;
+    ..._motion is a file, or a folder of numbered files, of the person in `motion`."""
     names: Literal["smpl", "mixamo", "vrm", "unreal"] = "smpl"
-    """What the joints in avatar.glb and motion.bvh are called."""
+    """What the joints in avatar.glb, avatar.vrm and motion.bvh are called."""
     triangles: int = Field(20_000, ge=200, le=200_000)
-    """Triangles of the mesh in avatar.glb, about."""
+    """Triangles of the mesh in avatar.glb and avatar.vrm, about."""
     texture: int = Field(2048, ge=64, le=8192)
     """Width and height of its texture, px."""
     motion: Literal["clip", "jumping_jacks", "walk_in_place", "wave", "squats", "all"] = "clip"
     """The motion of the formats bvh and ..._motion; clip: the clip's own; all: that and the made ones."""
-
+    vrm: VrmMeta = VrmMeta()
+    """What avatar.vrm says of itself and who may do what with it: name, authors, avatar_permission and others."""
     spz_axes: Literal["y_down", "y_up"] = "y_down"
     """Which way is up in .spz files: y_down as in a .ply, which most programs expect, or y_up as the format's paper says."""
     spz_version: Literal[3, 4] = 3
@@ -183,19 +185,24 @@ def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take
     from stages.avatar.drawing.takes import hung
     from stages.avatar.surface.mesh import NoSurfaceError, surface_of
     from stages.formats.exchange.avatar_glb import write_avatar_glb
+    from stages.formats.exchange.avatar_vrm import write_avatar_vrm
     from stages.formats.exchange.splats_glb import write_splats_glb
 
     baked, has = load_avatar(avatar), f"{params.names} skeleton; motions {', '.join(take.name for take in takes)}"
     told, glb = [hung(baked, take) for take in takes], job.out / "avatar.glb"
-    if "glb" in params.formats:
+    if {"glb", "vrm"} & set(params.formats):
         try:
             mesh = surface_of(avatar, params.triangles, params.texture)
         except NoSurfaceError as error:
-            hint = f"--set 'export.formats=[{', '.join(one for one in params.formats if one != 'glb')}]'"
+            hint = f"--set 'export.formats=[{', '.join(one for one in params.formats if one not in ('glb', 'vrm'))}]'"
             raise StageError("the person's Gaussians make no mesh for avatar.glb", hint, [str(error)]) from error
-        write_avatar_glb(glb, rig, mesh, told, params.names, floor)
-        size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px, {glb.stat().st_size / 1e6:.1f} MB"
-        job.note("; ".join([f"avatar.glb: {size}", has, *mesh.said]))
+        size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px"
+        if "glb" in params.formats:
+            write_avatar_glb(glb, rig, mesh, told, params.names, floor)
+            job.note("; ".join([f"avatar.glb: {size}, {glb.stat().st_size / 1e6:.1f} MB", has, *mesh.said]))
+        if "vrm" in params.formats:
+            write_avatar_vrm(job.out / "avatar.vrm", rig, mesh, params.vrm, params.names, floor)
+            job.note(f"avatar.vrm: {size}, as VRM 1.0 by {', '.join(params.vrm.authors)}")
     if "splats_glb" in params.formats:
         write_splats_glb(job.out / "avatar_splats.glb", rig, told, params.names, floor)
         job.note(f"avatar_splats.glb: Gaussians as points; {has}")
@@ -279,9 +286,9 @@ def _lacks_of_person(job: Job, formats: set[str], avatar: Avatar, rig: Rig) -> N
             f"hold {100 * rig.kept.mean():.1f} % of its weights"
         )
     if avatar.clothes is not None:
-        if rigged := _among(formats, *RIGGED):
+        if rigged := _among(formats, "glb", "splats_glb"):
             job.note(f"{rigged}: the {len(avatar.clothes)} bones of clothes move in the file's own motions")
-        if stiff := _among(formats, "ply", "spz", "usd", "sog"):
+        if stiff := _among(formats, "ply", "spz", "usd", "sog", "vrm"):
             job.note(f"clothes have {len(avatar.clothes)} bones and stand still in {stiff}")
 
 
@@ -302,7 +309,7 @@ def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, 
         job.note("avatar_splats.glb: view-dependent colours turn with the person, not with each bone")
     if lit and (
         even := _among(
-            formats, "ply", "spz", "glb", "splats_glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion"
+            formats, "ply", "spz", "glb", "vrm", "splats_glb", "usd", "sog", "ply_motion", "spz_motion", "usd_motion"
         )
     ):
         job.note(

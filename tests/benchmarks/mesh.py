@@ -4,7 +4,7 @@
 
 Of a result or an avatar file: from eight sides standing, and in three new poses, against the Gaussians' own pictures; of a
 result also in its held-out frames, mesh and Gaussians each against the clip's picture cut out by its mask. Outlines are coverage
-from one half on; LPIPS is over white in the box of the person. HUGS_NODE_MODULES names a folder with the npm package three.
+from one half on; LPIPS is over white in the box of the person.
 """
 
 from __future__ import annotations

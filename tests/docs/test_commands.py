@@ -6,6 +6,7 @@ tests/hugs_cli; here they are parsed by the real command line.
 
 import ast
 import importlib.util
+import json
 import re
 import shlex
 import subprocess
@@ -188,5 +189,5 @@ def test_settings_exist(document):
     for span in document.spans():
         found = SETTING.fullmatch(span)
         if found and found[1] in STAGES and found[2] not in ("json", "npz", "html", "py"):
-            value = found[3] or f"={getattr(STAGES[found[1]].params, found[2])}"
+            value = found[3] or f"={json.dumps(STAGES[found[1]].params.model_dump(mode='json')[found[2]])}"
             pipelines.load("default", [f"{found[1]}.{found[2]}{value}"])

@@ -54,3 +54,13 @@ def node(*arguments: str | Path) -> str:
     said = subprocess.run(["node", *map(str, arguments)], capture_output=True, text=True)
     assert said.returncode == 0, said.stderr
     return said.stdout
+
+
+def faults(glb: Path) -> list[dict[str, object]]:
+    """What the validator of Khronos says of a GLB, and of extensions that it does not know nothing."""
+    script = (
+        "require(process.argv[1]+'/gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync("
+        "process.argv[2])),{maxIssues:0}).then(r=>console.log(JSON.stringify(r.issues.messages)))"
+    )
+    said = json.loads(node("-e", script, modules(), glb))
+    return [one for one in said if one["code"] != "UNSUPPORTED_EXTENSION"]

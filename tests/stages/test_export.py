@@ -83,6 +83,15 @@ def test_in_viewers_who_take_y_as_down_person_and_scene_stand_upright(out):
     assert read_spz(out / "avatar.spz").antialias
 
 
+def test_a_vrm_with_the_words_of_the_user(clip, tmp_path):
+    said = made(clip, tmp_path, formats=["vrm"], vrm={"authors": ["Ann"], "modification": "allowModification"})
+    about = Glb(tmp_path / "avatar.vrm").content["extensions"]["VRMC_vrm"]
+    assert about["meta"]["authors"] == ["Ann"] and about["meta"]["modification"] == "allowModification"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["avatar.npz", "avatar.vrm", "ground.json"]
+    assert any("avatar.vrm" in line and "Ann" in line for line in said)
+    assert any("2 bones" in line and "stand still" in line and "vrm" in line for line in said)
+
+
 def test_spz_with_the_axes_of_its_paper_and_of_version_4(clip, out, tmp_path):
     said = made(clip, tmp_path, formats=["ply", "spz"], spz_axes="y_up", spz_version=4)
     assert [line.partition(":")[0] for line in said if "y up" in line or "y down" in line] == ["ply", "spz"]
