@@ -5,16 +5,15 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from stages.avatar.rasterize import Camera
 from tests.made.devtools import SOFTWARE, Page
+from tests.made.judges import modules
 
 FINER = 3  # times as many pixels each way are drawn, and averaged
 PAGE = """<!doctype html><script type="importmap">
@@ -66,10 +65,7 @@ class Gltf:
     """A GLB that three.js opened; `found` says how long it took in s, its motions, skinned meshes and triangles."""
 
     def __init__(self, glb: Path, folder: Path, tab: Page):
-        modules = os.environ.get("HUGS_NODE_MODULES")
-        if not modules or not (Path(modules) / "three").is_dir():
-            pytest.skip("HUGS_NODE_MODULES names no folder with the npm package three")
-        text = PAGE.replace("ROOT", (Path(modules).resolve() / "three").as_uri())
+        text = PAGE.replace("ROOT", (modules() / "three").as_uri())
         page = folder / f"{glb.stem}.html"
         page.write_text(text.replace("DATA", base64.b64encode(glb.read_bytes()).decode()))
         self.tab, self.folder = tab, folder

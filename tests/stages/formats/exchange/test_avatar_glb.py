@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from stages.formats.exchange.bone_names import bone_names
 from stages.formats.exchange.glb import Arrays, Glb
 from tests.made.clothes import dress, some_clothes
 from tests.made.gltf import TYPES, array, skinned
+from tests.made.judges import modules, node
 from tests.made.meshes import body_mesh
 from tests.made.three_page import opened
 from tests.made.tiny import make_avatar
@@ -119,21 +119,16 @@ def test_a_mesh_of_many_vertices_has_wider_indices(mesh, count, kind):
 
 @pytest.mark.slow
 def test_the_validator_of_khronos_complains_of_nothing(file):
-    """Where Node is, and HUGS_NODE_MODULES names a folder with the npm package gltf-validator."""
-    modules = os.environ.get("HUGS_NODE_MODULES")
-    if not modules or not shutil.which("node"):
-        pytest.skip("HUGS_NODE_MODULES names no folder with gltf-validator, or there is no node")
     script = (
         "require(process.argv[1]+'/gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync("
         "process.argv[2])),{maxIssues:0}).then(r=>console.log(JSON.stringify(r.issues.messages)))"
     )
-    said = subprocess.run(["node", "-e", script, modules, str(file)], capture_output=True, text=True, check=True)
-    assert json.loads(said.stdout) == []
+    assert json.loads(node("-e", script, modules(), file)) == []
 
 
 @pytest.mark.slow
 def test_three_js_draws_the_textured_mesh_as_it_is_posed(file, tmp_path):
-    """Where HUGS_NODE_MODULES names a folder with the npm package three: red above, blue below, both arms up or down."""
+    """Red above, blue below, arms up or down."""
     view = np.diag([1.0, -1, -1, 1])
     view[:3, 3] = [0, 1.0, 4]
     camera = Camera.of(view, np.array([[200.0, 0, 80], [0, 200, 100], [0, 0, 1]]), 160, 200)
