@@ -94,6 +94,15 @@ def test_specks_are_left_out_and_counted(avatar, monkeypatch):
     assert mesh.said[0].startswith("2 specks") and np.abs(mesh.vertices[mesh.vertices[:, 1] > 0.6, 0]).max() < 0.15
 
 
+def test_a_gaussian_far_away_makes_no_larger_grid_and_is_counted(avatar):
+    """Ten kilometres of cells would fill no memory that there is."""
+    means = avatar.means.copy()
+    means[:3] = [[1e4, 0, 0], [0, -5e3, 0], [0, 1.4, 0]]
+    mesh = surface_of(replace(avatar, means=means), 2000, 64)
+    assert mesh.said == ("3 Gaussians over 0.5 m from every joint left out",)
+    assert np.abs(mesh.vertices).max() < 1.1
+
+
 def some(avatar, count, **more):
     rows = np.arange(0, len(avatar), len(avatar) // count)
     names = ("means", "quats", "scales", "opacities", "sh0", "shN", "lbs_weights")
