@@ -38,6 +38,8 @@ def export(
     ] = None,
     names: Annotated[str | None, Option(help="Names of joints: smpl, mixamo, vrm, unreal.")] = None,
     motion: Annotated[str | None, Option(help="Motion of bvh and ..._motion: clip, wave, all and others.")] = None,
+    triangles: Annotated[int | None, Option(help="Triangles of the mesh in avatar.glb.", show_default=False)] = None,
+    texture: Annotated[int | None, Option(help="Pixels each way of its texture.", show_default=False)] = None,
     spz_axes: Annotated[options.Axes | None, Option(help="Which way y points in .spz; y_down as in a .ply.")] = None,
     set_: Settings = None,
     force: Overwrite = False,
@@ -50,7 +52,8 @@ def export(
 
     With other settings than the run's where some are given; its own export stays as it is.
     """
-    asked = {"names": names, "motion": motion, "spz_axes": spz_axes and spz_axes.value}
+    sizes = {"triangles": triangles, "texture": texture}
+    asked = {"names": names, "motion": motion, "spz_axes": spz_axes and spz_axes.value} | sizes
     values: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if formats is not None:
         values["formats"] = [one.strip() for one in formats.split(",") if one.strip()]
