@@ -4,7 +4,7 @@
 
 Of a result or an avatar file: from eight sides standing, and in three new poses, against the Gaussians' own pictures; of a
 result also in its held-out frames, mesh and Gaussians each against the clip's picture cut out by its mask. Outlines are coverage
-from one half on; LPIPS is over white in the box of the person.
+from one half on; LPIPS is over white in the box of the person, and in the whole picture as `lpips_whole`.
 """
 
 from __future__ import annotations
@@ -129,14 +129,15 @@ def compare(
     box = person_crop(torch.as_tensor(np.maximum(mask, alpha)))
     assert box is not None
 
-    def apart(one: np.ndarray) -> float:
-        cut = [torch.as_tensor(np.ascontiguousarray(part[box])).float().clamp(0, 1) for part in (one, truth)]
+    def apart(one: np.ndarray, where: Any = box) -> float:
+        cut = [torch.as_tensor(np.ascontiguousarray(part[where])).float().clamp(0, 1) for part in (one, truth)]
         return float(lpips(*cut))
 
-    row = {"iou": iou(drawn[..., 3], mask), "lpips": apart(drawn[..., :3])}
+    shown = drawn[..., :3]
+    row = {"iou": iou(drawn[..., 3], mask), "lpips": apart(shown), "lpips_whole": apart(shown, np.s_[:])}
     if shot.clip is not None:
         row |= {"gaussians_iou": iou(alpha, mask), "gaussians_lpips": apart(image)}
-    return row, np.concatenate([part[box] for part in (truth, image, drawn[..., :3])], 1)
+    return row, np.concatenate([part[box] for part in (truth, image, shown)], 1)
 
 
 def main() -> None:

@@ -15,6 +15,8 @@ class Params(Base):
     formats: list[Literal["ply", "bvh", "ply_motion"]] = ["ply"]
     names: Literal["smpl", "mixamo"] = "smpl"
     spz_axes: Literal["y_down", "y_up"] = "y_down"
+    triangles: int = 200
+    texture: int = 64
 
 def run(job, params, *, four):
     """Write them."""
@@ -75,6 +77,11 @@ def test_an_export_with_the_settings_of_the_run_is_a_copy(run):
     _, said = export(run)
     assert held(run) == {"avatar.ply": "smpl y_down"} and "cached" in said
     assert len(list(run.store.glob("export-*"))) == 1
+
+
+def test_the_size_of_the_mesh_is_a_setting_of_its_own(run):
+    _, said = export(run, "--triangles", "5000", "--texture", "1024")
+    assert "params.triangles: 200 -> 5000" in said and "params.texture: 64 -> 1024" in said
 
 
 def test_what_was_made_last_is_cached_and_kept_by_gc(run):

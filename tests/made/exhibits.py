@@ -56,7 +56,7 @@ def run(folders: dict[str, Path]) -> viewer.Exhibit:
     with pytest.MonkeyPatch.context() as patch:
         write = viewer.write_viewer
         patch.setattr(viewer, "write_viewer", lambda path, exhibit: shown.append(exhibit) or write(path, exhibit))
-        export.run(Job(folders["export"]), export.Params(), **inputs)
+        export.run(Job(folders["export"]), export.Params(formats=["viewer"]), **inputs)
     return shown[0]
 
 

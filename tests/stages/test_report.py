@@ -10,6 +10,7 @@ from stages.estimators import assets
 from stages.formats.facts import Dataset, Metrics
 from tests.made import tiny as tiny_clip
 from tests.made.browser import probe
+from tests.made.meshes import coarse
 
 
 def make(clip, folder):
@@ -24,7 +25,8 @@ def make(clip, folder):
     shots = {name: clip[name] for name in ("sfm", "smpl", "train")}
     quick = render.Params(fps=8, turntable_frames=8, motion_seconds=1.0)
     needs = {name: clip[name] for name in ("frames", "sfm", "smpl", "train")}
-    export.run(Job(done["export"]), export.Params(), **needs)
+    with coarse():
+        export.run(Job(done["export"]), export.Params(triangles=500, texture=64), **needs)
     render.run(Job(done["render"]), quick, **shots)
     evaluate.run(Job(done["evaluate"], upstream=tiny_clip.UPSTREAM), evaluate.Params(fit_steps=1), **shots)
     upstream = tiny_clip.UPSTREAM | {name: StageRecord(1.0, 200 << 20) for name in ("export", "render", "evaluate")}

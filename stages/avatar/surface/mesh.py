@@ -19,6 +19,7 @@ from stages.avatar.surface.fuse import Shell, fused
 from stages.avatar.surface.looks import all_around
 from stages.avatar.surface.texture import baked, unwrapped
 
+FAR = 0.5  # m from every joint: what is farther off is no part of a person, and would make the grid large
 SPECK = 0.002  # m^2: the area of the smallest piece that is kept
 LOOK = 512  # px: pictures that give shape
 CLOSE_LOOK = (256, 1536)  # px, at least and at most: pictures that give colours, three quarters of the texture
@@ -42,7 +43,9 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
     """
     person = load_avatar(avatar)
     bones = _canonical_bones(person, avatar.canonical_pose)
-    splats = posed_by(person, bones, torch.zeros(3))
+    whole = posed_by(person, bones, torch.zeros(3))
+    near = _near(whole.means, person.joints, bones)
+    splats = whole.rows(near)
     seen = splats.means[splats.opacities > SEEN].numpy()
     if len(seen) == 0:
         raise NoSurfaceError(f"none of {len(avatar)} Gaussians is more opaque than {SEEN}")
@@ -56,12 +59,15 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
     cut = charts.rows
     close = all_around(seen, int(np.clip(3 * texture // 4, *CLOSE_LOOK)))
     colours = baked(charts, shell.vertices[cut], ways[cut], splats, close, texture)
-    which, words = _skin(shell.vertices, splats, np.asarray(avatar.lbs_weights, np.float64))
+    which, words = _skin(shell.vertices, splats, np.asarray(avatar.lbs_weights, np.float64)[near.numpy()])
     weights = torch.as_tensor(all_bones(which, words, avatar.lbs_weights.shape[1])).float()
     vertices, _ = taken_back(torch.as_tensor(shell.vertices).float(), weights, bones)
     normals = vertex_normals(vertices, faces)
     normals[~normals.any(1), 1] = 1  # a sliver has none, and files want unit normals
-    said = (f"{dropped} specks, each under {SPECK * 1e4:.0f} cm^2, left out",) if dropped else ()
+    left_out = {
+        f"specks, each under {SPECK * 1e4:.0f} cm^2,": dropped,
+        f"Gaussians over {FAR} m from every joint": int((~near).sum()),
+    }
     return records.Mesh(
         vertices=vertices.numpy()[cut],
         normals=normals.numpy()[cut],
@@ -70,7 +76,7 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
         texture=colours,
         bones=which[cut],
         weights=words[cut],
-        said=said,
+        said=tuple(f"{count} {what} left out" for what, count in left_out.items() if count),
     )
 
 
@@ -78,6 +84,12 @@ def _canonical_bones(person: Baked, pose: np.ndarray) -> Tensor:
     """All bones [J,4,4] from the T-pose to the pose [69] in which the Gaussians were learned; clothes do not swing there."""
     bones = bone_transforms(person.joints, person.parents, torch.zeros(3), torch.as_tensor(np.asarray(pose)).float())
     return bones if person.clothing is None else person.clothing.hang(bones)
+
+
+def _near(means: Tensor, joints: Tensor, bones: Tensor) -> Tensor:
+    """Which of means [N,3] m are near one of the `joints` [24,3] m where `bones` [J,4,4] take them: bool [N]."""
+    there = (bones[: len(joints), :3, :3] @ joints[..., None])[..., 0] + bones[: len(joints), :3, 3]
+    return torch.cdist(means, there).amin(1) < FAR
 
 
 def _whole(shell: Shell) -> tuple[Shell, int]:

@@ -19,7 +19,7 @@ from stages.avatar.splats.gaussians import Splats
 from stages.avatar.splats.neighbours import nearest
 
 GUTTER = 4  # texels between two charts
-SQUARE = 6.0  # power of the cosine between sight and normal by which a picture counts
+SQUARE = 12.0  # power of the cosine between sight and normal by which a picture counts
 SLANTED = 0.2  # cosine under which it does not
 BEHIND = 0.006  # m: what lies so far behind the surface that a picture shows is hidden there
 LEAST = 1e-3  # of what all pictures of a texel count together: below it none shows it

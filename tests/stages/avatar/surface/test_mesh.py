@@ -82,8 +82,8 @@ def test_bones_of_clothes_move_what_they_move_of_the_gaussians(avatar):
 
 
 def test_specks_are_left_out_and_counted(avatar, monkeypatch):
-    """Two balls of 8 cm hang in the air beside the head, and what is smaller than 300 cm^2 counts as a speck."""
-    monkeypatch.setattr(surface, "SPECK", 0.03)
+    """Two balls of 8 cm hang in the air beside the head, and what is smaller than 500 cm^2 counts as a speck."""
+    monkeypatch.setattr(surface, "SPECK", 0.05)
     means, axes, *_ = balls([-0.3, 0.8, 0.0], [0.3, 0.75, 0.1], radius=0.04, count=150)
     rows = np.zeros(len(means), int)
     parts = {name: getattr(avatar, name)[rows] for name in ("opacities", "sh0", "shN", "lbs_weights")}
@@ -92,6 +92,15 @@ def test_specks_are_left_out_and_counted(avatar, monkeypatch):
     more = {name: np.concatenate([getattr(avatar, name), np.asarray(part)]) for name, part in parts.items()}
     mesh = surface_of(replace(avatar, **more), 2000, 64)
     assert mesh.said[0].startswith("2 specks") and np.abs(mesh.vertices[mesh.vertices[:, 1] > 0.6, 0]).max() < 0.15
+
+
+def test_a_gaussian_far_away_makes_no_larger_grid_and_is_counted(avatar):
+    """Ten kilometres of cells would fill no memory that there is."""
+    means = avatar.means.copy()
+    means[:3] = [[1e4, 0, 0], [0, -5e3, 0], [0, 1.4, 0]]
+    mesh = surface_of(replace(avatar, means=means), 2000, 64)
+    assert mesh.said == ("3 Gaussians over 0.5 m from every joint left out",)
+    assert np.abs(mesh.vertices).max() < 1.1
 
 
 def some(avatar, count, **more):
