@@ -14,6 +14,7 @@ from stages.formats.ground import read_ground
 from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, write_splats
 from stages.records import Ground
+from tests.made.said import holds
 
 FPS = 30.0
 LEAN = Rotation.from_euler("xyz", [170, 20, -11], degrees=True)  # a floor that no axis of its world is square to
@@ -77,9 +78,13 @@ def test_a_motion_begins_ends_loops_and_goes_at_its_speed(run):
 
 
 def test_a_made_motion_that_is_over_at_once_is_refused(run):
-    with pytest.raises(StageError, match="wave is over before its second picture") as refused:
+    with pytest.raises(StageError, match="wave is over") as refused:
         cast(Person(avatar=run, motion="wave", speed=100), "a", SLOPE, FPS, "cpu")
-    assert refused.value.facts == ("4 s, 100 times as fast, at 30 pictures a second",) and "speed" in refused.value.hint
+    assert (
+        len(refused.value.facts) == 1
+        and holds(refused.value.facts[0], "4 s", 100, 30)
+        and "speed" in refused.value.hint
+    )
 
 
 def test_size_is_about_the_place_and_colours_are_multiplied(run):
@@ -123,7 +128,7 @@ def test_what_casts_the_shadow_is_the_body_or_where_that_is_not_known_the_gaussi
 
 
 def test_a_file_has_no_clip_to_move_as_in(run):
-    with pytest.raises(StageError, match="no clip to move as in") as refused:
+    with pytest.raises(StageError, match="no clip") as refused:
         cast(Person(avatar=run / "train" / "avatar.npz"), "a", SLOPE, FPS, "cpu")
     assert "motion: moves.bvh" in refused.value.hint
 

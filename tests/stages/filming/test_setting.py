@@ -17,6 +17,7 @@ from stages.formats.exchange.ply import write_ply
 from stages.formats.ground import read_ground, write_ground
 from stages.formats.splats import read_scene
 from stages.records import Effects
+from tests.made.said import any_holds
 
 
 @pytest.fixture
@@ -91,7 +92,7 @@ def test_people_stand_in_the_light_that_the_scenes_clip_told(run, light, lit):
 def test_a_guessed_floor_is_said(run):
     ground = read_ground(run / "smpl" / "ground.json")
     write_ground(run / "smpl" / "ground.json", replace(ground, points=0, how="guessed from the bodies"))
-    assert any("is guessed from the bodies" in fact for fact in load_setting(film(run), "cpu").facts)
+    assert any_holds(load_setting(film(run), "cpu").facts, "guessed", "bodies")
 
 
 def test_a_file_needs_its_floor_and_stands_on_it(run, tmp_path):

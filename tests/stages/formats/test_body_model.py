@@ -12,6 +12,7 @@ import pytest
 from stages.contract import StageError
 from stages.formats.body_model import FREE_BODY, read_body_model, write_body_model
 from stages.formats.tool_pickles import read_named
+from tests.made.said import holds
 from tests.made.skeleton import PARENTS
 
 V = 40
@@ -337,4 +338,4 @@ def test_an_array_that_is_longer_or_shorter_than_its_shape_is_refused_before_num
     (tmp_path / "a.pkl").write_bytes(lie)
     with pytest.raises(StageError) as refused:
         read_named(tmp_path / "a.pkl")
-    assert refused.value.facts == (f"32 long content of float64 (4,) promised, {32 + change} found",)
+    assert len(refused.value.facts) == 1 and holds(refused.value.facts[0], 32, "float64 (4,)", 32 + change)

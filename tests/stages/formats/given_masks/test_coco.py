@@ -61,7 +61,7 @@ def test_a_polygon_of_many_sides_is_refused_before_it_takes_memory(monkeypatch):
     monkeypatch.setattr(Budget.__init__, "__defaults__", (0, 1 << 20))
     zigzag = [[x, 1000 * (x % 2)] for x in range(40)]
     tracemalloc.start()
-    with pytest.raises(StageError, match="annotation 7 asks for too much memory") as caught:
+    with pytest.raises(StageError, match=r"annotation 7 .*too much memory") as caught:
         polygons([np.ravel(zigzag).tolist()], 1000, 1000, "annotation 7")
     assert tracemalloc.get_traced_memory()[1] < 1 << 18 and "40 corners" in caught.value.facts[0]
     tracemalloc.stop()
@@ -105,7 +105,7 @@ def test_masks_together_larger_than_any_clip_are_refused(tmp_path):
     assert WORK > 10 * 60 * 30 * 1920 * 1080
     fits = WORK // LARGEST**2
     read_coco(instances(tmp_path / "a.json", LARGEST, fits))
-    with pytest.raises(StageError, match="asks for too much memory") as caught:
+    with pytest.raises(StageError, match="too much memory") as caught:
         read_coco(instances(tmp_path / "a.json", LARGEST, fits + 1))
     assert f"annotation {fits}," in caught.value.facts[0]
 

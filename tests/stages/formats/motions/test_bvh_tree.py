@@ -15,6 +15,7 @@ from stages.formats.motions.bvh import Bvh
 from stages.formats.motions.bvh_names import map_body
 from stages.records import JOINT_NAMES
 from tests.made.bvh import a_pose, bones_along_x
+from tests.made.said import holds
 from tests.made.skeleton import PARENTS
 
 MODEL = read_body_model()
@@ -99,7 +100,7 @@ def test_joints_are_found_whatever_they_are_called(rest, twists, fingers, more):
         assert {joint: body.limbs[joint] for joint in MAPPED} == {joint: made.index[joint] for joint in MAPPED}, seed
         assert body.pelvis == made.index[0] and made.index[9] in body.spine and made.index[15] in body.neck
         (said,) = body.said
-        assert "left and right by their feet" in said and f"left hip b{made.index[1]:03d}" in said
+        assert holds(said, "left and right", "feet") and f"left hip b{made.index[1]:03d}" in said
 
 
 @pytest.mark.parametrize("sides", [("links", "rechts"), ("L_", "R_"), ("left", "right")])
@@ -146,5 +147,5 @@ def test_what_has_no_two_legs_and_arms_is_refused(lost):
     kept = [i for i in range(len(bvh.names)) if i not in gone]
     parents = np.array([-1 if bvh.parents[i] < 0 else kept.index(bvh.parents[i]) for i in kept])
     cut = Bvh(tuple(bvh.names[i] for i in kept), parents, bvh.places[:, kept], bvh.rotations[:, kept], 30.0)
-    with pytest.raises(StageError, match="no person's legs and arms"):
+    with pytest.raises(StageError, match="legs and arms"):
         map_body(cut, Path("x.bvh"))
