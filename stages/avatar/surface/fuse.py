@@ -24,9 +24,7 @@ NEAR = 0.03  # m from a Gaussian: where distances are fused
 REACH = 0.015  # m: how far behind a surface a picture knows what is there
 UNSURE = 0.02  # m: where the depths behind a pixel deviate by more, it shows two surfaces
 SKIN = 0.009  # m: how far Gaussians show beyond their middles, which is where their depth is; outlines hold it
-OUTLINE = (
-    0.4  # coverage of the outline: Gaussians were learned with a blur on the screen, and look wider in small pictures
-)
+OUTLINE = 0.4  # coverage of the outline: Gaussians were learned with a blur, and look wider in small pictures
 SMOOTH = 0.7  # cells: sigma over which distances are smoothed
 SEEN = 0.1  # opacity from which a Gaussian is looked at
 

@@ -14,7 +14,7 @@ from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.drawing.avatar import Baked, load_avatar, posed_by
 from stages.avatar.model.person import bone_transforms, taken_back
 from stages.avatar.splats.gaussians import Splats
-from stages.avatar.splats.neighbours import nearest
+from stages.avatar.surface.around import SOLID, around
 from stages.avatar.surface.fuse import Shell, fused
 from stages.avatar.surface.looks import all_around
 from stages.avatar.surface.texture import baked, unwrapped
@@ -23,11 +23,6 @@ FAR = 0.5  # m from every joint: what is farther off is no part of a person, and
 SPECK = 0.002  # m^2: the area of the smallest piece that is kept
 LOOK = 512  # px: pictures that give shape
 CLOSE_LOOK = (256, 1536)  # px, at least and at most: pictures that give colours, three quarters of the texture
-AROUND, CLOSE, SEEN = (
-    12,
-    0.005,
-    0.3,
-)  # Gaussians that move a vertex, m from it that count half, opacity of one that counts
 
 
 class NoSurfaceError(ValueError):
@@ -46,9 +41,9 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
     whole = posed_by(person, bones, torch.zeros(3))
     near = _near(whole.means, person.joints, bones)
     splats = whole.rows(near)
-    seen = splats.means[splats.opacities > SEEN].numpy()
+    seen = splats.means[splats.opacities > SOLID].numpy()
     if len(seen) == 0:
-        raise NoSurfaceError(f"none of {len(avatar)} Gaussians is more opaque than {SEEN}")
+        raise NoSurfaceError(f"none of {len(avatar)} Gaussians is more opaque than {SOLID}")
     shell, dropped = _whole(fused(splats, all_around(seen, LOOK)))
     if len(shell.faces) == 0:
         raise NoSurfaceError(f"{len(avatar)} Gaussians form no surface larger than {SPECK * 1e4:.0f} cm^2")
@@ -115,9 +110,6 @@ def _fewer(shell: Shell, triangles: int) -> Shell:
 
 def _skin(vertices: np.ndarray, splats: Splats, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Four bones [V,4] uint8 of each of vertices [V,3] m, and weights [V,4] uint16 that add up to 65535, from Gaussians nearby."""
-    solid = (splats.opacities > SEEN).numpy()
-    away, rows = (part.numpy() for part in nearest(splats.means[solid], torch.as_tensor(vertices), AROUND))
-    share = splats.opacities.numpy()[solid][rows] / ((away / CLOSE) ** 2 + 1)
-    share /= share.sum(1, keepdims=True)
-    which, words, _ = heaviest((share[..., None] * weights[solid][rows]).sum(1), 4, WORDS)
+    rows, share = (part.numpy() for part in around(splats, torch.as_tensor(vertices)))
+    which, words, _ = heaviest((share[..., None] * weights[rows]).sum(1), 4, WORDS)
     return which, words

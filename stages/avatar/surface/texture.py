@@ -16,18 +16,13 @@ from stages.avatar.kernels.mesh import fill
 from stages.avatar.rasterize import Camera
 from stages.avatar.splats.compose import draw_together
 from stages.avatar.splats.gaussians import Splats
-from stages.avatar.splats.neighbours import nearest
+from stages.avatar.surface.around import SOLID, around
 
 GUTTER = 4  # texels between two charts
 SQUARE = 12.0  # power of the cosine between sight and normal by which a picture counts
 SLANTED = 0.2  # cosine under which it does not
 BEHIND = 0.006  # m: what lies so far behind the surface that a picture shows is hidden there
 LEAST = 1e-3  # of what all pictures of a texel count together: below it none shows it
-AROUND, CLOSE, SEEN = (
-    12,
-    0.005,
-    0.3,
-)  # Gaussians that colour such a texel, m from it that count half, opacity of one that counts
 GREY = 0.5
 
 
@@ -104,10 +99,8 @@ def _seen(
 
 def _around(places: Tensor, splats: Splats) -> Tensor:
     """Mean colours [P,3] of the Gaussians around places [P,3] m; grey where there are none that are seen."""
-    solid = splats.rows(splats.opacities > SEEN)
-    if len(solid.means) == 0 or len(places) == 0:
+    if len(places) == 0 or not (splats.opacities > SOLID).any():
         return torch.full((len(places), 3), GREY)
-    away, rows = nearest(solid.means, places, AROUND)
-    share = solid.opacities[rows] / (away.to(places) / CLOSE).square().add(1)
-    colours = solid._replace(sh=solid.sh[:, :1]).colors(places.new_zeros(3)).clamp(0, 1)
-    return (share[..., None] * colours[rows]).sum(1) / share.sum(1, keepdim=True)
+    rows, share = around(splats, places)
+    colours = splats._replace(sh=splats.sh[:, :1]).colors(places.new_zeros(3)).clamp(0, 1)
+    return (share[..., None] * colours[rows]).sum(1)
