@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stages.avatar.rasterize import Camera
+
+    Pose = tuple[np.ndarray, np.ndarray, np.ndarray]
+    """global_orient [3] and body_pose [69] in rad, transl [3] in m."""
 
 
 class Params(contract.Params):
@@ -49,15 +57,12 @@ def run(
     from stages.avatar.drawing.turntable import around, standing
     from stages.avatar.effects.frames import load_effects
     from stages.avatar.model.scene import load_scene
-    from stages.avatar.rasterize import Camera
     from stages.filming.clip_cast import with_casters
     from stages.filming.scenes import stood
     from stages.formats.body_model import read_body_model
-    from stages.formats.cameras import read_cameras
     from stages.formats.exchange.read import lacks, read_given
     from stages.formats.ground import read_ground
     from stages.formats.images import write_image
-    from stages.formats.poses import read_poses
     from stages.formats.trained import check_scene, read_trained_poses
 
     only = params.only
@@ -76,22 +81,13 @@ def run(
         seen = around(PosedAvatar.of(baked, *standing()).splats(0).means.cpu().numpy(), params.turntable)
         views = {f"{i:03d}": view for i, view in enumerate(seen)}
     else:
-        path = read_cameras(cameras)
-        each = zip(path.names, path.viewmats, path.Ks, strict=True)
-        views = {name: Camera.of(viewmat, K, path.width, path.height) for name, viewmat, K in each}
-    known = {} if train is None else read_trained_poses(train, params.who)
-    middle = list(known.values())[len(known) // 2] if known else standing()
-    chosen = [known.get(name, middle) for name in views]
-    if poses is not None:
-        told = read_poses(poses)
-        if len(told) not in (1, len(views)):
-            raise StageError(
-                "poses and cameras do not belong together",
-                "give one pose, or one per camera",
-                [f"{len(views)} cameras in {cameras}", f"{len(told)} poses in {poses}"],
-            )
-        rows = list(zip(told.global_orient, told.body_pose, told.transl, strict=True))
-        chosen = rows * len(views) if len(rows) == 1 else rows
+        views = _views(cameras)
+    if poses is None:
+        known = {} if train is None else read_trained_poses(train, params.who)
+        middle = list(known.values())[len(known) // 2] if known else standing()
+        chosen = [known.get(name, middle) for name in views]
+    else:
+        chosen = _one_each(poses, len(views), cameras)
     people = [] if only == "scene" else [PosedAvatar.of(baked, *(np.stack(part) for part in zip(*chosen, strict=True)))]
     behind = None if room is None or only == "human" else load_scene(room, job.device)
     cast = Cast(people, behind, load_effects(effects).to(job.device))
@@ -102,3 +98,25 @@ def run(
         with job.writes(job.out / f"{name}.png") as picture:
             write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
     job.note(f"{len(views)} picture{'' if len(views) == 1 else 's'} of {only}")
+
+
+def _views(cameras: Path) -> dict[str, Camera]:
+    """The cameras of a file by name."""
+    from stages.avatar.rasterize import Camera
+    from stages.formats.cameras import read_cameras
+
+    path = read_cameras(cameras)
+    each = zip(path.names, path.viewmats, path.Ks, strict=True)
+    return {name: Camera.of(viewmat, K, path.width, path.height) for name, viewmat, K in each}
+
+
+def _one_each(poses: Path, count: int, cameras: Path | None) -> list[Pose]:
+    """As many poses as there are cameras, of a file that has so many, or one for all."""
+    from stages.formats.poses import read_poses
+
+    told = read_poses(poses)
+    if len(told) not in (1, count):
+        facts = [f"{count} cameras in {cameras}", f"{len(told)} poses in {poses}"]
+        raise StageError("poses and cameras do not belong together", "give one pose, or one per camera", facts)
+    rows = list(zip(told.global_orient, told.body_pose, told.transl, strict=True))
+    return rows * count if len(rows) == 1 else rows
