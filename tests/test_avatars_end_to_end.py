@@ -14,6 +14,7 @@ import pytest
 from stages import hugs as front
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.rig import rig_of
+from stages.filming import outputs
 from stages.formats.cameras import write_cameras
 from stages.formats.exchange.splats_glb import write_splats_glb
 from stages.formats.images import read_image
@@ -112,6 +113,7 @@ def made(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def hugs(made, monkeypatch, capsys):
+    monkeypatch.setattr(outputs, "MESH", (500, 64))
     return partial(hugs_here, made, monkeypatch, capsys)
 
 

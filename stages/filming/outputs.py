@@ -30,6 +30,7 @@ from stages.formats.images import write_image
 from stages.formats.video import join_videos, write_alpha_video, write_video
 from stages.records import Mesh, Scene, Take
 
+MESH = 10_000, 1024  # triangles and px of the texture of each person of a .glb
 PIECE = 2.0  # s of film that are drawn and kept as one
 S = TypeVar("S", bound=Scene)
 SPLATS: dict[str, Callable[[Path, Scene], dict[str, int]]] = {".ply": write_ply, ".spz": write_spz}
@@ -147,7 +148,7 @@ def in_gain(splats: S, gain: tuple[float, float, float]) -> S:
 def mesh_of(actor: Actor) -> Mesh:
     """An actor's surface in the colours of the film; StageError where their Gaussians form none."""
     try:
-        return surface_of(in_gain(actor.record, actor.gain))
+        return surface_of(in_gain(actor.record, actor.gain), *MESH)
     except NoSurfaceError as error:
         raise StageError(f"the Gaussians of {actor.name} make no mesh", "leave the .glb out", [str(error)]) from error
 

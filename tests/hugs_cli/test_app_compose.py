@@ -54,7 +54,7 @@ def made(tmp_path_factory) -> Path:
 @pytest.fixture
 def hugs(made, monkeypatch, capsys):
     """Runs `hugs compose ...` in this process; its stdout and stderr."""
-
+    monkeypatch.setattr(outputs, "MESH", (500, 64))
     return partial(hugs_here, made, monkeypatch, capsys, "compose")
 
 

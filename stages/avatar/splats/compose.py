@@ -26,6 +26,15 @@ def painted_pixels(splats: Splats, viewmat: Tensor, K: Tensor, kinds: Tensor) ->
     return torch.autograd.grad((drawn.image * kinds).sum(), colors)[0]
 
 
+def depths(splats: Splats, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Of each pixel the mean depth [H,W] m and its variance [H,W] m^2 over what it shows, and its coverage [H,W]."""
+    z = splats.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    shown = torch.stack([z, z * z, torch.zeros_like(z)], 1)
+    (drawn,) = rasterize(Gaussians(*splats[:3], shown, splats.antialias), camera)
+    mean, square, _ = (drawn.image / drawn.alpha.clamp_min(1e-6)[..., None]).unbind(-1)
+    return mean, square - mean * mean, drawn.alpha
+
+
 def draw_together(sets: Sequence[Splats], camera: Camera, layers: Sequence[Layer] = (Layer(),)) -> list[Rendering]:
     """Draw sets of Gaussians, one or more, sorted by depth as one: a picture for each layer, rows in the order of the sets.
 

@@ -16,7 +16,8 @@ from skimage.measure import marching_cubes
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from stages.avatar.rasterize import Camera, Gaussians, rasterize
+from stages.avatar.rasterize import Camera
+from stages.avatar.splats.compose import depths
 from stages.avatar.splats.gaussians import Splats
 
 CELL = 0.005  # m, of the grid
@@ -65,7 +66,8 @@ def _distances(points: Tensor, splats: Splats, cameras: Sequence[Camera]) -> Ten
     total, count = torch.zeros(len(points)), torch.zeros(len(points))
     beyond = torch.full((len(points),), -REACH)
     for camera in (camera.to(points) for camera in cameras):
-        depth, sure, alpha = _depths(splats, camera)
+        depth, variance, alpha = depths(splats, camera)
+        sure = (alpha > OUTLINE) & (variance < UNSURE**2)
         local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
         at = local[:, :2] / local[:, 2:] * camera.K.diagonal()[:2] + camera.K[:2, 2]
         column, row = at.long().T
@@ -78,13 +80,3 @@ def _distances(points: Tensor, splats: Splats, cameras: Sequence[Camera]) -> Ten
         covered = grid_sample(alpha[None, None], unit[None, None], align_corners=False)[0, 0, 0]
         beyond = torch.maximum(beyond, 2 * REACH * (OUTLINE - covered))
     return torch.maximum(torch.where(count > 0, total / count.clamp_min(1), -REACH) - SKIN, beyond)
-
-
-def _depths(splats: Splats, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-    """Depths [H,W] m, where they are of one surface [H,W], and coverage [H,W]."""
-    z = splats.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    shown = torch.stack([z, z * z, torch.zeros_like(z)], 1)
-    (drawn,) = rasterize(Gaussians(*splats[:3], shown, splats.antialias), camera)
-    mean, square, _ = (drawn.image / drawn.alpha.clamp_min(1e-6)[..., None]).unbind(-1)
-    sure = (drawn.alpha > OUTLINE) & (square - mean * mean < UNSURE**2)
-    return mean, sure, drawn.alpha

@@ -12,9 +12,9 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from stages.avatar.drawing.cast import Moment
 from stages.avatar.kernels.mesh import fill
 from stages.avatar.rasterize import Camera
-from stages.avatar.splats.compose import draw_together
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.surface.around import SOLID, around
 
@@ -83,7 +83,7 @@ def _seen(
     sight = torch.as_tensor(-view[:3, :3].T @ view[:3, 3]) - places
     cosine = (sight * facing).sum(1) / sight.norm(dim=1) / facing.norm(dim=1).clamp_min(1e-9)
     rows = (cosine > SLANTED).nonzero()[:, 0]
-    (drawn,) = draw_together([splats], camera)
+    image, alpha = map(torch.as_tensor, Moment([splats]).picture(camera))
     there = vertices @ view[:3, :3].T.astype(np.float64) + view[:3, 3]
     depth, _, _ = fill(there, faces, camera.K.numpy().astype(np.float64), *size)
     local = places[rows] @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
@@ -91,7 +91,7 @@ def _seen(
     column, row = at.long().T
     shown = torch.as_tensor(depth).float().clamp(max=1e6)[row, column] > local[:, 2] - BEHIND
     rows, unit = rows[shown], 2 * at[shown] / torch.tensor(size) - 1
-    layers = torch.cat([drawn.image, drawn.alpha[..., None]], 2).permute(2, 0, 1)[None]
+    layers = torch.cat([image, alpha[..., None]], 2).permute(2, 0, 1)[None]
     found = grid_sample(layers, unit[None, None], align_corners=False)[0, :, 0].T
     colours, alpha = found[:, :3] / found[:, 3:].clamp_min(1e-6), found[:, 3]
     return rows, colours, alpha * cosine[rows] ** SQUARE
