@@ -15,7 +15,8 @@ from tests.made.command import hugs
 
 pytestmark = pytest.mark.slow
 
-QUICK = ["export.triangles=500", "export.texture=64", "train.steps=8", "train.human_points=7000", "train.resolution=32", "train.scene_fill=500", "train.curve_points=1",
+QUICK = ["export.triangles=500", "export.texture=64",
+         "train.steps=8", "train.human_points=7000", "train.resolution=32", "train.scene_fill=500", "train.curve_points=1",
          "evaluate.fit_steps=1", "render.turntable_frames=2", "render.motion_seconds=0.5"]  # fmt: skip
 
 
