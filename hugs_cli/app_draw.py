@@ -24,7 +24,8 @@ Clip = Annotated[
     Path | None, Argument(metavar="[VIDEO]", help="The video of `hugs run`; not with --avatar.", show_default=False)
 ]
 AvatarFile = Annotated[
-    Path | None, Option("--avatar", help="An exported avatar.npz or .glb in place of VIDEO; needs no work folder.")
+    Path | None,
+    Option("--avatar", help="An exported avatar.npz or avatar_splats.glb in place of VIDEO; needs no work folder."),
 ]
 SceneFile = Annotated[
     Path | None,

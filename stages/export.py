@@ -23,8 +23,6 @@ LOADS = contract.TORCH
 RIGGED = ("glb", "vrm", "splats_glb")
 MOVING = ("usd_motion", "ply_motion", "spz_motion")
 ACCOUNT = 10  # pictures of a motion between two reports
-
-
 Format = Literal[
     "ply", "spz", "glb", "bvh", "viewer", "vrm", "splats_glb", "usd", "usd_motion", "ply_motion", "spz_motion", "sog"
 ]
@@ -195,14 +193,16 @@ def _rigged(job: Job, params: Params, avatar: Avatar, rig: Rig, takes: list[Take
             mesh = surface_of(avatar, params.triangles, params.texture)
         except NoSurfaceError as error:
             hint = f"--set 'export.formats=[{', '.join(one for one in params.formats if one not in ('glb', 'vrm'))}]'"
-            raise StageError("the person's Gaussians make no mesh for avatar.glb", hint, [str(error)]) from error
+            raise StageError("the person's Gaussians make no mesh", hint, [str(error)]) from error
         size = f"{len(mesh.faces)} triangles, texture {len(mesh.texture)} px"
         if "glb" in params.formats:
             write_avatar_glb(glb, rig, mesh, told, params.names, floor)
-            job.note("; ".join([f"avatar.glb: {size}, {glb.stat().st_size / 1e6:.1f} MB", has, *mesh.said]))
+            job.note(f"avatar.glb: {size}, {glb.stat().st_size / 1e6:.1f} MB; {has}")
         if "vrm" in params.formats:
             write_avatar_vrm(job.out / "avatar.vrm", rig, mesh, params.vrm, params.names, floor)
             job.note(f"avatar.vrm: {size}, as VRM 1.0 by {', '.join(params.vrm.authors)}")
+        for line in mesh.said:
+            job.note(f"mesh: {line}")
     if "splats_glb" in params.formats:
         write_splats_glb(job.out / "avatar_splats.glb", rig, told, params.names, floor)
         job.note(f"avatar_splats.glb: Gaussians as points; {has}")
@@ -303,8 +303,8 @@ def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, 
         )
     if up := _among(formats & ({"usd", "usd_motion"} | turned), "usd", "usd_motion", *spz):
         job.note(f"{up}: y up")
-    if people[0].shN.shape[1] and "glb" in formats:
-        job.note("avatar.glb: its texture holds no view-dependent colours")
+    if people[0].shN.shape[1] and (meshes := _among(formats, "glb", "vrm")):
+        job.note(f"{meshes}: the texture holds no view-dependent colours")
     if people[0].shN.shape[1] and "splats_glb" in formats:
         job.note("avatar_splats.glb: view-dependent colours turn with the person, not with each bone")
     if lit and (

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.filming.spec import Axes
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,7 +25,7 @@ class Params(contract.Params):
     """What to show."""
     who: int = Field(1, ge=1)
     """Which of the people of a run."""
-    scene_axes: Literal["y_down", "y_up"] = "y_down"
+    scene_axes: Axes = "y_down"
     """Of a scene from a file; y_up: turned by half a turn about x."""
     turntable: int = Field(24, gt=0)
     """Pictures around an avatar for which no cameras are given."""

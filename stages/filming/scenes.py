@@ -23,7 +23,10 @@ def stood(scene: Scene, axes: Axes, ground: Ground | None) -> Scene:
     if ground is None or not on_its_head(scene, ground):
         return scene
     other = "y_up" if axes == "y_down" else "y_down"
-    fact = f"the scene lies on its head: its floor is where the floor should be after half a turn; --scene-axes {other} turns it"
+    fact = (
+        "the scene lies on its head: its floor is where the floor should be after half a turn; "
+        f"--scene-axes {other} (in a film `scene_axes: {other}`) turns it"
+    )
     return replace(scene, said=(*scene.said, fact))
 
 

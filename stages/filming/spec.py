@@ -21,7 +21,7 @@ Side = Annotated[int, Field(gt=0, le=16384)]  # px; H.264 has no larger pictures
 
 class Person(contract.Params):
     avatar: Path
-    """The folder of a run, such as work/dance/default, or an exported avatar.npz or .glb."""
+    """The folder of a run, such as work/dance/default, or an exported avatar.npz or avatar_splats.glb."""
     who: int = Field(1, ge=1, le=1000)
     """Which of them, where the run has several people."""
     motion: str = "clip"
@@ -75,7 +75,7 @@ class Out(contract.Params):
     splats: Path | None = None
     """Scene and people at `moment` as one set of Gaussians, .ply or .spz."""
     glb: Path | None = None
-    """Skinned people with their motions and the scene's Gaussians, .glb."""
+    """People as textured meshes with their motions, and the scene's Gaussians, .glb."""
     usd: Path | None = None
     """The scene, and the people with a sample a picture, .usdc."""
 

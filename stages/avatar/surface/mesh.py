@@ -15,7 +15,7 @@ from stages.avatar.drawing.avatar import Baked, load_avatar, posed_by
 from stages.avatar.model.person import bone_transforms, taken_back
 from stages.avatar.splats.gaussians import Splats
 from stages.avatar.surface.around import SOLID, around
-from stages.avatar.surface.fuse import Shell, fused
+from stages.avatar.surface.fuse import SEEN, Shell, fused
 from stages.avatar.surface.looks import all_around
 from stages.avatar.surface.texture import baked, unwrapped
 
@@ -41,9 +41,9 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
     whole = posed_by(person, bones, torch.zeros(3))
     near = _near(whole.means, person.joints, bones)
     splats = whole.rows(near)
-    seen = splats.means[splats.opacities > SOLID].numpy()
-    if len(seen) == 0:
+    if not (splats.opacities > SOLID).any():
         raise NoSurfaceError(f"none of {len(avatar)} Gaussians is more opaque than {SOLID}")
+    seen = splats.means[splats.opacities > SEEN].numpy()  # pictures hold all of them: what is beside a picture is air
     shell, dropped = _whole(fused(splats, all_around(seen, LOOK)))
     if len(shell.faces) == 0:
         raise NoSurfaceError(f"{len(avatar)} Gaussians form no surface larger than {SPECK * 1e4:.0f} cm^2")

@@ -94,6 +94,18 @@ def test_specks_are_left_out_and_counted(avatar, monkeypatch):
     assert mesh.said[0].startswith("2 specks") and np.abs(mesh.vertices[mesh.vertices[:, 1] > 0.6, 0]).max() < 0.15
 
 
+def test_what_is_faint_but_dense_is_part_of_the_mesh_though_it_reaches_beyond_all_else(avatar):
+    """A veil of opacity 0.25, 30 cm beyond a hand: pictures that hold the opaque Gaussians alone would cut it off."""
+    hand, count = int(avatar.means[:, 0].argmax()), 3000
+    rows = np.concatenate([np.arange(len(avatar)), np.full(count, hand)])
+    names = ("means", "quats", "scales", "opacities", "sh0", "shN", "lbs_weights")
+    veiled = replace(avatar, **{name: getattr(avatar, name)[rows] for name in names})
+    veiled.means[-count:] += [0.3, 0, 0] + np.random.default_rng(0).normal(0, 0.03, (count, 3))
+    veiled.opacities[-count:], veiled.scales[-count:] = 0.25, 0.02
+    reach = cKDTree(load_avatar(avatar).resting.means.numpy()).query(surface_of(veiled, 3000, 64).vertices)[0].max()
+    assert 0.3 < reach < 0.5
+
+
 def test_a_gaussian_far_away_makes_no_larger_grid_and_is_counted(avatar):
     """Ten kilometres of cells would fill no memory that there is."""
     means = avatar.means.copy()
