@@ -28,8 +28,10 @@ from hugs_cli.cache import child, engine
 from hugs_cli.cache import garbage as unused
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Session
+from hugs_cli.cache.report import PAGE
 from hugs_cli.cache.workspace import Workspace, read_json, size_of
 from hugs_cli.console import Console, reasons_text
+from hugs_cli.device import device_of
 from hugs_cli.direct import in_words
 from hugs_cli.options import (
     AsJson,
@@ -130,21 +132,23 @@ def run_pipeline(
     video, workspace = session.video, session.workspace
     session.check_sources()
     workspace.create()
+    page = workspace.links / PAGE
+    if session.pipeline.report:
+        console.say(f"report: {words.relative(page)}")
     console.header(
         video.name,
         clip_facts(workspace),
         session.pipeline.name,
         words.relative(workspace.root),
-        *engine.device_of(device),
+        *device_of(device),
     )
     if not forced:
         hint_accept(promised.last_session() if promised else session, wanted, console)
     if promised:
         ran, kept = promised.keep(forced, device.value, console)
     else:
-        ran, kept = engine.run(session, wanted, forced, device.value, console), None
-    path = workspace.links / (stages or wanted)[-1]
-    path = path / "report.html" if path.name == "report" else path
+        ran, kept = engine.run(session, wanted, forced, device.value, console, report=True), None
+    path = page if session.pipeline.report and not stages else workspace.links / (stages or wanted)[-1]
     if not as_json:
         console.result(words.relative(path))
         return

@@ -12,12 +12,12 @@ from typer import Argument, Option
 
 from hugs_cli import film as films
 from hugs_cli import words
-from hugs_cli.cache import engine
 from hugs_cli.cache.fingerprint import Code, digest
 from hugs_cli.cache.locks import locked
 from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import LOCK
 from hugs_cli.console import Console
+from hugs_cli.device import device_of
 from hugs_cli.direct import run_directly
 from hugs_cli.options import CODE_MEMORY, Device, DeviceName, Work
 from hugs_cli.outputs import check_out, remembering
@@ -75,7 +75,7 @@ def shoot(
             raise UsageError(f"{one} and {other} cannot both be written", "give each a place of its own")
     for path in outs:
         check_out(path, work, sources, force, is_folder=path == folder)
-    where, _ = engine.device_of(device)
+    where, _ = device_of(device)
     console = Console()
     console.started(name, ())
 

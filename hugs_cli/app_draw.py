@@ -10,9 +10,9 @@ from typer import Argument, Option
 from hugs_cli import film as films
 from hugs_cli import options, words
 from hugs_cli.app_compose import shoot
-from hugs_cli.cache import engine
 from hugs_cli.cache.workspace import Stamp, Workspace, clip_name
 from hugs_cli.console import Console
+from hugs_cli.device import device_of
 from hugs_cli.direct import run_directly
 from hugs_cli.options import AnyPipeline, DeviceName, Work, pipeline_of
 from hugs_cli.outputs import check_out, remembering
@@ -75,7 +75,7 @@ def render(
         train, smpl = finished(video, work, pipeline_of(video, work, pipeline, console, "train"), "train", "smpl")
     check_files(cameras, poses, avatar, scene)
     check_out(out, work, (video, cameras, poses, avatar, scene), force, is_folder=True)
-    where, _ = engine.device_of(device.value)
+    where, _ = device_of(device.value)
     said = {"warning": "warning: "}
     job = Job(
         out, where, emit=remembering(work, lambda event: console.say(said.get(event["event"], "") + event["text"]))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hugs_cli.cache import child
+from hugs_cli.device import find_device
 from hugs_cli.direct import run_directly
 from hugs_cli.words import size
 from stages.contract import Job
@@ -47,7 +48,7 @@ def machine() -> list[Finding]:
     """Python, processors, memory, disk, GPU."""
     python = sys.version_info[:2]
     memory, disk = memory_bytes(), shutil.disk_usage(Path.cwd()).free
-    gpu = child.find_device() == "cuda"
+    gpu = find_device() == "cuda"
     return [
         Finding("python", (3, 11) <= python <= (3, 13), platform.python_version(), "use Python 3.11, 3.12 or 3.13"),
         Finding("processors", True, str(child.processors())),

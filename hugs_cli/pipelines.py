@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from hugs_cli import plain_yaml
 from hugs_cli.studies import variants
-from stages.contract import Params, StageError, changes_speed_only, load_stage
+from stages.contract import Params, StageError, StageModule, changes_speed_only, load_stage
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
 if not FILE.exists():  # installed, not a checkout
@@ -28,7 +28,7 @@ SOURCES = {
     "smpl_fit": "--smpl-fit",
     "body_model": "--body-model",
 }
-PIPELINE_KEYS = ("doc", "extends", "stages")
+PIPELINE_KEYS = ("doc", "extends", "report", "stages")
 STAGE_KEYS = ("needs", "module", "params")
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 RESERVED = ("store",)  # a folder beside the pipelines' folders
@@ -64,6 +64,8 @@ class Pipeline:
     name: str
     doc: str
     stages: dict[str, Stage]
+    report: str | None = None
+    """The module that makes the page of its results; None: there is no page."""
 
     def upstream(self, wanted: Iterable[str]) -> list[str]:
         """The wanted stages and everything they need, in running order; UsageError for an unknown name."""
@@ -94,7 +96,9 @@ def load(name: str, overrides: Iterable[str | Override] = (), file: Path = FILE)
             raise unknown("stage", stage, stages, f"--set {stage}.{param}")
         stages[stage]["params"][param] = value
     checked = {stage: check_stage(stage, stages[stage], stages, name) for stage in running_order(stages, name)}
-    pipeline = Pipeline(name, entry["doc"], checked)
+    if entry["report"] is not None:
+        module_of(str(entry["report"]), f"pipeline {name}, report")
+    pipeline = Pipeline(name, entry["doc"], checked, entry["report"])
     return variant(pipeline, changed) if changed else pipeline
 
 
@@ -153,8 +157,10 @@ def merged(name: str, content: dict[str, Any], file: Path, seen: tuple[str, ...]
     entry = content[name]
     where = f"pipeline {name}"
     check_keys(entry, PIPELINE_KEYS, where)
-    base = merged(entry["extends"], content, file, (*seen, name))["stages"] if "extends" in entry else {}
-    stages = dict(base)
+    base = (
+        merged(entry["extends"], content, file, (*seen, name)) if "extends" in entry else {"stages": {}, "report": None}
+    )
+    stages = dict(base["stages"])
     for stage, own in check_keys(entry.get("stages", {}), None, f"{where}, stages").items():
         if own is None:
             stages.pop(stage, None)
@@ -166,7 +172,7 @@ def merged(name: str, content: dict[str, Any], file: Path, seen: tuple[str, ...]
         params = {**old["params"], **check_keys(own.get("params", {}), None, f"{where}, stage {stage}, params")}
         stages[stage] = {**old, **own, "params": params}
     copied = {stage: {**value, "params": dict(value["params"])} for stage, value in stages.items()}
-    return {"doc": str(entry.get("doc", "")), "stages": copied}
+    return {"doc": str(entry.get("doc", "")), "report": entry.get("report", base["report"]), "stages": copied}
 
 
 def check_keys(value: Any, allowed: tuple[str, ...] | None, where: str) -> dict[str, Any]:
@@ -208,17 +214,22 @@ def running_order(stages: dict[str, Any], pipeline: str) -> list[str]:
 def check_stage(name: str, entry: dict[str, Any], stages: dict[str, Any], pipeline: str) -> Stage:
     """Import a stage's (light) module, compare `needs` with the keywords of run(), and check the settings."""
     where = f"pipeline {pipeline}, stage {name}"
-    try:
-        module = load_stage(entry["module"])
-    except ModuleNotFoundError as error:
-        if not error.name or not f"{entry['module']}.".startswith(f"{error.name}."):
-            raise
-        raise UsageError(f"{where}: there is no module {entry['module']}", "write it, or mend `module:`") from error
+    module = module_of(str(entry["module"]), where)
     if set(module.inputs) != set(entry["needs"]):
         facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(module.inputs)}"]
         raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "make them the same", facts)
     params = checked(module.params, entry["params"], name, where)
     return Stage(name, entry["module"], tuple(entry["needs"]), params, module.resumes, tuple(module.loads), module.doc)
+
+
+def module_of(name: str, where: str) -> StageModule:
+    """A stage's module, imported; UsageError where there is none."""
+    try:
+        return load_stage(name)
+    except ModuleNotFoundError as error:
+        if not error.name or not f"{name}.".startswith(f"{error.name}."):
+            raise
+        raise UsageError(f"{where}: there is no module {name}", "write it, or mend the name") from error
 
 
 def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) -> Params:

@@ -61,7 +61,7 @@ class Promise:
         begun = "train" not in forced and self._begun(chosen)
         guess = self._guess(forced, begun)
         self._say_what_does_not_fit(guess, console)
-        made = engine.run(self.session, before, forced & set(before), device, console)
+        made = engine.run(self.session, before, forced & set(before), device, console, report=True)
         if begun:
             console.say("continuing the training that was begun for this time")
         else:
@@ -70,15 +70,16 @@ class Promise:
             write_json(place, chosen)
             console.say(f"{duration(left)} are left for training and the stages after it")
         upto = [*before, "train"]
-        made += engine.run(with_settings(self.session, chosen), upto, forced & {"train"}, device, Quiet())[-1:]
+        made += engine.run(with_settings(self.session, chosen), upto, forced & {"train"}, device, Quiet(), report=True)[
+            -1:
+        ]
         if made[-1].state == "done" or not set(self._shorter()) <= set(chosen):
             chosen |= self._following(self._left(began, len(after)), made[-1].folder)
             write_json(place, chosen)
             if any(chosen[name] for name in self._shorter()):
                 console.say("that is short: films are shorter, and held-out poses are not fitted")
-        made += engine.run(with_settings(self.session, chosen), self.wanted, forced & set(after), device, Quiet())[
-            len(upto) :
-        ]
+        session = with_settings(self.session, chosen)
+        made += engine.run(session, self.wanted, forced & set(after), device, Quiet(), report=True)[len(upto) :]
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
         console.say(f"promised {duration(self.seconds)}, took {duration(took)} ({off:+.0f} %)")

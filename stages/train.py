@@ -7,15 +7,18 @@ import io
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from stages.contract import ADAM, Job, StageError
+from stages.contract import ADAM, Job, StageError, whole
 from stages.training.settings import Params
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from stages.avatar.measures.lpips import Lpips
     from stages.training.beginning.start import Task
     from stages.training.results import Result
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
 
 RESUMES, LOADS = True, ADAM
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
+LIVE = "live.png"  # the last picture of a training under way
 
 FINISH, FILL = 180.0, 25.0
 """Training steps of full size that it takes, after the last step, to look at the frames, let a person settle and write them, and to
@@ -44,6 +48,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     from stages.training.checkpoint import Checkpoint
     from stages.training.run import Breakdown
     from stages.training.run import run as train
+    from stages.training.timing.window import Window
 
     if params.seconds and not params.joint:
         hint = "give `train.steps` in place of a time, or leave out `train.joint`"
@@ -52,11 +57,12 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
         job.note("the drawing kernels are compiled for this processor first, once: half a minute")
     task, checkpoint = _task(job, params, sfm, smpl, survey), Checkpoint(job.out / CHECKPOINT, job.device)
     try:
-        result = train(task, job, checkpoint, CHECKPOINT_SECONDS, began)
+        window = Window(partial(_show, job.out), partial(write_curve, job.out))
+        result = train(task, job, checkpoint, CHECKPOINT_SECONDS, began, window)
     except Breakdown as broken:
         raise _broken_down(job, broken, {"sfm": sfm, "smpl": smpl, "survey": survey}) from broken
     write(job.out, result)
-    for name in (CHECKPOINT, "failure.npz"):
+    for name in (CHECKPOINT, LIVE, "failure.npz"):
         (job.out / name).unlink(missing_ok=True)
 
 
@@ -92,7 +98,6 @@ def write(out: Path, result: Result) -> None:
     from stages.formats.people import folder_of
     from stages.formats.poses import write_poses
     from stages.formats.splats import write_splats
-    from stages.training.run import COLUMNS
 
     for person, (avatar, body) in enumerate(result.people, 1):
         folder = folder_of(out, person)
@@ -105,11 +110,25 @@ def write(out: Path, result: Result) -> None:
         write_effects(out / "effects.npz", result.effects)
     if result.cameras is not None:
         write_cameras(out / "cameras.npz", result.cameras)
-    with (out / "curve.csv").open("w", newline="") as file:
+    write_curve(out, result.curve)
+    (out / "train.json").write_text(json.dumps(result.facts, indent=1))
+
+
+def write_curve(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write curve.csv: rows of `stages.training.run.COLUMNS`."""
+    from stages.training.run import COLUMNS
+
+    with whole(out / "curve.csv") as part, part.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
-        writer.writerows(result.curve)
-    (out / "train.json").write_text(json.dumps(result.facts, indent=1))
+        writer.writerows(rows)
+
+
+def _show(out: Path, strip: np.ndarray) -> None:
+    from stages.formats.images import write_image
+
+    with whole(out / LIVE) as part:
+        write_image(part, strip)
 
 
 def _broken_down(job: Job, broken: Breakdown, folders: dict[str, Path]) -> StageError:

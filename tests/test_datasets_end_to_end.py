@@ -30,7 +30,7 @@ def run(folder: Path, pipeline: str, work: Path, *more: str) -> dict[str, str]:
 def results(folder: Path, pipeline: str, work: Path) -> tuple[dict, str]:
     """metrics.json and the report's text without its pictures."""
     made = work / folder.name / pipeline
-    page = (made / "report" / "report.html").read_text(encoding="utf-8")
+    page = (made / "report.html").read_text(encoding="utf-8")
     return json.loads((made / "evaluate" / "metrics.json").read_text()), re.sub(r'"data:[^"]*"', "", page)
 
 

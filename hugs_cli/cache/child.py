@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import importlib
-import importlib.util
 import json
 import os
 import platform
@@ -75,22 +74,6 @@ def processors() -> int:
     except (OSError, ValueError):
         return count
     return count if quota == "max" else max(1, min(count, round(int(quota) / int(period))))
-
-
-def find_device() -> str:
-    """'cuda' if the driver shows a GPU and torch was built for it, else 'cpu'; without importing torch."""
-    import ctypes
-
-    torch = importlib.util.find_spec("torch")
-    if torch is None or not torch.origin or not list((Path(torch.origin).parent / "lib").glob("*torch_cuda.*")):
-        return "cpu"
-    try:
-        cuda = ctypes.CDLL("libcuda.so.1")
-    except OSError:
-        return "cpu"
-    count = ctypes.c_int(0)
-    found = cuda.cuInit(0) == 0 and cuda.cuDeviceGetCount(ctypes.byref(count)) == 0
-    return "cuda" if found and count.value else "cpu"
 
 
 def main() -> int:

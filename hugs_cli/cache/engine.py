@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import platform
 import shutil
 import signal
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -22,6 +21,7 @@ from hugs_cli.cache import child, garbage, whole
 from hugs_cli.cache.fingerprint import files_under
 from hugs_cli.cache.freshness import Forced, ParamChanged, Reason, Recipe, Session, Verdict, changes
 from hugs_cli.cache.launcher import Launcher, Outcome
+from hugs_cli.cache.report import Report, reporting
 from hugs_cli.cache.workspace import (
     LOG,
     OURS,
@@ -34,8 +34,9 @@ from hugs_cli.cache.workspace import (
     seal,
 )
 from hugs_cli.console import Console, reasons_text
+from hugs_cli.device import device_of
 from hugs_cli.direct import StageFailed, failed
-from hugs_cli.pipelines import Stage, UsageError
+from hugs_cli.pipelines import Stage
 from stages.contract import StageRecord
 
 FULL_DISK = 1 << 20  # bytes
@@ -68,13 +69,19 @@ def run(
     device: str,
     console: Console,
     taken: Mapping[str, Verdict] = MappingProxyType({}),
+    report: bool = False,
 ) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
-    stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are."""
+    stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are.
+    `report`: the pipeline's page grows meanwhile."""
     done = dict(taken)
     ran: list[Ran] = []
     stages = [session.pipeline.stages[name] for name in wanted]
-    with session.workspace.lock(console.waiting) as lock, closing(Launcher(lock)) as launcher:
+    with (
+        session.workspace.lock(console.waiting) as lock,
+        closing(Launcher(lock)) as launcher,
+        reporting(session, wanted, lock) if report else nullcontext() as page,
+    ):
         session.workspace.keep_options(session.options)
         for stage, after in zip_longest(stages, stages[1:]):
             name = stage.name
@@ -87,10 +94,14 @@ def run(
                     console.below(f"linked again: {reasons_text(back)}")
             else:
                 then = after.loads if after else None
-                stamp, state = make(session, stage, verdict, done, device, launcher, then, console), "done"
+                stamp, state = make(session, stage, verdict, done, device, launcher, then, console, page), "done"
             session.workspace.link(name, verdict.folder)
             done[name] = replace(verdict, stamp=stamp)
             ran.append(Ran(name, state, verdict.reasons, verdict.folder, stamp))
+            if page:
+                page.has(name, done[name])
+        if page:
+            page.end(done)
         session.code.save()
     return ran
 
@@ -125,6 +136,7 @@ def make(
     launcher: Launcher,
     then: Sequence[str] | None,
     console: Console,
+    page: Report | None,
 ) -> Stamp:
     """Run one stage into its .part folder, stamp the result and give the folder its final name.
 
@@ -153,7 +165,15 @@ def make(
         "upstream": upstream_records(session, stage, done),
     }
     console.started(stage.name, verdict.reasons)
-    outcome = launcher.launch(job, part / LOG, lambda event: console.heard(stage.name, event), then)
+    if page:
+        page.begins(stage.name, part)
+
+    def heard(event: dict[str, Any]) -> None:
+        console.heard(stage.name, event)
+        if page:
+            page.heard(event)
+
+    outcome = launcher.launch(job, part / LOG, heard, then)
     with uninterrupted():  # a result that is there is kept, whatever comes now
         if stage.resumes:
             add_earlier(part / EARLIER, outcome)
@@ -313,20 +333,6 @@ def uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
-
-
-def device_of(name: str) -> tuple[str, str]:
-    """'cpu' or 'cuda' for a name that may be 'auto', and why; UsageError where the GPU, or gsplat, is missing."""
-    if name == "cpu":
-        return "cpu", "as asked"
-    gpu, why = child.find_device() == "cuda", "no GPU that torch can use"
-    if gpu and importlib.util.find_spec("gsplat"):
-        return "cuda", "a GPU that torch can use, and gsplat"
-    if name == "cuda" and not gpu:
-        raise UsageError(why, "leave out `--device cuda`; `hugs doctor` shows what is here")
-    if name == "cuda":
-        raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
-    return "cpu", "a GPU is here, but not gsplat: pip install 'hugs-avatar[gpu]'" if gpu else why
 
 
 def now() -> str:

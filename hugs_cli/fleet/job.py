@@ -209,7 +209,7 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
             if (other := recorded(session.workspace.root)) not in (None, os.path.abspath(row.video)):
                 hint = "call the fleet again: it gives this clip a folder of its own"
                 raise UsageError(f"{session.workspace.root} now holds the results of {other}", hint)
-            ran = engine.run(session, wanted, frozenset(), device, watch)
+            ran = engine.run(session, wanted, frozenset(), device, watch, report=True)
         finally:
             heart.lease = None
     heart.quiet.set()
@@ -217,9 +217,9 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
         report.write(state="before", stage="")
         return
     stamps = {one.stage: one.stamp for one in ran}
-    report.write(
-        state="done", stage="", finished=list(stamps), result=result_of(stamps, {one.stage: one.folder for one in ran})
-    )
+    folders = {one.stage: one.folder for one in ran}
+    result = result_of(stamps, folders, session.workspace.links)
+    report.write(state="done", stage="", finished=list(stamps), result=result)
 
 
 def told(error: Exception) -> dict[str, Any]:

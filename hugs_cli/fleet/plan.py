@@ -21,8 +21,8 @@ from stages.contract import StageError
 
 BEFORE, AFTER, WHOLE = "before", "train", "clip"
 """Steps of a clip: the stages before training, those from training on; or all."""
-PAGES = ("report/report.html", "export/viewer.html")
-"""Of a result, stage and file: what a fleet's page links to."""
+PAGES = ("report.html", "export/viewer.html")
+"""In a pipeline's folder: what a fleet's page links to."""
 
 
 @dataclass
@@ -110,7 +110,7 @@ def verdict(row: Row, session: Session, history: History, split: bool) -> Planne
         if not planned.todo:
             stamps = {name: one.made for name, one in verdicts.items()}
             folders = {name: one.folder for name, one in verdicts.items() if one.folder}
-            planned.state, planned.result = "fresh", result_of(stamps, folders)
+            planned.state, planned.result = "fresh", result_of(stamps, folders, session.workspace.links)
     planned.seconds = history.expected(row.pipeline, planned.todo)
     return planned
 
@@ -122,7 +122,7 @@ def refused(row: Row, error: Exception) -> Planned:
     return Planned(row, "failed", problem=f"cannot read it: {error}", hint="put it back, and call the fleet again")
 
 
-def result_of(stamps: Mapping[str, Stamp], folders: Mapping[str, Path]) -> dict[str, Any]:
+def result_of(stamps: Mapping[str, Stamp], folders: Mapping[str, Path], links: Path) -> dict[str, Any]:
     """What a page shows of a finished row: seconds of all stages, PSNR, effects called for, warnings, pictures."""
     heldout = read_json(folders["evaluate"] / "metrics.json").get("heldout") if "evaluate" in folders else {}
     scores = heldout if isinstance(heldout, dict) else {}
@@ -135,7 +135,7 @@ def result_of(stamps: Mapping[str, Stamp], folders: Mapping[str, Path]) -> dict[
         "effects": [name for name, on in called.items() if on and name != "scene"],
         "warnings": [f"{name}: {text}" for name, stamp in stamps.items() for text in stamp.warnings],
         "picture": picture_of(stamps, folders),
-        "pages": [page for page in PAGES if (folders.get(Path(page).parts[0], Path()) / Path(page).name).is_file()],
+        "pages": [page for page in PAGES if (links / page).is_file()],
     }
 
 

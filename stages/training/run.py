@@ -20,6 +20,7 @@ from stages.training.timing.accuracy import heldout_accuracy
 from stages.training.timing.budget import Choice, fit_into_time
 from stages.training.timing.deadline import Deadline
 from stages.training.timing.effect_gains import PAUSES, effect_gains, effects_of
+from stages.training.timing.window import Window
 
 MEASURED = 6  # held-out frames on the accuracy curve
 LOOK = "a wrong mask or body fit is the usual cause: look at what `masks` and `smpl` said; else try `--seed 1`"
@@ -89,14 +90,15 @@ def run(
     checkpoint: Checkpoint | None = None,
     checkpoint_seconds: float = 60,
     began: float | None = None,
+    window: Window | None = None,
 ) -> Result:
-    """Train, from the start or from where a checkpoint left it.
+    """Train, from the start or from where a checkpoint left it; `window` shows how far it is.
 
     The time of `task.params.seconds` counts from `began` (of time.perf_counter; None: now). Raises Breakdown, Stopped
     when asked to stop, StageError where clip or time is not enough.
     """
     training = begin(task, hooks, checkpoint, time.perf_counter() if began is None else began)
-    learn(training, hooks, checkpoint, checkpoint_seconds)
+    learn(training, hooks, checkpoint, checkpoint_seconds, window)
     return finish(training, hooks)
 
 
@@ -143,7 +145,11 @@ def _resume(
 
 
 def learn(
-    training: Training, hooks: Hooks, checkpoint: Checkpoint | None = None, checkpoint_seconds: float = 60
+    training: Training,
+    hooks: Hooks,
+    checkpoint: Checkpoint | None = None,
+    checkpoint_seconds: float = 60,
+    window: Window | None = None,
 ) -> None:
     """Take all steps, measure accuracy on the way, and save a checkpoint every so often and when asked to stop."""
     fit, curve, deadline = training.fit, training.curve, training.deadline
@@ -168,6 +174,8 @@ def learn(
             if deadline:
                 deadline.add_pause(mark - paused)
             shown = {"psnr": curve[-1]["psnr"]}
+            if window:
+                window.curve(curve)
         elif progress.step % 25 == 0:
             shown = {"loss": sum(numbers.values())}
         if deadline and progress.step % 25 == 0 and progress.step < progress.total:
@@ -175,6 +183,8 @@ def learn(
         if shown:
             left = None if deadline is None else deadline.to_go(progress)
             hooks.progress(progress.step, progress.total, left, **shown, gaussians=sum(fit.sizes().values()))
+            if window:
+                window.look(fit, training.heldout)
         if checkpoint and (hooks.stop_asked or time.perf_counter() - saved > checkpoint_seconds):
             saved = time.perf_counter()
             training.seconds, mark = training.seconds + saved - mark, saved

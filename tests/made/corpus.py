@@ -202,7 +202,7 @@ def read_pipeline(root: Path) -> Any:
 
 def read_curve(root: Path) -> Any:
     """Training's curve, as the report draws it."""
-    from stages.report import _curve
+    from stages.commands.report.results import _curve
 
     _curve(root)
 

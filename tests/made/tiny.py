@@ -110,7 +110,9 @@ def make_viewmats() -> np.ndarray:
 def make(folder: Path, scene: bool = True) -> dict[str, Path]:
     """Write the folders of all stages up to train; stage name -> folder."""
     folders = {name: folder / name for name in STAGES}
-    for place in (*folders.values(), folders["sfm"] / "images", folders["sfm"] / "masks"):
+    pictures = [folders[name] / "images" for name in ("frames", "sfm")]
+    masks = [folders[name] / "masks" for name in ("masks", "sfm")]
+    for place in (*folders.values(), *pictures, *masks):
         place.mkdir(parents=True)
     sfm, smpl, train = folders["sfm"], folders["smpl"], folders["train"]
     body_model, poses, viewmats = read_body_model(), make_poses(), make_viewmats()
@@ -136,8 +138,10 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
         camera = Camera.of(viewmats[i], K, WIDTH, HEIGHT)
         image, _ = draw(human, learned.scene, camera)
         mask = draw(human, None, camera)[1] if human else np.zeros((HEIGHT, WIDTH))
-        write_image(sfm / "images" / f"{name}.png", to_uint8(image))
-        write_mask(sfm / "masks" / f"{name}.png", to_uint8(mask))
+        for place in pictures:
+            write_image(place / f"{name}.png", to_uint8(image))
+        for place in masks:
+            write_mask(place / f"{name}.png", to_uint8(mask))
     write_facts(folders, scene)
     return folders
 

@@ -10,8 +10,6 @@ import time
 
 import pytest
 
-from hugs_cli.cache import engine
-from hugs_cli.cache.engine import UsageError
 from hugs_cli.cache.fingerprint import digest
 from hugs_cli.pipelines import SOURCES
 from tests.made.flow import ALL, LONGEST, STAGE, WHOLE
@@ -403,21 +401,6 @@ def test_runs_are_logged_with_cost_and_machine(flow):
     stamp = json.loads((flow.work / "clip/default/one/stamp.json").read_text())
     assert stamp["machine"]["device"] == "cpu" and "python" in stamp["machine"]["versions"]
     assert (flow.work / "clip/default/one/log.txt").exists()
-
-
-def test_a_gpu_counts_only_with_gsplat(monkeypatch):
-    monkeypatch.setattr(engine.child, "find_device", lambda: "cuda")
-    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
-    assert (
-        engine.device_of("auto")[0] == engine.device_of("cpu")[0] == "cpu" and "gsplat" in engine.device_of("auto")[1]
-    )
-    with pytest.raises(UsageError) as error:
-        engine.device_of("cuda")
-    assert "gsplat" in error.value.problem and "hugs-avatar[gpu]" in error.value.hint
-    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: object())
-    assert engine.device_of("auto")[0] == engine.device_of("cuda")[0] == "cuda" and engine.device_of("cpu")[0] == "cpu"
-    monkeypatch.setattr(engine.child, "find_device", lambda: "cpu")
-    assert engine.device_of("auto") == ("cpu", "no GPU that torch can use")
 
 
 def written_by_older_code(flow) -> None:

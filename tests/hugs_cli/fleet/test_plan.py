@@ -76,9 +76,10 @@ def test_what_is_shown_of_a_finished_row(tmp_path):
     (folders["survey"] / "survey.json").write_text(json.dumps({"decisions": decisions}))
     files = {f"images/{i:06d}.png": "" for i in range(7)} | {"frames.json": ""}
     stamps = {name: SimpleNamespace(files=files, seconds=1.5, peak_memory_bytes=7, warnings=[]) for name in folders}
-    shown = plans.result_of(stamps, folders)
+    (tmp_path / "report.html").touch()
+    shown = plans.result_of(stamps, folders, tmp_path)
     assert shown["effects"] == ["shadow", "lens"] and shown["picture"] == "frames-0123/images/000003.png"
-    assert shown["seconds"] == 3 and shown["psnr"] is None and shown["pages"] == []
+    assert shown["seconds"] == 3 and shown["psnr"] is None and shown["pages"] == ["report.html"]
 
 
 def test_a_pipeline_without_training_cannot_be_split(fleet, common):

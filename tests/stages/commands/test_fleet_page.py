@@ -19,7 +19,7 @@ ROW = {
     "clip": "dance", "folder": "from-mon/dance & more", "pipeline": "draft", "state": "done", "stage": "", "percent": None,
     "silent": None, "seconds_left": 0.0, "seconds": 90.0, "spent": 90.0, "psnr": 28.44, "psnr_person": None,
     "effects": ["motion_blur"], "warnings": [], "kind": "", "problem": "", "hint": "", "facts": [], "log": "",
-    "picture": "", "pages": ["report/report.html", "export/viewer.html"],
+    "picture": "", "pages": ["report.html", "export/viewer.html"],
 }  # fmt: skip
 TOTALS = {"states": {"done": 1}, "failures": {}, "machine_seconds": 7200.0, "spent_seconds": 90.0, "seconds_left": None}
 
@@ -31,7 +31,7 @@ def write(folder, *rows, live=False, totals=TOTALS) -> str:
 
 def test_a_row_has_its_words_and_links(tmp_path):
     page = write(tmp_path, ROW)
-    assert 'href="from-mon/dance%20%26%20more/draft/report/report.html">report<' in page and ">viewer<" in page
+    assert 'href="from-mon/dance%20%26%20more/draft/report.html">report<' in page and ">viewer<" in page
     assert "28.4" in page and "motion blur" in page and "2 min" in page and "2.0 h" in page
     running = ROW | {"state": "running", "stage": "train", "percent": 30, "silent": 120, "seconds_left": 6000.0}
     page = write(tmp_path, running, live=True, totals=TOTALS | {"states": {"running": 1}, "seconds_left": 6000})
@@ -110,4 +110,4 @@ def test_a_page_that_is_written_no_more_says_so_and_stays_sorted(tmp_path):
 def test_a_name_that_is_no_text_hurts_nobody(tmp_path, key):
     strange = os.fsdecode(b"Bj\xf6rn")
     page = write(tmp_path, ROW, ROW | {key: strange, "pages": [f"{strange}.html"]})
-    assert "from-mon/dance%20%26%20more/draft/report/report.html" in page and "Bj%F6rn" in page
+    assert "from-mon/dance%20%26%20more/draft/report.html" in page and "Bj%F6rn" in page
