@@ -55,7 +55,9 @@ def test_the_largest_seeds_can_be_used():
         np.random.default_rng(seed)
 
 
-@pytest.mark.parametrize("name", ["plain", "größe 東 'q\" $x", "b\udcff\udc80ytes", "\udce4/in\udcffside", "\x1b[31m\n"])
+@pytest.mark.parametrize(
+    "name", ["plain", "größe 東 'q\" $x", "b\udcff\udc80ytes", "\udce4/in\udcffside", "\x1b[31m\n"]
+)
 @pytest.mark.parametrize("option", ["masks", "cameras", "smpl_fit", "body_model"])
 def test_a_path_of_any_name_is_kept_and_read_back(tmp_path, option, name):
     """Names are bytes on a disk, and may be none of UTF-8."""
