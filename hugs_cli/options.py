@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable
@@ -74,7 +75,7 @@ BodyModel = Annotated[Path | None, Option(help="SMPL model (.pkl, .npz) in place
 Seed = Annotated[
     int | None,
     Option(min=0, max=MAX_SEED, help="Random seed; results are cached per seed.", show_default="0"),
-    Field(ge=0, le=MAX_SEED),
+    Field(ge=0, le=MAX_SEED, strict=True),
 ]
 AsJson = Annotated[bool, Option("--json", help="Print the result as JSON.")]
 DryRun = Annotated[bool, Option("--dry-run", help="Only show the plan.")]
@@ -193,7 +194,15 @@ def kept_options(file: Path) -> Kept | None:
         return None
     if not file.is_file() or file.stat().st_size > LARGEST:
         raise ValueError(f"{words.relative(file)} is no file of up to {LARGEST} bytes")
-    return TypeAdapter(Kept).validate_json(file.read_bytes(), strict=True)
+    try:  # not by pydantic's reader, which takes no path that is not UTF-8
+        kept = json.loads(file.read_bytes())
+    except RecursionError as error:
+        raise ValueError("it is too deep") from error
+    if isinstance(kept, dict):
+        paths = {name for name, hint in get_type_hints(Kept).items() if hint == Path | None}
+        texts = {name: one for name, one in kept.items() if name in paths and isinstance(one, str)}
+        kept |= {name: Path(os.fsdecode(os.fsencode(one))) for name, one in texts.items()}
+    return TypeAdapter(Kept).validate_python(kept)
 
 
 def as_text(options: dict[str, Any]) -> str:

@@ -294,6 +294,8 @@ def _lacks_of_person(job: Job, formats: set[str], avatar: Avatar, rig: Rig) -> N
 
 def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, lit: bool) -> None:
     """Say once what each format that was written does not hold, and which way up it stands; `lit`: by a light of the clip."""
+    from stages.formats.exchange.limits import unmarked
+
     formats: set[str] = set(params.formats)
     spz = ("spz", "spz_motion")
     turned = set(spz) if params.spz_axes == "y_up" else set()
@@ -316,9 +318,8 @@ def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, 
             f"the person's colours in {even} are those in even light: the clip's, which stays when they turn, is not in them"
         )
     antialias = any(avatar.antialias for avatar in people) or (scene is not None and scene.antialias)
-    silent = _among(formats, "splats_glb", "usd", "sog", "usd_motion")
-    if antialias and silent:
-        job.note(f"learned with anti-aliasing, of which viewers are not told by {silent}: enable it there")
+    if antialias and (names := _among(formats, "splats_glb", "usd", "usd_motion")):
+        job.note(unmarked(names))
 
 
 def _viewer(job: Job, shown: Exhibit) -> None:

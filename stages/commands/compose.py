@@ -111,6 +111,7 @@ def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
     from stages.filming.cast import cast, in_colour, moved
     from stages.filming.colours import match
     from stages.filming.standing import free_places
+    from stages.formats.exchange.limits import unmarked
 
     said = dict.fromkeys(setting.facts)
     people, looks = [], _Looks(film, setting)
@@ -132,6 +133,10 @@ def _cast(job: Job, film: Film, setting: Setting) -> list[Actor]:
             actor = in_colour(actor, gain) if (gain != 1).any() else actor
         people.append(actor)
     flags = {actor.baked.antialias for actor in people} | ({setting.scene.antialias} if setting.scene else set())
+    if True in flags:
+        files = (film.out.usd, film.out.glb if setting.scene and setting.scene.antialias else None)
+        if names := ", ".join(path.name for path in files if path):
+            said[unmarked(names)] = None
     if len(flags) == 2:
         one = setting.scene.antialias if setting.scene else people[-1].baked.antialias
         said[f"some were learned with anti-aliasing and some without: all are drawn {'with' if one else 'without'}"] = (

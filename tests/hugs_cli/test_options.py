@@ -6,6 +6,7 @@ import io
 import json
 import os
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import torch
 from typer.testing import CliRunner
 
 from hugs_cli import app, options
-from hugs_cli.cache.workspace import OPTIONS
+from hugs_cli.cache.workspace import OPTIONS, Workspace
 from hugs_cli.console import Console
 from hugs_cli.options import RunOptions
 from hugs_cli.pipelines import UsageError
@@ -52,6 +53,29 @@ def test_the_largest_seeds_can_be_used():
     for seed in (0, options.MAX_SEED, options.MAX_SEED + 1000):
         assert torch.Generator().manual_seed(seed).initial_seed() == seed
         np.random.default_rng(seed)
+
+
+@pytest.mark.parametrize(
+    "name", ["plain", "größe 東 'q\" $x", "b\udcff\udc80ytes", "\udce4/in\udcffside", "\x1b[31m\n"]
+)
+@pytest.mark.parametrize("option", ["masks", "cameras", "smpl_fit", "body_model"])
+def test_a_path_of_any_name_is_kept_and_read_back(tmp_path, option, name):
+    """Names are bytes on a disk, and may be none of UTF-8."""
+    place, given = Workspace(CLIP, tmp_path, "default"), RunOptions(work=tmp_path, **{option: tmp_path / name})
+    place.links.mkdir(parents=True)
+    place.keep_options(given.values())
+    written = (place.links / OPTIONS).stat().st_ino
+    place.keep_options(given.values())
+    assert (place.links / OPTIONS).stat().st_ino == written, "nothing new to write"
+    said = io.StringIO()
+    last = RunOptions(work=tmp_path).of_last_run(CLIP, Console(err=said))
+    assert getattr(last, option) == tmp_path / name
+    assert holds(said.getvalue(), "with the options", f"--{option.replace('_', '-')}")
+
+
+def test_every_path_that_a_run_is_given_is_among_those():
+    hints = get_type_hints(options.Kept)
+    assert {one for one in hints if "Path" in str(hints[one])} == {"masks", "cameras", "smpl_fit", "body_model"}
 
 
 @pytest.fixture(scope="session")
@@ -105,6 +129,7 @@ def test_an_older_work_folder_has_no_options_and_broken_ones_are_not_taken(kept)
     file = kept.work / "clip/default" / OPTIONS
     whole = json.loads(file.read_text())
     broken = [b"", b"[]", b"[" * 100_000, b'{"seed": "3"}', json.dumps(whole | {"seed": -1}).encode(), b'{"masks": 1}']
+    broken += [b'{"masks": "/\\ud800"}', b'{"seed": true}', b'{"seed": 3.0}']
     broken += [json.dumps(whole | {"pipelines_file": "theirs.yaml"}).encode(), b'{"set_": [1]}', b"\xff"]
     for content in [*broken, json.dumps(whole | {"person": "x" * options.LARGEST}).encode()]:
         file.write_bytes(content)

@@ -155,7 +155,7 @@ def test_only_formats_that_lack_something_are_said_to_lack_it(clip, tmp_path):
     for formats, clothes, antialias in (
         (["viewer"], None, None),
         (["spz"], "stand still in spz", None),
-        (["ply", "splats_glb", "spz_motion"], "stand still in ply", "by splats_glb:"),
+        (["ply", "splats_glb", "spz_motion"], "stand still in ply", "splats_glb has no mark"),
     ):
         said = made(clip, tmp_path / "-".join(formats), formats=formats)
         for wanted, about in ((clothes, "clothes have"), (antialias, "learned with anti-aliasing")):

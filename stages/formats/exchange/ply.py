@@ -1,8 +1,9 @@
 """PLY files of 3D Gaussians, in the layout that viewers and editors read and trainers write.
 
 Gaussians that were learned for another drawing are read as what draws them so: with anti-aliasing where a comment says
-it (Brush, PlayCanvas: `SplatRenderMode: mip`, which we write, too; Postshot: `antialiased 1`); those of Mip-Splatting
-with a column filter_3D widened by it, and as much fainter as they grow; flat ones (2D Gaussians, two scales) as thin discs.
+it (Brush, PlayCanvas: `SplatRenderMode: mip`, which we write, too; Postshot: `antialiased 1`, `postshot.anti_aliasing=1`);
+those of Mip-Splatting with a column filter_3D widened by it, and as much fainter as they grow; flat ones (2D Gaussians, two
+scales) as thin discs, which is said.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ WRONG = 0.05  # share of rows that cannot be drawn, up to which the others are t
 LISTED = 10  # rows that a message names
 FORMS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 MIP = "comment SplatRenderMode: mip"
-TOLD = re.compile(r"comment\s+(?:splatrendermode:|antialiased)\s*(\w+)\s*", re.IGNORECASE)
+TOLD = re.compile(r"comment\s+(?:splatrendermode:|antialiased|postshot\.anti_aliasing=)\s*(\w+)\s*", re.IGNORECASE)
 
 
 def _names(rest: int) -> list[str]:
@@ -116,9 +117,13 @@ def read_ply(path: Path) -> Scene:
                             table[start : start + len(rows), column] = rows[name]
     except OSError as error:
         raise StageError(f"cannot read {path}", HINT, [str(error)]) from error
+    said: tuple[str, ...] = ()
     if "scale_2" not in columns:
         table[:, THIRD] = table[:, THIRD - 2 : THIRD].min(1) + np.log(FLAT)
-    return _scene(table, bases, path, head.antialias)
+        said = (
+            f"{Path(path).name} holds 2D Gaussians (two scales): drawn as discs, {FLAT:g} of their smaller scale thick",
+        )
+    return _scene(table, bases, path, head.antialias, said)
 
 
 class _Head(NamedTuple):
@@ -206,7 +211,7 @@ def _bases(names: Sequence[str], path: Path) -> int:
     return found // 3
 
 
-def _scene(table: np.ndarray, bases: int, path: Path, antialias: bool) -> Scene:
+def _scene(table: np.ndarray, bases: int, path: Path, antialias: bool, said: tuple[str, ...]) -> Scene:
     """The scene in the columns REQUIRED, f_rest_... and filter_3D; logits, logarithms and quaternions are taken back."""
     means, sh0, logits, logs, quats, rest, filters = np.split(table, [3, 6, 7, 10, 14, 14 + 3 * bases], axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -214,7 +219,6 @@ def _scene(table: np.ndarray, bases: int, path: Path, antialias: bool) -> Scene:
         lengths = np.linalg.norm(quats, axis=1, keepdims=True)
     drawn = np.isfinite(means).all(1) & np.isfinite(sh0).all(1) & np.isfinite(rest).all(1) & np.isfinite(opacities)
     drawn &= (np.isfinite(scales) & (scales > 0)).all(1) & (np.isfinite(lengths) & (lengths > 0))[:, 0]
-    said: tuple[str, ...] = ()
     wrong = np.flatnonzero(~drawn)
     if len(wrong):
         named = ", ".join(map(str, wrong[:LISTED])) + (" ..." if len(wrong) > LISTED else "")
@@ -223,7 +227,7 @@ def _scene(table: np.ndarray, bases: int, path: Path, antialias: bool) -> Scene:
             facts = [f"row {wrong[0]}: {values}", f"rows {named}", f"up to {WRONG:.0%} of all would be left out"]
             problem = f"{path} has {len(wrong)} Gaussians of {len(drawn)} that cannot be drawn"
             raise StageError(problem, AGAIN, facts)
-        said = (
+        said += (
             f"{Path(path).name}: {len(wrong)} of {len(drawn)} Gaussians cannot be drawn and are left out: rows {named}",
         )
         means, sh0, rest, quats, lengths = (part[drawn] for part in (means, sh0, rest, quats, lengths))

@@ -13,6 +13,7 @@ from stages import export
 from stages.avatar.motion.formulas import MOTIONS
 from stages.commands import compose
 from stages.contract import Job, StageError
+from stages.filming.setting import load_setting
 from stages.formats.body_model import read_body_model
 from stages.formats.cameras import read_cameras, write_cameras
 from stages.formats.clip import load_clip
@@ -56,6 +57,20 @@ def hugs(trained, monkeypatch, capsys):
         return hugs_here(trained, monkeypatch, capsys, command, *source, *args, code=code)
 
     return run
+
+
+def test_files_without_a_mark_for_antialiasing_are_named(trained, monkeypatch):
+    """A .glb holds Gaussians only where there is a scene."""
+    monkeypatch.chdir(trained)
+    avatar, said = read_avatar(Path("work/clip/default/train/avatar.npz")), []
+    job = Job(trained, emit=lambda event: said.append(event.get("text", "")))
+    for antialias, named in ((True, "a.usdc"), (False, None)):
+        write_splats(trained / "marked.npz", replace(avatar, antialias=antialias))
+        person = {"avatar": trained / "marked.npz", "motion": "wave"}
+        given = compose.Params(scene=None, people=[person], out={"glb": "a.glb", "usd": "a.usdc"})
+        said.clear()
+        compose._cast(job, given, load_setting(given, "cpu"))
+        assert [line for line in said if "anti-aliasing" in line and holds(line, named)] == said[: bool(named)]
 
 
 def film(path):

@@ -12,6 +12,7 @@ from stages.contract import StageError
 from stages.formats.exchange import ply
 from stages.formats.exchange.ply import REQUIRED, read_ply, write_ply
 from stages.records import Scene
+from tests.made.said import holds
 
 
 def scene(n=5, bases=4, **changes):
@@ -260,6 +261,8 @@ def test_one_row_more_or_less_than_promised_is_refused_in_every_form(tmp_path, f
         (("SplatRenderMode: default",), False),
         (("antialiased 1",), True),
         (("antialiased 0",), False),
+        (("postshot.anti_aliasing=1",), True),
+        (("postshot.anti_aliasing=0",), False),
         (("SplatRenderMode: mip", "antialiased 0"), False),
         (("is not SplatRenderMode: mip",), False),
     ],
@@ -296,9 +299,10 @@ def test_gaussians_with_a_filter_are_as_wide_and_faint_as_what_was_learned(tmp_p
         assert back.opacities[row] == pytest.approx(opacity, rel=2e-2)
 
 
-def test_flat_gaussians_are_thin_discs_across_their_third_axis(tmp_path):
+def test_flat_gaussians_are_thin_discs_across_their_third_axis_and_said(tmp_path):
     table = columns_of(names=[name for name in REQUIRED if name != "scale_2"])
     back = read_ply(as_written(tmp_path / "a.ply", table, "binary_little_endian"))
+    assert holds(" ".join(back.said), "a.ply", "2D", "discs", "0.001")
     two = np.exp(np.stack([table["scale_0"], table["scale_1"]], 1))
     np.testing.assert_allclose(back.scales, np.column_stack([two, two.min(1) / 1000]), rtol=1e-5)
 

@@ -1,5 +1,9 @@
 """SOG, where gaussforge is: what it unpacks again."""
 
+import json
+import zipfile
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -7,12 +11,13 @@ from scipy.spatial import cKDTree
 from stages.formats.exchange.ply import read_ply
 from stages.formats.exchange.sog import check_sog, write_sog
 from stages.records import Scene
+from tests.made.judges import modules, node
 
 gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed (the extra `sog`)")
 
 
-@pytest.mark.slow
-def test_what_comes_back(tmp_path, held):
+@pytest.fixture
+def splats() -> Scene:
     rng, n = np.random.default_rng(0), 3000
     quats = rng.normal(size=(n, 4))
     parts = {
@@ -23,7 +28,28 @@ def test_what_comes_back(tmp_path, held):
         "sh0": rng.uniform(-1.7, 1.7, (n, 3)),
         "shN": np.zeros((n, 0, 3)),
     }
-    splats = Scene(**{name: part.astype(np.float32) for name, part in parts.items()})
+    return Scene(**{name: part.astype(np.float32) for name, part in parts.items()})
+
+
+@pytest.mark.parametrize("antialias", [True, False])
+def test_it_says_whether_they_were_learned_with_antialiasing(tmp_path, splats, antialias):
+    """To readers of the format's paper, and to PlayCanvas's own program."""
+    path = tmp_path / "a.sog"
+    write_sog(path, replace(splats, antialias=antialias))
+    with zipfile.ZipFile(path) as file:
+        meta = json.loads(file.read("meta.json"))
+    assert meta["antialias"] is antialias and meta.get("model", "default") == (
+        "antialiased" if antialias else "default"
+    )
+    node(modules() / "@playcanvas/splat-transform/bin/cli.mjs", path, tmp_path / "back.ply")
+    assert read_ply(tmp_path / "back.ply").antialias is antialias
+    write_sog(tmp_path / "b.sog", replace(splats, antialias=antialias))
+    assert path.read_bytes() == (tmp_path / "b.sog").read_bytes()
+
+
+@pytest.mark.slow
+def test_what_comes_back(tmp_path, held, splats):
+    n = len(splats)
     check_sog()
     for name in ("a.sog", "b.sog"):
         write_sog(tmp_path / name, splats)
