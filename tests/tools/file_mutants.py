@@ -101,7 +101,8 @@ def _is_text(node: ast.expr) -> bool:
 
 
 def guards(file: str, root: Path = ROOT) -> list[str]:
-    """The test files of a module of the product: that which lies where it lies, that of its room, and those that import it."""
+    """The test files of a module of the product: that which lies where it lies, that of its room, and those that import it; all
+    of its room where there is none."""
     place, module = Path(file), ".".join(Path(file).with_suffix("").parts)
     package, _, name = module.rpartition(".")
     own = Path("tests", place.with_name(f"test_{place.name}"))
@@ -112,7 +113,9 @@ def guards(file: str, root: Path = ROOT) -> list[str]:
         for path in sorted((root / "tests").rglob("test_*.py"))
         if named.search(path.read_text("utf-8"))
     ]
-    return [path.as_posix() for path in dict.fromkeys([own, room, *importing]) if (root / path).is_file()]
+    found = [path for path in dict.fromkeys([own, room, *importing]) if (root / path).is_file()]
+    beside = [path.relative_to(root) for path in sorted((root / own.parent).glob("test_*.py"))]
+    return [path.as_posix() for path in found or beside]
 
 
 def seen_by(tree: Path, files: list[str]) -> str:

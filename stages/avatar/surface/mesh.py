@@ -52,7 +52,7 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
     ways = vertex_normals(torch.as_tensor(shell.vertices), faces).numpy()
     charts = unwrapped(*shell, texture)
     cut = charts.rows
-    close = all_around(seen, int(np.clip(3 * texture // 4, *CLOSE_LOOK)))
+    close = all_around(seen, _close_look(texture))
     colours = baked(charts, shell.vertices[cut], ways[cut], splats, close, texture)
     which, words = _skin(shell.vertices, splats, np.asarray(avatar.lbs_weights, np.float64)[near.numpy()])
     weights = torch.as_tensor(all_bones(which, words, avatar.lbs_weights.shape[1])).float()
@@ -73,6 +73,11 @@ def surface_of(avatar: records.Avatar, triangles: int = 20_000, texture: int = 2
         weights=words[cut],
         said=tuple(f"{count} {what} left out" for what, count in left_out.items() if count),
     )
+
+
+def _close_look(texture: int) -> int:
+    """The side in px of pictures that give colours to a texture of a side."""
+    return int(np.clip(3 * texture // 4, *CLOSE_LOOK))
 
 
 def _canonical_bones(person: Baked, pose: np.ndarray) -> Tensor:

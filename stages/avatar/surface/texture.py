@@ -40,7 +40,7 @@ def unwrapped(vertices: np.ndarray, faces: np.ndarray, side: int) -> Charts:
     atlas = xatlas.Atlas()
     atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.resolution, pack.padding, pack.bilinear = side, GUTTER, True
+    pack.resolution, pack.padding = side, GUTTER
     atlas.generate(xatlas.ChartOptions(), pack)
     rows, cut, uvs = atlas[0]
     return Charts(rows.astype(np.int64), cut.astype(np.int64), uvs.astype(np.float64))

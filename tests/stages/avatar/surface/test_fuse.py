@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from stages.avatar.splats.gaussians import Splats
+from stages.avatar.surface import fuse
 from stages.avatar.surface.fuse import fused
 from stages.avatar.surface.looks import all_around
 from tests.made.meshes import FEW, balls, edges
@@ -32,4 +34,18 @@ def test_two_balls_that_nearly_touch_stay_two():
 def test_a_haze_has_no_surface(opacity):
     splats = balls([0, 0, 0], count=60)
     splats = splats._replace(opacities=torch.full_like(splats.opacities, opacity))
-    assert len(fused(splats, all_around(splats.means.numpy(), 100, FEW), 0.02).faces) == 0
+    vertices, faces = fused(splats, all_around(splats.means.numpy(), 100, FEW), 0.02)
+    assert vertices.shape == faces.shape == (0, 3)
+
+
+@pytest.mark.parametrize(("opacity", "sign"), [(0.95, 1), (0.11, -1)])
+def test_pixels_that_show_two_surfaces_say_nothing_of_either(opacity, sign):
+    """A wall 6 cm ahead of another; half seen through, the mean depth of both lies 3 cm from each."""
+    across = np.stack(np.meshgrid(*[np.arange(-10, 11) * 0.01] * 2), -1).reshape(-1, 2)
+    means = np.concatenate([np.insert(across, 2, z, 1) for z in (0.0, -0.06)])
+    opacities = np.repeat([opacity, 0.95], len(across))
+    axes = np.tile(np.diag([0.01, 0.01, 0.001]), (len(means), 1, 1))
+    parts = (means, axes, opacities, np.zeros((len(means), 1, 3)))
+    walls = Splats(*(torch.as_tensor(part).float() for part in parts))
+    ahead = all_around(means, 100, [(0, 1, 0)])
+    assert np.sign(fuse._distances(torch.tensor([[0.0, 0.0, 0.01]]), walls, ahead).item()) == sign

@@ -128,5 +128,10 @@ def test_gaussians_that_make_no_surface_are_refused_with_numbers(avatar, opacity
         surface_of(some(avatar, 50, opacities=opacity, scales=0.01), 2000, 64)
 
 
+@pytest.mark.parametrize(("texture", "side"), [(64, 256), (512, 384), (1024, 768), (2048, 1536), (4096, 1536)])
+def test_pictures_that_give_colours_are_three_quarters_of_the_texture_within_bounds(texture, side):
+    assert surface._close_look(texture) == side
+
+
 def test_a_hundred_gaussians_make_a_coarse_mesh(avatar):
     assert len(surface_of(some(avatar, 100, scales=0.04), 2000, 64).faces) > 100

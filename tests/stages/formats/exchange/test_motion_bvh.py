@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -99,10 +100,28 @@ def test_angles_do_not_jump_where_nothing_does(tmp_path):
     assert np.abs(np.diff(angles, axis=0)).max() < 13 and np.ptp(angles, axis=0).max() == pytest.approx(1200)
 
 
-def test_one_pose_is_a_motion(tmp_path):
+def test_one_pose_is_a_motion_of_a_second_and_two_last_as_long_as_they_do(tmp_path):
     take = tumbling(1)
     write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, replace(take, times=np.zeros(1)))
-    assert len(read_bvh(tmp_path / "a.bvh")) == 1
+    assert len(read_bvh(tmp_path / "a.bvh")) == 1 and read_bvh(tmp_path / "a.bvh").fps == 1
+    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, replace(tumbling(2), times=np.array([0, 0.25])))
+    assert len(read_bvh(tmp_path / "a.bvh")) == 2 and read_bvh(tmp_path / "a.bvh").fps == 4
+
+
+def test_bones_without_a_child_end_above_the_head_ahead_of_the_toes_and_beyond_the_hands(tmp_path):
+    write_motion_bvh(tmp_path / "a.bvh", RIG.joints, PARENTS, tumbling(1))
+    found = re.findall(
+        r"JOINT (\w+)\s+\{\s+OFFSET.*\s+CHANNELS.*\s+End Site\s+\{\s+OFFSET (.*)", (tmp_path / "a.bvh").read_text()
+    )
+    ends = {name: [float(number) for number in place.split()] for name, place in found}
+    foot = [0, 0, 0.08]
+    assert ends == {
+        "head": [0, 0.2, 0],
+        "left_foot": foot,
+        "right_foot": foot,
+        "left_hand": [0.08, 0, 0],
+        "right_hand": [-0.08, 0, 0],
+    }
 
 
 @pytest.mark.slow
