@@ -6,12 +6,12 @@
                      |                v           v
                      +------------> smpl ------> survey -> train -+-> export
                                                                   +-> render
-                                                                  +-> evaluate -> report
+                                                                  +-> evaluate
 
 For a data set's folder, `neuman` or `zju` replaces frames and `calibrated` replaces sfm; masks and smpl then take the masks
 and body poses of the data set. `pipelines.yaml` says which stages run and with which settings.
 
-commands/    stages that no pipeline names: films, views, the demo clip, models, pages of costs and fleets
+commands/    stages that no pipeline names: films, views, the demo clip, models, the report, pages of costs and fleets
 contract.py  what a stage is: its settings, its job, its error
 records.py   plain numpy records that the packages below exchange
 hugs.py      the front for Python scripts
