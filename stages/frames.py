@@ -181,7 +181,9 @@ def check_decoded(job: Job, info: VideoInfo, decoded: int) -> None:
             "the file is damaged or cut short; copy or export it again",
         )
     if decoded < info.frames:
-        job.warn(f"only {decoded} of {info.frames} frames could be decoded; the file is damaged or cut short")
+        job.warn(
+            f"only {decoded} of {info.frames} frames could be decoded; the file is damaged or cut short: copy it again"
+        )
 
 
 def check_usable(info: VideoInfo, count: int, fate: str) -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 LOADS = contract.ADAM
 STOCKY, EXTREME_BETA = (1.4, 2.15), 5.0  # m; a stature or shape outside these is worth a warning
 FLOOR_SPREAD = 0.05  # of the scale, between the frames that agree on it best
+BETTER = "look at them in the report; `--smpl-fit` takes a better fit"
 OVERLAP_LEAST = 0.5  # mean overlap of an imported body's hull and the mask's below which it is doubtful
 JOINTS_OFF = 0.05  # of the person's height, from the joints that the tool itself drew
 SEEN_LEAST = 0.1  # share of the frames that must show a person
@@ -253,9 +254,9 @@ def report(job: Job, params: Params, poses: BodyPoses, model: BodyModel, quality
     parts += [f"outline IoU {iou:.2f}"] if iou is not None else []
     job.note(", ".join(parts))
     if doubtful:
-        job.warn(f"the body's pose is doubtful in {count_names(doubtful)}")
+        job.warn(f"the body's pose is doubtful in {count_names(doubtful)}: {BETTER}")
     if fast := fast_frames(poses, quality):
-        job.warn(f"the body jumps at {count_names(fast)}")
+        job.warn(f"the body jumps at {count_names(fast)}: {BETTER}")
     if not STOCKY[0] < stature < STOCKY[1] or np.abs(poses.betas).max() > EXTREME_BETA:
         job.warn(f"an unusual shape: {stature:.2f} m tall, betas up to {np.abs(poses.betas).max():.1f}")
 

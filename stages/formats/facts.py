@@ -164,9 +164,10 @@ class Expected(Facts):
 
 
 class Smpl(Facts):
-    """smpl.json; how far each joint of a frame is probably off, where the stage estimated the poses."""
+    """smpl.json; how far each joint of a frame is probably off, where the stage estimated the poses, and doubtful frames."""
 
     expected_error_mm: dict[str, Expected] = {}
+    doubtful: tuple[str, ...] = ()
 
 
 class SplitRow(Facts):

@@ -110,7 +110,7 @@ def begin(task: Task, hooks: Hooks, checkpoint: Checkpoint | None, began: float)
     saved = checkpoint.load(SAVED) if checkpoint else None
     if saved:
         task = task.chosen(**saved["choice"])
-    fit = build(task, hooks.note)
+    fit = build(task, hooks.note, hooks.warn)
     if deadline and (effects := effects_of(fit)):
         deadline.extra = PAUSES * len(effects) + 1
     if checkpoint and saved:
@@ -119,7 +119,7 @@ def begin(task: Task, hooks: Hooks, checkpoint: Checkpoint | None, began: float)
     if deadline:
 
         def rebuilt(choice: Choice) -> Fit:
-            return build(task.chosen(choice.settings, choice.left_out), hooks.note)
+            return build(task.chosen(choice.settings, choice.left_out), hooks.note, hooks.warn)
 
         def note(text: str) -> None:
             hooks.note(text, at_once=True)

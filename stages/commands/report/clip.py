@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from stages.records import Ground
 
 SHOWN = 6  # pictures of a kind
+DOUBTFUL = 3  # frames, at most, that are shown because their pose is doubtful
 SMALL = 360  # px, the longer side of pictures that only show what was taken
 BLUE, ORANGE, PAPER = (31, 111, 235), (255, 140, 0), (252, 252, 253)
 MAP = 560  # px, the longer side of the map of cameras
@@ -123,16 +124,17 @@ def _draw_edge(image: np.ndarray, mask: np.ndarray) -> None:
 
 
 def _overlays(clip: Clip, ground: Ground, fit: Smpl, who: str) -> Iterator[Figure]:
-    """Over evenly spread frames the posed body in blue and the edge of the mask in orange, and the body from the side.
-
-    `who` begins each caption.
+    """Over evenly spread frames, and doubtful ones, the posed body in blue and the edge of the mask in orange, and the body from
+    the side. `who` begins each caption.
     """
     from stages.avatar.cameras.pinhole import camera_centers
     from stages.avatar.kernels.mesh import covered
     from stages.estimators.bodyfit.posed import posed_bodies
     from stages.estimators.bodyfit.side_view import side_view
 
-    model, chosen = clip.body_model, [clip.names.index(name) for name in _spread(clip.names)]
+    doubtful = [name for name in clip.names if name in fit.doubtful]
+    names = sorted({*_spread(clip.names), *_spread(doubtful)[:DOUBTFUL]})
+    model, chosen = clip.body_model, [clip.names.index(name) for name in names]
     for i, vertices in zip(chosen, posed_bodies(model, clip.body, chosen), strict=True):
         image = clip.images(i).copy()
         inside = covered(vertices, model.faces, clip.viewmats[i], clip.Ks[i], clip.width, clip.height)
@@ -142,7 +144,7 @@ def _overlays(clip: Clip, ground: Ground, fit: Smpl, who: str) -> Iterator[Figur
         off = None if expected is None else np.array(expected.along) / 1000
         eye = camera_centers(clip.viewmats[i : i + 1])[0]
         beside = side_view(vertices, model.faces, model.J_regressor @ vertices, off, eye, ground, clip.height)
-        frame = f"{who}frame {clip.names[i]}"
+        frame = f"{who}frame {clip.names[i]}{', doubtful' * (clip.names[i] in doubtful)}"
         caption = f"{frame}: body blue, mask edge orange; beside it from the side, the camera far to the left"
         yield page.picture(np.concatenate([image, beside], 1), caption)
 

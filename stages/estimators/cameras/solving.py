@@ -203,7 +203,7 @@ def solve_walk(
             changed = model_changes(job, best, *task.size, task.prior)
             best, facts["lens"] = changed or (best, settle(job, best, *task.size, task.prior))
     if doubts := matched.doubts(best):
-        job.warn(f"the best reconstruction looks unreliable: {', '.join(doubts)}")
+        job.warn(f"the best reconstruction looks unreliable: {', '.join(doubts)}; `--cameras` takes better ones")
     return moving(task, best, facts)
 
 

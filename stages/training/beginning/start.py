@@ -38,6 +38,7 @@ from stages.training.step.transients import Transients
 from stages.training.views import FittedBody, Views
 
 PAINTED = 24  # frames from which the person's first colours are read
+SEEN = 0.6  # share of the person's surface below which the clip shows too few sides
 LEAST_DARK = 0.05  # share of the light, at least, that a shadow begins with: at 0 it would learn nothing
 COARSE = 7_000  # points of the skin beside which those of cloth are a CELL apart
 FILLED = 16  # frames from which points of the scene are filled in
@@ -93,9 +94,9 @@ class Task:
         return train
 
 
-def build(task: Task, note: Callable[[str], None]) -> Fit:
-    """The training of a task before its first step; `note` hears what is worth knowing."""
-    fit = _Start(task, note).fit()
+def build(task: Task, note: Callable[[str], None], warn: Callable[[str], None] | None = None) -> Fit:
+    """The training of a task before its first step; `note` hears what is worth knowing, `warn` (None: `note`) what to do better."""
+    fit = _Start(task, note, warn or note).fit()
     params = task.params
     if fit.scene is None and not (params.human_loss and params.joint):
         raise StageError(
@@ -109,8 +110,8 @@ def build(task: Task, note: Callable[[str], None]) -> Fit:
 class _Start:
     """Makes the parts of a training, in this order."""
 
-    def __init__(self, task: Task, note: Callable[[str], None]):
-        self.train, self.note = task.frames(), note
+    def __init__(self, task: Task, note: Callable[[str], None], warn: Callable[[str], None]):
+        self.train, self.note, self.warn = task.frames(), note, warn
         self.clips, self.clip, self.params, self.decisions = task.clips, task.clips[0], task.params, task.decisions
         self.starts, self.seed, self.device, self.perceptual = task.starts, task.seed, task.device, task.perceptual
         self.generator = torch.Generator().manual_seed(task.seed)
@@ -221,7 +222,8 @@ class _Start:
         colors, known = seen_colors(human, person, alone, spread_evenly(seen, PAINTED))
         human.sh_starts.copy_(sh_from_rgb(colors))
         share = (known == 1).float().mean().item()
-        self.note(f"{100 * share:.0f} % of the person's surface is seen by the training frames; the rest is a guess")
+        tell, better = (self.warn, ": walk around the person next time") if share < SEEN else (self.note, "")
+        tell(f"{100 * share:.0f} % of the person's surface is seen by the training frames, the rest is a guess{better}")
         return human
 
     def _scene(self, people: list[FittedBody], extent: float) -> SceneModel | None:

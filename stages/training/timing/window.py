@@ -41,11 +41,8 @@ class Window:
         camera = Camera(views.viewmats[i], views.Ks[i], image.shape[1], image.shape[0])
         alone = moment._replace(scene=None)
         gain = 1.0 if views.gains is None else views.gains[i].cpu().numpy()
-        drawn = [
-            to_uint8((one.picture(camera, ground)[0] * gain).clip(0, 1))
-            for one, ground in ((moment, 0.0), (alone, 1.0))
-            if one.sets
-        ]
+        drawn = [to_uint8((moment.picture(camera)[0] * gain).clip(0, 1))] if moment.sets else []
+        drawn += [to_uint8(alone.picture(camera, 1.0)[0].clip(0, 1))] if alone.sets else []
         self.picture(np.concatenate([image.cpu().numpy(), *drawn], 1))
         now = time.perf_counter()
         self.due = now + max(EVERY, (now - began) / SHARE)
