@@ -198,10 +198,11 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
     session = session_of(row, common)
     session.check_sources()
     session.workspace.create()
-    wanted = list(session.pipeline.stages)
+    every = wanted = list(session.pipeline.stages)
     device = common.device
     if step == BEFORE:  # where there may be no GPU
         wanted, device = [name for name in session.pipeline.upstream(["train"]) if name != "train"], "cpu"
+    later = [name for name in every if name not in wanted]
     session.workspace.leased = True
     with leases.lease(session.workspace.root / leases.NAME, watch.waiting, me) as held:
         heart.lease, heart.lost = held, False
@@ -209,7 +210,7 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
             if (other := recorded(session.workspace.root)) not in (None, os.path.abspath(row.video)):
                 hint = "call the fleet again: it gives this clip a folder of its own"
                 raise UsageError(f"{session.workspace.root} now holds the results of {other}", hint)
-            ran = engine.run(session, wanted, frozenset(), device, watch, report=True)
+            ran = engine.run(session, wanted, frozenset(), device, watch, report=True, later=later)
         finally:
             heart.lease = None
     heart.quiet.set()
