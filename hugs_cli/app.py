@@ -29,7 +29,7 @@ from hugs_cli.cache import garbage as unused
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.report import PAGE
-from hugs_cli.cache.workspace import Workspace, read_json, size_of
+from hugs_cli.cache.workspace import Workspace, read_json, result_behind, size_of
 from hugs_cli.console import Console, reasons_text
 from hugs_cli.device import device_of
 from hugs_cli.direct import in_words
@@ -174,6 +174,8 @@ def run_pipeline(
 
 def hint_accept(session: Session, wanted: list[str], console: Console) -> None:
     """Before a run: one line if it would make results again although only code has changed."""
+    if not any(map(result_behind, session.workspace.links.glob("*"))):
+        return  # which spares a first run the reading of all code
     if stamps := [stamp for _, stamp in session.acceptable(wanted).values() if stamp]:
         workspace = session.workspace
         command = words.command("accept", session.video, pipeline=workspace.links.name, work=workspace.work)

@@ -40,6 +40,10 @@ def fleet(
         str | None, Option(metavar="FOLDER", help="A Snakemake profile, for a cluster; slurm is an example.")
     ] = None,
     split: Annotated[Split | None, Option(help="Two jobs a clip: what comes before training, and the rest.")] = None,
+    keep: Annotated[
+        str | None, Option(metavar="STAGES", help="Of a clip that is done keep these results, as export,evaluate.")
+    ] = None,
+    only_failed: Annotated[bool, Option("--only-failed", help="Only the clips that failed in the last call.")] = False,
     name: Annotated[str, Option(help="Of the page, NAME.html in the work folder.")] = "fleet",
     device: DeviceName = options.Device.auto,
     dry_run: DryRun = False,
@@ -68,10 +72,15 @@ def fleet(
         if not runner.has_snakemake():
             raise UsageError("a profile is for Snakemake", f"{runner.EXTRA}, or leave out `--profile`")
         runner.profile_folder(profile)
-    pipelines.load(pipeline, set_ or (), pipelines_file)  # refuses at once what no clip could run with
+    kept = tuple(one.strip() for one in (keep or "").split(",") if one.strip())
+    if keep is not None and not kept:
+        raise UsageError("--keep names no stage", "as `--keep export,evaluate`; without it all results stay")
+    pipelines.load(pipeline, set_ or (), pipelines_file).upstream(kept)  # refuses at once what no clip could run with
     rows = read(clips, pipeline, set_ or (), work)
-    common = plan.Common(work, pipelines_file, body_model, device.value)
+    common = plan.Common(work, pipelines_file, body_model, device.value, kept)
     planned = plan.plan(rows, common, past, split is not None)
+    if only_failed:
+        planned = board.failed_before(planned, work, name)
     todo = [one for one in planned if one.state == "todo"]
     at_a_time, why = (jobs or 0, "") if profile else runner.side_by_side(jobs, [one.megabytes for one in todo])
     if not profile and not runner.has_snakemake():
@@ -88,6 +97,8 @@ def fleet(
     console.say(counts(total))
     for kind, number in total["failures"].items():
         console.say(f"  {number:>4} x {kind}")
+    if total["freed_bytes"]:
+        console.say(f"{words.size(total['freed_bytes'])} freed: of clips that are done {', '.join(kept)} stay")
     console.result(board.as_json(done, total) if as_json else words.relative(work / f"{name}.html"))
     if not all(row["state"] in board.WELL for row in done):
         raise typer.Exit(1)
@@ -99,7 +110,9 @@ def plan_line(one: Planned) -> str:
     if one.state == "failed":
         return f"{clip}cannot begin: {one.problem}"
     if one.state == "fresh":
-        return f"{clip}fresh"
+        return f"{clip}fresh" + (f", of {', '.join(kept)} alone" if (kept := one.result.get("kept")) else "")
+    if not one.todo:
+        return f"{clip}made: what is not kept is to go"
     about = "not known how long" if one.seconds is None else f"about {words.duration(one.seconds)}"
     return f"{clip}{words.count(len(one.todo), 'stage')} to do, {about}"
 

@@ -77,6 +77,8 @@ class Console:
         self.reasons = ""
         self.shown_notes: list[str] = []
         self.last_line = 0.0
+        self.above = 0
+        """Moving rows above the one in which the cursor stands."""
 
     # results
 
@@ -186,10 +188,28 @@ class Console:
             self.last_line = now
             self.say(f"  {stage:<{self.name_width}}{state}  {elapsed}  {text}".rstrip())
 
+    def rows(self, lines: list[str]) -> None:
+        """Several moving rows on a terminal, in place of those before; elsewhere they are said."""
+        if not self.live:
+            for line in lines:
+                self.say(line)
+            return
+        self.clear()
+        size = shutil.get_terminal_size()
+        shown = (
+            lines
+            if len(lines) < size.lines
+            else [*lines[: size.lines - 2], f"  and {len(lines) - size.lines + 2} more"]
+        )
+        self.err.write("\n".join(plain(line)[: size.columns - 1] for line in shown))
+        self.err.flush()
+        self.above = max(len(shown) - 1, 0)
+
     def clear(self) -> None:
-        """Wipe the moving row."""
+        """Wipe the moving rows."""
         if self.live:
-            self.err.write("\r\x1b[2K")
+            self.err.write(f"\x1b[{self.above}A\r\x1b[J" if self.above else "\r\x1b[2K")
+            self.above = 0
 
     def paint(self, text: str, color: int) -> str:
         """The text in a colour, on a terminal that shows colours."""

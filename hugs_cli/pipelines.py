@@ -71,6 +71,9 @@ class Pipeline:
         """The wanted stages and everything they need, in running order; UsageError for an unknown name."""
         found, open_ = set(), list(wanted)
         for name in open_:
+            if name not in self.stages and not NAME.fullmatch(name):
+                hint = "`hugs fleet` takes several; of one clip in pictures give the folder"
+                raise UsageError(f"{name} is no stage of pipeline {self.name}: one clip is taken at a time", hint)
             if name not in self.stages:
                 raise unknown("stage", name, self.stages, f"pipeline {self.name}")
             if name not in found:

@@ -61,7 +61,8 @@ class Promise:
         begun = "train" not in forced and self._begun(chosen)
         guess = self._guess(forced, begun)
         self._say_what_does_not_fit(guess, console)
-        made = engine.run(self.session, before, forced & set(before), device, console, report=True)
+        later = ["train", *after]
+        made = engine.run(self.session, before, forced & set(before), device, console, report=True, later=later)
         if begun:
             console.say("continuing the training that was begun for this time")
         else:
@@ -70,9 +71,8 @@ class Promise:
             write_json(place, chosen)
             console.say(f"{duration(left)} are left for training and the stages after it")
         upto = [*before, "train"]
-        made += engine.run(with_settings(self.session, chosen), upto, forced & {"train"}, device, Quiet(), report=True)[
-            -1:
-        ]
+        fit = with_settings(self.session, chosen)
+        made += engine.run(fit, upto, forced & {"train"}, device, Quiet(), report=True, later=after)[-1:]
         if made[-1].state == "done" or not set(self._shorter()) <= set(chosen):
             chosen |= self._following(self._left(began, len(after)), made[-1].folder)
             write_json(place, chosen)

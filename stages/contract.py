@@ -183,14 +183,17 @@ class StageModule:
     `folders` are the finished stages before training, by name."""
     shorter: Mapping[str, float] = field(default_factory=dict)
     """SHORTER: the most that settings may be when time is short (`--within`)."""
+    check: Callable[..., None] | None = None
+    """check(params, **sources): StageError where `run` would refuse its settings, or files that the user gave, for what they
+    are. It is quick, needs no other stage, and refuses nothing that `run` takes. Its keyword-only parameters name sources,
+    which are None where they are not given."""
     published: Published | None = None
     """published(dataset, sequence): the paper's PSNR, SSIM and LPIPS by region, empty if it has none."""
 
     @property
     def inputs(self) -> list[str]:
         """The keyword-only parameters of `run`."""
-        parameters = inspect.signature(self.run).parameters.values()
-        return [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+        return keywords(self.run)
 
     @property
     def doc(self) -> str:
@@ -198,10 +201,18 @@ class StageModule:
         return (inspect.getdoc(self.run) or "").partition("\n")[0]
 
 
+def keywords(function: Callable[..., None]) -> list[str]:
+    """The names of the keyword-only parameters of a function."""
+    parameters = inspect.signature(function).parameters.values()
+    return [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+
+
 def load_stage(name: str) -> StageModule:
     """Import a stage's module by its dotted name. The only way from the command line to a stage."""
     module = importlib.import_module(name)
-    optional = {key: getattr(module, key, None) for key in ("RESUMES", "LOADS", "cost", "SHORTER", "published")}
+    optional = {
+        key: getattr(module, key, None) for key in ("RESUMES", "LOADS", "cost", "SHORTER", "check", "published")
+    }
     given = {key.lower(): value for key, value in optional.items() if value is not None}
     return StageModule(module.Params, module.run, **given)
 

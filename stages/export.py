@@ -49,6 +49,18 @@ class Params(contract.Params):
     """Of .spz files. 4 is a little smaller, and some programs refuse it."""
 
 
+def check(params: Params) -> None:
+    """See `contract.StageModule`: a format that needs a package which is missing."""
+    from stages.formats.exchange.sog import check_sog
+    from stages.formats.exchange.usd import check_usd
+
+    formats: set[str] = set(params.formats)
+    if formats & {"usd", "usd_motion"}:
+        check_usd()
+    if "sog" in formats:
+        check_sog()
+
+
 def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train: Path) -> None:
     """Write avatar.npz (skeleton and weights), avatar and scene as .ply, .spz, .glb or other formats, and viewer.html.
 
@@ -63,7 +75,7 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     from stages.formats.splats import read_avatar, read_scene
 
     formats: set[str] = set(params.formats)
-    _check(formats)
+    check(params)
     people = people_of(sfm)
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     ground = read_ground(smpl / "ground.json")
@@ -104,17 +116,6 @@ def _of_person(job: Job, person: int, out: Path) -> Job:
         job.emit(event | {"text": f"person {person}: {event['text']}"} if "text" in event else event)
 
     return replace(job, out=out, emit=emit)
-
-
-def _check(formats: set[str]) -> None:
-    """StageError where a format needs a package that is missing, before anything is written."""
-    from stages.formats.exchange.sog import check_sog
-    from stages.formats.exchange.usd import check_usd
-
-    if formats & {"usd", "usd_motion"}:
-        check_usd()
-    if "sog" in formats:
-        check_sog()
 
 
 def _still(job: Job, params: Params, avatar: Avatar, scene: Scene | None, soles: Soles, ground: Ground) -> None:

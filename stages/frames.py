@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 LEAST = 8
 """Frames without which neither cameras nor a person can be had."""
-DECODED_SHARE = 0.5
-"""A file of which less than this decodes is refused; less than all is reported."""
 SCORE_SIDE = 480
 """Longer side in px at which sharpness is compared, so that it does not depend on the resolution."""
 CENTER_PULL = 0.3
@@ -47,6 +45,11 @@ class Params(contract.Params):
     """Pictures a second where a folder of pictures stands in for a video: it does not say."""
 
 
+def check(params: Params, *, video: Path) -> None:
+    """See `contract.StageModule`: a film or a folder of pictures, with enough of them."""
+    check_video(Job(Path()), described(params, video))
+
+
 def run(job: Job, params: Params, *, video: Path) -> None:
     """Write images/%06d.png (numbered by the frame in the video) and frames.json.
 
@@ -58,10 +61,8 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     from stages.formats.film_times import FilmTimes, TimesFall
     from stages.formats.frame_names import plain
     from stages.formats.told_focal import told_focal
-    from stages.formats.video import probe
 
-    info, pace = probe(video), params.folder_fps if video.is_dir() else 1.0
-    info = replace(info, fps=info.fps * pace, duration_s=info.duration_s / pace)
+    info, pace = described(params, video), params.folder_fps if video.is_dir() else 1.0
     check_video(job, info)
     folder = job.out / "images"
     times = FilmTimes(info.times, info.duration_s * pace, params.count)
@@ -112,6 +113,14 @@ def run(job: Job, params: Params, *, video: Path) -> None:
         job.note(f"a folder does not say how fast: {pace:g} pictures a second taken (`--set frames.folder_fps=30`)")
     if picker.copies or blurred:
         job.note(f"dropped {picker.copies} copies and {len(blurred)} blurred frames")
+
+
+def described(params: Params, video: Path) -> VideoInfo:
+    """What the clip says of itself; a folder of pictures does not say how fast they follow."""
+    from stages.formats.video import probe
+
+    info, pace = probe(video), params.folder_fps if video.is_dir() else 1.0
+    return replace(info, fps=info.fps * pace, duration_s=info.duration_s / pace)
 
 
 def pick(
@@ -175,6 +184,8 @@ def check_video(job: Job, info: VideoInfo) -> None:
 
 def check_decoded(job: Job, info: VideoInfo, decoded: int) -> None:
     """StageError if too few of the promised frames could be decoded, a warning if some are missing."""
+    from stages.formats.whole_clip import DECODED_SHARE
+
     if decoded < max(LEAST, DECODED_SHARE * info.frames):
         raise StageError(
             f"only {decoded} of {info.frames} frames of {Path(info.path).name} could be decoded",

@@ -48,6 +48,16 @@ class Params(contract.Params):
     """Whether outlines are corrected where other frames show what is behind them. auto: ours are, imported masks are kept."""
 
 
+def check(params: Params, *, video: Path, mask_files: Path | None = None) -> None:
+    """See `contract.StageModule`: masks that can be of this clip; of a data set's they are checked when it is read."""
+    if mask_files is not None:
+        from stages.estimators.person.given import check_masks
+        from stages.formats.whole_clip import whole_clip
+
+        if clip := whole_clip(video):
+            check_masks(mask_files, clip)
+
+
 def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = None) -> None:
     """Write masks.json, masks/%06d.png (0..255, 255 = person) for every frame, and the landmarks of the one BlazePose followed.
 

@@ -46,6 +46,23 @@ class Params(contract.Params):
     """Number of the video's first frame in the names of `--cameras`. auto: read from the names where they tell."""
 
 
+def check(params: Params, *, video: Path, cameras: Path | None = None, smpl_fit: Path | None = None) -> None:
+    """See `contract.StageModule`: cameras, and a fit, of pictures like this clip's; a data set brings its own."""
+    if cameras is None and smpl_fit is None:
+        return
+    from stages.formats.whole_clip import whole_clip
+
+    if clip := whole_clip(video):
+        if cameras is not None:
+            from stages.formats.given_cameras.recognize import check_shape, read_camera_files
+
+            check_shape(read_camera_files(cameras, clip.width, clip.height), clip.width, clip.height)
+        if smpl_fit is not None:
+            from stages.formats.given_fits.recognize import fit_focal
+
+            fit_focal(smpl_fit, (clip.width, clip.height))
+
+
 def run(
     job: Job,
     params: Params,

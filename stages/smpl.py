@@ -38,6 +38,13 @@ class Params(contract.Params):
     """Confidence below which a frame's pose is listed as doubtful."""
 
 
+def check(params: Params, *, video: Path, smpl_fit: Path | None = None, body_model: Path | None = None) -> None:
+    """See `contract.StageModule`."""
+    from stages.estimators.bodyfit.inputs import check_given
+
+    check_given(video, smpl_fit, body_model)
+
+
 def run(
     job: Job, params: Params, *, frames: Path, sfm: Path, smpl_fit: Path | None = None, body_model: Path | None = None
 ) -> None:

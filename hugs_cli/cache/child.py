@@ -19,7 +19,7 @@ import traceback
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stages.contract import StageError
@@ -86,17 +86,21 @@ def main() -> int:
         with suppress(Exception):  # the stage will fail by it, and say so
             importlib.import_module(library)
     job = json.loads(read_line(0))
+    sys.path[:] = job["path"]
+    os.set_inheritable(job["events"], False)
+    pipe = os.fdopen(job["events"], "w", encoding="utf-8", buffering=1)
+    if "checks" in job:
+        if not check(job["checks"], pipe):
+            return 1
+        job = json.loads(read_line(0))
     with open(job["log"], "ab") as log:
         for stream in (1, 2):
             os.dup2(log.fileno(), stream)
-    sys.path[:] = job["path"]
-    os.set_inheritable(job["events"], False)
     faulthandler.enable()
     watch = threading.Thread(target=end_with_parent, daemon=True)
     watch.start()
     from stages.contract import Job, StageError, StageRecord, Stopped, load_stage
 
-    pipe = os.fdopen(job["events"], "w", encoding="utf-8", buffering=1)
     last = 0.0
 
     def emit(event: dict[str, Any]) -> None:
@@ -127,6 +131,24 @@ def main() -> int:
             traceback.print_exc()
         emit(error_event(error, job["out"], job["inputs"].values()))
     return 1
+
+
+def check(jobs: list[dict[str, Any]], pipe: IO[str]) -> bool:
+    """Let stages check what they are given, and report it; whether all take it."""
+    from stages.contract import load_stage
+
+    for job in jobs:
+        pipe.write(json.dumps({"event": "checks", "stage": job["stage"]}) + "\n")
+        try:
+            stage = load_stage(job["module"])
+            assert stage.check, "those without one are not asked"
+            inputs = {name: Path(path) if path else None for name, path in job["inputs"].items()}
+            stage.check(stage.params(**job["params"]), **inputs)
+        except Exception as error:
+            pipe.write(json.dumps(error_event(error, "", job["inputs"].values())) + "\n")
+            return False
+    pipe.write(json.dumps({"event": "checked"}) + "\n")
+    return True
 
 
 def file_error(error: BaseException, out: str = "", inputs: Iterable[str | None] = ()) -> StageError | None:

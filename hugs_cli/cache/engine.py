@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any
 
 from hugs_cli.cache import child, garbage, whole
+from hugs_cli.cache.checks import check
 from hugs_cli.cache.fingerprint import files_under
 from hugs_cli.cache.freshness import Forced, ParamChanged, Reason, Recipe, Session, Verdict, changes
 from hugs_cli.cache.launcher import Launcher, Outcome
@@ -70,12 +71,15 @@ def run(
     console: Console,
     taken: Mapping[str, Verdict] = MappingProxyType({}),
     report: bool = False,
+    later: Sequence[str] = (),
 ) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
     stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are.
-    `report`: the pipeline's page grows meanwhile."""
+    `report`: the pipeline's page grows meanwhile. Before the first that is made, all to come check what they are given, and so
+    do those that another call runs `later`."""
     done = dict(taken)
     ran: list[Ran] = []
+    unchecked = [session.pipeline.stages[name] for name in (*wanted, *later)]
     stages = [session.pipeline.stages[name] for name in wanted]
     with (
         session.workspace.lock(console.waiting) as lock,
@@ -93,6 +97,9 @@ def run(
                 if verdict.last and verdict.recipe and (back := other_settings(verdict.last, verdict.recipe)):
                     console.below(f"linked again: {reasons_text(back)}")
             else:
+                if unchecked:
+                    check(session, unchecked[unchecked.index(stage) :], launcher)
+                    unchecked = []
                 then = after.loads if after else None
                 stamp, state = make(session, stage, verdict, done, device, launcher, then, console, page), "done"
             session.workspace.link(name, verdict.folder)

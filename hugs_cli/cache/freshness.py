@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -60,6 +61,7 @@ class ParamChanged:
         return f"params.{self.name}: {self.old} -> {self.new}"
 
 
+ADDRESS = re.compile(r"([a-z][a-z0-9+.-]+:)/+(.*)", re.IGNORECASE)  # as a path, which has one / for two
 UNREAD = "no longer read"
 
 
@@ -278,6 +280,9 @@ class Session:
         for name, path in self.sources.items():
             if path is not None and not path.exists():
                 what = "video" if name == "video" else f"file for {SOURCES[name]}"
+                if address := ADDRESS.fullmatch(str(path)):
+                    hint = "download it first, and give the path of the file"
+                    raise UsageError(f"{address[1]}//{address[2]} is an address, and a {what} is wanted", hint)
                 raise UsageError(f"no {what} at {path}", "check the path")
             if path is not None and name not in taken:
                 hint = "leave it out, or choose another pipeline"

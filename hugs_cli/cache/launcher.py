@@ -96,6 +96,23 @@ class Launcher:
             outcome.kind = "stopped"
         return outcome
 
+    def check(self, jobs: list[dict[str, Any]]) -> dict[str, Any] | None:
+        """Let stages check what they are given (see `checks.check`), in the process that runs the next stage.
+
+        Returns the event of the first that refuses it, with the stage's name; None if none does.
+        """
+        self.ahead, stage = Process(self.lock), ""
+        self.ahead.give({"checks": jobs, "path": sys.path})
+        for event in events(self.ahead.events, self.ahead.id, lambda event: None):
+            if event["event"] == "checked":
+                return None
+            stage = event.get("stage", stage)
+            if event["event"] != "checks":
+                return {**event, "stage": stage}
+        code, _ = self.ahead.wait()
+        problem = f"the check of what stage {stage} is given was ended by signal {-code}"
+        return {"event": "error", "stage": stage, "problem": problem, "hint": "see whether memory ran out", "facts": []}
+
     def _first(self, log: Path) -> Process:
         """The process that was started ahead, unless it has died; else a new one, which writes to `log` from its start."""
         if self.ahead and self.ahead.popen.poll() is None:

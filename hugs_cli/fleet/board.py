@@ -20,11 +20,12 @@ from hugs_cli.direct import run_directly
 from hugs_cli.fleet.history import History
 from hugs_cli.fleet.job import LOGS, ROWS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
+from hugs_cli.pipelines import UsageError
 from stages.contract import Job
 
 SILENT = 60.0  # s without a beat, after which a page says that there is no sign of life
 OPEN = ("waiting", "running", "before")  # states of jobs that may still end well
-WELL = ("fresh", "done")
+WELL, FAILED = ("fresh", "done"), ("failed", "lost")
 NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|`[^`]*`|\S*/\S*|\S+\.\w{2,4}\b")
 AGAIN = "call the fleet again: what is finished is kept"
 NEVER: dict[str, Any] = {
@@ -102,6 +103,8 @@ class Board:
             "seconds_left": self.left(one, report, state),
             "seconds": result.get("seconds"),
             "spent": report.get("spent", 0.0),
+            "kept": result.get("kept", []),
+            "freed": result.get("freed", 0) if report else 0,
             "psnr": result.get("psnr"),
             "psnr_person": result.get("psnr_person"),
             "effects": result.get("effects", []),
@@ -151,6 +154,7 @@ def totals(rows: Sequence[dict[str, Any]], side_by_side: int) -> dict[str, Any]:
         "failures": dict(kinds.most_common()),
         "machine_seconds": round(sum(row["seconds"] or 0.0 for row in rows), 1),
         "spent_seconds": round(sum(row["spent"] for row in rows), 1),
+        "freed_bytes": sum(row["freed"] for row in rows),
         "seconds_left": round(max([sum(known) / together, *known])) if known and len(known) == len(left) else None,
     }
 
@@ -177,5 +181,38 @@ def plain_cell(cell: Any) -> Any:
 
 
 def as_json(rows: Sequence[dict[str, Any]], total: dict[str, Any]) -> str:
-    """The same for programs."""
-    return json.dumps({"totals": total, "rows": list(rows)}, indent=1)
+    """The same for programs: totals, each kind of failure with what helps and its clips, all rows."""
+    return json.dumps({"totals": total, "failures": failures(rows), "rows": list(rows)}, indent=1)
+
+
+def failures(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each kind of failure, the most frequent first: its stage, what the first of its clips says, and all their folders."""
+    kinds: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        if kind := row["kind"]:
+            first = {"kind": kind, "clips": [], **{name: row[name] for name in ("stage", "problem", "hint")}}
+            kinds.setdefault(kind, first)["clips"].append(f"{row['folder']}/{row['pipeline']}")
+    return sorted(kinds.values(), key=lambda one: -len(one["clips"]))
+
+
+def last_states(work: Path, name: str) -> dict[tuple[str, str], str]:
+    """The states of a fleet's rows when its table was last written, by folder and pipeline as the table has them; UsageError
+    where there is no table."""
+    path = work / f"{name}.csv"
+    try:
+        with open(path, newline="", encoding="utf-8", errors="replace") as file:
+            return {(row["folder"], row["pipeline"]): row["state"] for row in csv.DictReader(file)}
+    except (OSError, KeyError, csv.Error) as error:
+        hint = "leave out `--only-failed`, or name the fleet with `--name`"
+        raise UsageError(f"there is no table of an earlier call at {path}", hint, [str(error)]) from error
+
+
+def failed_before(planned: Sequence[Planned], work: Path, name: str) -> list[Planned]:
+    """The rows that failed, or were lost, when the fleet was last called, or that cannot begin now; and those that are fresh."""
+    states = last_states(work, name)
+
+    def last(one: Planned) -> str:
+        folder = os.path.relpath(one.row.root, work)
+        return states.get((plain_cell(folder), plain_cell(one.row.pipeline)), "")
+
+    return [one for one in planned if one.state != "todo" or last(one) in FAILED]

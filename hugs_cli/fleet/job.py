@@ -27,6 +27,7 @@ from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
 from hugs_cli.direct import in_words
+from hugs_cli.fleet import keep
 from hugs_cli.fleet import lease as leases
 from hugs_cli.fleet.clips import Row, recorded
 from hugs_cli.fleet.lease import Lease
@@ -198,10 +199,11 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
     session = session_of(row, common)
     session.check_sources()
     session.workspace.create()
-    wanted = list(session.pipeline.stages)
+    every = wanted = list(session.pipeline.stages)
     device = common.device
     if step == BEFORE:  # where there may be no GPU
         wanted, device = [name for name in session.pipeline.upstream(["train"]) if name != "train"], "cpu"
+    later = [name for name in every if name not in wanted]
     session.workspace.leased = True
     with leases.lease(session.workspace.root / leases.NAME, watch.waiting, me) as held:
         heart.lease, heart.lost = held, False
@@ -209,17 +211,21 @@ def work(row: Row, common: Common, step: str, report: Report, heart: Heart, me: 
             if (other := recorded(session.workspace.root)) not in (None, os.path.abspath(row.video)):
                 hint = "call the fleet again: it gives this clip a folder of its own"
                 raise UsageError(f"{session.workspace.root} now holds the results of {other}", hint)
-            ran = engine.run(session, wanted, frozenset(), device, watch, report=True)
+            result = keep.record(session, common.keep).get("result")
+            if result is None:
+                ran = engine.run(session, wanted, frozenset(), device, watch, report=True, later=later)
+                stamps, folders = ({one.stage: one.stamp for one in ran}, {one.stage: one.folder for one in ran})
+                result = result_of(stamps, folders, session.workspace.links)
+            if common.keep and "freed" not in result and step != BEFORE:
+                with session.workspace.lock(watch.waiting):
+                    result = keep.let_go(session, common.keep, result)
         finally:
             heart.lease = None
     heart.quiet.set()
     if step == BEFORE:
         report.write(state="before", stage="")
-        return
-    stamps = {one.stage: one.stamp for one in ran}
-    folders = {one.stage: one.folder for one in ran}
-    result = result_of(stamps, folders, session.workspace.links)
-    report.write(state="done", stage="", finished=list(stamps), result=result)
+    else:
+        report.write(state="done", stage="", finished=every, result=result)
 
 
 def told(error: Exception) -> dict[str, Any]:

@@ -5,7 +5,7 @@ All in this process: the cache's own verdicts, with the code and each pipeline r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from hugs_cli import options, pipelines
 from hugs_cli.cache.fingerprint import Code
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, Workspace, decisions, read_json
+from hugs_cli.fleet import keep
 from hugs_cli.fleet.clips import Row
 from hugs_cli.fleet.history import History
 from hugs_cli.within import is_time
@@ -52,6 +53,8 @@ class Common:
     pipelines_file: Path = pipelines.FILE
     body_model: Path | None = None
     device: str = "auto"
+    keep: tuple[str, ...] = ()
+    """Stages whose results stay of a finished clip; none: all do."""
 
 
 def session_of(row: Row, common: Common) -> Session:
@@ -91,26 +94,33 @@ def plan(rows: list[Row], common: Common, history: History, split: bool) -> list
     open_, found = opener(common), []
     for row in rows:
         try:
-            found.append(verdict(row, open_(row), history, split))
+            found.append(verdict(row, open_(row), history, split, common.keep))
         except (StageError, OSError) as error:
             found.append(refused(row, error))
     return found
 
 
-def verdict(row: Row, session: Session, history: History, split: bool) -> Planned:
-    """What is left to do for one row."""
+def verdict(row: Row, session: Session, history: History, split: bool, kept: Sequence[str] = ()) -> Planned:
+    """What is left to do for one row, of which results of the stages `kept` stay in the end (all if none is named)."""
+    session.pipeline.upstream(kept)  # refuses unknown names
     stages = list(session.pipeline.stages)
     if split:
         session.pipeline.upstream(["train"])  # refuses a pipeline without it
     session.check_sources()
     planned = Planned(row, "todo", stages, stages, megabytes=history.megabytes(row.pipeline))
-    if session.workspace.store.is_dir():  # else nothing was ever made, and the clip need not be read
+    if not session.workspace.store.is_dir():  # nothing was ever made, and the clip need not be read
+        pass
+    elif known := keep.record(session, kept):
+        planned.result, planned.todo = known["result"], []
+        planned.state = "fresh" if "freed" in planned.result else "todo"
+    else:
         verdicts = session.verdicts(stages)
         planned.todo = [name for name, one in verdicts.items() if not one.fresh]
         if not planned.todo:
             stamps = {name: one.made for name, one in verdicts.items()}
             folders = {name: one.folder for name, one in verdicts.items() if one.folder}
-            planned.state, planned.result = "fresh", result_of(stamps, folders, session.workspace.links)
+            planned.state = "todo" if kept else "fresh"  # the rest is to be let go
+            planned.result = result_of(stamps, folders, session.workspace.links)
     planned.seconds = history.expected(row.pipeline, planned.todo)
     return planned
 

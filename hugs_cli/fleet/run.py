@@ -22,7 +22,7 @@ from hugs_cli.fleet.job import LOGS, PLAN, ROWS
 from hugs_cli.fleet.plan import Common, Planned
 from hugs_cli.fleet.runner import Loop, Order, Runner, Snakemake
 from hugs_cli.pipelines import UsageError
-from hugs_cli.words import duration
+from hugs_cli.words import duration, size
 from stages.contract import StageError
 
 LOOK_EVERY, PAGE_EVERY = 0.2, 2.0  # s
@@ -148,7 +148,7 @@ class Press:
         self.unwritten = why
         now = time.monotonic()
         self.due = now + max(PAGE_EVERY, PAGE_SHARE * (now - began))
-        self.speak(rows, total)
+        self.speak(rows, total, over)
         return rows, total
 
     def print_if_due(self) -> None:
@@ -156,18 +156,32 @@ class Press:
         if time.monotonic() > self.due:
             self.print()
 
-    def speak(self, rows: list[dict[str, Any]], total: dict[str, Any]) -> None:
-        """A line for each clip that has ended, and one now and then for all."""
+    def speak(self, rows: list[dict[str, Any]], total: dict[str, Any], over: bool) -> None:
+        """A line for each clip that has ended; and what runs: always on a terminal, elsewhere now and then."""
         for one, row in zip(self.show.planned, rows, strict=True):
             before, state = self.said.get(one.row.id, one.state), row["state"]
             self.said[one.row.id] = state
             if state != before and state not in (*OPEN, "todo"):
                 self.last_line = time.monotonic()
                 text = row["problem"] or (duration(row["seconds"]) if row["seconds"] else "")
+                text += f", {size(row['freed'])} freed" if row["freed"] else ""
                 self.console.say(f"  {state:<9}{row['folder']}  {row['pipeline']}  {text}".rstrip())
-        if time.monotonic() - self.last_line > QUIET_EVERY:
+        if not over and (self.console.live or time.monotonic() - self.last_line > QUIET_EVERY):
             self.last_line = time.monotonic()
-            self.console.say(f"  {counts(total)}")
+            self.console.rows([*map(now, filter(is_running, rows)), f"  {counts(total)}"])
+
+
+def is_running(row: dict[str, Any]) -> bool:
+    """Whether a clip is worked on, or waits for who works on it."""
+    return row["state"] in ("running", "waiting")
+
+
+def now(row: dict[str, Any]) -> str:
+    """What a running clip is at: 'running  dance  default  train 43 %  about 2m 10s left'."""
+    percent = "" if row["percent"] is None or row["state"] == "waiting" else f" {row['percent']} %"
+    left = "" if row["seconds_left"] is None else f"  about {duration(row['seconds_left'])} left"
+    silent = "" if row["silent"] is None else f"  no sign of life for {duration(row['silent'])}"
+    return f"  {row['state']:<9}{row['folder']}  {row['pipeline']}  {row['stage']}{percent}{left}{silent}".rstrip()
 
 
 def counts(total: dict[str, Any]) -> str:

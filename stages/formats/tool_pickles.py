@@ -29,6 +29,7 @@ import numpy as np
 from stages.contract import StageError
 from stages.formats.arrays import BROKEN, PIECE, PLAIN, array_of, npy_header
 from stages.formats.budget import Budget
+from stages.formats.kinds import kind_of
 from stages.formats.safe_pickle import ArraysOnly, plain, refuse_code, size_of
 
 OLD_TORCH = 0x1950A86A20F9469CFC6C  # the first of the pickles in a file of old torch.save
@@ -69,6 +70,8 @@ def read_tool_file(path: Path, hint: str = "") -> Any:
     except OSError as error:
         raise StageError(f"cannot open {path}", hint, [str(error)]) from error
     except _BROKEN as error:
+        if (kind := kind_of(path)) and kind.what in ("picture", "sound"):
+            raise StageError(f"{path} is {kind}", hint) from error
         raise StageError(f"{path} cannot be read without running what it holds", hint, [f"{error}"[:300]]) from error
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from stages.contract import StageError, whole
 from stages.formats.film_pixels import QUARTER, rgb_of, turn_of
 from stages.formats.images import first_line, read_image
+from stages.formats.kinds import kind_of
 from stages.formats.pictures import pictures_in
 
 HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # ITU-T H.273 transfer characteristics
@@ -24,6 +25,14 @@ THREADS = 2
 REPEATABLE = "mbtree=0"
 """Of x264: the same pictures give the same bytes. Its macroblock tree reads memory that nobody wrote, at widths such as 480."""
 LISTS = {"concat", "hls", "applehttp", "dash", "imf"}  # formats that name other files, whose changes nobody would see
+LIST = "give the film itself; `ffmpeg -i LIST -c copy film.mp4` makes one of several"
+INSTEAD = {
+    "picture": "give a video, or the folder of all pictures of the clip",
+    "sound": "give the video that it belongs to",
+    "archive": "unpack it, and give the film or the folder of pictures that is in it",
+    "text": "give the film itself; where it was downloaded, a page about it may have been saved in its place",
+}
+"""What to give in place of a file of another kind."""
 AGAIN = "the file is damaged or its codec unknown; export it again as H.264"
 
 
@@ -63,14 +72,19 @@ def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream
         raise StageError(f"no video at {path}", "check the path")
     if path.stat().st_size == 0:
         raise StageError(f"{path} is empty", "copy the video again")
+    kind = kind_of(path)
+    if kind and kind.what == "playlist":
+        raise StageError(f"{path} is a list of films", LIST, [f"it is {kind}"])
+    if kind and kind.what != "text":
+        raise StageError(f"{path} is not a video but {kind}", INSTEAD[kind.what])
     try:
         container = av.open(str(path), metadata_errors="replace")
     except av.error.FFmpegError as error:
         size = f"{path.stat().st_size} bytes; {first_line(error.strerror or str(error))}"
         cause = "cut short (its index stands at the end and is missing)" if is_mp4(path) else "not a video"
-        raise StageError(
-            f"{path} is {cause}", "copy or export the video again (MP4, MOV, MKV, WebM)", [size]
-        ) from error
+        cause += f" but {kind}" if kind else ""
+        hint = INSTEAD["text"] if kind else "copy or export the video again (MP4, MOV, MKV, WebM)"
+        raise StageError(f"{path} is {cause}", hint, [size]) from error
     if not container.streams.video or container.format.name in ("tty", "png_pipe", "jpeg_pipe", "image2"):
         kinds = ", ".join(sorted({stream.type for stream in container.streams})) or "no"
         container.close()
@@ -78,8 +92,7 @@ def open_video(path: Path) -> tuple[av.container.InputContainer, av.video.stream
         raise StageError(f"{path} is not a video", "give a video file or a folder of pictures", [found])
     if LISTS & set(container.format.name.split(",")):
         container.close()
-        hint = "give the film itself; `ffmpeg -i LIST -c copy film.mp4` makes one of several"
-        raise StageError(f"{path} is a list of films", hint, [f"read as {container.format.long_name}"])
+        raise StageError(f"{path} is a list of films", LIST, [f"read as {container.format.long_name}"])
     stream = max(container.streams.video, key=_is_film)
     stream.thread_type, stream.thread_count = "AUTO", THREADS
     return container, stream

@@ -33,9 +33,9 @@ class Params(contract.Params):
     """Points added to those of SfM before training, where SfM saw no texture."""
     scene_sh: int = Field(3, ge=0, le=3)
     """Degree of the scene's view-dependent colour where survey finds that the clip calls for it; else it is 0."""
-    channels: int = Field(32, gt=0)
+    channels: int = Field(32, gt=0, le=1024)
     """Features of each triplane cell."""
-    resolution: int = Field(128, gt=1)
+    resolution: int = Field(128, gt=1, le=4096)
     """Cells along each side of a triplane."""
     views_per_decode: int = Field(4, gt=0)
     """Training frames drawn for each run of the person's networks, whose gradients they share."""

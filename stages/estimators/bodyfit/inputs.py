@@ -15,6 +15,7 @@ from stages.formats.facts import Listing, Sfm, read_facts
 from stages.formats.images import read_mask
 from stages.formats.people import masks_of, people_of
 from stages.formats.points import read_points
+from stages.formats.whole_clip import whole_clip
 from stages.records import BodyModel, Cameras
 
 NEXT = 0.005  # of the picture's longer side: people so near in it touch
@@ -62,6 +63,16 @@ def read_inputs(listing: Listing, sfm: Path, body_model: Path | None) -> Inputs:
         points=read_points(sfm / "points.ply")[0].astype(np.float64),
         moving=read_facts(sfm / "sfm.json", Sfm).verdict == "moving",
     )
+
+
+def check_given(video: Path, smpl_fit: Path | None, body_model: Path | None) -> None:
+    """StageError for a file that is no body model, or no fit of pictures like the clip's; a data set brings its own."""
+    if body_model is not None:
+        read_body_model(body_model)
+    if smpl_fit is not None and (clip := whole_clip(video)):
+        from stages.formats.given_fits.recognize import read_smpl_fit
+
+        read_smpl_fit(smpl_fit, (clip.width, clip.height))
 
 
 def of_person(clip: Inputs, sfm: Path, person: int) -> Inputs:

@@ -17,9 +17,8 @@ from stages.estimators.cameras.sparse_model import Pinholes
 from stages.formats.datasets.undistorted import HELD, Grid
 from stages.formats.facts import Listing
 from stages.formats.frame_names import count_from_one, has_sources, join, number, stem
-from stages.formats.given_cameras.recognize import read_camera_files
+from stages.formats.given_cameras.recognize import check_shape, read_camera_files
 from stages.formats.given_cameras.record import GivenCameras, Lens, widest_angles
-from stages.formats.images import same_shape
 
 STILL = 1e-9  # of the cameras' distance from the origin, or 1: a camera that moves less stands
 
@@ -32,13 +31,8 @@ def import_cameras(job: Job, path: Path, listing: Listing, min_share: float, fir
     size = width, height = listing.width, listing.height
     given = read_camera_files(path, *size)
     rows = match_frames(job, given, listing, min_share, first)
+    check_shape(given, *size)
     own = given.lenses[0]
-    if not same_shape((own.width, own.height), (width, height)):
-        hint = "give cameras of the same pictures; their size may differ, their shape not"
-        if same_shape((own.height, own.width), (width, height)):
-            hint = "they are of turned pictures: let their program run on pictures that are upright, as a player shows them"
-        fact = f"cameras for {own.width}x{own.height}, frames {width}x{height}"
-        raise StageError("the given cameras are not for these frames", hint, [fact])
     if (off := shape_off((own.width, own.height), size)) > 0:
         job.warn(
             f"the given cameras are for {own.width}x{own.height}, a shape {off:.0f} px off that of the frames, {width}x{height}:"

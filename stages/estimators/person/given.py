@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,10 +13,12 @@ from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing
 from stages.formats.frame_names import join, matching, plain
+from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import Object, objects_of, pick
 from stages.formats.given_masks.recognize import read_mask_files
 from stages.formats.images import same_shape
 from stages.formats.people import EVERYBODY
+from stages.formats.whole_clip import possible_counts
 
 
 def import_masks(
@@ -28,17 +30,9 @@ def import_masks(
     have no mask, if masks have the shape of other pictures, if `person` is unknown, or if several people's are to be inverted.
     """
     total, names = listing.video.frames, [frame.name for frame in listing.frames]
-    given = read_mask_files(path, total, listing.video.path)
-    joined = {frame.name: frame.index for frame in listing.frames}
-    if given.names is not None:
-        joined = join(listing, given.names, "masks", job.warn)
-    missing = [name for name in names if name not in joined]
-    if missing:
-        raise StageError(
-            f"masks are missing for {len(missing)} of {len(names)} frames",
-            f"name each mask by its frame's number in the video, or leave out --masks; {matching(listing)}",
-            [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
-        )
+    given, joined = joined_masks(path, listing, range(total, total + 1), job.warn)
+    if len(joined) < len(names):
+        raise lacking(given, joined, listing)
     rows = [joined[name] for name in names]
     objects = objects_of(given, rows)
     chosen = objects if person == EVERYBODY else [pick(objects, person)]
@@ -63,6 +57,37 @@ def import_masks(
     size = (listing.width, listing.height)
     masks = ([frame_mask(one, i, size, name, inverted) for one in chosen] for name, i in zip(names, rows))
     return details, masks
+
+
+def check_masks(path: Path, clip: Listing) -> None:
+    """StageError for files that are no masks, or not of a clip of which any frames may be picked (see `whole_clip`): too
+    many or too few, none with a frame's name, or the first of another shape."""
+    given, joined = joined_masks(path, clip, possible_counts(clip), lambda doubt: None)
+    if not joined:
+        raise lacking(given, joined, clip)
+    name, row = next(iter(joined.items()))
+    if found := next(filter(None, (given.read(one, row) for one in given.objects)), None):
+        check_shape(found[0].shape, (clip.width, clip.height), name)
+
+
+def joined_masks(
+    path: Path, listing: Listing, frames: range, warn: Callable[[str], None]
+) -> tuple[MaskSet, dict[str, int]]:
+    """The given masks, and of each frame that has one its place among them; StageError as `read_mask_files` and `join`."""
+    given = read_mask_files(path, frames, listing.video.path)
+    if given.names is None:
+        return given, {frame.name: frame.index for frame in listing.frames}
+    return given, join(listing, given.names, "masks", warn)
+
+
+def lacking(given: MaskSet, joined: Mapping[str, int], listing: Listing) -> StageError:
+    """The error for frames without a mask."""
+    missing = [frame.name for frame in listing.frames if frame.name not in joined]
+    return StageError(
+        f"masks are missing for {len(missing)} of {len(listing.frames)} frames",
+        f"name each mask by its frame's number in the video, or leave out --masks; {matching(listing)}",
+        [f"missing: {listed(missing)}", f"given, as {given.kind}: {listed(given.names or ())}"],
+    )
 
 
 def report_objects(job: Job, objects: list[Object], chosen: list[Object]) -> None:
@@ -102,16 +127,22 @@ def frame_mask(person: Object, row: int, size: tuple[int, int], name: str, inver
     """
     if (mask := person.read(row)) is None:
         return np.zeros(size[::-1], np.uint8)
+    check_shape(mask.shape, size, name)
     height, width = mask.shape
+    if (width, height) != size:
+        mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR)
+    return 255 - mask if invert else mask
+
+
+def check_shape(mask: tuple[int, ...], size: tuple[int, int], name: str) -> None:
+    """StageError where a mask (height, width) has another shape than the frames, whose `size` is (width, height)."""
+    height, width = mask
     if not same_shape((width, height), size):
         raise StageError(
             f"the mask of frame {name} is not a mask of these frames",
             "make masks from the same video, upright as a player shows it",
             [f"mask {width}x{height}, frames {size[0]}x{size[1]}"],
         )
-    if (width, height) != size:
-        mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR)
-    return 255 - mask if invert else mask
 
 
 def border_share(mask: np.ndarray) -> float:

@@ -9,6 +9,7 @@ from stages.formats.cameras import read_cameras
 from stages.formats.given_cameras.colmap_model import is_model, read_colmap
 from stages.formats.given_cameras.record import GivenCameras, checked_lens, without_points
 from stages.formats.given_cameras.transforms_json import read_transforms
+from stages.formats.images import same_shape
 
 HINT = "`--cameras` takes the folder of a COLMAP model (cameras, images, points3D as .bin or .txt), or transforms.json"
 PLACES = ("", "*", "sparse/*", "colmap/sparse/*")
@@ -30,6 +31,18 @@ def read_camera_files(path: Path, width: int, height: int) -> GivenCameras:
         return _ours(path)
     hint = f"give the folder {path.parent}" if is_model(path.parent) else HINT
     raise StageError(f"{path} holds no cameras that can be read", hint, [f"it is a file {path.suffix or 'of no kind'}"])
+
+
+def check_shape(given: GivenCameras, width: int, height: int) -> None:
+    """StageError where cameras are for pictures of another shape than the clip's."""
+    own = given.lenses[0]
+    if same_shape((own.width, own.height), (width, height)):
+        return
+    hint = "give cameras of the same pictures; their size may differ, their shape not"
+    if same_shape((own.height, own.width), (width, height)):
+        hint = "they are of turned pictures: let their program run on pictures that are upright, as a player shows them"
+    fact = f"cameras for {own.width}x{own.height}, frames {width}x{height}"
+    raise StageError("the given cameras are not for these frames", hint, [fact])
 
 
 def _only_one(folder: Path) -> Path:

@@ -28,8 +28,8 @@ class MaskSet:
     read: Callable[[str, int], Values | None]
 
 
-def check_one_per_frame(count: int, frames: int, what: str, film: str) -> None:
-    """StageError unless masks without names are as many as the video's frames."""
-    if count != frames:
+def check_one_per_frame(count: int, frames: range, what: str, film: str) -> None:
+    """StageError unless masks without names are as many as the video's frames; `frames`: how many these can be."""
+    if count not in frames:
         hint = f"without names they belong to frames by their order: {extracting(film)}"
-        raise StageError(f"{what} does not have a mask for each frame", hint, [f"{count} masks, {frames} frames"])
+        raise StageError(f"{what} does not have a mask for each frame", hint, [f"{count} masks, {frames[-1]} frames"])

@@ -32,8 +32,8 @@ HINT = (
 )
 
 
-def read_mask_files(path: Path, frames: int, film: str) -> MaskSet:
-    """Recognise masks of another program; `frames` is how many the video `film` has. StageError for anything else."""
+def read_mask_files(path: Path, frames: range, film: str) -> MaskSet:
+    """Recognise masks of another program; `frames` is how many the video `film` can have. StageError for anything else."""
     if path.is_dir():
         return folder_of_masks(path)
     suffix = path.suffix.lower()
@@ -66,10 +66,10 @@ def folder_of_masks(folder: Path) -> MaskSet:
     return MaskSet(f"folder for each of {len(inner)} objects", names, tuple(found), read)
 
 
-def mask_video(path: Path, frames: int, film: str) -> MaskSet:
+def mask_video(path: Path, frames: range, film: str) -> MaskSet:
     """A video of masks, frame by frame those of the clip; StageError if it has another number of frames."""
-    count = sum(1 for _ in decode(path))
     info = probe(path)
+    count = sum(1 for _ in decode(path)) if len(frames) == 1 else info.frames  # as exact as the clip's own is known
     check_one_per_frame(count, frames, f"{path} ({info.duration_s:.2f} s at {info.fps:.2f} frames/s)", film)
     frames_left, at, values = decode(path), -1, np.zeros((0, 0), np.uint8)
 

@@ -17,11 +17,11 @@ HINT = "a stack is one array [N,H,W], with `names` [N] or as many masks as the v
 NAMES = ("names", "frame_names", "file_names", "filenames", "frames", "frame_ids", "frame_idx", "indices")
 
 
-def read_stack(path: Path, frames: int, film: str) -> MaskSet:
+def read_stack(path: Path, frames: range, film: str) -> MaskSet:
     """Read a .npy with a stack, or a .npz with a stack and names, or with one array named after each frame.
 
     Raises StageError for pickled or damaged files, other shapes, more or fewer names than masks, and a stack
-    without names that has not a mask for each of the video's `frames`.
+    without names that has not a mask for each of the video's frames; `frames`: how many these can be.
     """
     if path.suffix.lower() == ".npy":
         try:
@@ -54,7 +54,7 @@ def as_stack(array: np.ndarray) -> np.ndarray | None:
 
 
 def one_stack(
-    path: Path, key: str, stack: np.ndarray, arrays: dict[str, np.ndarray], frames: int, film: str
+    path: Path, key: str, stack: np.ndarray, arrays: dict[str, np.ndarray], frames: range, film: str
 ) -> MaskSet:
     """A stack, with its names if there are any."""
     found = next((name for name in NAMES if name in arrays and name != key), None)

@@ -61,6 +61,23 @@ def test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left(fleet)
     assert len([run for run in fleet.runs() if run["result"] == "done"]) == 4
 
 
+def test_only_what_is_kept_stays_and_only_what_failed_is_run_again(fleet):
+    fleet.add("bad", "broken error")
+    said, err = fleet.done("--jobs", "1", "--keep", "four", code=1)
+    assert states(said) == {"bad": "failed", "c00000": "done", "c00001": "done"}
+    assert [one["clips"] for one in said["failures"]] == [["bad/default"]] and said["failures"][0]["stage"] == "one"
+    assert said["totals"]["freed_bytes"] == sum(row["freed"] for row in said["rows"]) > 0 and holds(
+        err, "freed", "four"
+    )
+    assert [path.name[:4] for path in fleet.work.glob("c0*/store/*-*")] == ["four"] * 2
+    fleet.add("bad", "mended")
+    fleet.add("new", "pixels")
+    said, _ = fleet.done("--jobs", "1", "--keep", "four", "--only-failed")
+    assert states(said) == {"bad": "done", "c00000": "fresh", "c00001": "fresh"}
+    said, _ = fleet.done("--jobs", "1")
+    assert states(said) == {"bad": "fresh", "c00000": "fresh", "c00001": "fresh", "new": "done"} and not fleet.twice()
+
+
 def test_a_dry_run_does_nothing_and_says_how_long(fleet):
     said, _ = fleet.done("--dry-run")
     assert [row["state"] for row in said] == ["todo"] * 2 and said[0]["todo"] == ["one", "two", "three", "four"]
