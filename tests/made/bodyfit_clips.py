@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import pytest
 import torch
 
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import look_at, pinhole, project
+from stages.estimators.bodyfit import fit
 from stages.estimators.bodyfit.evidence import NAMES, STAND_INS, model_landmarks
 from stages.estimators.bodyfit.scale import SOLE
 from stages.records import BodyModel, Cameras, SeenLandmarks
@@ -72,6 +74,12 @@ def stand(times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def level(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     """A floor at y = 0."""
     return 0 * x
+
+
+def take_steps(patch: pytest.MonkeyPatch, first: int, outlined: int, last: int) -> None:
+    """Let a body fit take so many steps on landmarks, then outlines too, then feet and scale as well."""
+    for name, steps in (("FIRST", first), ("OUTLINED", outlined), ("LAST", last)):
+        patch.setattr(fit, name, steps)
 
 
 def make(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
@@ -84,7 +85,7 @@ def camera_errors(result: Cameras, truth: Cameras, frames: int) -> CameraErrors:
         worst=float(gap.max()),
         extent=float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()),
         turn_degrees=float(np.degrees(Rotation.from_matrix(turned).magnitude().mean())),
-        focal=float(abs(result.Ks[:, 0, 0] / truth.Ks[order, 0, 0] - 1).mean()),
+        focal=float(abs(result.Ks[:, 0, 0] / result.width / truth.Ks[order, 0, 0] * truth.width - 1).mean()),
     )
 
 
@@ -106,10 +107,14 @@ def joint_errors(
 
 
 def mask_ious(found: Path, truth: Path) -> np.ndarray:
-    """Intersection over union of every mask of the folder `found` with the true mask of its name."""
+    """Intersection over union of every mask of the folder `found` with the true mask of its name, shrunk to its size."""
     ious = []
     for path in sorted(found.glob("*.png")):
-        a, b = read_mask(path) > 127, read_mask(truth / path.name) > 127
+        mask = read_mask(path)
+        a, b = (
+            mask > 127,
+            cv2.resize(read_mask(truth / path.name), mask.shape[::-1], interpolation=cv2.INTER_AREA) > 127,
+        )
         ious.append((a & b).sum() / (a | b).sum())
     return np.array(ious)
 

@@ -45,6 +45,8 @@ from tests.made.said import any_holds, holds
 from tests.made.training import posed
 
 FRAMES, WIDTH, HEIGHT = 8, 48, 40
+DRAWN = ("shadow", "shading", "motion_blur", "rolling_shutter", "camera_refinement")
+LEARNED = ("view_dependence", "sky", "transients", "antialias", "clothing")
 STARTS = {"shadow": [0.6, 0.0, -0.8, 0.3]}
 PARAMS = train.Params(
     steps=8,
@@ -60,10 +62,11 @@ PARAMS = train.Params(
 
 
 @pytest.fixture(scope="module", autouse=True)
-def once():
-    """What effects cost is measured once, not as often as gives a true number (tests/stages/training/test_effect_gains.py)."""
+def shortly():
+    """What effects cost is measured once, and a person settles for a few steps: what both reach is tested with them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stages.training.timing.effect_gains.TURNS", 1)
+        patch.setattr(settle, "STEPS", 24)
         yield
 
 
@@ -80,6 +83,18 @@ def plain(tmp_path_factory):
     job = fresh(room, "out")
     train.run(job, PARAMS, **noise(room))
     return job.out
+
+
+@pytest.fixture(scope="module")
+def affected(tmp_path_factory):
+    """Of a training with all effects: the folders that it had, itself, the folder of what it wrote, and what was said."""
+    room = tmp_path_factory.mktemp("affected")
+    folders, job, said = noise(room), fresh(room, "out"), []
+    decide(folders["survey"], **dict.fromkeys((*DRAWN, *LEARNED), True))
+    job.emit = lambda event: said.append(event.get("text", ""))
+    training = trained(folders, PARAMS.model_copy(update={"scene_cap": 60_000}), job)
+    train.write(job.out, finish(training, job))
+    return folders, training, job.out, said
 
 
 def noise(room):
@@ -125,10 +140,15 @@ def stopping(tmp_path, name: str, after: int) -> Job:
     return job
 
 
+def begun(inputs, params=PARAMS, job=None) -> Training:
+    """A training of those folders before its first step."""
+    job = job or Job(inputs["sfm"])
+    return begin(train._task(job, params, **inputs), job, None, 0.0)
+
+
 def trained(inputs, params=PARAMS, job=None) -> Training:
     """A training of those folders that has taken all its steps."""
-    task = train._task(job or Job(inputs["sfm"]), params, **inputs)
-    training = begin(task, job or Job(inputs["sfm"]), None, 0.0)
+    training = begun(inputs, params, job)
     learn(training, job or Job(inputs["sfm"]))
     return training
 
@@ -347,7 +367,7 @@ def test_h17_points_on_a_camera_are_left_out_and_counted(tmp_path, inputs):
     said: list[str] = []
     job = fresh(tmp_path, "out")
     job.emit = lambda event: said.append(event.get("text", ""))
-    train.run(job, PARAMS, **inputs)
+    begun(inputs, PARAMS, job)
     assert any_holds(said, 1, "points", "camera")
 
 
@@ -372,22 +392,20 @@ def test_h11_a_save_that_dies_keeps_the_last_checkpoint(tmp_path, inputs, monkey
 
 
 @pytest.mark.slow
-def test_fewer_frames_are_spread_evenly(tmp_path, inputs):
-    job, params = fresh(tmp_path, "out"), PARAMS.model_copy(update={"steps": 2, "frames_used": 3})
-    train.run(job, params, **inputs)
-    facts = json.loads((job.out / "train.json").read_text())
-    assert facts["train_frames"] == ["000000", "000003", "000005"], "of 0, 1, 3, 4, 5, 6"
+def test_fewer_frames_are_spread_evenly(inputs):
+    fit = begun(inputs, PARAMS.model_copy(update={"steps": 2, "frames_used": 3})).fit
+    assert fit.train == [0, 3, 5], "of 0, 1, 3, 4, 5, 6"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "halves"), [(0.0, 0), (0.5, 4)])
-def test_the_first_steps_look_at_half_the_size(tmp_path, inputs, monkeypatch, share, halves):
+def test_the_first_steps_look_at_half_the_size(inputs, monkeypatch, share, halves):
     seen, real = [], Fit._learn
     monkeypatch.setattr(
         Fit, "_learn", lambda self, i, views: (seen.append(views.images.shape[1]), real(self, i, views))[1]
     )
-    train.run(fresh(tmp_path, "out"), PARAMS.model_copy(update={"half_until": share}), **inputs)
-    assert seen[:8] == [HEIGHT // 2] * halves + [HEIGHT] * (8 - halves)
+    trained(inputs, PARAMS.model_copy(update={"half_until": share}))
+    assert seen == [HEIGHT // 2] * halves + [HEIGHT] * (8 - halves)
 
 
 @pytest.mark.slow
@@ -398,27 +416,22 @@ def test_without_a_scene_only_the_person_is_written(tmp_path, inputs):
     assert not (job.out / "scene.npz").exists() and len(read_avatar(job.out / "avatar.npz")) > 0
 
 
-DRAWN = ("shadow", "shading", "motion_blur", "rolling_shutter", "camera_refinement")
-
-
 @pytest.mark.slow
-def test_effects_are_written_where_decided_and_drawn_by_all_that_follow(tmp_path, inputs, plain, held):
-    decide(inputs["survey"], **dict.fromkeys(DRAWN, True))
-    job, training = fresh(tmp_path, "out"), trained(inputs)
-    train.write(job.out, finish(training, job))
-    told = json.loads((job.out / "train.json").read_text())["effects"]
-    assert told.keys() >= {*DRAWN} and all(effect["psnr"] is not None for effect in told.values())
-    effects = read_effects(job.out / "effects.npz")
+def test_all_effects_at_once_are_written_measured_and_drawn_by_all_that_follow(plain, affected, held):
+    inputs, training, out, _ = affected
+    facts = json.loads((out / "train.json").read_text())
+    assert facts["left_out"] == 0 and all(facts["effects"][name]["psnr"] is not None for name in DRAWN)
+    effects = read_effects(out / "effects.npz")
     said = {name: np.asarray(value) for name, value in training.fit.effects.known().items()}
     assert effects.known().keys() == said.keys() == {*SHADOW, "shading", "shutter", "readout"}
     held(max(np.abs(value - said[name]).max() for name, value in effects.known().items()), 1e-6)
     *lamp, darkness = STARTS["shadow"]
     assert said["light"] @ lamp > 0.97 and abs(said["darkness"] - darkness) < 0.1, "eight steps from what survey saw"
-    clip, given = (load_clip(inputs["sfm"], inputs["smpl"], folder) for folder in (job.out, None))
+    clip, given = (load_clip(inputs["sfm"], inputs["smpl"], folder) for folder in (out, None))
     held(np.abs(clip.viewmats - training.fit.cameras().numpy()).max(), 1e-6)
     moved = np.abs(clip.viewmats - given.viewmats)[clip.training].max((1, 2))
     assert (moved > 1e-5).all() and moved.max() < 0.05
-    clips, cast = load_cast(inputs["sfm"], inputs["smpl"], job.out, "cpu")
+    clips, cast = load_cast(inputs["sfm"], inputs["smpl"], out, "cpu")
     for i in (2, 7):  # held out: as evaluation draws it, and as the film has it
         shot = evaluate.Shot(clips, cast, 0, i, None)
         wanted = (shot.draw(shot.moment)[0].numpy() * 255).round()
@@ -509,43 +522,22 @@ def test_h13_a_checkpoint_that_is_damaged_foreign_or_hostile_is_refused(tmp_path
         assert said in error.value.facts[0] and "--force" in error.value.hint and not sign.exists()
 
 
-LEARNED = ("view_dependence", "sky", "transients", "antialias", "clothing")
-
-
 @pytest.mark.slow
-def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_path, inputs, plain):
-    off, on = (fresh(tmp_path, name) for name in ("off", "on"))
+def test_effects_that_are_off_cost_no_byte_and_those_that_are_on_are_kept(tmp_path, inputs, plain, affected):
+    off = fresh(tmp_path, "off")
     decide(inputs["survey"], **dict.fromkeys(LEARNED, False))
     train.run(off, PARAMS, **inputs)
     for name in ("avatar.npz", "scene.npz", "body.npz"):
         assert (plain / name).read_bytes() == (off.out / name).read_bytes()
-    decide(inputs["survey"], **dict.fromkeys(LEARNED, True))
-    said: list[str] = []
-    on.emit = lambda event: said.append(event.get("text", ""))
-    train.run(on, PARAMS.model_copy(update={"scene_cap": 60_000}), **inputs)
-    before, scene, avatar = read_scene(off.out / "scene.npz"), read_scene(on.out / "scene.npz"), on.out / "avatar.npz"
+    *_, out, said = affected
+    before, scene, avatar = read_scene(off.out / "scene.npz"), read_scene(out / "scene.npz"), out / "avatar.npz"
     assert before.shN.shape[1] == 0 and scene.shN.shape[1] == 15
-    extent = json.loads((on.out / "train.json").read_text())["extent_m"]
-    assert (np.linalg.norm(scene.means, axis=1) > 100 * extent).sum() > 10 and any(
-        "of the sky" in text for text in said
-    )
+    extent = json.loads((out / "train.json").read_text())["extent_m"]
+    assert (np.linalg.norm(scene.means, axis=1) > 100 * extent).sum() > 10 and any_holds(said, "of the sky")
     assert scene.antialias and read_avatar(avatar).antialias and not before.antialias
     assert read_avatar(off.out / "avatar.npz").clothes is None
     still = pose_avatar(load_avatar(read_avatar(avatar)), *(torch.zeros(n) for n in (3, 69, 3)))
     assert still.means.isfinite().all()
-
-
-@pytest.mark.slow
-def test_all_effects_at_once_are_trained_measured_and_filmed(tmp_path, inputs):
-    decide(inputs["survey"], **dict.fromkeys((*DRAWN, *LEARNED), True))
-    job = fresh(tmp_path, "out")
-    train.run(job, PARAMS, **inputs)
-    assert json.loads((job.out / "train.json").read_text())["left_out"] == 0
-    clips, cast = load_cast(inputs["sfm"], inputs["smpl"], job.out, "cpu")
-    shot = evaluate.Shot(clips, cast, 0, 2, None)
-    drawn = shot.draw(shot.moment)[0]
-    (film,) = render._beside_truth(clips[0], cast, [2], {})
-    assert np.abs(film[:, WIDTH:] - (drawn.numpy() * 255).round()).max() <= 1
 
 
 @pytest.mark.slow

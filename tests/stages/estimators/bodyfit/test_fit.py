@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from stages.avatar.body.smpl import Body
-from stages.estimators.bodyfit import fit as fitting
 from stages.estimators.bodyfit.evidence import (
     LandmarkEvidence,
     drop_strangers,
@@ -47,7 +46,7 @@ def joint_error(clip, poses, moving=True):
 
 @pytest.mark.slow
 def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
-    clip = bodyfit_clips.make(MODEL, frames=40, betas=(0.0, -0.8))
+    clip = bodyfit_clips.make(MODEL, frames=24, betas=(0.0, -0.8))
     regressor, evidence, swapped = evidence_of(clip)
     assert np.flatnonzero(swapped).tolist() == [7, 8, 20]
     masks = clip.masks()
@@ -66,7 +65,8 @@ def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("floor", [bodyfit_clips.level, odd_clips.slope])
-def test_who_stands_on_a_slope_is_not_set_square_to_it(floor):
+def test_who_stands_on_a_slope_is_not_set_square_to_it(floor, monkeypatch):
+    bodyfit_clips.take_steps(monkeypatch, 80, 60, 200)
     clip = bodyfit_clips.make(MODEL, frames=16, betas=(0.0,), floor=floor)
     regressor, evidence, _ = evidence_of(clip)
     fit = fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, clip.masks(), clip.points)
@@ -81,8 +81,7 @@ def test_who_stands_on_a_slope_is_not_set_square_to_it(floor):
 @pytest.mark.slow
 def test_two_threads_fit_the_same_body_bit_for_bit(monkeypatch):
     """30 frames are enough for torch to share out the sum of the vertices' gradients among its threads."""
-    for steps in ("FIRST", "OUTLINED", "LAST"):
-        monkeypatch.setattr(fitting, steps, 10)
+    bodyfit_clips.take_steps(monkeypatch, 10, 10, 10)
     clip = bodyfit_clips.make(MODEL, frames=30)
     regressor, evidence, _ = evidence_of(clip)
     masks, threads = clip.masks(), torch.get_num_threads()
@@ -116,8 +115,9 @@ def test_an_arm_out_of_sight_does_not_jump_to_where_it_is_guessed():
 
 
 @pytest.mark.slow
-def test_a_fixed_camera_keeps_metres_and_the_pose():
-    clip = bodyfit_clips.make(MODEL, frames=24, moving=False, betas=(0.0,))
+def test_a_fixed_camera_keeps_metres_and_the_pose(monkeypatch):
+    bodyfit_clips.take_steps(monkeypatch, 80, 60, 200)
+    clip = bodyfit_clips.make(MODEL, frames=16, moving=False, betas=(0.0,))
     regressor, evidence, _ = evidence_of(clip)
     fit = fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, None, clip.points, moving=False)
     assert fit.poses.world_from_sfm == 1.0
@@ -254,8 +254,7 @@ def test_a_speck_in_a_mask_has_no_outline_and_leaves_the_others_theirs():
 
 
 def test_frames_in_which_the_camera_looks_away_from_the_person_leave_the_fit_finite(monkeypatch):
-    for steps, count in (("FIRST", 3), ("OUTLINED", 2), ("LAST", 3)):
-        monkeypatch.setattr(fitting, steps, count)
+    bodyfit_clips.take_steps(monkeypatch, 3, 2, 3)
     clip = bodyfit_clips.make(MODEL, frames=8)
     clip.tracks[6:] = [None, None]
     viewmats = clip.cameras.viewmats.copy()

@@ -11,7 +11,7 @@ import torch
 
 from stages.avatar.body.smpl import Body
 from stages.avatar.cameras.pinhole import project
-from stages.estimators.bodyfit import fit, snug, solve
+from stages.estimators.bodyfit import snug, solve
 from stages.estimators.bodyfit.evidence import drop_strangers, gather, model_landmarks, vote_sides
 from stages.estimators.bodyfit.fit import fit_body
 from stages.estimators.bodyfit.terms import sight_turns
@@ -57,17 +57,19 @@ def fit_error(clip, tracks, masks) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_wide_clothes_do_not_make_the_body_lean_or_come_nearer(monkeypatch):
-    clip = bodyfit_clips.make(MODEL, frames=24)
+    bodyfit_clips.take_steps(monkeypatch, 60, 50, 120)
+    clip = bodyfit_clips.make(MODEL, frames=12)
     wide = [cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (17, 17))) for mask in clip.masks()]  # 3.4 cm
     error, _ = fit_error(clip, clip.tracks, wide)
-    assert error < 0.06, "0.024 with the body's own outline"
+    assert error < 0.08, "0.054; after all steps 0.024 with the body's own outline"
     monkeypatch.setattr(solve, "CLOTH", (0.0, 1e-4))
-    assert fit_error(clip, clip.tracks, wide)[0] > 2 * error, "0.15 without room for clothes"
+    assert fit_error(clip, clip.tracks, wide)[0] > 2 * error, "0.19 without room for clothes"
 
 
 @pytest.mark.slow
-def test_landmarks_that_all_lean_are_set_upright_by_balance():
-    clip = bodyfit_clips.make(MODEL, frames=24)
+def test_landmarks_that_all_lean_are_set_upright_by_balance(monkeypatch):
+    bodyfit_clips.take_steps(monkeypatch, 60, 50, 120)
+    clip = bodyfit_clips.make(MODEL, frames=12)
     leaning = [
         track and replace(track, world=track.world + 0.2 * track.world[:, [1]] * [0, 0, -1]) for track in clip.tracks
     ]
@@ -77,8 +79,7 @@ def test_landmarks_that_all_lean_are_set_upright_by_balance():
 
 @pytest.mark.slow
 def test_the_hem_of_a_skirt_does_not_pull_the_knees_in_it(monkeypatch):
-    for name, steps in (("FIRST", 80), ("OUTLINED", 80), ("LAST", 40)):
-        monkeypatch.setattr(fit, name, steps)
+    bodyfit_clips.take_steps(monkeypatch, 80, 80, 40)
     clip, found = bodyfit_clips.make(MODEL, frames=12), []
     masks = [skirted(clip, i, mask) for i, mask in enumerate(clip.masks())]
     for track in filter(None, clip.tracks):
