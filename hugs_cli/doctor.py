@@ -52,7 +52,7 @@ def machine() -> list[Finding]:
     return [
         Finding("python", (3, 11) <= python <= (3, 13), platform.python_version(), "use Python 3.11, 3.12 or 3.13"),
         Finding("processors", True, str(child.processors())),
-        Finding("memory", memory >= MEMORY_NEEDED, size(memory), "6 GiB are needed; try `--pipeline draft`", True),
+        Finding("memory", memory >= MEMORY_NEEDED, size(memory), "6 GiB are needed; try `--pipeline preview`", True),
         Finding("disk", disk >= DISK_NEEDED, f"{size(disk)} free", "`hugs gc` frees some", True),
         Finding("GPU", gpu, "CUDA" if gpu else "", "not needed; with an NVIDIA GPU install torch for CUDA", True),
         *([gsplat()] if gpu else []),

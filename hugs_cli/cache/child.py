@@ -188,7 +188,7 @@ def error_event(error: Exception, out: str, inputs: Iterable[str | None] = ()) -
     if said := file_error(error, out, inputs):
         error = said
     elif isinstance(error, MemoryError) or any(words in f"{type(error).__name__} {error}" for words in TORCH_MEMORY):
-        hint = "close other programs, or use smaller settings (`--pipeline draft`)"
+        hint = "close other programs, or use smaller settings (`--pipeline preview`)"
         error = StageError("the machine has no memory left for this stage", hint, [str(error).partition("\n")[0]])
     if isinstance(error, StageError):
         return {"event": "error", "problem": error.problem, "facts": error.facts, "hint": error.hint}

@@ -304,7 +304,7 @@ def failure(stage: Stage, outcome: Outcome, log: Path, continues: bool) -> BaseE
     name = signal.Signals(facts["signal"]).name
     hint = f"see {log}"
     if name == "SIGKILL":
-        hint = "most often the system ran out of memory: close other programs, or use `--pipeline draft`"
+        hint = "most often the system ran out of memory: close other programs, or use `--pipeline preview`"
     return StageFailed(f"stage {stage.name} was killed by {name}", hint, [memory, *lines])
 
 

@@ -107,7 +107,7 @@ def tabled(path: Path) -> list[dict[str, Any]]:
             raise UsageError(f"{path} is not valid CSV", "mend what is named above", [str(error)]) from error
     content = document(path, READABLE, LARGEST)
     if not isinstance(content, list) or not all(isinstance(entry, dict) for entry in content):
-        raise UsageError(f"{path} holds no list of clips", "write each as `- {clip: dance.mp4, pipeline: draft}`")
+        raise UsageError(f"{path} holds no list of clips", "write each as `- {clip: dance.mp4, pipeline: preview}`")
     return content
 
 

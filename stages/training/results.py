@@ -211,7 +211,7 @@ def _finished(fit: Fit, who: PersonLearner, body: FittedBody, say: Listener) -> 
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
     try:
         one, loss = fit.baked(who), fit.params.human_loss
-        done = settle(one, kept.person, kept.known, clear, fit.cast([one]), fit.seen(), loss)
+        done = settle(one, kept.person, kept.known, clear, fit.cast([one]), fit.seen(), loss, fit.progress.total)
         kept = kept._replace(person=done)
     except UNFINISHED as error:
         say.warn(f"the Gaussians of the person could not settle and stay as they were before: {error}")

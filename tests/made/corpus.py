@@ -197,7 +197,7 @@ def read_pipeline(root: Path) -> Any:
     from hugs_cli.pipelines import load, names
 
     names(root / "pipelines.yaml")
-    load("draft", ["train.steps=3"], root / "pipelines.yaml")
+    load("preview", ["train.steps=3"], root / "pipelines.yaml")
 
 
 def read_curve(root: Path) -> Any:

@@ -20,7 +20,7 @@ from stages.training.step import losses
 from stages.training.step.person import Learning
 from stages.training.views import Views, person_box, person_frames
 
-STEPS = 256
+STEPS, SHARE = 256, 0.25  # at most; of the steps of training
 RATES = {"sh": 0.03, "opacity": 0.1, "size": 0.02, "place": 4e-4}  # falling to 0
 ALONE = 0.5  # weight of the person alone, beside that of person and scene together
 DOUBLE = 0.7  # log of the factor by which a size changes at most
@@ -69,12 +69,21 @@ class Change(NamedTuple):
 
 
 def settle(
-    who: Learning, person: Canonical, known: Known, frames: list[int], cast: Cast, views: Views, human_loss: bool
+    who: Learning,
+    person: Canonical,
+    known: Known,
+    frames: list[int],
+    cast: Cast,
+    views: Views,
+    human_loss: bool,
+    taken: int,
 ) -> Canonical:
     """The finished `person`, changed as far as they are `known` to draw `frames` better, with and without the scene.
 
     Poses, bones and scene stay. Pixels of other people are not compared. Without `human_loss` only both together are drawn.
+    `taken`: the steps of the training, of which settling takes SHARE.
     """
+    steps = min(STEPS, round(SHARE * taken))
     learner, scales = who.who, person.scales
     seen, resting = learner.masked(views), rest(person, learner.canonical_bones)
     first = person.sh, person.opacities, scales, person.means
@@ -83,7 +92,7 @@ def settle(
     near = nearest(person.means, person.means, NEIGHBOURS + 1)[1][:, 1:]
     generator = torch.Generator().manual_seed(0)
     row = torch.arange(len(person.means) + (0 if cast.scene is None else len(cast.scene.means)), device=scales.device)
-    for step, i in enumerate(islice(cycle(person_frames(learner.body, seen, frames)), STEPS)):
+    for step, i in enumerate(islice(cycle(person_frames(learner.body, seen, frames)), steps)):
         held = change.held(known.own, known.told)
         moment = cast.at(i, [replace(who, resting=held.at_rest(resting, scales))])
         image, mask, everybody = views.images[i].float() / 255, *(m[i].float() / 255 for m in (seen.masks, views.masks))
@@ -113,7 +122,7 @@ def settle(
         for part, slope in zip(change, slopes, strict=True):
             part.grad = slope
         for group in adam.param_groups:
-            group["lr"] = RATES[group["name"]] * (1 - step / STEPS)
+            group["lr"] = RATES[group["name"]] * (1 - step / steps)
         adam.step()
     with torch.no_grad():
         return change.held(known.own, known.told).of(person)

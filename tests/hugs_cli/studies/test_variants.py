@@ -8,7 +8,7 @@ from hugs_cli.pipelines import UsageError, load
 from hugs_cli.studies.variants import AXES, level_name
 
 
-@pytest.mark.parametrize("name", ["default", "draft", "paper"])
+@pytest.mark.parametrize("name", ["default", "preview", "paper"])
 def test_every_level_of_every_axis_is_a_pipeline_with_those_settings_and_no_others(name):
     base = load(name)
     for axis_name, axis in AXES.items():

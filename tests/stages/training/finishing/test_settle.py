@@ -37,11 +37,11 @@ def accuracy(fit, person) -> float:
     return heldout_accuracy(fit.cast(), fit.seen(), [2])["psnr_person"]
 
 
-def settled(fit, person, own, frames=TRAIN, told=None, aslant=0.0, number=0):
-    """With colours that are their own[N], and sizes and places that frames tell as well, or told[N,3]."""
+def settled(fit, person, own, frames=TRAIN, told=None, aslant=0.0, number=0, learned=1400):
+    """With colours that are their own[N], and sizes and places that frames tell as well, or told[N,3]; after `learned` steps."""
     told = own[:, None].expand(-1, 3) if told is None else told
     who, known = fit.baked(fit.people[number]), Known(own, told, torch.full_like(own, aslant))
-    return settle(who, person, known, frames, fit.cast([who]), fit.seen(), fit.params.human_loss)
+    return settle(who, person, known, frames, fit.cast([who]), fit.seen(), fit.params.human_loss, learned)
 
 
 @pytest.mark.slow
@@ -114,6 +114,8 @@ def test_a_gradient_that_is_not_finite_changes_nobody_else(clip, monkeypatch):
     back = settled(fit, spoiled, own)
     assert all(part.isfinite().all() for part in back) and torch.equal(back.sh[7], spoiled.sh[7])
     assert not torch.equal(back.sh[8], spoiled.sh[8]) and fit.guard.left_out == 10
+    settled(fit, spoiled, own, learned=20)
+    assert fit.guard.left_out == 10 + 5, "a short training settles for a quarter of its steps"
 
 
 @pytest.mark.slow
