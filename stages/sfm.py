@@ -79,7 +79,7 @@ def run(
     it a camera that stands still sees the person as the tool did. A camera that stood still or only turned is named in
     sfm.json `verdict` and by a warning.
     """
-    from stages.estimators.cameras.check import compare_colors, triangulate
+    from stages.estimators.cameras.check import compare_colors, compare_stillness, triangulate
     from stages.estimators.cameras.given import import_cameras
     from stages.estimators.cameras.parts import Parts
     from stages.estimators.cameras.sparse_model import write_model
@@ -103,9 +103,11 @@ def run(
                 job.progress(85 + 14 * done // len(found.names), 100)
         write_cameras(job.out / "cameras.npz", Cameras(tuple(found.names), found.viewmats, found.Ks, *size))
         if found.cloud is not None:
-            compare_colors(job, found, found.cloud)
+            compare_colors(job, found, found.cloud, size)
         elif cameras is not None and found.verdict == "moving":
             triangulate(job, found, size, params.features, Path(scratch))
+        elif cameras is not None:
+            compare_stillness(job, found, size, Path(scratch))
     with parts.timed("points"):
         model = write_model(job, found, size)
     facts = {
