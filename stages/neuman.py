@@ -15,6 +15,13 @@ class Params(contract.Params):
     """Longer side of the pictures in px; larger ones are shrunk. The data set's own are 1276."""
 
 
+def check(params: Params, *, video: Path) -> None:
+    """See `contract.StageModule`."""
+    from stages.formats.datasets.neuman import check_folder
+
+    check_folder(video)
+
+
 def run(job: Job, params: Params, *, video: Path) -> None:
     """Write images/, frames.json and given/ (masks, cameras, points, body poses) from a NeuMan sequence's folder.
 

@@ -21,6 +21,13 @@ class Params(contract.Params):
     """Longer side of the pictures in px; the data set's own are 1024, which need four times the memory."""
 
 
+def check(params: Params, *, video: Path) -> None:
+    """See `contract.StageModule`."""
+    from stages.formats.datasets.zju import check_folder
+
+    check_folder(video)
+
+
 def run(job: Job, params: Params, *, video: Path) -> None:
     """Write images/, frames.json and given/ (masks, cameras, body poses) from a ZJU-MoCap sequence's folder."""
     from stages.formats.datasets.capture import write_capture

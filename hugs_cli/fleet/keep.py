@@ -52,8 +52,8 @@ def made_of(session: Session) -> str:
 def let_go(session: Session, keep: Sequence[str], result: dict[str, Any]) -> dict[str, Any]:
     """Remove the results of all other stages, except those that another pipeline links to, and what nothing links to.
 
-    Returns `result` (see `plan.result_of`) with what was `kept`, the bytes `freed`, and the pages that are left. It is killed
-    at no time without the next call knowing what to do.
+    Returns `result` (see `plan.result_of`) with what was `kept`, the bytes `freed`, and the pages that are left. Where it is
+    killed, the next call goes on.
     """
     workspace = session.workspace
     kept = {name: stamp.key for name in keep if (one := workspace.linked(name)) and (stamp := Stamp.read(one))}

@@ -106,6 +106,22 @@ def test_what_is_no_time_is_refused(text):
         within.seconds_of(text)
 
 
+REFUSES = """
+def check(params):
+    from stages.contract import StageError
+    raise StageError("a package is missing")
+"""
+
+
+def test_stages_after_training_check_before_it_and_before_the_first(clip):
+    run(clip, "one")
+    clip.write("after", AFTER + REFUSES)
+    for what in ("before training", "at once"):
+        assert holds(run(clip, "--within", "60s", code=1)[1], "a package is missing"), what
+        assert {path.name[:3] for path in clip.store.iterdir()} <= {"one"}
+        clip.video.write_text("other pixels")
+
+
 @pytest.mark.slow
 def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(finished):
     clip, (out, err) = finished

@@ -33,9 +33,14 @@ PAPER_RULE = "The split of HUGS: every 5th frame is held out, of these the first
 FILE_RULE = "The split of the data set's own files: test_split.txt is measured, train_split.txt trained on."
 
 
+def check_folder(folder: Path) -> None:
+    """StageError for what is not the folder of a sequence."""
+    require(folder, ("images", "sparse", FIT), "a NeuMan sequence", "neuman")
+
+
 def read_neuman(folder: Path) -> Capture:
     """Read a sequence; StageError for what is missing, and where masks or poses do not belong to the pictures."""
-    require(folder, ("images", "sparse", FIT), "a NeuMan sequence", "neuman")
+    check_folder(folder)
     model = read_colmap(folder / "sparse")
     files = picture_files(folder / "images")
     have = {file.name: file for file in files}

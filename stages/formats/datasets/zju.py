@@ -28,12 +28,17 @@ HINT = "unpack the sequence again: a CoreView folder with annots.npy, the pictur
 NUMBER = re.compile(r"_(\d{4,})(?:_|$)")
 
 
+def check_folder(folder: Path) -> None:
+    """StageError for what is not the folder of a sequence."""
+    require(folder, ("annots.npy",), "a ZJU-MoCap sequence", "zju")
+
+
 def read_zju(folder: Path, train_camera: int, train_frames: int, test_every: int) -> Capture:
     """Read the first `train_frames` moments of one camera to train on, and every `test_every`-th from all others.
 
     Raises StageError for what is missing or does not fit; no code of a pickle is run.
     """
-    require(folder, ("annots.npy",), "a ZJU-MoCap sequence", "zju")
+    check_folder(folder)
     annots = read_named(folder / "annots.npy", HINT)
     paths = [_row(folder, i, row) for i, row in enumerate(take(annots, "ims", folder / "annots.npy", HINT))]
     if not paths:

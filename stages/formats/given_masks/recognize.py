@@ -24,6 +24,7 @@ from stages.formats.given_masks.coco import read_coco
 from stages.formats.given_masks.mask_set import MaskSet, Values, check_one_per_frame
 from stages.formats.given_masks.stacks import read_stack
 from stages.formats.given_masks.values import mask_files, read_values
+from stages.formats.kinds import kind_of
 from stages.formats.pictures import beside_pictures, natural_order
 from stages.formats.video import decode, probe
 
@@ -43,6 +44,8 @@ def read_mask_files(path: Path, frames: range, film: str) -> MaskSet:
         return read_coco(path)
     if suffix in ENDINGS:
         raise StageError(f"{path} is one mask", "give the folder that holds one mask per frame", [f"a {suffix} file"])
+    if (kind := kind_of(path)) and kind.what != "text":
+        raise StageError(f"{path} is {kind}, and holds no masks", HINT)
     return mask_video(path, frames, film)
 
 
