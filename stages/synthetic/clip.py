@@ -14,7 +14,7 @@ import torch
 
 from stages.avatar.body.smpl import Body, vertex_normals
 from stages.avatar.cameras.pinhole import look_at, pinhole
-from stages.avatar.kernels.mesh import cast, fill
+from stages.avatar.kernels.mesh import NO_LAMPS, cast, fill
 from stages.records import BodyModel
 from stages.synthetic import person
 from stages.synthetic.room import Room, make_room
@@ -176,9 +176,8 @@ class Renderer:
     ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
         """Of the room z [H,W] in m and colours; of the body z, faces and their weights."""
         room, pose = self.room, np.linalg.inv(viewmat)[None]
-        colors, depth = cast(
-            pose, K, width, height, room.boxes, room.paint, room.tints, room.mips, room.per_metre, LIGHT
-        )
+        colors, depth = cast(pose, K, width, height, room.boxes, room.paint, room.tints, room.mips, room.per_metre,
+                             LIGHT, 0.0, NO_LAMPS, False)  # fmt: skip
         return (depth, colors), fill(vertices @ viewmat[:3, :3].T + viewmat[:3, 3], self.faces, K, width, height)
 
 

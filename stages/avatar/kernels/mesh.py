@@ -74,7 +74,7 @@ def covered(
 
 @njit(cache=True, parallel=True)
 def cast(world_from_camera, K, width: int, height: int, boxes, paint, tints, mips, per_metre: float, light,
-         gloss: float = 0.0, lamps=NO_LAMPS, open_air: bool = False):  # fmt: skip
+         gloss: float, lamps, open_air: bool):  # fmt: skip
     """Colour [H,W,3] and depth [H,W] of boxes seen along the rays through the pixel centres.
 
     `world_from_camera` [R,4,4] is one camera for the picture (R = 1) or one for each of its rows (R = H).

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from stages.avatar.cameras.pinhole import look_at, pinhole
-from stages.avatar.kernels.mesh import cast, fill
+from stages.avatar.kernels.mesh import NO_LAMPS, cast, fill
 
 K = pinhole(50.0, 40, 30)
 DOWN = np.array([0.0, 1.0, 0.0])
+PLAIN = 0.0, NO_LAMPS, False  # nothing mirrors, and the room is closed
 
 
 def rays(width=40, height=30):
@@ -52,7 +53,7 @@ def test_cast_sees_the_wall_through_the_room_and_the_box_before_it():
     boxes = np.array([[0, 0, 0, 3, 2, 4, 1, 0], [0, 0, 2, 0.2, 5, 0.1, np.cos(0.3), np.sin(0.3)]], dtype=float)
     mips = tuple(np.full((1, s, s, 3), 0.5, np.float32) for s in (8, 4))
     pose = np.linalg.inv(look_at(np.zeros(3), np.array([0, 0, 1.0]), DOWN))[None]
-    arguments = np.zeros((2, 6), int), np.ones((2, 3)), mips, 4.0, DOWN
+    arguments = np.zeros((2, 6), int), np.ones((2, 3)), mips, 4.0, DOWN, *PLAIN
     image, depth = cast(pose, K, 40, 30, boxes[:1], *arguments)
     assert depth == pytest.approx(4.0, rel=1e-12), "the far wall fills the view"
     assert ((image > 0.2) & (image < 0.51)).all()
@@ -74,5 +75,5 @@ def test_a_point_of_the_texture_is_one_colour_near_and_far():
         size = 32
         close = pinhole(focal, size, size)
         image, _ = cast(pose, close, size, size, room, np.zeros((1, 6), int), np.ones((1, 3)),
-                        (fine, coarse, coarser), 8.0 * focal / 64, DOWN)  # fmt: skip
+                        (fine, coarse, coarser), 8.0 * focal / 64, DOWN, *PLAIN)  # fmt: skip
         assert image.mean((0, 1)) == pytest.approx(0.72 * fine[0].mean((0, 1)), abs=0.02)
