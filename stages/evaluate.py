@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from stages.avatar.drawing.cast import Cast, Moment
     from stages.avatar.measures.lpips import Lpips
     from stages.formats.clip import Clip
+    from stages.formats.facts import Trained
 
 LOADS = contract.TORCH
 PROTOCOL = (
@@ -80,15 +81,10 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     """Write metrics.json, and heldout/*.png: the clip, the result, the person alone."""
     import numpy as np
 
-    from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.measures.lpips import Lpips
-    from stages.avatar.measures.poses import farthest
-    from stages.avatar.splats.neighbours import spread_evenly
     from stages.estimators.assets import path
     from stages.filming.clip_cast import load_cast
     from stages.formats.facts import Trained, read_facts
-    from stages.formats.images import write_image
-    from stages.formats.people import folder_of
 
     began = time.perf_counter()
     clips, cast = load_cast(sfm, smpl, train, job.device)
@@ -101,34 +97,12 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         for i in np.flatnonzero(clip.heldout)
         if scene is not None or any(one.shows_person(int(i)) for one in clips)
     ]
-    shown = set(spread_evenly(held, SHOWN))
-    (job.out / "heldout").mkdir()
-    protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
-    each: list[dict[str, list[dict[str, Any]]]] = [{protocol: [] for protocol in protocols} for _ in clips]
-    for done, (k, i) in enumerate((k, i) for k in range(len(clips)) for i in held):
-        job.progress(done, len(held) * len(clips))
-        rows, strips = each[k], folder_of(job.out, k + 1) / "heldout"
-        strips.mkdir(parents=True, exist_ok=True)
-        shot = Shot(clips, cast, k, i, facts.exposure.get(clip.names[i]))
-        for protocol in protocols:
-            moment = shot.moment if protocol == "heldout" else shot.posed(*fit_pose(shot, params.fit_steps))
-            drawn = shot.draw(moment)
-            found = dict(_scores(shot, drawn, lpips)) | dict(_masked(shot, moment, lpips) if params.masked else ())
-            rows[protocol].append({"name": clip.names[i]} | found)
-            if protocol == "heldout" and i in shown:
-                strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
-                write_image(strips / f"{clip.names[i]}.png", strip)
+    each = list(_measured(job, params, clips, cast, facts, held, lpips))
     seconds = {name: record.seconds for name, record in job.upstream.items()}
     seconds["evaluate"] = round(time.perf_counter() - began, 3)
     memory = [*(record.peak_memory_bytes for record in job.upstream.values()), contract.peak_memory()]
     regions = (*REGIONS, *(MASKED_REGIONS if params.masked else ()))
-    for one, rows in zip(clips, each, strict=True):
-        shows = [i for i in held if one.shows_person(i)]
-        far = {clip.names[i] for i in farthest(one.body.body_pose, shows, one.training)}
-        rows["heldout_far"] = [row for row in rows["heldout"] if row["name"] in far]
     means, *of_others = [{protocol: _means(found, regions) for protocol, found in rows.items()} for rows in each]
-    for rows in each:
-        del rows["heldout_far"]
     gaussians = sum(len(one.avatar.resting.means) for one in cast.people)
     metrics = means | {
         "frames": len(held),
@@ -139,7 +113,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         "seed": job.seed,
         "versions": _versions(),
         "protocol": " ".join([clip.split.rule, PROTOCOL, *[PEOPLE] * bool(of_others), MASKED * params.masked]).strip(),
-        "per_frame": each[0],
+        "per_frame": {protocol: rows for protocol, rows in each[0].items() if protocol != "heldout_far"},
     }
     if of_others:
         metrics["people"] = {str(k): theirs for k, theirs in enumerate(of_others, 2)}
@@ -148,6 +122,46 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
         job.note(f"person {number}, " * bool(of_others) + _sentence(theirs["heldout"], theirs["heldout_far"]))
     if not held:
         job.warn(f"nothing could be measured: no held-out frame to compare in {len(clip.names)} registered frames")
+
+
+def _measured(
+    job: Job,
+    params: Params,
+    clips: Sequence[Clip],
+    cast: Cast[PosedAvatar],
+    facts: Trained,
+    held: list[int],
+    lpips: Lpips,
+) -> Iterator[dict[str, list[dict[str, Any]]]]:
+    """Of each person the rows of all `held` frames, by protocol. Writes pictures of SHOWN of these frames."""
+    import numpy as np
+
+    from stages.avatar.drawing.pixels import to_uint8
+    from stages.avatar.measures.poses import farthest
+    from stages.avatar.splats.neighbours import spread_evenly
+    from stages.formats.images import write_image
+    from stages.formats.people import folder_of
+
+    shown = set(spread_evenly(held, SHOWN))
+    protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)
+    for k, clip in enumerate(clips):
+        rows: dict[str, list[dict[str, Any]]] = {protocol: [] for protocol in protocols}
+        strips = folder_of(job.out, k + 1) / "heldout"
+        strips.mkdir(parents=True)
+        for done, i in enumerate(held):
+            job.progress(k * len(held) + done, len(held) * len(clips))
+            shot = Shot(clips, cast, k, i, facts.exposure.get(clip.names[i]))
+            for protocol in protocols:
+                moment = shot.moment if protocol == "heldout" else shot.posed(*fit_pose(shot, params.fit_steps))
+                drawn = shot.draw(moment)
+                found = dict(_scores(shot, drawn, lpips)) | dict(_masked(shot, moment, lpips) if params.masked else ())
+                rows[protocol].append({"name": clip.names[i]} | found)
+                if protocol == "heldout" and i in shown:
+                    strip = np.concatenate([clip.images(i), *(to_uint8(d.cpu().numpy()) for d in drawn)], 1)
+                    write_image(strips / f"{clip.names[i]}.png", strip)
+        there = [i for i in held if clip.shows_person(i)]
+        far = {clip.names[i] for i in farthest(clip.body.body_pose, there, clip.training)}
+        yield rows | {"heldout_far": [row for row in rows["heldout"] if row["name"] in far]}
 
 
 class Shot:
