@@ -16,7 +16,7 @@ import typer
 from typer import Option
 from typer.core import TyperGroup
 
-from hugs_cli import options, pipelines, words
+from hugs_cli import options, pipelines, times, words
 from hugs_cli.app_compare import ablate, costs
 from hugs_cli.app_compose import compose
 from hugs_cli.app_draw import animate, render
@@ -127,7 +127,9 @@ def run_pipeline(
     forced = frozenset(stages or wanted) if force else frozenset()
     console = Console(name_width=max(9, *(len(name) + 1 for name in wanted)))
     if dry_run:
-        show(console, (promised.last_session() if promised else session).verdicts(wanted, forced), as_json)
+        found = (promised.last_session() if promised else session).verdicts(wanted, forced)
+        todo = [] if promised else [name for name, verdict in found.items() if not verdict.fresh]
+        show(console, found, as_json, times.here(engine.device_of(device)[0]).forecast(session, todo))
         return
     video, workspace = session.video, session.workspace
     session.check_sources()

@@ -43,9 +43,9 @@ def ablate(
     if dry_run:
         rows = [{"pipeline": one.session.pipeline.name, "seed": one.seed, "train": state} for one, state, _ in plan]
         lines = [f"  {row['pipeline']:<24}seed {row['seed']:<4}{row['train']}" for row in rows]
-        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.summary(plan), *lines]))
+        console.result(json.dumps(rows, indent=1) if as_json else "\n".join([ablations.summary(plan, device), *lines]))
         return
-    console.say(ablations.summary(plan))
+    console.say(ablations.summary(plan, device))
     result = {"clip": session.video.name, **ablations.run(cases, device.value, console)}
     console.result(json.dumps(result, indent=1) if as_json else "\n".join(ablations.table(result)))
 
@@ -82,11 +82,11 @@ def costs(
         plan = sweeps.plan(cases, 60 * budget)
         if dry_run:
             rows = [{"pipeline": c.session.pipeline.name, "seed": c.seed, "state": s, "seconds": t} for c, s, t in plan]
-            lines = [sweeps.summary(cases, plan, 60 * budget), *sweeps.plan_lines(plan)]
+            lines = [sweeps.summary(cases, plan, 60 * budget, device), *sweeps.plan_lines(plan)]
             console.result(json.dumps(rows, indent=1) if as_json else "\n".join(lines))
             return
         session.workspace.create()
-        console.say(sweeps.summary(cases, plan, 60 * budget))
+        console.say(sweeps.summary(cases, plan, 60 * budget, device))
         result = sweeps.run(cases, 60 * budget, device.value, console)
     else:
         result = accounts.compared(accounts.runs(session.workspace))

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from hugs_cli import options, pipelines, words
+from hugs_cli import options, pipelines, times, words
+from hugs_cli.cache import engine
 from hugs_cli.console import Console
 from hugs_cli.options import AsJson, BodyModel, DeviceName, DryRun, PipelineName, PipelinesFile, Settings, Work
 from hugs_cli.pipelines import NAME, UsageError
@@ -78,13 +79,16 @@ def fleet(
     pipelines.load(pipeline, set_ or (), pipelines_file).upstream(kept)  # refuses at once what no clip could run with
     rows = read(clips, pipeline, set_ or (), work)
     common = plan.Common(work, pipelines_file, body_model, device.value, kept)
-    planned = plan.plan(rows, common, past, split is not None)
+    known = times.here(engine.device_of(device.value)[0])
+    planned = plan.plan(rows, common, past, known, split is not None)
     if only_failed:
         planned = board.failed_before(planned, work, name)
     todo = [one for one in planned if one.state == "todo"]
     at_a_time, why = (jobs or 0, "") if profile else runner.side_by_side(jobs, [one.megabytes for one in todo])
     if not profile and not runner.has_snakemake():
         at_a_time, why = 1, f"{runner.EXTRA} lets clips run side by side"
+    for one in planned:
+        one.slowed(runner.slower(at_a_time))
     if dry_run:
         lines = [plan_line(one) for one in planned]
         found = [plan.as_json(one) for one in planned]
@@ -93,7 +97,7 @@ def fleet(
     console.say(summary(planned, at_a_time))
     if todo and not profile and (jobs is None or at_a_time < jobs):
         console.say(f"{words.count(at_a_time, 'clip')} at a time: {why}")
-    done, total = Fleet(name, common, planned, past, split is not None, at_a_time, profile).run(console)
+    done, total = Fleet(name, common, planned, split is not None, at_a_time, profile).run(console)
     console.say(counts(total))
     for kind, number in total["failures"].items():
         console.say(f"  {number:>4} x {kind}")
@@ -113,8 +117,7 @@ def plan_line(one: Planned) -> str:
         return f"{clip}fresh" + (f", of {', '.join(kept)} alone" if (kept := one.result.get("kept")) else "")
     if not one.todo:
         return f"{clip}made: what is not kept is to go"
-    about = "not known how long" if one.seconds is None else f"about {words.duration(one.seconds)}"
-    return f"{clip}{words.count(len(one.todo), 'stage')} to do, {about}"
+    return f"{clip}{words.count(len(one.todo), 'stage')} to do, about {words.duration(one.seconds)}"
 
 
 def summary(planned: Sequence[Planned], at_a_time: int) -> str:
@@ -122,12 +125,7 @@ def summary(planned: Sequence[Planned], at_a_time: int) -> str:
     states = Counter(one.state for one in planned)
     said = [f"{words.count(len(planned), 'clip')}: {states['fresh']} fresh, {states['todo']} to do"]
     said += [f"{states['failed']} cannot begin"] if states["failed"] else []
-    times = [one.seconds for one in planned if one.state == "todo"]
-    known = [seconds for seconds in times if seconds is not None]
-    if known and len(known) == len(times):
-        said.append(
-            f"about {words.duration(sum(known) / max(1, at_a_time))}" + ("" if at_a_time else " of machine time")
-        )
-    elif times:
-        said.append("how long is not known before a first clip was run")
+    if states["todo"]:
+        seconds = sum(one.seconds for one in planned) / max(1, at_a_time)
+        said.append(f"about {words.duration(seconds)}" + ("" if at_a_time else " of machine time"))
     return ", ".join(said)

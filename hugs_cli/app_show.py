@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
-from hugs_cli import options, pipelines
+from hugs_cli import options, pipelines, times
 from hugs_cli.cache import child
 from hugs_cli.cache.freshness import Verdict
 from hugs_cli.cache.workspace import Stamp
@@ -21,7 +22,7 @@ def status(video: options.Video, given: RunOptions, as_json: AsJson = False) -> 
     """Show which results are fresh, and why others are not."""
     console = Console()
     session = given.of_results(video, console).session(video)
-    show(console, session.verdicts(list(session.pipeline.stages)), as_json)
+    show(console, session.verdicts(list(session.pipeline.stages)), as_json, {})
 
 
 @on_a_run
@@ -70,14 +71,17 @@ def list_stages(
             console.result(f"    {name} = {values[name]}{'   ' + doc if doc else ''}")
 
 
-def show(console: Console, verdicts: dict[str, Verdict], as_json: bool) -> None:
-    """Print verdicts as rows or as JSON."""
+def show(console: Console, verdicts: dict[str, Verdict], as_json: bool, ahead: Mapping[str, times.Guess]) -> None:
+    """Print verdicts, and how long a run will take of which stages are `ahead`, as rows or as JSON."""
     if not as_json:
         console.verdicts(verdicts)
+        if ahead:
+            console.result(f"a run takes {times.said(times.total(ahead.values()))}")
         return
     rows = [
         {"stage": name, "state": verdict.state, "reasons": list(map(str, verdict.reasons))}
         | stamp_facts(verdict.stamp or verdict.last)
+        | ({"expected_seconds": round(ahead[name].seconds, 1)} if name in ahead else {})
         for name, verdict in verdicts.items()
     ]
     console.result(json.dumps(rows, indent=1))

@@ -6,13 +6,14 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, TextIO
 
+from hugs_cli import times
 from hugs_cli.cache.freshness import CodeChanged, InputChanged, ParamChanged, Reason, SeedChanged, Upstream, Verdict
 from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.workspace import Stamp
+from hugs_cli.countdown import Countdown, Progress
 from hugs_cli.direct import StageFailed
 from hugs_cli.words import ago, count, duration, number, plain
 from stages.contract import StageError
@@ -34,31 +35,6 @@ def reasons_text(reasons: tuple[Reason, ...]) -> str:
     return ", ".join(texts)
 
 
-@dataclass
-class Progress:
-    """The running stage: when it began, and its last progress event."""
-
-    started: float
-    first: tuple[float, int] | None = None
-    event: dict[str, Any] = field(default_factory=dict)
-
-    def take(self, event: dict[str, Any], now: float) -> None:
-        """Keep a progress event. A new total or a step back begins a new part, which has its own speed."""
-        restarted = self.event and (event["total"] != self.event["total"] or event["done"] < self.event["done"])
-        if self.first is None or restarted:
-            self.first = (now, event["done"])
-        self.event = event
-
-    def left(self, now: float) -> float | None:
-        """Seconds until this part ends: the stage's own number, or from its speed so far; None in the first 2 s."""
-        if "left" in self.event:
-            return self.event["left"]
-        if self.first is None or self.event["done"] <= self.first[1] or now - self.first[0] < 2:
-            return None
-        speed = (self.event["done"] - self.first[1]) / (now - self.first[0])
-        return (self.event["total"] - self.event["done"]) / speed
-
-
 class Console:
     """Prints one command's output; a Watcher of the engine."""
 
@@ -74,6 +50,9 @@ class Console:
         self.color = self.live and not os.environ.get("NO_COLOR")
         self.name_width = name_width
         self.progress = Progress(0.0)
+        self.countdown: Countdown | None = None
+        self.only_new = False
+        """Whether cached stages have no rows: they are the same as in the run before this one."""
         self.reasons = ""
         self.shown_notes: list[str] = []
         self.last_line = 0.0
@@ -114,6 +93,13 @@ class Console:
         """The first line of a run."""
         self.say(f"{clip}  {facts}".rstrip() + f"   pipeline {pipeline}   {folder}   {device}: {why}")
 
+    def expect(self, stages: Iterable[tuple[str, times.Guess]]) -> None:
+        """Say how long stages to run will take, given in order, and count them down from now on."""
+        known = list(stages)
+        self.countdown = Countdown([(name, guess.seconds) for name, guess in known], self.clock())
+        if known:
+            self.say(f"this run takes {times.said(times.total(guess for _, guess in known))}")
+
     def row(self, stage: str, state: str, seconds: str, text: str) -> str:
         """Stage, state, time, text in columns."""
         return plain(f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}{seconds:<{TIME_WIDTH}}{text}".rstrip())
@@ -128,6 +114,8 @@ class Console:
 
     def cached(self, stage: str, stamp: Stamp) -> None:
         """A stage whose result is fresh."""
+        if self.only_new:
+            return
         self.say(self.row(stage, "cached", "", f"saved {duration(stamp.seconds):>9}"))
         for warning in stamp.warnings:
             self.warning(warning)
@@ -135,6 +123,8 @@ class Console:
     def started(self, stage: str, reasons: tuple[Reason, ...]) -> None:
         """A stage's process begins."""
         self.progress = Progress(self.clock())
+        if self.countdown:
+            self.countdown.started(stage)
         self.reasons, self.shown_notes = reasons_text(reasons), []
         self.last_line = self.clock()
         self.draw(stage)
@@ -152,6 +142,8 @@ class Console:
 
     def ended(self, stage: str, outcome: Outcome) -> None:
         """A stage's process has ended: print its row, its notes and its warnings."""
+        if self.countdown:
+            self.countdown.ended(stage, self.clock())
         state = ENDINGS.get(outcome.kind, "failed")
         text = self.reasons
         notes = [note for note in outcome.notes if note not in self.shown_notes]
@@ -178,8 +170,9 @@ class Console:
             done, total = progress.event["done"], progress.event["total"]
             state = f"{done}/{total}  {100 * done // max(total, 1)} %"
             text = "  ".join(number(name, value) for name, value in progress.event["numbers"].items())
-            if (left := progress.left(now)) is not None:
-                text = f"{text}  about {duration(left)} left".strip()
+        own, whole = progress.left(now), self.countdown.left(stage, progress, now) if self.countdown else None
+        if own is not None or whole is not None:
+            text = f"about {left_text(own, whole)}  {text}".strip()
         if self.live:
             line = f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}  {elapsed:<7}  {plain(text)}".rstrip()
             self.err.write(f"\r\x1b[2K{line[: shutil.get_terminal_size().columns - 1]}")
@@ -263,6 +256,13 @@ class Console:
             self.result(f"  {finding.name:<32}{state:<9}{finding.text}".rstrip())
             if finding.hint and not finding.ok:
                 self.result(f"  {'':<32}hint: {finding.hint}")
+
+
+def left_text(own: float | None, whole: float | None) -> str:
+    """'1m 10s left, 12m 4s in all': of a stage and of the run, or of one of them."""
+    if own is None or whole is None:
+        return f"{duration(own or whole or 0)} left{' in all' if own is None else ''}"
+    return f"{duration(own)} left{f', {duration(whole)} in all' if whole > own else ''}"
 
 
 def why_line(reason: Reason) -> str:

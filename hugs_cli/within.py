@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hugs_cli.busy import share
+from hugs_cli import times
 from hugs_cli.cache import engine
 from hugs_cli.cache.engine import Ran
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace, read_json, write_json
 from hugs_cli.console import Console
+from hugs_cli.countdown import Countdown
 from hugs_cli.pipelines import Stage, UsageError
-from hugs_cli.studies.calibration import FRAMES, LEAST, STAGE_START, STAGES, STEP
-from hugs_cli.studies.comparison import Quiet
+from hugs_cli.studies.calibration import LEAST
+from hugs_cli.times import STAGE_START
 from hugs_cli.words import duration
 from stages.contract import load_stage
 
@@ -59,7 +60,7 @@ class Promise:
         place = self.session.workspace.links / CHOSEN
         chosen = read_json(place)
         begun = "train" not in forced and self._begun(chosen)
-        guess = self._guess(forced, begun)
+        guess = self._guess(forced, begun, engine.device_of(device)[0], console)
         self._say_what_does_not_fit(guess, console)
         later = ["train", *after]
         made = engine.run(self.session, before, forced & set(before), device, console, report=True, later=later)
@@ -70,16 +71,16 @@ class Promise:
             chosen = {"guess": guess, "train": self._training(left)}
             write_json(place, chosen)
             console.say(f"{duration(left)} are left for training and the stages after it")
-        upto = [*before, "train"]
+        upto, console.only_new = [*before, "train"], True
         fit = with_settings(self.session, chosen)
-        made += engine.run(fit, upto, forced & {"train"}, device, Quiet(), report=True, later=after)[-1:]
+        made += engine.run(fit, upto, forced & {"train"}, device, console, report=True, later=after)[-1:]
         if made[-1].state == "done" or not set(self._shorter()) <= set(chosen):
             chosen |= self._following(self._left(began, len(after)), made[-1].folder)
             write_json(place, chosen)
             if any(chosen[name] for name in self._shorter()):
                 console.say("that is short: films are shorter, and held-out poses are not fitted")
         session = with_settings(self.session, chosen)
-        made += engine.run(session, self.wanted, forced & set(after), device, Quiet(), report=True)[len(upto) :]
+        made += engine.run(session, self.wanted, forced & set(after), device, console, report=True)[len(upto) :]
         took = time.monotonic() - began
         off = 100 * (took / self.seconds - 1)
         console.say(f"promised {duration(self.seconds)}, took {duration(took)} ({off:+.0f} %)")
@@ -91,15 +92,20 @@ class Promise:
         """Seconds left of the time when so many stages have been started."""
         return max(self.seconds - (time.monotonic() - began) - STAGE_START * starts, 0.0)
 
-    def _guess(self, forced: frozenset[str], begun: bool) -> dict[str, float]:
-        """Seconds that the least of this run takes, see calibration.py: `before` training, `from` then on, and the `share`
-        of its processors that the machine has for it now."""
-        stages, found = self.session.pipeline.stages, self.session.verdicts(self._before(), forced)
-        frames = getattr(stages["frames"].params, "count", FRAMES) if "frames" in stages else FRAMES
+    def _guess(self, forced: frozenset[str], begun: bool, device: str, console: Console) -> dict[str, float]:
+        """Seconds that the least of this run takes: `before` training, `from` then on, and the `share` of its processors
+        that the machine has for it now. The whole time is counted down from now on."""
+        found, known = self.session.verdicts(self._before(), forced), times.here(device)
         missing = [name for name, verdict in found.items() if not verdict.fresh]
-        before = sum(STAGE_START + STAGES.get(name, 0.0) * frames for name in missing)
-        least = 0.0 if begun else LEAST * STEP + STAGE_START * (1 + len(self._after()))
-        free = share() if missing or not begun else 1.0
+        sizes = times.sizes_of(self.session, "frames" not in missing)._replace(steps=LEAST - times.FINISHING)
+        train = known.alone(self.session, self.session.pipeline.stages["train"], sizes).seconds
+        least = 0.0 if begun else train + STAGE_START * (1 + len(self._after()))
+        free = times.free() if missing or not begun else 1.0
+        ahead = known.forecast(self.session, [*missing, "train", *self._after()])
+        rest = sum(one.seconds for name, one in ahead.items() if name != "train")
+        seconds = {name: one.seconds for name, one in ahead.items()} | {"train": max(self.seconds - rest, least / free)}
+        console.countdown = Countdown(seconds.items(), console.clock())
+        before = sum(one.seconds for one in known.forecast(self.session, missing, now=False).values())
         return {"before": round(before / free, 1), "from": round(least / free, 1), "share": round(free, 2)}
 
     def _say_what_does_not_fit(self, guess: dict[str, float], console: Console) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from stages.contract import ADAM, Job, StageError, whole
 from stages.training.settings import Params
+from stages.training.timing.finishing import finishing_parts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,16 +29,12 @@ RESUMES, LOADS = True, ADAM
 CHECKPOINT, CHECKPOINT_SECONDS = "checkpoint.pt", 60
 LIVE = "live.png"  # the last picture of a training under way
 
-FINISH, FILL = 180.0, 25.0
-"""Training steps of full size that it takes, after the last step, to look at the frames, let a person settle and write them, and to
-fill what they hide of the scene. The kitchen clip, a short training, 2 cores, November 2026."""
-
 
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
     from stages.formats.people import people_of
 
-    return FILL + FINISH * len(people_of(folders["sfm"]))
+    return sum(steps for _, steps in finishing_parts(len(people_of(folders["sfm"]))))
 
 
 def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> None:

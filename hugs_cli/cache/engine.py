@@ -17,6 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from hugs_cli import times
 from hugs_cli.cache import child, garbage, whole
 from hugs_cli.cache.checks import check
 from hugs_cli.cache.fingerprint import files_under
@@ -100,6 +101,8 @@ def run(
                 if unchecked:
                     check(session, unchecked[unchecked.index(stage) :], launcher)
                     unchecked = []
+                if console.countdown is None:
+                    console.expect(times.expected(session, stages[len(ran) :], done, forced, device_of(device)[0]))
                 then = after.loads if after else None
                 stamp, state = make(session, stage, verdict, done, device, launcher, then, console, page), "done"
             session.workspace.link(name, verdict.folder)
@@ -238,6 +241,7 @@ def publish(session: Session, stage: Stage, verdict: Verdict, outcome: Outcome, 
     workspace.publish(part, folder)
     workspace.link(stage.name, folder)
     workspace.log_run(**facts, result="done")
+    times.learn(session, stage, stamp.seconds, device)
     console.ended(stage.name, outcome)  # said last: who cannot hear it any more loses nothing
     return stamp
 

@@ -17,7 +17,6 @@ from typing import Any
 from hugs_cli.cache.whole import replace
 from hugs_cli.cache.workspace import read_json
 from hugs_cli.direct import run_directly
-from hugs_cli.fleet.history import History
 from hugs_cli.fleet.job import LOGS, ROWS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import AFTER, BEFORE, WHOLE, Planned
 from hugs_cli.pipelines import UsageError
@@ -42,9 +41,8 @@ CSV = ("clip", "folder", "pipeline", "state", "stage", "seconds_left", "seconds"
 class Board:
     """The rows of a fleet's run. Reads only the reports that have changed."""
 
-    def __init__(self, folder: Path, work: Path, planned: Sequence[Planned], history: History):
-        self.folder, self.work = folder, work
-        self.planned, self.history = planned, history
+    def __init__(self, folder: Path, work: Path, planned: Sequence[Planned]):
+        self.folder, self.work, self.planned = folder, work, planned
         self.reports: dict[str, dict[str, Any]] = {}
         self.changed: dict[str, tuple[int, float]] = {}
         """Row -> mtime of its report, and when that was seen, by our clock."""
@@ -122,18 +120,16 @@ class Board:
         """Seconds since a report last changed. Our clock alone: machines may differ about the time."""
         return time.monotonic() - self.changed[row][1]
 
-    def left(self, one: Planned, report: dict[str, Any], state: str) -> float | None:
-        """Seconds until a row is done, once it runs; None where that is not known, 0 where nothing is left."""
+    def left(self, one: Planned, report: dict[str, Any], state: str) -> float:
+        """Seconds until a row is done, once it runs; 0 where nothing is left."""
         if state not in (*OPEN, "todo"):
             return 0.0
         finished = {*report.get("finished", ()), report.get("stage", "")}
-        rest = self.history.expected(one.row.pipeline, [stage for stage in one.todo if stage not in finished])
-        if state != "running" or rest is None:
+        rest = sum(seconds for stage, seconds in one.expected.items() if stage not in finished)
+        if state != "running":
             return rest
         now = report.get("left")
-        if now is None:
-            now = self.history.expected(one.row.pipeline, [report["stage"]])
-        return None if now is None else rest + now
+        return rest + (one.expected.get(report["stage"], 0.0) if now is None else now)
 
 
 def kind_of(stage: str, problem: str) -> str:
@@ -147,7 +143,6 @@ def totals(rows: Sequence[dict[str, Any]], side_by_side: int) -> dict[str, Any]:
     clips at a time, or as many as run now."""
     left = [row["seconds_left"] for row in rows]
     kinds = Counter(row["kind"] for row in rows if row["kind"])
-    known = [seconds for seconds in left if seconds is not None]
     together = max(1, side_by_side, sum(row["state"] == "running" for row in rows))
     return {
         "states": dict(Counter(row["state"] for row in rows)),
@@ -155,7 +150,7 @@ def totals(rows: Sequence[dict[str, Any]], side_by_side: int) -> dict[str, Any]:
         "machine_seconds": round(sum(row["seconds"] or 0.0 for row in rows), 1),
         "spent_seconds": round(sum(row["spent"] for row in rows), 1),
         "freed_bytes": sum(row["freed"] for row in rows),
-        "seconds_left": round(max([sum(known) / together, *known])) if known and len(known) == len(left) else None,
+        "seconds_left": round(max(sum(left) / together, *left)) if left else 0,
     }
 
 

@@ -1,16 +1,14 @@
-"""What earlier runs in a work folder took: time and memory of each stage, as their runs.jsonl tell."""
+"""What memory earlier runs in a work folder took, as their runs.jsonl tell, and how much this machine has."""
 
 from __future__ import annotations
 
 import json
 import os
 from collections import defaultdict
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from statistics import median
 
 from hugs_cli.fleet.clips import clip_folders
 
@@ -22,15 +20,9 @@ OWN_MB = 200  # of the process that starts the stages of a clip
 
 @dataclass(frozen=True)
 class History:
-    """Medians of time, and the most memory; (pipeline, stage) -> seconds, pipeline -> bytes."""
+    """The most memory; pipeline -> bytes."""
 
-    seconds: dict[tuple[str, str], float]
     memory: dict[str, int]
-
-    def expected(self, pipeline: str, stages: Iterable[str]) -> float | None:
-        """Seconds that stages will about take; None if one of them never ran here."""
-        times = [self.seconds.get((pipeline, stage), self.seconds.get(("", stage))) for stage in stages]
-        return None if None in times else sum(time for time in times if time is not None)
 
     def megabytes(self, pipeline: str) -> int:
         """Memory to keep free for a clip, in MB of 2**20 bytes."""
@@ -40,20 +32,13 @@ class History:
 
 def history(work: Path) -> History:
     """What the runs of up to CLIPS clips of a work folder tell. A line that cannot be read is left out."""
-    seconds: dict[tuple[str, str], list[float]] = defaultdict(list)
     memory: dict[str, int] = defaultdict(int)
     files = filter(Path.is_file, (clip / "runs.jsonl" for clip in clip_folders(work)))
     for file in islice(files, CLIPS):
         for run in runs(file):
-            try:
-                pipeline, stage = run["pipeline"], run["stage"]
-                memory[pipeline] = max(memory[pipeline], int(run["peak_memory_bytes"]))
-                if run["result"] == "done":
-                    seconds[pipeline, stage].append(float(run["seconds"]))
-                    seconds["", stage].append(float(run["seconds"]))
-            except (KeyError, TypeError, ValueError):
-                continue
-    return History({key: median(times) for key, times in seconds.items()}, dict(memory))
+            with suppress(KeyError, TypeError, ValueError):
+                memory[run["pipeline"]] = max(memory[run["pipeline"]], int(run["peak_memory_bytes"]))
+    return History(dict(memory))
 
 
 def runs(file: Path) -> list[dict]:

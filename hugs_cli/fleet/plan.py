@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from hugs_cli import options, pipelines
+from hugs_cli import options, pipelines, times
 from hugs_cli.cache.fingerprint import Code
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, Workspace, decisions, read_json
@@ -35,14 +35,23 @@ class Planned:
     stages: list[str] = field(default_factory=list)
     """All of its pipeline."""
     todo: list[str] = field(default_factory=list)
-    seconds: float | None = None
-    """That the stages to do will about take; None where they never ran here."""
+    expected: dict[str, float] = field(default_factory=dict)
+    """Stage to do -> seconds that it will about take."""
     megabytes: int = 0
     result: dict[str, Any] = field(default_factory=dict)
     """Of a fresh row, see `result_of`."""
     problem: str = ""
     hint: str = ""
     facts: list[str] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """That the stages to do will about take."""
+        return sum(self.expected.values())
+
+    def slowed(self, times: float) -> None:
+        """Expect it to take so many times as long."""
+        self.expected = {name: times * seconds for name, seconds in self.expected.items()}
 
 
 @dataclass(frozen=True)
@@ -89,18 +98,20 @@ def opener(common: Common) -> Callable[[Row], Session]:
     return open_
 
 
-def plan(rows: list[Row], common: Common, history: History, split: bool) -> list[Planned]:
+def plan(rows: list[Row], common: Common, history: History, past: times.Times, split: bool) -> list[Planned]:
     """A verdict on each row. One that cannot begin, such as a clip that is not there, is failed and hurts no other."""
     open_, found = opener(common), []
     for row in rows:
         try:
-            found.append(verdict(row, open_(row), history, split, common.keep))
+            found.append(verdict(row, open_(row), history, past, split, common.keep))
         except (StageError, OSError) as error:
             found.append(refused(row, error))
     return found
 
 
-def verdict(row: Row, session: Session, history: History, split: bool, kept: Sequence[str] = ()) -> Planned:
+def verdict(
+    row: Row, session: Session, history: History, past: times.Times, split: bool, kept: Sequence[str] = ()
+) -> Planned:
     """What is left to do for one row, of which results of the stages `kept` stay in the end (all if none is named)."""
     session.pipeline.upstream(kept)  # refuses unknown names
     stages = list(session.pipeline.stages)
@@ -121,7 +132,7 @@ def verdict(row: Row, session: Session, history: History, split: bool, kept: Seq
             folders = {name: one.folder for name, one in verdicts.items() if one.folder}
             planned.state = "todo" if kept else "fresh"  # the rest is to be let go
             planned.result = result_of(stamps, folders, session.workspace.links)
-    planned.seconds = history.expected(row.pipeline, planned.todo)
+    planned.expected = {name: guess.seconds for name, guess in past.forecast(session, planned.todo).items()}
     return planned
 
 

@@ -17,7 +17,6 @@ from hugs_cli.cache.workspace import write_json
 from hugs_cli.console import QUIET_EVERY, Console
 from hugs_cli.fleet import board, lease
 from hugs_cli.fleet.board import OPEN, Board
-from hugs_cli.fleet.history import History
 from hugs_cli.fleet.job import LOGS, PLAN, ROWS
 from hugs_cli.fleet.plan import Common, Planned
 from hugs_cli.fleet.runner import Loop, Order, Runner, Snakemake
@@ -38,7 +37,6 @@ class Fleet:
     name: str
     common: Common
     planned: list[Planned]
-    history: History
     split: bool
     jobs: int
     profile: str | None
@@ -54,7 +52,7 @@ class Fleet:
         with lease.lease(self.folder / lease.NAME, self.refuse) as held:
             room = self.folder / held.me["token"][:12]  # of its own, so that jobs of an earlier call cannot meddle
             todo = [one for one in self.planned if one.state == "todo"]
-            show = Board(room, self.common.work, self.planned, self.history)
+            show = Board(room, self.common.work, self.planned)
             press = Press(self, show, console)
             try:
                 if todo:

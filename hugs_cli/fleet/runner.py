@@ -28,7 +28,8 @@ STEPS = {  # split? -> step, marker it needs, marker it makes
     False: ((WHOLE, None, "{row}.done"),),
     True: ((BEFORE, None, "{row}.before"), (AFTER, "{row}.before", "{row}.done")),
 }
-MINUTES = 720  # that a cluster gives a job, where nothing was measured
+BUSY = 0.6  # of its threads, that a clip keeps busy
+MINUTES = 720  # that a cluster gives a job at least
 
 
 class Runner(Protocol):
@@ -67,6 +68,11 @@ def threads() -> int:
     """Threads that `hugs run` takes here."""
     told = os.environ.get("OMP_NUM_THREADS", "")
     return int(told) if told.isdigit() and int(told) else child.processors()
+
+
+def slower(side_by_side: int) -> float:
+    """How many times as long a clip takes beside others on this machine; 0: each has its own."""
+    return max(1.0, BUSY * side_by_side * threads() / child.processors())
 
 
 def side_by_side(asked: int | None, megabytes: Sequence[int]) -> tuple[int, str]:
@@ -145,7 +151,6 @@ class Snakemake:
         self.order = order
         local = order.profile is None
         most = free_megabytes() if local else 0
-        known = [one.seconds for one in order.todo if one.seconds is not None]
         jobs: dict[str, Any] = {
             "python": sys.executable,
             "run": str(order.folder),
@@ -154,7 +159,7 @@ class Snakemake:
             "megabytes": {one.row.id: one.megabytes for one in order.todo},
             "steps": STEPS[order.split],
             "threads": order.threads,
-            "minutes": max(30, round(max(known) / 20)) if len(known) == len(order.todo) else MINUTES,
+            "minutes": max(MINUTES, round(max(one.seconds for one in order.todo) / 20)),
         }
         whole.replace(order.folder / "jobs.json", json.dumps(jobs))
         command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOM / "Snakefile"), "--directory",

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from statistics import fmean
 from typing import Any
 
+from hugs_cli import times
 from hugs_cli.cache import engine
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
+from hugs_cli.countdown import Countdown
 from hugs_cli.pipelines import unknown
 from hugs_cli.studies import comparison
-from hugs_cli.studies.comparison import LAST, METRICS, PAPERS, REGIONS, Case, Quiet, Scores, cell, heldout, over_seeds
+from hugs_cli.studies.comparison import (
+    LAST,
+    METRICS,
+    PAPERS,
+    REGIONS,
+    Case,
+    Scores,
+    cell,
+    expected,
+    heldout,
+    over_seeds,
+)
 from hugs_cli.studies.variants import ABLATIONS
-from hugs_cli.words import count, duration
+from hugs_cli.words import count
 from stages.contract import load_stage
 
 NEEDS_SCENE = ("no_human_loss", "no_joint")
@@ -46,24 +58,27 @@ def plan(cases: list[Case]) -> list[tuple[Case, str, Stamp | None]]:
     return [(case, verdict.state, verdict.stamp) for case, verdict in zip(cases, verdicts, strict=True)]
 
 
-def summary(plan: list[tuple[Case, str, Stamp | None]]) -> str:
-    """One line: '18 trainings: 6 cached, 12 to do, about 2h 10m'."""
-    cached = [stamp.seconds for _, _, stamp in plan if stamp]
-    left = len(plan) - len(cached)
-    about = f", about {duration(left * fmean(cached))}" if cached and left else ""
-    return f"{count(len(plan), 'training')}: {len(cached)} cached, {left} to do{about}"
+def summary(plan: list[tuple[Case, str, Stamp | None]], device: str) -> str:
+    """One line: '18 trainings: 6 cached, 12 to do, about 2h 10m (between 1h 44m and 2h 42m)'."""
+    left = sum(stamp is None for _, _, stamp in plan)
+    said = f"{count(len(plan), 'training')}: {len(plan) - left} cached, {left} to do"
+    guess = times.total(one for _, one in expected([case for case, _, _ in plan], engine.device_of(device)[0]))
+    return f"{said}, {times.said(guess)}" if left else said
 
 
 def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
     """Bring all cases up to date and compare them: `pipeline`, `seeds`, `heldout`, see `compared`, and `paper`, see
     `compare_with_paper`."""
     found: dict[str, list[Scores]] = {}
+    ahead = expected(cases, engine.device_of(device)[0])
+    console.countdown = Countdown([(name, guess.seconds) for name, guess in ahead], console.clock())
     for i, case in enumerate(cases):
         if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:
             console.say(f"{case.session.pipeline.name} is left out: it needs a scene, and this clip has none")
             continue
         console.say(f"{case.session.pipeline.name}  seed {case.seed}   {i + 1} of {len(cases)}")
-        ran = engine.run(case.session, case.stages, frozenset(), device, Quiet() if i else console)
+        console.only_new = i > 0
+        ran = engine.run(case.session, case.stages, frozenset(), device, console)
         found.setdefault(case.variant, []).append(heldout(ran[-1].folder))
     name, seeds = cases[0].session.pipeline.name, sorted({case.seed for case in cases})
     paper = compare_with_paper(name, found, paper_scores(cases[0].session))

@@ -1,22 +1,10 @@
-"""Measured times that plans are built on. Only forecasts depend on them, never a result.
+"""Measured times that plans are built on, beside those in times.py. Only forecasts depend on them, never a result.
 
 Stages give their own cost after training, see `cost` in stages/train.py, stages/render.py and stages/evaluate.py.
 """
 
-STAGE_START = 2.5
-"""Seconds from the end of a stage to the start of the next, libraries loaded. The kitchen clip, 2 cores, November 2026."""
-
-STAGES = {"frames": 0.06, "masks": 0.5, "sfm": 0.7, "smpl": 0.5, "survey": 0.25}
-"""Seconds a frame of the stages before training. The phone clip, 2 cores, November 2026."""
-
 LEAST = 400
 """Steps: what the shortest training takes, with what it times, and the least that comes after it."""
-
-BEFORE, STEP, AFTER = 1.6, 0.2, 1.0
-"""Seconds per frame before training, per training step, and per frame to measure. The phone clip, 2 cores, November 2026."""
-
-FRAMES = 80
-"""Frames of a pipeline that has no setting for their number."""
 
 LEVEL_TIMES: dict[str, dict[tuple[object, ...], float]] = {
     "steps": {(0.25,): 0.25, (0.5,): 0.5, (2,): 2.0},

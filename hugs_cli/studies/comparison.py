@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean, stdev
+from types import MappingProxyType
 from typing import Any
 
-from hugs_cli import pipelines
+from hugs_cli import pipelines, times
 from hugs_cli.cache.freshness import Session
-from hugs_cli.cache.workspace import Stamp, Workspace
-from hugs_cli.console import Console
+from hugs_cli.cache.workspace import Workspace
 from hugs_cli.pipelines import UsageError
 
 LAST = "evaluate"
@@ -61,11 +61,22 @@ def cases(session: Session, variants: Sequence[str], seeds: int) -> list[Case]:
     return found
 
 
-class Quiet(Console):
-    """Prints no rows of cached stages: they are the same in every case."""
+def expected(
+    cases: Sequence[Case], device: str, levels: Mapping[str, tuple[str, float]] = MappingProxyType({})
+) -> list[tuple[str, times.Guess]]:
+    """The stages that all cases together will run, in order, on 'cpu' or 'cuda'; what cases share is run once.
 
-    def cached(self, stage: str, stamp: Stamp) -> None:
-        """Print nothing."""
+    `levels`: variant -> the stage in which it differs, if not in training, and its time relative to the pipeline's.
+    """
+    known, counted, found = times.here(device), set[str](), []
+    for case in cases:
+        pipeline, (differs, factor) = case.session.pipeline, levels.get(case.variant, ("train", 1.0))
+        missing = [name for name, verdict in case.session.verdicts(case.stages).items() if not verdict.fresh]
+        for name, guess in known.forecast(case.session, missing).items():
+            if name in SEEDED or name not in counted or (case.variant and differs in pipeline.upstream([name])):
+                found.append((name, guess._replace(seconds=guess.seconds * (factor if name == differs else 1.0))))
+            counted.add(name)
+    return found
 
 
 def heldout(folder: Path) -> Scores:

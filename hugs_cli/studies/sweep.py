@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
+from hugs_cli import times
 from hugs_cli.cache import engine
-from hugs_cli.cache.engine import Ran
+from hugs_cli.cache.engine import Ran, device_of
 from hugs_cli.cache.freshness import Session, Verdict
 from hugs_cli.cache.workspace import decisions
 from hugs_cli.console import Console
 from hugs_cli.direct import StageFailed
 from hugs_cli.pipelines import UsageError, unknown
 from hugs_cli.studies import comparison, costs
-from hugs_cli.studies.calibration import AFTER, BEFORE, FRAMES, STEP
-from hugs_cli.studies.comparison import METRICS, REGIONS, SEEDED, Case, Quiet
+from hugs_cli.studies.comparison import METRICS, REGIONS, SEEDED, Case, expected
 from hugs_cli.studies.variants import AXES, level_name
 from hugs_cli.words import count, duration
 
@@ -112,19 +112,6 @@ def without_idle_axes(sweep: Sweep) -> Sweep:
     return Sweep(levels, cases, [*sweep.left_out, *said])
 
 
-def guess_seconds(sweep: Sweep) -> float:
-    """Seconds of all cases, guessed from their settings alone, see calibration.py."""
-    stages = sweep.cases[0].session.pipeline.stages
-    taken = stages["frames"].params.model_dump() if "frames" in stages else {}
-    frames, steps = taken.get("count", FRAMES), getattr(stages["train"].params, "steps", 0)
-    seconds = BEFORE * frames
-    for level in (sweep.levels.get(case.variant) for case in sweep.cases):
-        times = {level.stage: level.times} if level else {}
-        seconds += STEP * steps * times.get("train", 1.0) + AFTER * frames
-        seconds += BEFORE * frames * ("train" not in times and bool(times))
-    return seconds
-
-
 def plan(sweep: Sweep, budget: float) -> list[tuple[Case, str, float | None]]:
     """Each case, its state, and the seconds that it would take (0: cached; None: not known before the first is run).
 
@@ -149,7 +136,7 @@ def plan(sweep: Sweep, budget: float) -> list[tuple[Case, str, float | None]]:
     return planned
 
 
-def summary(sweep: Sweep, planned: list[tuple[Case, str, float | None]], budget: float) -> str:
+def summary(sweep: Sweep, planned: list[tuple[Case, str, float | None]], budget: float, device: str) -> str:
     """One line: '57 trainings: 6 cached, 51 to do, about 8h 10m; budget 2h 00m: 12 of them now'."""
     states = [state for _, state, _ in planned]
     cached, now, left = states.count("cached"), states.count("now"), len(states) - states.count("cached")
@@ -159,7 +146,9 @@ def summary(sweep: Sweep, planned: list[tuple[Case, str, float | None]], budget:
     seconds = [need for _, state, need in planned if state != "cached"]
     known = [need for need in seconds if need is not None]
     if len(known) < len(seconds):
-        return f"{said}, some {duration(guess_seconds(sweep))} on 2 cores; more precisely when the first is done"
+        levels = {variant: (level.stage, level.times) for variant, level in sweep.levels.items()}
+        guess = times.total(one for _, one in expected(sweep.cases, device_of(device)[0], levels))
+        return f"{said}, {times.said(guess)}; more precisely when the first is done"
     return f"{said}, about {duration(sum(known))}; budget {duration(budget)}: {now} of them now"
 
 
@@ -181,6 +170,7 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
     for i, case in enumerate(sweep.cases):
         if case not in sweep.cases:
             continue
+        console.only_new, console.countdown = i > 0, None
         known = forecast.of(case, case.session.verdicts(case.stages))
         left = max(0.0, budget - (time.monotonic() - began))
         fits = left > 0 if known is None else sum(known.values()) <= left
@@ -188,7 +178,7 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
             continue
         console.say(f"{case.session.pipeline.name}  seed {case.seed}   {i + 1} of {len(sweep.cases)}")
         try:
-            ran = engine.run(case.session, case.stages, frozenset(), device, Quiet() if i else console)
+            ran = engine.run(case.session, case.stages, frozenset(), device, console)
         except StageFailed as error:
             if not case.variant or error.traceback:
                 raise
@@ -199,7 +189,7 @@ def run(sweep: Sweep, budget: float, device: str, console: Console) -> dict[str,
         forecast.learn(case, ran)
         if known is None and any(one.state == "done" for one in ran):
             left, sweep = max(0.0, budget - (time.monotonic() - began)), without_idle_axes(sweep)  # survey is fresh now
-            console.say(summary(sweep, plan(sweep, left), left))
+            console.say(summary(sweep, plan(sweep, left), left, device))
     if not done:
         raise UsageError("nothing of this sweep has been run", "give it a budget in minutes: `--budget 120`")
     return result(sweep, done, failed)

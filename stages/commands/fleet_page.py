@@ -42,7 +42,7 @@ def run(
         failures=totals["failures"],
         hours=[("machine time in these results", _time(totals["machine_seconds"])),
                ("machine time of this call", _time(totals["spent_seconds"])),
-               *([("left, about", _time(totals["seconds_left"]))] if live and totals["seconds_left"] is not None else [])],
+               *([("left, about", _time(totals["seconds_left"]))] if live else [])],
         reload=RELOAD if live else 0,
         patience=PATIENCE,
         written=time.strftime("%Y-%m-%d %H:%M:%S %Z"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
@@ -26,6 +26,7 @@ from stages.training.finishing.swing import fit_swing
 from stages.training.seen import unseen
 from stages.training.step.fit import Fit
 from stages.training.step.person import PersonLearner
+from stages.training.timing.finishing import HIDDEN, SETTLING, SHAPING
 from stages.training.views import FittedBody
 
 UNFINISHED = (ValueError, IndexError, RuntimeError, ArithmeticError, MemoryError)
@@ -33,11 +34,13 @@ UNFINISHED = (ValueError, IndexError, RuntimeError, ArithmeticError, MemoryError
 
 
 class Listener(Protocol):
-    """Who hears what is worth knowing of a result."""
+    """Who hears what is worth knowing of a result, and which part of finishing begins."""
 
     def note(self, text: str, at_once: bool = False) -> None: ...
 
     def warn(self, text: str) -> None: ...
+
+    def begins(self, name: str) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,7 @@ def _say(fit: Fit, counts: Counter[str], distrusted: dict[str, float], say: List
 def _filled(fit: Fit, say: Listener) -> int:
     if fit.scene is None:
         return 0
+    say.begins(HIDDEN)
     try:
         filled = fill_hidden(fit.scene, fit.seen(), fit.train, fit.cast()._replace(scene=None))
     except UNFINISHED as error:
@@ -171,7 +175,9 @@ def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Av
     return _avatar(kept, who, body, clip.body.betas, fit.options.antialias), poses, counts
 
 
-def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener) -> dict[str, dict[str, Any]]:
+def effect_facts(
+    found: dict[str, dict[str, Any]], seconds: float, note: Callable[[str], None]
+) -> dict[str, dict[str, Any]]:
     """What train.json says of `effect_gains`: dB on the curve's frames, and each one's part of `seconds`."""
     facts = {}
     for name, effect in found.items():
@@ -183,7 +189,7 @@ def effect_facts(found: dict[str, dict[str, Any]], seconds: float, say: Listener
         if gains["psnr_far"] is not None:
             gained += f"{gains['psnr_far']:+.1f} in the poses farthest from training, "
         cost = f"{round(spent)} s" if spent > 0 else "no measurable time"
-        say.note(f"{name.replace('_', ' ')}: {gained}{cost} of training")
+        note(f"{name.replace('_', ' ')}: {gained}{cost} of training")
     return facts
 
 
@@ -199,6 +205,7 @@ def _settle_swing(fit: Fit, body: FittedBody, clothing: Clothing, table: Tensor,
 
 
 def _finished(fit: Fit, who: PersonLearner, body: FittedBody, say: Listener) -> Finished:
+    say.begins(SHAPING)
     baked, _ = who.baked()
     seen = who.masked(fit.seen())
     dressed = body._replace(antialias=fit.options.antialias)
@@ -208,6 +215,7 @@ def _finished(fit: Fit, who: PersonLearner, body: FittedBody, say: Listener) -> 
     except UNFINISHED as error:
         say.warn(f"the person could not be finished and stays as trained: {error}")
         return as_trained(baked, who.human.initial())
+    say.begins(SETTLING)
     clear = frames if fit.transients is None else [i for i in frames if not fit.transients.shares[i]]
     try:
         one, loss = fit.baked(who), fit.params.human_loss

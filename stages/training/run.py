@@ -14,12 +14,15 @@ from stages.avatar.splats.neighbours import spread_evenly
 from stages.contract import StageError, Stopped, peak_memory
 from stages.training.beginning.start import Task, build
 from stages.training.checkpoint import Checkpoint
-from stages.training.results import Listener, Result, effect_facts, result_of
+from stages.training.results import Result, effect_facts, result_of
 from stages.training.step.fit import Fit
 from stages.training.timing.accuracy import heldout_accuracy
 from stages.training.timing.budget import Choice, fit_into_time
-from stages.training.timing.deadline import Deadline
+from stages.training.timing.calibration import PAUSE
+from stages.training.timing.deadline import Deadline, Pace
 from stages.training.timing.effect_gains import PAUSES, effect_gains, effects_of
+from stages.training.timing.finishing import GAINS, WRITING, Finishing, finishing_parts
+from stages.training.timing.finishing import Hooks as Watcher
 from stages.training.timing.window import Window
 
 MEASURED = 6  # held-out frames on the accuracy curve
@@ -28,15 +31,16 @@ COLUMNS = ("step", "seconds", "psnr", "ssim", "psnr_person", "ssim_person", "hum
 """Of the curve."""
 SAVED = ("curve", "seconds", "parts", "choice", "deadline")
 """What a checkpoint holds besides the state of the training's `Fit`."""
+HALF, FULL = (0.4, 0.5), (0.8, 1.0)
+"""Of the time of a full, grown step: that of steps of each resolution before and after growth, see `Pace`."""
+LEG = 5.0  # s of steps, whose pace is that of the steps to come
 
 
-class Hooks(Listener, Protocol):
+class Hooks(Watcher, Protocol):
     """Who watches a training, as a `contract.Job` does; `stop_asked` makes it stop."""
 
     @property
     def stop_asked(self) -> bool: ...
-
-    def progress(self, done: int, total: int, left: float | None = None, **numbers: float | str) -> None: ...
 
 
 class Breakdown(Exception):
@@ -59,6 +63,39 @@ class Training:
     deadline: Deadline | None = None
     curve: list[dict[str, Any]] = field(default_factory=list)
     seconds: float = 0.0
+    leg: tuple[float, int, float] | None = None
+    """Seconds, step and share of the schedule at which the pace was last looked at."""
+
+    @cached_property
+    def pace(self) -> Pace:
+        """The pace of a training without a deadline: of a usual shape, and as fast as its last steps."""
+        return Pace(HALF, FULL, self.fit.half_until)
+
+    @property
+    def after(self) -> list[tuple[str, float]]:
+        """See `finishing_parts`."""
+        measured = self.deadline is None or not self.deadline.hurried
+        gains = PAUSE * PAUSES * len(effects_of(self.fit)) if measured else 0.0
+        return finishing_parts(len(self.fit.people), gains)
+
+    def mark(self, seconds: float) -> None:
+        """Correct the pace by the steps since it was last looked at; `seconds` of all steps so far."""
+        now = self.fit.progress
+        before, step, done = self.leg or (seconds, now.step, now.done)
+        if self.leg and seconds - before > LEG:
+            self.pace.learn(seconds - before, now.step - step, done, now.done)
+        if self.leg is None or seconds - before > LEG:
+            self.leg = seconds, now.step, now.done
+
+    def to_go(self) -> float | None:
+        """Seconds until the result, with what follows the last step; None until the pace is known."""
+        now, after = self.fit.progress, sum(steps for _, steps in self.after)
+        if self.deadline:
+            return self.deadline.to_go(now) + after * self.deadline.pace.last
+        if self.pace.slow == 1.0:
+            return None
+        pauses = PAUSE * max(0, self.task.params.curve_points - len(self.curve))
+        return (now.total - now.step) * self.pace.mean(now.done) + (pauses + after) * self.pace.last
 
     @cached_property
     def heldout(self) -> list[int]:
@@ -178,11 +215,13 @@ def learn(
                 window.curve(curve)
         elif progress.step % 25 == 0:
             shown = {"loss": sum(numbers.values())}
-        if deadline and progress.step % 25 == 0 and progress.step < progress.total:
+        if deadline is None and shown:
+            training.mark(training.seconds + time.perf_counter() - mark)
+        elif deadline and progress.step % 25 == 0 and progress.step < progress.total:
             deadline.mark(fit)
         if shown:
-            left = None if deadline is None else deadline.to_go(progress)
-            hooks.progress(progress.step, progress.total, left, **shown, gaussians=sum(fit.sizes().values()))
+            total = progress.total + round(sum(steps for _, steps in training.after))
+            hooks.progress(progress.step, total, training.to_go(), **shown, gaussians=sum(fit.sizes().values()))
             if window:
                 window.look(fit, training.heldout)
         if checkpoint and (hooks.stop_asked or time.perf_counter() - saved > checkpoint_seconds):
@@ -197,12 +236,18 @@ def finish(training: Training, hooks: Hooks) -> Result:
     """The result of a training that has taken all its steps."""
     fit, curve, deadline = training.fit, training.curve, training.deadline
     effects: dict[str, dict[str, Any]] = {}
+    pace, steps = deadline.pace if deadline else training.pace, fit.progress.step
+    step = pace.last if deadline or pace.slow != 1.0 else training.seconds / max(steps, 1)
+    say = Finishing(hooks, training.after, steps, step)
     if deadline is None or not deadline.hurried:
+        say.begins(GAINS)
         try:
-            effects = effect_facts(effect_gains(fit, training.heldout, training.far), curve[-1]["seconds"], hooks)
+            found = effect_gains(fit, training.heldout, training.far)
+            effects = effect_facts(found, curve[-1]["seconds"], hooks.note)
         except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
             hooks.warn(f"what effects are worth could not be measured: {error}")
-    result = result_of(fit, training.task.clips, curve, effects, hooks)
+    result = result_of(fit, training.task.clips, curve, effects, say)
+    say.begins(WRITING)
     result.facts["effects_left_out"] = list(training.choice.left_out)
     if deadline:
         result.facts["last_step_seconds"] = round(deadline.pace.last, 4)

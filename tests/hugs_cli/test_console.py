@@ -24,6 +24,7 @@ from hugs_cli.cache.freshness import (
 from hugs_cli.cache.launcher import Outcome
 from hugs_cli.cache.workspace import Stamp
 from hugs_cli.console import Console
+from hugs_cli.times import Guess
 from hugs_cli.words import duration, number, size
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -67,6 +68,8 @@ def a_run(console: Console, clock: list[float]) -> None:
     console.header("dance.mp4", "12.4 s, 372 frames, 1280x720", "default", "work/dance", "cpu", "as asked")
     console.cached("frames", stamp("frames", seconds=4.1))
     console.cached("sfm", stamp("sfm", seconds=151.0, warnings=["static camera: the scene cannot be had"]))
+    guesses = {"smpl": 4.0, "survey": 2.0, "train": 640.0, "evaluate": 90.0}
+    console.expect([(name, Guess(seconds, 1.5)) for name, seconds in guesses.items()])
     console.started("smpl", (ParamChanged("smooth_hz", 4, 6),))
     console.ended("smpl", Outcome("done", seconds=3.2))
     console.started("survey", (InputChanged("smpl"),))

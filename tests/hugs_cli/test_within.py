@@ -7,9 +7,11 @@ import sys
 
 import pytest
 
-from hugs_cli import options, within
+from hugs_cli import options, times, within
+from hugs_cli.console import Console
+from hugs_cli.countdown import Progress
 from hugs_cli.pipelines import UsageError
-from hugs_cli.studies.calibration import STAGE_START
+from hugs_cli.times import STAGE_START, USUAL, Sizes, work
 from tests.made.flow import Flow
 from tests.made.said import holds
 
@@ -250,13 +252,18 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
 
 @pytest.mark.parametrize("given", [1.0, 0.5, 0.2])
 def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
-    monkeypatch.setattr(within, "share", lambda: given)
+    monkeypatch.setattr(times, "free", lambda: given)
+    monkeypatch.setattr(times, "rows", list)
     for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:  # of another test's clip
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.syspath_prepend(clip.folder)
     run = options.RunOptions(pipeline="tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml")
     session = run.session(clip.folder / "clip.mp4")
     promise = within.Promise(session, list(session.pipeline.stages), 60)
-    guess = promise._guess(frozenset(), begun=False)
+    console = Console()
+    guess = promise._guess(frozenset(), False, "cpu", console)
     assert guess["share"] == given and guess["before"] == pytest.approx(STAGE_START / given, abs=0.06)
-    assert guess["from"] == pytest.approx((within.LEAST * within.STEP + 2 * STAGE_START) / given, abs=0.06)
+    least = USUAL["train"] * work("train", Sizes(steps=within.LEAST - times.FINISHING)) + 2 * STAGE_START
+    assert guess["from"] == pytest.approx(least / given, abs=0.06)
+    assert [name for name, _ in console.countdown.stages] == ["one", "train", "after"]
+    assert console.countdown.left("one", Progress(0.0), 0.0) >= 60, "training is expected to take what is left"

@@ -41,6 +41,7 @@ from stages.training.run import SAVED, Training, begin, finish, learn
 from stages.training.step import losses
 from stages.training.step.fit import Fit
 from stages.training.timing.deadline import Pace
+from stages.training.timing.finishing import GAINS, HIDDEN, SETTLING, SHAPING, WRITING, Finishing, finishing_parts
 from tests.made.said import any_holds, holds
 from tests.made.training import posed
 
@@ -156,7 +157,8 @@ def trained(inputs, params=PARAMS, job=None) -> Training:
 def finished(fit, clip, folder) -> tuple[Avatar, list[str]]:
     """The avatar of a training, and what is warned of."""
     events = []
-    avatar = result_of(fit, [clip], [{"seconds": 0.0}], {}, Job(folder, emit=events.append)).people[0][0]
+    say = Finishing(Job(folder, emit=events.append), finishing_parts(1), 0, 0.0)
+    avatar = result_of(fit, [clip], [{"seconds": 0.0}], {}, say).people[0][0]
     return avatar, [event["text"] for event in events if event["event"] == "warning"]
 
 
@@ -574,7 +576,7 @@ def test_an_effect_that_the_clock_does_not_see_is_not_said_to_save_time(tmp_path
         "shadow": {"psnr": 2.6, "psnr_person": 0.5, "psnr_far": -0.3, "share": -0.046},
         "exposure": {"psnr": 1.0, "psnr_person": 1.0, "psnr_far": None, "share": 0.1},
     }
-    told = effect_facts(found, 100.0, Job(tmp_path, emit=lambda event: said.append(event["text"])))
+    told = effect_facts(found, 100.0, said.append)
     assert [effect["seconds"] for effect in told.values()] == [-4.6, 10.0], "as measured"
     where = "-0.3 in the poses farthest from training"
     assert said[0].startswith("shadow: +2.6 / +0.5 dB") and where in said[0] and "no measurable" in said[0]
@@ -617,12 +619,21 @@ def test_the_last_steps_teach_the_person_though_they_are_no_whole_group(inputs, 
 @pytest.mark.slow
 def test_what_is_mended_is_counted_and_a_cap_that_is_too_small_is_said(tmp_path, inputs, monkeypatch):
     monkeypatch.setattr("stages.training.results.fill_hidden", lambda scene, views, frames, people: 7 * len(frames))
-    job, said = fresh(tmp_path, "out"), []
-    job.emit = lambda event: said.append(event.get("text", ""))
+    job, events = fresh(tmp_path, "out"), []
+    job.emit = events.append
     training = trained(inputs, PARAMS.model_copy(update={"human_cap": 100, "scene_cap": 10}), job)
     fit = training.fit
     fit.guard.clipped, fit.densifier.settled = 3, torch.arange(len(fit.scene)) < 5
-    facts = finish(training, job).facts
+    facts, said = finish(training, job).facts, [event.get("text", "") for event in events]
+    heard = [event for event in events if event["event"] == "progress"]
+    assert [event["numbers"].get("now") for event in heard[-5:]] == [GAINS, HIDDEN, SHAPING, SETTLING, WRITING]
+    done = [event["done"] for event in heard]
+    assert (
+        done == sorted(done)
+        and {event["total"] for event in heard} == {heard[0]["total"]}
+        and done[-1] < heard[0]["total"]
+    )
+    assert all(event["left"] > 0 for event in heard[-5:])
     assert facts["unseen"] > 0 and facts["recolored"] > 0 and facts["clipped"] == 3 and facts["behind"] == 5
     assert facts["filled"] == 7 * len(fit.train)
     begun = facts["sizes"]["human_cap"]

@@ -13,12 +13,11 @@ import pytest
 from hugs_cli.fleet import board
 from hugs_cli.fleet.board import Board, kind_of, totals
 from hugs_cli.fleet.clips import Row
-from hugs_cli.fleet.history import History
 from hugs_cli.fleet.job import LOGS, ROWS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import Planned
 from hugs_cli.pipelines import UsageError
 
-HISTORY = History({("default", "frames"): 10.0, ("default", "train"): 100.0}, {})
+EXPECTED = {"frames": 10.0, "train": 100.0}
 
 
 @pytest.fixture
@@ -28,9 +27,9 @@ def show(tmp_path) -> Board:
         (tmp_path / "run" / room).mkdir(parents=True)
     stages = ["frames", "train"]
     result = {"seconds": 7.0, "psnr": 28.5, "effects": ["shadow"], "warnings": ["train: dark"], "pages": []}
-    planned = [Planned(Row(Path(f"{n}.mp4"), tmp_path, "default"), "todo", stages, stages, 110.0) for n in "ab"]
+    planned = [Planned(Row(Path(f"{n}.mp4"), tmp_path, "default"), "todo", stages, stages, EXPECTED) for n in "ab"]
     planned.append(Planned(Row(Path("c.mp4"), tmp_path, "default"), "fresh", stages, result=result))
-    return Board(tmp_path / "run", tmp_path, planned, HISTORY)
+    return Board(tmp_path / "run", tmp_path, planned)
 
 
 def report(show: Board, number: int, **facts: object) -> Path:
@@ -47,8 +46,8 @@ def test_time_left(show):
     assert totals(rows, 2)["seconds_left"] == 110 and totals(rows, 1)["seconds_left"] == 140
     report(show, 0, state="running", stage="frames", left=None)
     assert show.rows()[0]["seconds_left"] == 110.0
-    show.history = History({}, {})
-    assert totals(show.rows(), 2)["seconds_left"] is None
+    show.planned[0].slowed(2.0)
+    assert show.rows()[0]["seconds_left"] == 220
 
 
 def test_the_last_report_counts_whatever_its_time_says(show):

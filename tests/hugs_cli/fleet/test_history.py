@@ -1,4 +1,4 @@
-"""What earlier runs tell of time and memory."""
+"""What earlier runs tell of memory."""
 
 import json
 
@@ -6,28 +6,22 @@ from hugs_cli.fleet import history as histories
 from hugs_cli.fleet.history import OWN_MB, UNMEASURED_MB, free_megabytes, history
 
 
-def test_medians_and_the_most_memory(tmp_path):
+def test_the_most_memory(tmp_path):
     (tmp_path / "a").mkdir()
     line = {"pipeline": "draft", "stage": "train", "result": "done", "peak_memory_bytes": 2**30}
-    lines = [{**line, "seconds": s} for s in (10, 20, 90)]
-    lines += [
-        {**line, "result": "killed", "seconds": 1, "peak_memory_bytes": 2**31},
-        {**line, "stage": "frames", "seconds": 3},
-    ]
+    lines = [line, {**line, "result": "killed", "peak_memory_bytes": 2**31}, {**line, "stage": "frames"}]
     (tmp_path / "a/runs.jsonl").write_text("\n".join([*map(json.dumps, lines), "not json", "[1]", '{"stage": 1}']))
     found = history(tmp_path)
-    assert found.expected("draft", ["frames", "train"]) == 23 and found.expected("other", ["train"]) == 20
-    assert found.expected("draft", ["train", "report"]) is None and found.expected("draft", []) == 0
     assert found.megabytes("draft") == OWN_MB + round(1.25 * 2048) and found.megabytes("other") == UNMEASURED_MB
 
 
 def test_clips_of_the_same_name_count_too(tmp_path):
     """Their results lie in a work folder of their own, see `clips.work_folders`."""
-    for place, seconds in (("dance", 10), ("from-monday/dance", 20), ("from-shots-tuesday/dance", 90)):
+    for place, megabytes in (("dance", 1000), ("from-monday/dance", 3000), ("from-shots-tuesday/dance", 2000)):
         (tmp_path / place).mkdir(parents=True)
-        run = {"pipeline": "draft", "stage": "train", "result": "done", "peak_memory_bytes": 0, "seconds": seconds}
+        run = {"pipeline": "draft", "stage": "train", "result": "done", "peak_memory_bytes": megabytes * 2**20}
         (tmp_path / place / "runs.jsonl").write_text(json.dumps(run))
-    assert history(tmp_path).expected("draft", ["train"]) == 20
+    assert history(tmp_path).megabytes("draft") == OWN_MB + 3750
 
 
 def test_so_many_clips_are_read_and_no_more(tmp_path, monkeypatch):
@@ -43,7 +37,7 @@ def test_so_many_clips_are_read_and_no_more(tmp_path, monkeypatch):
 
 
 def test_an_empty_folder_tells_nothing(tmp_path):
-    assert history(tmp_path / "none").expected("draft", ["train"]) is None
+    assert history(tmp_path / "none").megabytes("draft") == UNMEASURED_MB
 
 
 def test_this_machine_has_memory():

@@ -16,7 +16,6 @@ import pytest
 from hugs_cli.fleet import job as jobs
 from hugs_cli.fleet import lease as leases
 from hugs_cli.fleet.clips import Row
-from hugs_cli.fleet.history import History
 from hugs_cli.fleet.job import ROWS, STOP, Heart, Report, asked_to_stop
 from hugs_cli.fleet.plan import WHOLE, Common, Planned
 from hugs_cli.fleet.run import Fleet as Call
@@ -33,7 +32,7 @@ class Room:
     def __init__(self, fleet: Fleet, common: Common, **row: Any):
         self.fleet, self.path = fleet, fleet.work / ".fleet" / "fleet" / "ca11ca11ca11"
         self.row = Row(Path("clips/c00000.mp4"), Path("work"), "short", **row)
-        call = Call("fleet", common, [], History({}, {}), False, 1, None)
+        call = Call("fleet", common, [], False, 1, None)
         call.folder.mkdir(parents=True)
         call.lay_out(self.path, {}, [Planned(self.row, "todo")])
 
@@ -105,7 +104,7 @@ def test_a_log_on_a_full_disk_hurts_neither_report_nor_result(room):
 @pytest.mark.slow
 def test_a_job_of_a_call_that_is_over_does_nothing(room, common):
     """It waited in the queue of a cluster; another call has taken the folder away."""
-    call = Call("fleet", common, [], History({}, {}), False, 1, None)
+    call = Call("fleet", common, [], False, 1, None)
     call.lay_out(room.path.with_name("later"), {}, [])
     assert not room.path.exists() and room.path.with_name("later").exists()
     run = room.start(stderr=subprocess.PIPE)

@@ -18,6 +18,7 @@ from hugs_cli.fleet.history import History
 from hugs_cli.fleet.plan import verdict
 from hugs_cli.options import RunOptions
 from hugs_cli.pipelines import UsageError
+from hugs_cli.times import Times
 
 RESULT = {"seconds": 3.0, "picture": "", "pages": [PAGE, "export/viewer.html"]}
 
@@ -45,7 +46,7 @@ def stages_there(made) -> set[str]:
 def planned(session: Session, *kept: str):
     """The plan for the clip."""
     row = Row(session.video, session.workspace.work, "default")
-    return verdict(row, session, History({}, {}), False, kept)
+    return verdict(row, session, History({}), Times([]), False, kept)
 
 
 def test_only_what_is_kept_stays_and_counts_as_done(made, open_):

@@ -8,12 +8,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from hugs_cli import times
 from hugs_cli.fleet import plan as plans
 from hugs_cli.fleet.clips import Row
 from hugs_cli.fleet.history import History
 from hugs_cli.fleet.plan import plan
+from hugs_cli.times import Times
 
-NONE = History({}, {})
+NONE = History({}), Times([])
 
 
 def row(name: str, pipeline: str = "short", **more) -> Row:
@@ -25,22 +27,23 @@ def test_each_row_has_its_own_verdict(fleet, common):
     fleet.done("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1")
     rows = [row("c00000"), row("c00001"), row("c00000", "default"), row("gone"), row("c00001", "nowhere")]
     rows.append(row("c00000", settings=("one.word=b",)))
-    found = plan(rows, common, History({("", "one"): 4.0}, {"short": 2**30}), split=False)
+    known = Times([times.Row("one", "flow.one", "short", "cpu", 2, times.Sizes(), 4.0)])
+    found = plan(rows, common, History({"short": 2**30}), known, split=False)
     assert [one.state for one in found] == ["fresh", "todo", "todo", "failed", "failed", "todo"]
     assert [len(one.todo) for one in found] == [0, 1, 3, 0, 0, 1]  # the first stage is shared by both pipelines
-    assert [one.seconds for one in found[:3]] == [0, 4.0, None] and found[1].megabytes == 200 + 1280
+    assert [one.seconds for one in found[:3]] == [0, 4, 4 + 2 * times.STAGE_START] and found[1].megabytes == 200 + 1280
     assert found[3].problem == "no video at clips/gone.mp4" and "no pipeline 'nowhere'" in found[4].problem
     assert found[0].result["seconds"] > 0
     fleet.edit("helper", "# with a comment", "print('other code')")
-    assert [one.state for one in plan(rows[:2], common, NONE, split=False)] == ["todo", "todo"]
+    assert [one.state for one in plan(rows[:2], common, *NONE, split=False)] == ["todo", "todo"]
     (fleet.clips / "c00000.mp4").write_text("other pixels, seen without a run")
-    assert plan(rows[:1], common, NONE, split=False)[0].todo == ["one"]
+    assert plan(rows[:1], common, *NONE, split=False)[0].todo == ["one"]
 
 
 def test_a_new_clip_is_not_read(fleet, common, monkeypatch):
     """The first stage is missing whatever the clip holds: reading a thousand new ones would take an hour."""
     monkeypatch.setattr(plans.Session, "verdicts", lambda *_: pytest.fail("it was read"))
-    assert plan([row("c00000", "default")], common, NONE, split=False)[0].todo == ["one", "two", "three", "four"]
+    assert plan([row("c00000", "default")], common, *NONE, split=False)[0].todo == ["one", "two", "three", "four"]
 
 
 def test_code_and_pipeline_are_read_once(fleet, common, monkeypatch):
@@ -50,7 +53,7 @@ def test_code_and_pipeline_are_read_once(fleet, common, monkeypatch):
     monkeypatch.setattr(plans.Code, "read", lambda self, *which: looked.append(which[0]) or keep_look(self, *which))
     for name in ("c00000", "c00001"):
         (fleet.work / name / "store").mkdir(parents=True)
-    found = plan([row("c00000"), row("c00001")], common, NONE, split=False)
+    found = plan([row("c00000"), row("c00001")], common, *NONE, split=False)
     assert [one.state for one in found] == ["todo", "todo"] and len(opened) == 1 and looked.count("flow.one") == 1
 
 
@@ -84,7 +87,7 @@ def test_what_is_shown_of_a_finished_row(tmp_path):
 
 def test_a_pipeline_without_training_cannot_be_split(fleet, common):
     for pipeline in ("short", "default"):
-        found = plan([row("c00000", pipeline)], common, NONE, split=True)
+        found = plan([row("c00000", pipeline)], common, *NONE, split=True)
         assert found[0].state == "failed" and "no stage 'train'" in found[0].problem
 
 
@@ -93,5 +96,5 @@ def test_an_error_of_the_system_is_that_row_s_alone(fleet, common, monkeypatch):
         raise OSError(5, "Input/output error", "clips/c00000.mp4")
 
     monkeypatch.setattr(plans, "verdict", broken)
-    found = plan([row("c00000")], common, NONE, split=False)
+    found = plan([row("c00000")], common, *NONE, split=False)
     assert found[0].state == "failed" and "Input/output error" in found[0].problem

@@ -11,7 +11,6 @@ import pytest
 from hugs_cli.console import Console
 from hugs_cli.fleet import lease as leases
 from hugs_cli.fleet.clips import Row
-from hugs_cli.fleet.history import History
 from hugs_cli.fleet.plan import Common, Planned
 from hugs_cli.fleet.run import Fleet, Press
 from stages.contract import StageError
@@ -21,7 +20,7 @@ from tests.made.said import holds
 @pytest.fixture
 def call(tmp_path) -> Fleet:
     """One call, with nothing to do."""
-    found = Fleet("fleet", Common(tmp_path / "work"), [], History({}, {}), False, 1, None)
+    found = Fleet("fleet", Common(tmp_path / "work"), [], False, 1, None)
     found.folder.mkdir(parents=True)
     return found
 

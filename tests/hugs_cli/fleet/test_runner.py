@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,9 @@ import pytest
 from hugs_cli.fleet import runner
 from hugs_cli.fleet.clips import Row
 from hugs_cli.fleet.plan import Planned
-from hugs_cli.fleet.runner import Loop, Order, profile_folder, side_by_side
+from hugs_cli.fleet.runner import Loop, Order, Snakemake, profile_folder, side_by_side
 from hugs_cli.pipelines import UsageError
+from stages.contract import StageError
 
 
 @pytest.mark.parametrize(
@@ -35,6 +37,43 @@ def test_as_many_as_memory_and_processors_allow_and_never_more(
     monkeypatch.setattr(runner.child, "processors", lambda: cores)
     monkeypatch.setattr(runner, "free_megabytes", lambda: free)
     assert side_by_side(asked, [megabytes, 10])[0] == expected
+
+
+@pytest.mark.parametrize(
+    ("cores", "threads", "clips", "expected"),
+    [(8, "", 0, 1), (8, "", 1, 1), (8, "", 2, 1.2), (8, "", 5, 3), (8, "2", 4, 1), (8, "2", 8, 1.2)],
+)
+def test_clips_slow_each_other_down_where_they_have_not_enough_processors(monkeypatch, cores, threads, clips, expected):
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    monkeypatch.setattr(runner.child, "processors", lambda: cores)
+    assert runner.slower(clips) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("profile", "seconds", "minutes"), [(None, 600, 720), ("slurm", 86_400, 4320)])
+def test_what_snakemake_is_told(tmp_path, monkeypatch, profile, seconds, minutes):
+    """Memory and processors of this machine, or nothing of a cluster's; and three times as long as a clip should take."""
+    called: list[str] = []
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.setattr(runner, "free_megabytes", lambda: 9000)
+    monkeypatch.setattr(runner.subprocess, "Popen", lambda command, **more: called.extend(command))
+    rows = [
+        Planned(Row(Path(f"{name}.mp4"), tmp_path, "default"), "todo", expected={"train": seconds}) for name in "ab"
+    ]
+    Snakemake(Order(tmp_path, rows, False, 2, profile))
+    told = json.loads((tmp_path / "jobs.json").read_bytes())
+    assert (told["local"], told["most"], told["threads"]) == (profile is None, 9000 if profile is None else 0, 3)
+    assert told["minutes"] == minutes
+    local, cluster = ["--cores", "6", "--resources", "mem_mb=9000"], ["--jobs", "2"]
+    assert called[-4:] == local if profile is None else called[-2:] == cluster
+
+
+def test_a_snakemake_that_was_killed_is_an_error_with_its_last_words(tmp_path):
+    made = object.__new__(Snakemake)
+    made.process, made.log = Ended(-9), tmp_path / "log"
+    made.log.write_text("\n\n".join(f"line {i}" for i in range(9)))
+    with pytest.raises(StageError, match="killed by SIGKILL") as error:
+        made.check()
+    assert error.value.facts == tuple(f"line {i}" for i in range(3, 9))
 
 
 class Ended:

@@ -426,6 +426,36 @@ def test_an_edge_known_to_a_pixel_is_no_error_of_a_pose():
     assert pose_refinement.share_apart(nothing, nothing) == 0 and pose_refinement.share_apart(mask, nothing) == 1
 
 
+def outlined(frames=10, wide=0):
+    """Evidence of masks that are `wide` px wider than the body; the fit does not trust the last pose."""
+    drawn = np.zeros((40, 40), bool)
+    drawn[10:30, 15:25] = True
+    mask = cv2.dilate(drawn.astype(np.uint8) * 255, np.ones((1, 2 * wide + 1)))
+    names, still = tuple(map(str, range(frames))), np.zeros((frames, 3))
+    body = SimpleNamespace(confidence=np.arange(frames)[::-1], global_orient=still, body_pose=np.zeros((frames, 69)))
+    body.transl = np.arange(3.0 * frames).reshape(frames, 3)
+    clip = SimpleNamespace(names=names, mask=lambda i: mask, body=body, viewmats=np.zeros((frames, 4, 4)), Ks=still)
+    return SimpleNamespace(clip=clip, sampled=range(frames), outlines=[drawn] * frames)
+
+
+def test_masks_that_hardly_leave_the_body_show_no_cloth_and_are_not_looked_into():
+    found = clothing.detect(outlined(10))
+    assert found.value == 0 and not found.called_for and len(found.frames) == 3
+    assert clothing.detect(outlined(8)).value is None, "seven frames that the fit trusts are too few"
+
+
+def test_cloth_is_carved_from_the_frames_whose_poses_are_trusted_where_the_body_stands():
+    evidence = outlined(4, wide=3)
+    joints, parents = torch.rand(24, 3, dtype=torch.float64), [-1, *range(23)]
+    sights = list(clothing._sights(evidence, joints, parents))
+    assert len(sights) == 3
+    for sight, place in zip(sights, evidence.clip.body.transl):
+        expected = np.tile(np.eye(4), (24, 1, 1))
+        expected[:, :3, 3] = place
+        np.testing.assert_allclose(sight.bones, expected, atol=1e-9)
+        assert sight.mask.sum() > sight.body.sum()
+
+
 @pytest.mark.slow
 def test_poses_of_ours_that_err_look_like_no_cloth_and_clothes_do_not(filmed):
     evidence = filmed()

@@ -11,7 +11,7 @@ from stages import evaluate, export, render, report
 from stages.avatar.drawing.rig import rig_of
 from stages.contract import Job, StageError
 from stages.filming.cast import cast
-from stages.filming.clip_cast import floor_under, load_cast, with_casters
+from stages.filming.clip_cast import floor_under, load_cast, posed_as, with_casters
 from stages.filming.spec import Person
 from stages.formats.clip import load_people
 from stages.formats.facts import Metrics, Seconds, Smpl, read_facts
@@ -39,6 +39,9 @@ def test_each_frame_has_those_whom_it_shows(clip):
     clips, cast = load_cast(clip["sfm"], clip["smpl"], clip["train"], "cpu")
     assert [one.person for one in clips] == [1, 2]
     assert [len(cast.at(i).people) for i in (0, tiny.EMPTY)] == [2, 1]
+    clips[0].body.confidence[1] = 0
+    known = posed_as(clips[0], read_avatar(clip["train"] / "avatar.npz"), "cpu").known
+    assert known.tolist() == [i not in (1, tiny.EMPTY) for i in range(len(known))], "where the fit trusts the pose"
     both = clips[0].mask(0) > 127
     assert (both == ((clips[0].own_mask(0) > 127) | (clips[1].own_mask(0) > 127))).mean() > 0.99
 

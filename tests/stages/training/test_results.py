@@ -51,6 +51,9 @@ class Heard:
         """Kept."""
         self.warnings.append(text)
 
+    def begins(self, name: str) -> None:
+        """Not looked at."""
+
 
 @pytest.fixture
 def settles(monkeypatch):

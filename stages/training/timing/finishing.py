@@ -1,0 +1,53 @@
+"""What follows the last step of a training, part by part, and about how long it takes."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+GAINS, HIDDEN, SHAPING, SETTLING, WRITING = (
+    "measuring effects",
+    "filling what is hidden",
+    "finishing",
+    "settling",
+    "writing",
+)
+STEPS = {HIDDEN: 25.0, SHAPING: 60.0, SETTLING: 120.0, WRITING: 4.0}
+"""Part -> full, grown steps that take as long, of each person or once. The kitchen clip, 2 cores, November 2026."""
+
+
+def finishing_parts(people: int, gains: float = 0.0) -> list[tuple[str, float]]:
+    """The parts in order and the full, grown steps of each; `gains`: those of measuring effects, 0 where none is."""
+    each = [(part, STEPS[part]) for part in (SHAPING, SETTLING)]
+    return [*([(GAINS, gains)] if gains else []), (HIDDEN, STEPS[HIDDEN]), *(people * each), (WRITING, STEPS[WRITING])]
+
+
+class Hooks(Protocol):
+    """Who watches a training, as a `contract.Job` does."""
+
+    def note(self, text: str, at_once: bool = False) -> None: ...
+
+    def warn(self, text: str) -> None: ...
+
+    def progress(self, done: int, total: int, left: float | None = None, **numbers: float | str) -> None: ...
+
+
+class Finishing:
+    """Tells the hooks which part begins and how long all will take, given its parts, the training's steps and seconds a step.
+
+    Where parts took longer than that, so do those to come.
+    """
+
+    def __init__(self, hooks: Hooks, parts: list[tuple[str, float]], steps: int, step: float):
+        self.note, self.warn, self.progress = hooks.note, hooks.warn, hooks.progress
+        self.parts, self.steps, self.step, self.at = parts, steps, step, 0
+        self.began = time.perf_counter()
+
+    def begins(self, name: str) -> None:
+        """The next part of this name begins; those before it are over, also where they were left out."""
+        self.at = next((i for i in range(self.at, len(self.parts)) if self.parts[i][0] == name), self.at)
+        over, rest = (sum(steps for _, steps in some) for some in (self.parts[: self.at], self.parts[self.at :]))
+        spent = time.perf_counter() - self.began
+        pace = spent / over if over and spent > over * self.step else self.step
+        self.at += 1
+        self.progress(round(self.steps + over), round(self.steps + over + rest), pace * rest, now=name)

@@ -1,0 +1,139 @@
+"""Forecasts of simulated machines, and what they are learned from."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hugs_cli import pipelines, times
+from hugs_cli.cache.freshness import Session
+from hugs_cli.cache.workspace import Workspace
+from hugs_cli.times import OFF, SHORT, USUAL, Sizes, here, learn, total, work
+
+WHOLE = sum(seconds for name, seconds in USUAL.items() if name != "frames")
+
+
+@pytest.fixture
+def free(monkeypatch, tmp_path):
+    """A machine without earlier runs; what is written into the list is the share of it that is free."""
+    share = [1.0]
+    monkeypatch.setenv("HUGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(times, "free", lambda: share[0])
+    return share
+
+
+@cache
+def loaded(count: int, steps: int, pipeline: str) -> pipelines.Pipeline:
+    return pipelines.load(pipeline, (f"frames.count={count}", f"train.steps={steps}"), pipelines.FILE)
+
+
+def session(work: Path, count: int = 80, steps: int = 1400, pipeline: str = "default") -> Session:
+    video = work / "clip.mp4"
+    clip = Session(Workspace(video, work, pipeline), loaded(count, steps, pipeline), {"video": video})
+    frames = clip.workspace.links / "frames" / "frames.json"
+    frames.parent.mkdir(parents=True, exist_ok=True)
+    frames.write_text(json.dumps({"frames": [{}] * count, "width": 480, "height": 864}))
+    return clip
+
+
+def run(clip: Session, seconds: dict[str, float], device: str = "cpu") -> None:
+    """What a run leaves that took `seconds`."""
+    for name, stage in clip.pipeline.stages.items():
+        learn(clip, stage, seconds[name], device)
+
+
+def forecast(clip: Session, device: str = "cpu") -> times.Guess:
+    """Of all that follows the frames."""
+    return total(here(device).forecast(clip, [name for name in clip.pipeline.stages if name != "frames"]).values())
+
+
+def test_the_usual_clip_takes_the_usual_time_where_nothing_was_run(free, tmp_path):
+    assert forecast(session(tmp_path)) == pytest.approx((WHOLE, OFF[0]))
+    free[0] = 0.5
+    assert forecast(session(tmp_path)).seconds == pytest.approx(2 * WHOLE)
+    few = here("cpu").forecast(session(tmp_path), ["report"])
+    assert few["report"].seconds == USUAL["report"], "of so short a run it is not found out how busy the machine is"
+
+
+def test_nine_of_ten_runs_take_within_a_factor_of_one_and_a_half_of_what_was_said(free, tmp_path, monkeypatch):
+    """Machines of any speed, clips of any size, runs beside none, one or two busy processes, each stage off by chance."""
+    rng, off = np.random.default_rng(0), []
+    for machine in range(10):
+        monkeypatch.setenv("HUGS_CACHE", str(tmp_path / f"{machine}"))
+        pace, own = np.exp(rng.normal(0, 0.5)), {name: np.exp(rng.normal(0, 0.15)) for name in USUAL}
+        for earlier in range(3):
+            clip = session(tmp_path, int(rng.choice([30, 80, 200])), int(rng.choice([300, 1400, 5000])))
+            sizes, free[0] = times.sizes_of(clip, True), rng.choice([1.0, 0.6, 0.4])
+            took = {
+                name: pace * own[name] * usual * work(name, sizes) / free[0] * np.exp(rng.normal(0, 0.2))
+                for name, usual in USUAL.items()
+            }
+            if earlier:
+                off.append(forecast(clip).seconds / sum(took.values()))
+            run(clip, took)
+    assert np.mean(np.abs(np.log(off)) < np.log(1.5)) >= 0.9
+
+
+def test_more_runs_make_it_surer_and_those_of_the_same_pipeline_count_first(free, tmp_path):
+    clip, only = session(tmp_path), session(tmp_path, pipeline="human_only")
+    for runs, slow in ((1, 2.0), (2, 2.0), (3, 2.0)):
+        run(clip, {name: slow * seconds for name, seconds in USUAL.items()})
+        guess = forecast(clip)
+        assert guess.seconds == pytest.approx(2 * WHOLE)
+        assert guess.off == pytest.approx(OFF.get(runs, times.FEW))
+    assert forecast(only).seconds == pytest.approx(2 * WHOLE), "better than nothing"
+    run(only, dict(USUAL))
+    assert forecast(only).seconds == pytest.approx(WHOLE)
+    low, high = times.said(times.Guess(600, 2.0)), times.said(times.Guess(600, 1.25))
+    assert "5m 00s and 20m 00s" in low and "8m 00s and 12m 30s" in high
+
+
+def test_a_stage_that_was_run_says_how_fast_the_others_are(free, tmp_path):
+    clip = session(tmp_path)
+    learn(clip, clip.pipeline.stages["masks"], 3 * USUAL["masks"], "cpu")
+    assert here("cpu").forecast(clip, ["train"])["train"].seconds == pytest.approx(3 * USUAL["train"])
+    assert here("cuda").forecast(clip, ["train"])["train"].seconds == pytest.approx(USUAL["train"]), "another device"
+
+
+def test_a_long_training_of_small_pictures(free, tmp_path):
+    few, many = Sizes(80, 100 * 100, 300), Sizes(80, 200 * 200, 3000)
+    assert work("train", many) / work("train", few) == pytest.approx(2 * 3300 / 600)
+    assert work("render", many) == 2 * work("render", few) and work("masks", Sizes(40)) == 0.5
+    clip = session(tmp_path, 40, 600)
+    assert times.sizes_of(clip, picked=True) == (40, 480 * 864, 600)
+    assert times.sizes_of(clip, picked=False) == (40, 960 * 540, 600)
+
+
+def test_what_tells_nothing_is_not_kept(free, tmp_path, monkeypatch):
+    monkeypatch.setattr(times, "KEPT", 5)
+    clip = session(tmp_path)
+    train = clip.pipeline.stages["train"]
+    learn(clip, train, SHORT / 2, "cpu")
+    learn(clip, replace(train, params=train.params.model_copy(update={"seconds": 600.0})), 500.0, "cpu")
+    assert times.rows() == []
+    learn(clip, train, 500.0, "cpu")
+    assert [row.seconds for row in times.rows()] == [500]
+    for _ in range(times.KEPT):
+        learn(clip, train, 700.0, "cpu")
+    assert {row.seconds for row in times.rows()} == {700} and len(times.rows()) == times.KEPT
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[]",
+        '{"rows": 3}',
+        '{"rows": [{"stage": "train"}]}',
+        '{"rows": [["train", "m", "p", "cpu", 2, [80, -1, 3], 5]]}',
+    ],
+)
+def test_a_file_that_cannot_be_read_is_as_none(free, tmp_path, content):
+    times.folder().mkdir(parents=True)
+    times.file().write_text(content)
+    assert times.rows() == [] and forecast(session(tmp_path)).off == OFF[0]
+    run(session(tmp_path), dict(USUAL))
+    assert len(times.rows()) == len(USUAL)
