@@ -40,7 +40,8 @@ def run(pair, tmp_path_factory) -> Path:
     for i, (one, other) in enumerate(zip(*(view.masks for view in pair.views), strict=True)):
         write_mask(folder / "ids" / f"{i:06d}.png", ids(one > 127, other > 127))
     said = hugs("run", folder / "pair.mp4", "export", "--person", "all", "--masks", folder / "ids", "--pipeline", "ci",
-                "--set", "train.steps=200", "--work", folder / "work")  # fmt: skip
+                "--set", "train.steps=120", "--set", "export.triangles=500", "--set", "export.texture=64",
+                "--work", folder / "work")  # fmt: skip
     print(said.stderr)
     return folder / "work/pair/ci"
 
