@@ -26,6 +26,7 @@ from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
 from hugs_cli.app_view import view
 from hugs_cli.cache import child, engine
 from hugs_cli.cache import garbage as unused
+from hugs_cli.cache.accept import accept as keep_results
 from hugs_cli.cache.engine import RunStopped
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.report import PAGE
@@ -196,7 +197,7 @@ def accept(video: options.Video, given: RunOptions, stages: Stages = None) -> No
     session.pipeline.upstream(stages or [])  # refuses unknown names
     session.check_sources()
     session.workspace.create()
-    for name, (verdict, taken) in engine.accept(session, stages or list(session.pipeline.stages), console).items():
+    for name, (verdict, taken) in keep_results(session, stages or list(session.pipeline.stages), console).items():
         if taken and verdict.last and verdict.recipe:
             changed = reasons_text(verdict.reasons)
             console.result(f"{name} accepted: {verdict.last.key[:8]} is now {verdict.recipe.key[:8]}; {changed}")

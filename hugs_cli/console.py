@@ -170,9 +170,7 @@ class Console:
             done, total = progress.event["done"], progress.event["total"]
             state = f"{done}/{total}  {100 * done // max(total, 1)} %"
             text = "  ".join(number(name, value) for name, value in progress.event["numbers"].items())
-        own, whole = progress.left(now), self.countdown.left(stage, progress, now) if self.countdown else None
-        if own is not None or whole is not None:
-            text = f"about {left_text(own, whole)}  {text}".strip()
+        text = f"{self.time_left(stage)}  {text}".strip()
         if self.live:
             line = f"  {stage:<{self.name_width}}{state:<{STATE_WIDTH}}  {elapsed:<7}  {plain(text)}".rstrip()
             self.err.write(f"\r\x1b[2K{line[: shutil.get_terminal_size().columns - 1]}")
@@ -197,6 +195,12 @@ class Console:
         self.err.write("\n".join(plain(line)[: size.columns - 1] for line in shown))
         self.err.flush()
         self.above = max(len(shown) - 1, 0)
+
+    def time_left(self, stage: str) -> str:
+        """How long the running stage, and the run, will still take; '' where nothing is known of it."""
+        now = self.clock()
+        own, whole = self.progress.left(now), self.countdown.left(stage, self.progress, now) if self.countdown else None
+        return "" if own is whole is None else f"about {left_text(own, whole)}"
 
     def clear(self) -> None:
         """Wipe the moving rows."""

@@ -27,7 +27,7 @@ from hugs_cli.words import duration
 STAGE_START = 2.5
 """Seconds from the end of a stage to the start of the next, libraries loaded, and of a stage of which nothing is known."""
 USUAL = {"frames": 4.0, "masks": 41.0, "sfm": 35.0, "smpl": 40.0, "survey": 14.0, "train": 600.0, "export": 30.0,
-         "render": 33.0, "evaluate": 90.0, "report": 3.0}  # fmt: skip
+         "render": 33.0, "evaluate": 90.0}  # fmt: skip
 """Seconds of the stages of `default`. The phone clip, 2 cores, November 2026."""
 FINISHING = 300
 """Steps that take as long as what follows the last one."""

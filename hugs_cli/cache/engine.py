@@ -11,14 +11,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
-from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from hugs_cli import times
-from hugs_cli.cache import child, garbage, whole
+from hugs_cli.cache import child, whole
 from hugs_cli.cache.checks import check
 from hugs_cli.cache.fingerprint import files_under
 from hugs_cli.cache.freshness import Forced, ParamChanged, Reason, Recipe, Session, Verdict, changes
@@ -28,7 +27,6 @@ from hugs_cli.cache.workspace import (
     LOG,
     OURS,
     STAMP,
-    Accepted,
     FileFacts,
     Machine,
     Stamp,
@@ -181,7 +179,7 @@ def make(
     def heard(event: dict[str, Any]) -> None:
         console.heard(stage.name, event)
         if page:
-            page.heard(event)
+            page.heard(event, console.time_left(stage.name))
 
     outcome = launcher.launch(job, part / LOG, heard, then)
     with uninterrupted():  # a result that is there is kept, whatever comes now
@@ -310,30 +308,6 @@ def failure(stage: Stage, outcome: Outcome, log: Path, continues: bool) -> BaseE
     if name == "SIGKILL":
         hint = "most often the system ran out of memory: close other programs, or use `--pipeline preview`"
     return StageFailed(f"stage {stage.name} was killed by {name}", hint, [memory, *lines])
-
-
-def accept(session: Session, wanted: list[str], console: Console) -> dict[str, tuple[Verdict, Stamp | None]]:
-    """Keep the results of the wanted stages where only code has changed: folder and stamp get the new key, the content
-    stays. Returns each wanted stage's verdict and the new stamp of an accepted one."""
-    with session.workspace.lock(console.waiting):
-        return session.acceptable(wanted, partial(rekey, session))
-
-
-def rekey(session: Session, verdict: Verdict) -> Stamp | None:
-    """Give the last result the key of the present code, and return its new stamp. None, and nothing is done, where it is
-    damaged."""
-    last, recipe, new = verdict.last, verdict.recipe, verdict.folder
-    folder = session.workspace.linked(verdict.stage)
-    if not (last and folder and recipe and new) or last.damage(folder) or new.exists():
-        return None
-    how: Accepted = {"when": now(), "instead_of": last.key, "changes": list(map(str, verdict.reasons))}
-    stamp = replace(last, key=recipe.key, code=recipe.code, inputs=recipe.inputs, accepted=[*last.accepted, how])
-    with uninterrupted():
-        stamp.write(folder)
-        os.rename(folder, new)
-        garbage.relink(session.workspace, folder, new)
-        session.workspace.log_run(stage=verdict.stage, pipeline=session.pipeline.name, result="accepted", **how)
-    return stamp
 
 
 @contextmanager

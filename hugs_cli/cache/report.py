@@ -50,10 +50,10 @@ class Report:
         if self.process is None:
             self.process = self._start()
 
-    def heard(self, event: Mapping[str, Any]) -> None:
-        """A stage has reported something."""
+    def heard(self, event: Mapping[str, Any], left: str) -> None:
+        """A stage has reported something; `left` says how long it will take."""
         if event.get("event") == "progress":
-            self.now = f"{100 * event['done'] // max(event['total'], 1)} %"
+            self.now = f"{100 * event['done'] // max(event['total'], 1)} %, {left}".removesuffix(", ")
             if time.monotonic() - self.written > EVERY:
                 self.write()
 

@@ -4,9 +4,9 @@ import pytest
 
 from hugs_cli.countdown import Countdown, Marks, Progress, remaining
 
-STAGES = {"frames": 4.0, "masks": 41.0, "smpl": 75.0, "train": 610.0, "render": 60.0, "evaluate": 90.0, "report": 3.0}
+STAGES = {"frames": 4.0, "masks": 41.0, "smpl": 75.0, "train": 610.0, "render": 60.0, "evaluate": 90.0, "notes": 3.0}
 TICK, SOON = 1.0, 2.0
-SILENT = ("report",)  # it reports nothing
+SILENT = ("notes",)  # it reports nothing
 
 
 def simulated(slow_from: float = 1.0, guessed: float = 1.0, knows: bool = False, end: float = 0.0):
@@ -47,7 +47,7 @@ def test_what_a_stage_does_after_its_last_step_is_not_0_seconds():
 
 
 def test_stages_that_turn_out_to_be_there_already_are_no_longer_expected():
-    countdown = Countdown([("masks", 40.0), ("train", 600.0), ("report", 3.0), ("train", 500.0)], 0.0)
+    countdown = Countdown([("masks", 40.0), ("train", 600.0), ("notes", 3.0), ("train", 500.0)], 0.0)
     countdown.started("train")
     assert countdown.left("train", Progress(0.0), 0.0) == pytest.approx(600 + 3 + 500)
     countdown.ended("train", 600.0)

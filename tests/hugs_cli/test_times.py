@@ -54,8 +54,8 @@ def test_the_usual_clip_takes_the_usual_time_where_nothing_was_run(free, tmp_pat
     assert forecast(session(tmp_path)) == pytest.approx((WHOLE, OFF[0]))
     free[0] = 0.5
     assert forecast(session(tmp_path)).seconds == pytest.approx(2 * WHOLE)
-    few = here("cpu").forecast(session(tmp_path), ["report"])
-    assert few["report"].seconds == USUAL["report"], "of so short a run it is not found out how busy the machine is"
+    few = here("cpu").forecast(session(tmp_path), ["frames"])
+    assert few["frames"].seconds == USUAL["frames"], "of so short a run it is not found out how busy the machine is"
 
 
 def test_nine_of_ten_runs_take_within_a_factor_of_one_and_a_half_of_what_was_said(free, tmp_path, monkeypatch):

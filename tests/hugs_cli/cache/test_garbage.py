@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hugs_cli.cache import engine
+from hugs_cli.cache import accept
 from hugs_cli.cache.freshness import CodeChanged, Recipe, Verdict
 from hugs_cli.cache.garbage import garbage
 from hugs_cli.cache.workspace import Stamp, Workspace
@@ -154,10 +154,10 @@ def test_accept_killed_after_any_step_loses_nothing(tmp_path: Path, monkeypatch:
 
     with monkeypatch.context() as patch:
         if step:
-            target = {"rename": engine.os, "relink": engine.garbage, "log_run": one}[step]
+            target = {"rename": accept.os, "relink": accept.garbage, "log_run": one}[step]
             patch.setattr(target, step, kill)
         try:
-            engine.rekey(session, verdict)
+            accept.rekey(session, verdict)
         except KeyboardInterrupt:
             assert step
     assert unused(one) == [f"train-{UNUSED}"]
