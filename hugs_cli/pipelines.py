@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from hugs_cli import plain_yaml
 from hugs_cli.studies import variants
+from hugs_cli.words import command
 from stages.contract import Params, StageError, StageModule, changes_speed_only, load_stage
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
@@ -111,7 +112,7 @@ def variant(pipeline: Pipeline, name: str) -> Pipeline:
     stage, settings = variants.changes(name, lambda name: unknown("variant", name, known, where))
     pipeline.upstream([stage])  # refuses a pipeline without it
     old = pipeline.stages[stage]
-    new = checked(type(old.params), old.params.model_dump() | settings, stage, f"{where}, stage {stage}")
+    new = checked(type(old.params), old.params.model_dump() | settings, stage, pipeline.name)
     return replace(pipeline, name=f"{pipeline.name}.{name}", stages=pipeline.stages | {stage: replace(old, params=new)})
 
 
@@ -221,7 +222,7 @@ def check_stage(name: str, entry: dict[str, Any], stages: dict[str, Any], pipeli
     if set(module.inputs) != set(entry["needs"]):
         facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(module.inputs)}"]
         raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "make them the same", facts)
-    params = checked(module.params, entry["params"], name, where)
+    params = checked(module.params, entry["params"], name, pipeline)
     return Stage(name, entry["module"], tuple(entry["needs"]), params, module.resumes, tuple(module.loads), module.doc)
 
 
@@ -235,8 +236,9 @@ def module_of(name: str, where: str) -> StageModule:
         raise UsageError(f"{where}: there is no module {name}", "write it, or mend the name") from error
 
 
-def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) -> Params:
+def checked(kind: type[Params], values: dict[str, Any], stage: str, pipeline: str) -> Params:
     """The settings of a stage; UsageError for one that it does not have and for a value that is not valid."""
+    where = f"pipeline {pipeline}, stage {stage}"
     for param in values:
         if param not in kind.model_fields:
             raise unknown("setting", str(param), kind.model_fields, where)
@@ -244,7 +246,8 @@ def checked(kind: type[Params], values: dict[str, Any], stage: str, where: str) 
         return kind(**values)
     except ValidationError as error:
         facts = wrong_values(error, lambda keys: ".".join([stage, *map(str, keys)]))
-        raise UsageError(f"{where}: settings are not valid", f"`hugs stages {stage}` lists them", facts) from error
+        listing = command("stages", stage, pipeline=pipeline, work=Path("work"))
+        raise UsageError(f"{where}: settings are not valid", f"`{listing}` lists them", facts) from error
 
 
 def wrong_values(error: ValidationError, place: Callable[[tuple[int | str, ...]], str]) -> list[str]:
