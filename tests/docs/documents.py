@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import re
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`([^`]+)`")
+HINT = re.compile(r"`((?:hugs|pip|python|npx|ffmpeg|--[a-z]+)(?: [^`\n]+)?)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
@@ -40,3 +43,23 @@ def documents() -> list[Document]:
     """README, CHANGELOG and all of docs/."""
     paths = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [Document(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")) for path in paths]
+
+
+@cache
+def hints() -> dict[str, str]:
+    """Each command in backticks in a text that the product may print -> the file; what is filled in reads as X."""
+    found = {}
+    for path in [*(ROOT / "stages").rglob("*.py"), *(ROOT / "hugs_cli").rglob("*.py")]:
+        content = path.read_text("utf-8")
+        if not HINT.search(content):
+            continue
+        tree = ast.parse(content)
+        parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+        for node in ast.walk(tree):
+            text = ""
+            if isinstance(node, ast.JoinedStr):
+                text = "".join(part.value if isinstance(part, ast.Constant) else "X" for part in node.values)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
+                text = node.value
+            found |= dict.fromkeys(HINT.findall(text), path.name)
+    return found

@@ -4,7 +4,6 @@ Cheap commands are run. The long ones (run, demo, and what reads their results) 
 tests/hugs_cli; here they are parsed by the real command line.
 """
 
-import ast
 import importlib.util
 import json
 import re
@@ -18,7 +17,7 @@ import typer
 
 from hugs_cli import app, pipelines, within
 from hugs_cli.studies import variants
-from tests.docs.documents import ROOT, documents
+from tests.docs.documents import ROOT, documents, hints
 
 CHEAP = {"hugs stages", "hugs doctor", "hugs --help", "hugs --version"}
 CODES = {"hugs doctor": (0, 1)}  # 1 where models are missing
@@ -106,24 +105,6 @@ CHECKS = {"hugs": check_hugs, "make": check_make, "pip": check_pip, "python": ch
 def test_commands_exist(document, command):
     program, *words = shlex.split(command)
     CHECKS[program](words, (document, command) in set(block_lines()))
-
-
-def hints() -> dict[str, str]:
-    """Each command in backticks in a text that the product may print -> the file; what is filled in reads as X."""
-    found = {}
-    for path in [*(ROOT / "stages").rglob("*.py"), *(ROOT / "hugs_cli").rglob("*.py")]:
-        tree = ast.parse(path.read_text("utf-8"))
-        parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-        for node in ast.walk(tree):
-            text = ""
-            if isinstance(node, ast.JoinedStr):
-                text = "".join(part.value if isinstance(part, ast.Constant) else "X" for part in node.values)
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
-                text = node.value
-            found |= dict.fromkeys(
-                re.findall(r"`((?:hugs|pip|python|npx|ffmpeg|--[a-z]+)(?: [^`\n]+)?)`", text), path.name
-            )
-    return found
 
 
 FILLED = ("default", "train", "10m")

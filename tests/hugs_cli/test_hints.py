@@ -175,7 +175,7 @@ def pictures(tmp_path) -> Flow:
 
 
 @pytest.mark.slow
-def test_the_folder_that_has_the_pictures_and_their_rate(pictures):
+def test_the_folder_that_has_the_pictures_their_rate_and_a_place_for_results(pictures):
     _, said = pictures.hugs(code=1)
     _, command, inner = hinted(said, re.search("`(hugs run [^`]+)`", said)[1])
     assert Path(inner) == pictures.video / "inner"
@@ -184,3 +184,8 @@ def test_the_folder_that_has_the_pictures_and_their_rate(pictures):
     rate = hinted(said, "--set frames.folder_fps=30")
     _, again = pictures.hugs(*rate, command=command)
     assert "does not say" not in again and (pictures.work / "inner/default/frames/frames.json").is_file()
+    pictures.folder = Path(inner)
+    pictures.arguments = lambda command, *args: [command, ".", *args, "--pipelines-file", "../../pipelines.yaml"]
+    _, said = pictures.hugs(code=2)
+    pictures.hugs(*hinted(said, re.search("`(--work [^`]+)`", said)[1]))
+    assert (Path(inner).parent / "work/inner/default/frames/frames.json").is_file()
