@@ -16,6 +16,7 @@ LONGEST = 350  # lines
 TABLES: set[str] = set()  # files that are long because they are lists
 KERNELS = ("njit", "jit", "intrinsic", "overload", "vectorize")  # decorators of functions that numba gives their types
 ELSEWHERE = {  # a test file that is called after no module of its folder: why
+    "hugs_cli/test_hints.py": "what all commands say helps",
     "hugs_cli/test_trouble.py": "what the world does to whole runs",
     "stages/avatar/effects/test_antialias.py": "a flag that goes from training to every picture",
     "stages/avatar/rasterize/test_machine.py": "all kernels, on whatever machine",
