@@ -11,6 +11,7 @@ FINE = 1 / 200  # of the time so far: marks lie no closer
 SOON = 2.0  # s, before which no speed is read
 LATE, LEAST = 0.15, 1.0  # of the time since something was heard, and s: what ought to be over takes that long at least
 SLOW = 0.8  # exponent of how much slower than expected it went, for what is still to come: a part of that is chance
+SURE = 0.3  # of all that is expected, after which that counts whole
 MOST = 5.0  # times as slow as expected, at most
 
 
@@ -90,7 +91,9 @@ class Countdown:
         own, event = progress.left(now), progress.event
         if event:
             self.marks.add(now, self.over + expected * event["done"] / max(event["total"], 1))
-        slow = min(max(1 / (self.marks.speed(now) or 1.0), 1 / MOST), MOST) ** SLOW
+        rest = sum(seconds for _, seconds in self.stages)
+        passed = self.marks.seen[-1][1] / max(self.over + rest, LEAST)
+        slow = min(max(1 / (self.marks.speed(now) or 1.0), 1 / MOST), MOST) ** (SLOW * min(1.0, passed / SURE))
         if own is None:
             own = remaining(slow * expected, now - progress.started)
-        return own + slow * (sum(seconds for _, seconds in self.stages) - expected)
+        return own + slow * (rest - expected)
