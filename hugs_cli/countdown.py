@@ -11,6 +11,7 @@ FINE = 1 / 200  # of the time so far: marks lie no closer
 SOON = 2.0  # s, before which no speed is read
 LATE, LEAST = 0.15, 1.0  # of the time since something was heard, and s: what ought to be over takes that long at least
 SLOW = 0.8  # exponent of how much slower than expected it went, for what is still to come: a part of that is chance
+SURE = 0.3  # of all that is expected, after which that counts whole
 MOST = 5.0  # times as slow as expected, at most
 
 
@@ -26,14 +27,13 @@ class Marks:
             self.seen.pop()
         self.seen.append((now, done))
 
-    def speed(self, now: float) -> float | None:
+    def speed(self) -> float | None:
         """Done in a second lately; None before SOON, and where nothing was done."""
-        if not self.seen or now - self.seen[0][0] < SOON:
+        if not self.seen or (end := self.seen[-1][0]) - self.seen[0][0] < SOON:
             return None
-        since = now - max(SOON, RECENT * (now - self.seen[0][0]))
+        since, done = end - max(SOON, RECENT * (end - self.seen[0][0])), self.seen[-1][1]
         began, before = next((mark for mark in reversed(self.seen[:-1]) if mark[0] <= since), self.seen[0])
-        end, done = self.seen[-1]
-        return (done - before) / (end - began) if done > before and end > began else None
+        return (done - before) / (end - began) if done > before else None
 
 
 @dataclass
@@ -54,7 +54,7 @@ class Progress:
 
     def left(self, now: float) -> float | None:
         """Seconds until it ends: the stage's own number, or from its speed; None in the first SOON s. Never 0."""
-        left, speed = self.event.get("left"), self.marks.speed(now)
+        left, speed = self.event.get("left"), self.marks.speed()
         if left is None and speed is not None:
             left = (self.event["total"] - self.event["done"]) / speed
         return None if left is None else remaining(left, now - self.at)
@@ -89,8 +89,10 @@ class Countdown:
         expected = self.stages[0][1]
         own, event = progress.left(now), progress.event
         if event:
-            self.marks.add(now, self.over + expected * event["done"] / max(event["total"], 1))
-        slow = min(max(1 / (self.marks.speed(now) or 1.0), 1 / MOST), MOST) ** SLOW
+            self.marks.add(progress.at, self.over + expected * event["done"] / max(event["total"], 1))
+        rest = sum(seconds for _, seconds in self.stages)
+        passed = self.marks.seen[-1][1] / max(self.over + rest, LEAST)
+        slow = min(max(1 / (self.marks.speed() or 1.0), 1 / MOST), MOST) ** (SLOW * min(1.0, passed / SURE))
         if own is None:
             own = remaining(slow * expected, now - progress.started)
-        return own + slow * (sum(seconds for _, seconds in self.stages) - expected)
+        return own + slow * (rest - expected)

@@ -26,11 +26,7 @@ from hugs_cli.words import duration
 
 STAGE_START = 2.5
 """Seconds from the end of a stage to the start of the next, libraries loaded, and of a stage of which nothing is known."""
-USUAL = {"frames": 4.0, "masks": 41.0, "sfm": 35.0, "smpl": 40.0, "survey": 14.0, "train": 600.0, "export": 30.0,
-         "render": 33.0, "evaluate": 90.0}  # fmt: skip
-"""Seconds of the stages of `default`. The phone clip, 2 cores, November 2026."""
-FINISHING = 300
-"""Steps that take as long as what follows the last one."""
+FINISHING, SETTLING = 100, 200  # steps that take as long as what follows the last one, and settling in it, at most
 KEPT, ASKED = 400, 5  # rows in the file, and the last ones of a stage that a guess is made from
 SHORT = 2.0  # s; shorter stages tell nothing
 WORTH = 10.0  # s; of a shorter run it is not found out how busy the machine is
@@ -66,18 +62,39 @@ class Guess(NamedTuple):
     off: float
 
 
+USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
+    "default": (Sizes(), {"frames": 2.0, "masks": 16.0, "sfm": 14.0, "smpl": 15.0, "survey": 6.0, "train": 242.0,
+                          "export": 9.0, "render": 9.0, "evaluate": 31.0}),
+    "preview": (Sizes(24, 267 * 480, 280), {"frames": 2.0, "masks": 4.0, "sfm": 3.0, "smpl": 6.0, "survey": 3.0,
+                                            "train": 33.0, "export": 1.0, "render": 7.0, "evaluate": 4.0}),
+}  # fmt: skip
+"""Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
+shared out as in runs beside other work (docs/benchmarks/README.md)."""
+
+
 def work(stage: str, sizes: Sizes) -> float:
-    """How many times as long a stage takes as with USUAL sizes."""
+    """How many times as long a stage takes as with the sizes of `default`."""
     usual = Sizes()
     frames, drawn = sizes.frames / usual.frames, (sizes.pixels / usual.pixels) ** 0.5
     match stage:
         case "train":
-            return drawn * (sizes.steps + FINISHING) / (usual.steps + FINISHING)
+            return drawn * _steps(sizes.steps) / _steps(usual.steps)
         case "render" | "evaluate":
             return drawn * frames
         case "export":
             return 1.0
     return frames
+
+
+def _steps(steps: float) -> float:
+    """Steps, and those that take as long as what follows the last one, which is less where they are few."""
+    return steps + FINISHING + min(SETTLING, steps / 5)
+
+
+def usual(pipeline: str, stage: str, sizes: Sizes) -> float:
+    """Seconds of a stage on the machine of USUAL."""
+    known, seconds = USUAL.get(pipeline.partition(".")[0], USUAL["default"])
+    return seconds.get(stage, STAGE_START) * work(stage, sizes) / work(stage, known)
 
 
 def sizes_of(session: Session, picked: bool) -> Sizes:
@@ -151,19 +168,15 @@ class Times:
 
     @cached_property
     def pace(self) -> float:
-        """How many times as long as USUAL the stages took that were run."""
-        known = [row for row in self.rows if row.stage in USUAL and row.module == f"stages.{row.stage}"]
-        return median(row.seconds / USUAL[row.stage] / work(row.stage, row.sizes) for row in known) if known else 1.0
+        """How many times as long as is USUAL the stages took that were run."""
+        return median([_slow(row) for row in self.rows if row.module == f"stages.{row.stage}"] or [1.0])
 
     def alone(self, session: Session, stage: Stage, sizes: Sizes) -> Guess:
         """Of one stage, if nothing else ran."""
-        same = self.by_module.get(stage.module, [])
-        same = [row for row in same if row.pipeline == session.pipeline.name] or same
-        rates = [row.seconds / work(stage.name, row.sizes) for row in same[-ASKED:]]
-        if not rates and stage.name not in USUAL:
-            return Guess(STAGE_START, OFF[0])
-        rate = median(rates) if rates else USUAL[stage.name] * self.pace
-        return Guess(rate * work(stage.name, sizes), OFF.get(len(rates), FEW))
+        name, same = session.pipeline.name, self.by_module.get(stage.module, [])
+        same = ([row for row in same if row.pipeline == name] or same)[-ASKED:]
+        slow = median(map(_slow, same)) if same else self.pace
+        return Guess(slow * usual(name, stage.name, sizes), OFF.get(len(same), FEW))
 
     def forecast(self, session: Session, todo: Iterable[str], now: bool = True) -> dict[str, Guess]:
         """Of stages to do, in their order; as busy as the machine is `now`, or as if nothing else ran."""
@@ -172,6 +185,10 @@ class Times:
         found = {name: self.alone(session, stages[name], sizes) for name in todo}
         share = free() if now and sum(one.seconds for one in found.values()) > WORTH else 1.0
         return {name: Guess(one.seconds / share, one.off) for name, one in found.items()}
+
+
+def _slow(row: Row) -> float:
+    return row.seconds / usual(row.pipeline, row.stage, row.sizes)
 
 
 def here(device: str) -> Times:

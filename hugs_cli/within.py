@@ -97,7 +97,7 @@ class Promise:
         that the machine has for it now. The whole time is counted down from now on."""
         found, known = self.session.verdicts(self._before(), forced), times.here(device)
         missing = [name for name, verdict in found.items() if not verdict.fresh]
-        sizes = times.sizes_of(self.session, "frames" not in missing)._replace(steps=LEAST - times.FINISHING)
+        sizes = times.sizes_of(self.session, "frames" not in missing)._replace(steps=LEAST)
         train = known.alone(self.session, self.session.pipeline.stages["train"], sizes).seconds
         least = 0.0 if begun else train + STAGE_START * (1 + len(self._after()))
         free = times.free() if missing or not begun else 1.0

@@ -76,8 +76,7 @@ def run(
     stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are.
     `report`: the pipeline's page grows meanwhile. Before the first that is made, all to come check what they are given, and so
     do those that another call runs `later`."""
-    done = dict(taken)
-    ran: list[Ran] = []
+    done, ran = dict(taken), list[Ran]()
     unchecked = [session.pipeline.stages[name] for name in (*wanted, *later)]
     stages = [session.pipeline.stages[name] for name in wanted]
     with (

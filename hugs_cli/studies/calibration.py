@@ -3,8 +3,8 @@
 Stages give their own cost after training, see `cost` in stages/train.py, stages/render.py and stages/evaluate.py.
 """
 
-LEAST = 400
-"""Steps: what the shortest training takes, with what it times, and the least that comes after it."""
+LEAST = 250
+"""Steps of a training that takes as long as the shortest one, with what it times, and the least that comes after it."""
 
 LEVEL_TIMES: dict[str, dict[tuple[object, ...], float]] = {
     "steps": {(0.25,): 0.25, (0.5,): 0.5, (2,): 2.0},

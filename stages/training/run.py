@@ -14,6 +14,7 @@ from stages.avatar.splats.neighbours import spread_evenly
 from stages.contract import StageError, Stopped, peak_memory
 from stages.training.beginning.start import Task, build
 from stages.training.checkpoint import Checkpoint
+from stages.training.finishing.settle import SHARE, STEPS
 from stages.training.results import Result, effect_facts, result_of
 from stages.training.step.fit import Fit
 from stages.training.timing.accuracy import heldout_accuracy
@@ -76,7 +77,8 @@ class Training:
         """See `finishing_parts`."""
         measured = self.deadline is None or not self.deadline.hurried
         gains = PAUSE * PAUSES * len(effects_of(self.fit)) if measured else 0.0
-        return finishing_parts(len(self.fit.people), gains)
+        settling = min(1.0, SHARE * self.fit.progress.total / STEPS)
+        return finishing_parts(len(self.fit.people), gains, settling)
 
     def mark(self, seconds: float) -> None:
         """Correct the pace by the steps since it was last looked at; `seconds` of all steps so far."""

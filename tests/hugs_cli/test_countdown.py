@@ -59,15 +59,15 @@ def test_stages_that_turn_out_to_be_there_already_are_no_longer_expected():
 
 def test_speed_is_that_of_the_last_third():
     marks = Marks()
-    assert marks.speed(5.0) is None
+    assert marks.speed() is None
     for now in range(100):
         marks.add(now, 2 * now if now < 50 else 100 + (now - 50) / 2)
-    assert marks.speed(99) == pytest.approx(0.5)
+    assert marks.speed() == pytest.approx(0.5)
     marks.add(99, 10)
-    assert marks.speed(99) is None, "a step back has no speed"
+    assert marks.speed() is None, "a step back has no speed"
     for now in range(100, 20_000):
         marks.add(now, now)
-    assert marks.speed(20_000) == pytest.approx(1) and len(marks.seen) < 2000
+    assert marks.speed() == pytest.approx(1) and len(marks.seen) < 2000
 
 
 def test_time_that_should_be_over_is_a_part_of_what_it_took():

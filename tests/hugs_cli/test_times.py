@@ -11,8 +11,9 @@ import pytest
 from hugs_cli import pipelines, times
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace
-from hugs_cli.times import OFF, SHORT, USUAL, Sizes, here, learn, total, work
+from hugs_cli.times import OFF, SHORT, Sizes, here, learn, total, usual, work
 
+USUAL = times.USUAL["default"][1]
 WHOLE = sum(seconds for name, seconds in USUAL.items() if name != "frames")
 
 
@@ -68,8 +69,8 @@ def test_nine_of_ten_runs_take_within_a_factor_of_one_and_a_half_of_what_was_sai
             clip = session(tmp_path, int(rng.choice([30, 80, 200])), int(rng.choice([300, 1400, 5000])))
             sizes, free[0] = times.sizes_of(clip, True), rng.choice([1.0, 0.6, 0.4])
             took = {
-                name: pace * own[name] * usual * work(name, sizes) / free[0] * np.exp(rng.normal(0, 0.2))
-                for name, usual in USUAL.items()
+                name: pace * own[name] * usual("default", name, sizes) / free[0] * np.exp(rng.normal(0, 0.2))
+                for name in USUAL
             }
             if earlier:
                 off.append(forecast(clip).seconds / sum(took.values()))
@@ -100,11 +101,36 @@ def test_a_stage_that_was_run_says_how_fast_the_others_are(free, tmp_path):
 
 def test_a_long_training_of_small_pictures(free, tmp_path):
     few, many = Sizes(80, 100 * 100, 300), Sizes(80, 200 * 200, 3000)
-    assert work("train", many) / work("train", few) == pytest.approx(2 * 3300 / 600)
+    assert work("train", many) / work("train", few) == pytest.approx(2 * 3300 / 460)
     assert work("render", many) == 2 * work("render", few) and work("masks", Sizes(40)) == 0.5
     clip = session(tmp_path, 40, 600)
     assert times.sizes_of(clip, picked=True) == (40, 480 * 864, 600)
     assert times.sizes_of(clip, picked=False) == (40, 960 * 540, 600)
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "sizes", "took"),
+    [
+        ("default", Sizes(80, 480 * 864, 1400), 345),
+        ("default", Sizes(60, 384 * 512, 1400), 196),
+        ("default", Sizes(80, 640 * 360, 1400), 230),
+        ("default", Sizes(80, 480 * 864, 4000), 577),
+        ("draft", Sizes(80, 480 * 864, 630), 164),
+        ("ci", Sizes(40, 384 * 512, 400), 133),
+        ("preview", Sizes(24, 267 * 480, 280), 60),
+    ],
+)
+def test_runs_on_an_idle_machine_took_about_as_long_as_is_usual(pipeline, sizes, took):
+    """The table of docs/benchmarks/README.md; `preview` promises a minute."""
+    assert 1 / 1.5 < sum(usual(pipeline, stage, sizes) for stage in USUAL) / took < 1.5
+
+
+def test_a_preview_takes_a_minute_and_on_a_slow_machine_as_many_times_as_long_as_other_pipelines_did(free, tmp_path):
+    clip = session(tmp_path, 24, 280, "preview")
+    todo = list(clip.pipeline.stages)
+    assert total(here("cpu").forecast(clip, todo).values()).seconds == pytest.approx(63, rel=0.05)
+    run(session(tmp_path / "other"), {name: 3 * seconds for name, seconds in USUAL.items()})
+    assert total(here("cpu").forecast(clip, todo).values()).seconds == pytest.approx(189, rel=0.05)
 
 
 def test_what_tells_nothing_is_not_kept(free, tmp_path, monkeypatch):

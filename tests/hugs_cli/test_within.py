@@ -11,7 +11,7 @@ from hugs_cli import options, times, within
 from hugs_cli.console import Console
 from hugs_cli.countdown import Progress
 from hugs_cli.pipelines import UsageError
-from hugs_cli.times import STAGE_START, USUAL, Sizes, work
+from hugs_cli.times import STAGE_START
 from tests.made.flow import Flow
 from tests.made.said import holds
 
@@ -263,7 +263,7 @@ def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
     console = Console()
     guess = promise._guess(frozenset(), False, "cpu", console)
     assert guess["share"] == given and guess["before"] == pytest.approx(STAGE_START / given, abs=0.06)
-    least = USUAL["train"] * work("train", Sizes(steps=within.LEAST - times.FINISHING)) + 2 * STAGE_START
+    least = times.usual("tiny", "train", times.Sizes(steps=within.LEAST)) + 2 * STAGE_START
     assert guess["from"] == pytest.approx(least / given, abs=0.06)
     assert [name for name, _ in console.countdown.stages] == ["one", "train", "after"]
     assert console.countdown.left("one", Progress(0.0), 0.0) >= 60, "training is expected to take what is left"

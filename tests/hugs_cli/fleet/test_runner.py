@@ -41,7 +41,7 @@ def test_as_many_as_memory_and_processors_allow_and_never_more(
 
 @pytest.mark.parametrize(
     ("cores", "threads", "clips", "expected"),
-    [(8, "", 0, 1), (8, "", 1, 1), (8, "", 2, 1.2), (8, "", 5, 3), (8, "2", 4, 1), (8, "2", 8, 1.2)],
+    [(8, "", 0, 1), (8, "", 1, 1), (8, "", 2, 1.5), (8, "", 4, 3), (8, "2", 4, 1), (8, "2", 8, 1.5)],
 )
 def test_clips_slow_each_other_down_where_they_have_not_enough_processors(monkeypatch, cores, threads, clips, expected):
     monkeypatch.setenv("OMP_NUM_THREADS", threads)
