@@ -73,10 +73,10 @@ def run(
     later: Sequence[str] = (),
 ) -> list[Ran]:
     """Bring the wanted stages (given in running order) up to date; raises StageFailed or RunStopped at the first
-    stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are.
-    `report`: the pipeline's page grows meanwhile. Before the first that is made, all to come check what they are given, and so
-    do those that another call runs `later`."""
-    done, ran = dict(taken), list[Ran]()
+    stage that does not finish. What was finished before stays. Results of other stages are `taken` as they are. `report`: the
+    page grows meanwhile. Before the first that is made, all check what they are given, and those that are run `later`, too."""
+    done = dict(taken)
+    ran: list[Ran] = []
     unchecked = [session.pipeline.stages[name] for name in (*wanted, *later)]
     stages = [session.pipeline.stages[name] for name in wanted]
     with (

@@ -115,6 +115,7 @@ def check(params):
 """
 
 
+@pytest.mark.slow
 def test_stages_after_training_check_before_it_and_before_the_first(clip):
     run(clip, "one")
     clip.write("after", AFTER + REFUSES)
