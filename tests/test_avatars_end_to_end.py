@@ -23,6 +23,7 @@ from stages.records import Avatar, Cameras
 from tests.made import finished
 from tests.made.clothes import dress, some_clothes
 from tests.made.command import hugs_here
+from tests.made.meshes import coarse
 from tests.made.tiny import colour_of
 
 pytestmark = pytest.mark.slow
@@ -114,7 +115,8 @@ def made(tmp_path_factory) -> Path:
 @pytest.fixture
 def hugs(made, monkeypatch, capsys):
     monkeypatch.setattr(outputs, "MESH", (500, 64))
-    return partial(hugs_here, made, monkeypatch, capsys)
+    with coarse():
+        yield partial(hugs_here, made, monkeypatch, capsys)
 
 
 def film_of(people: list[str], name: str, kinds: Iterable[str] = OUTS) -> str:

@@ -25,6 +25,7 @@ from stages.formats.images import read_image
 from stages.formats.video import decode
 from tests.made import finished
 from tests.made.command import hugs_here
+from tests.made.meshes import coarse
 from tests.made.said import holds
 from tests.made.tiny import colour_of
 
@@ -53,9 +54,10 @@ def made(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def hugs(made, monkeypatch, capsys):
-    """Runs `hugs compose ...` in this process; its stdout and stderr."""
+    """Runs `hugs compose ...` in this process, with small meshes; its stdout and stderr."""
     monkeypatch.setattr(outputs, "MESH", (500, 64))
-    return partial(hugs_here, made, monkeypatch, capsys, "compose")
+    with coarse():
+        yield partial(hugs_here, made, monkeypatch, capsys, "compose")
 
 
 @pytest.fixture
