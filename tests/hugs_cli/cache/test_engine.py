@@ -34,7 +34,8 @@ def test_first_run_makes_all_and_the_second_nothing(flow):
     out, err = flow.hugs()
     assert out == "work/clip/default/four\n"
     assert flow.text("four") == WHOLE
-    assert [line.split()[:2] for line in err.splitlines()[1:]] == [[name, "done"] for name in ALL]
+    assert err.splitlines()[1].startswith("this run takes about ")
+    assert [line.split()[:2] for line in err.splitlines()[2:]] == [[name, "done"] for name in ALL]
     assert "first run" in err
     out, err = flow.hugs()
     assert [line.split()[:3] for line in err.splitlines()[1:]] == [[name, "cached", "saved"] for name in ALL]
@@ -349,7 +350,9 @@ def test_status_why_and_dry_run_say_what_would_run(flow):
     flow.hugs()
     flow.edit("two", '"two"', '"zwei"')
     out, _ = flow.hugs("--dry-run")
-    states = {line.split()[0]: line.split()[1] for line in out.splitlines()}
+    *rows, last = out.splitlines()
+    assert holds(last, "takes about")
+    states = {line.split()[0]: line.split()[1] for line in rows}
     assert states == {"one": "fresh", "two": "stale", "three": "fresh", "four": "waits"}
     out, _ = flow.hugs("two", "--set", "two.word=b", command="why")
     assert holds(out, "two", "would run", "last result")
