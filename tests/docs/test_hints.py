@@ -57,6 +57,7 @@ DONE = {
     "hugs run VIDEO --pipeline X --within X": "tests/hugs_cli/test_within.py::test_its_results_have_a_name_for_other_commands",
     "--pipeline default.10m": "tests/hugs_cli/test_within.py::test_its_results_have_a_name_for_other_commands",
     "--name": f"{FLEET}test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left",
+    "--keep export,evaluate": f"{FLEET}test_only_what_is_kept_stays_and_only_what_failed_is_run_again",
     "--jobs": f"{FLEET}test_without_the_extra_it_says_what_to_install_and_runs_one_after_another",
     "python -m stages.train X": "tests/stages/test_train.py::"
     "test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_again",
@@ -79,12 +80,12 @@ LEAVES = "advice to leave it out"
 OTHERS = "a command of another program, which need not be here"
 UNDONE = {
     **dict.fromkeys(
-        ["--pipeline draft", "--pipeline human_only --set sfm.camera=fixed", "--seed 1", "--within 10m", "hugs demo"],
+        ["--pipeline preview", "--pipeline human_only --set sfm.camera=fixed", "--seed 1", "--within 10m", "hugs demo"],
         TRAINS,
     ),
     **dict.fromkeys([f"--set {one}" for one in ("frames.count=160", "sfm.min_share=0.3", "sfm.overlap=24")], TRAINS),
     **dict.fromkeys(["--set survey.X=always", "--pipeline X", "hugs run FOLDER --pipeline X"], TRAINS),
-    **dict.fromkeys(["hugs run VIDEO", "hugs run VIDEO --pipeline draft", "hugs costs VIDEO --sweep"], TRAINS),
+    **dict.fromkeys(["hugs run VIDEO", "hugs run VIDEO --pipeline preview", "hugs costs VIDEO --sweep"], TRAINS),
     **dict.fromkeys(
         ["--masks", "--masks DIR", "hugs run VIDEO --masks DIR", "hugs run VIDEO --smpl-fit FILE", "--cameras"], GIVES
     ),
@@ -95,7 +96,7 @@ UNDONE = {
         ["--only both", "--person", "--who", "--plot", "--profile", "--set train.human_loss", "--set train.joint"],
         LEAVES,
     ),
-    **dict.fromkeys(["--json", "hugs", "python -m hugs_cli.fleet.job RUN_FOLDER ROW STEP THREADS"], NAMES),
+    **dict.fromkeys(["--json", "--keep", "hugs", "python -m hugs_cli.fleet.job RUN_FOLDER ROW STEP THREADS"], NAMES),
     **dict.fromkeys(
         [f"hugs {one}" for one in ("ablate", "animate", "compose", "costs", "fleet", "render", "run", "why")], NAMES
     ),
