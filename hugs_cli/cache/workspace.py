@@ -111,15 +111,22 @@ class Stamp:
         sync(folder)
 
     def damage(self, folder: Path) -> str:
-        """The first file that is missing or has changed, or ''. Reads bytes only where size or time differ."""
-        for name, facts in self.files.items():
-            try:
+        """The first file that is missing or has changed, or ''. Reads bytes only where size or time differ, and once of files
+        to which something was done after the stamp was written, as by a copy: it is touched then."""
+        late, name = False, STAMP
+        try:
+            sealed = os.stat(folder / STAMP)
+            for name, facts in self.files.items():
                 stat = os.stat(folder / name)
-            except OSError:
-                return f"{name} is missing"
-            touched = stat.st_mtime_ns != facts["mtime_ns"]
-            if stat.st_size != facts["size"] or (touched and fingerprint.file_digest(folder / name) != facts["sha256"]):
-                return f"{name} is not what was written"
+                late |= (after := stat.st_ctime_ns > sealed.st_ctime_ns)
+                read = after or (stat.st_size, stat.st_mtime_ns) != (facts["size"], facts["mtime_ns"])
+                if read and fingerprint.file_digest(folder / name) != facts["sha256"]:
+                    return f"{name} is not what was written"
+        except OSError:
+            return f"{name} is missing"
+        if late:
+            with suppress(OSError):  # where it may only be read, that costs time
+                os.utime(folder / STAMP, ns=(sealed.st_atime_ns, sealed.st_mtime_ns))
         return ""
 
 

@@ -10,7 +10,7 @@ from tests.docs.documents import ROOT, hints
 
 HERE = "tests/hugs_cli/test_hints.py::"
 DRAW, FLEET = f"{HERE}test_what_a_drawing_command_says_makes_it_go_through", "tests/hugs_cli/fleet/test_fleet.py::"
-AGAIN = f"{HERE}test_a_stage_that_is_run_again_by_force_is_whole_although_nobody_saw_its_damage"
+AGAIN = f"{HERE}test_a_stage_that_is_run_again_by_force_is_whole_although_its_stamp_said_so_before"
 PICTURES = f"{HERE}test_the_folder_that_has_the_pictures_their_rate_and_a_place_for_results"
 RUN = f"{HERE}test_what_a_run_says_makes_it_go_through"
 SWEEP = "tests/hugs_cli/studies/test_sweep.py::test_a_budget_is_spent_in_order_on_what_fits_and_the_next_one_goes_on"

@@ -7,10 +7,13 @@ import os
 import shutil
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
+from hugs_cli.cache import fingerprint
 from hugs_cli.cache.fingerprint import digest
+from hugs_cli.cache.workspace import Stamp
 from hugs_cli.pipelines import SOURCES
 from tests.made.flow import ALL, LONGEST, STAGE, WHOLE
 from tests.made.said import holds
@@ -236,6 +239,28 @@ def test_two_runs_at_once_the_second_waits_and_finds_all_done(flow):
     assert first.returncode == 0 and err.count(" done ") == 4
     lines = [json.loads(line) for line in (flow.work / "clip/runs.jsonl").read_text().splitlines()]
     assert [line["stage"] for line in lines] == ALL
+
+
+@pytest.mark.slow
+def test_a_result_that_was_changed_and_has_its_old_size_and_time_is_made_again(made, monkeypatch):
+    """The time of its change tells; after a copy, which changes that too, each file is read once."""
+    read: list[Path] = []
+    digest_of = fingerprint.file_digest
+    monkeypatch.setattr(fingerprint, "file_digest", lambda path: read.append(path) or digest_of(path))
+    copy = made.copied(made.folder / "copy")
+    for place in (made, copy):
+        for name in ("two", "four"):
+            folder = (place.work / "clip/default" / name).resolve()
+            stamp = Stamp.read(folder)
+            for times in (1, 0):
+                read.clear()
+                assert stamp.damage(folder) == "" and len(read) <= times
+    file = (made.work / "clip/default/two/out.txt").resolve()
+    before, stat = file.read_text(), file.stat()
+    file.write_text(before[::-1])
+    os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    ((stage, (reason,)),) = made.ran().items()
+    assert stage == "two" and holds(reason, "damaged", "out.txt") and made.text("two") == before
 
 
 @pytest.mark.slow
