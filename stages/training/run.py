@@ -76,9 +76,9 @@ class Training:
     def after(self) -> list[tuple[str, float]]:
         """See `finishing_parts`."""
         measured = self.deadline is None or not self.deadline.hurried
-        gains = PAUSE * PAUSES * len(effects_of(self.fit)) if measured else 0.0
+        effects = len(effects_of(self.fit)) if measured else 0
         settling = min(1.0, SHARE * self.fit.progress.total / STEPS)
-        return finishing_parts(len(self.fit.people), gains, settling)
+        return finishing_parts(len(self.fit.people), effects, settling)
 
     def mark(self, seconds: float) -> None:
         """Correct the pace by the steps since it was last looked at; `seconds` of all steps so far."""

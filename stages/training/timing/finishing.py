@@ -12,15 +12,23 @@ GAINS, HIDDEN, SHAPING, SETTLING, WRITING = (
     "settling",
     "writing",
 )
-STEPS = {HIDDEN: 25.0, SHAPING: 60.0, SETTLING: 120.0, WRITING: 4.0}
+STEPS = {HIDDEN: 25.0, SHAPING: 30.0, SETTLING: 150.0, WRITING: 4.0}
 """Part -> full, grown steps that take as long, of each person or once. The kitchen clip, 2 cores, November 2026."""
 
 
-def finishing_parts(people: int, gains: float = 0.0, settling: float = 1.0) -> list[tuple[str, float]]:
-    """The parts in order and the full, grown steps of each; `gains`: those of measuring effects, 0 where none is; `settling`:
-    the share of its steps that it takes."""
+GAIN = 12.0
+"""The same for measuring what one effect is worth."""
+
+
+def finishing_parts(people: int, effects: int = 0, settling: float = 1.0) -> list[tuple[str, float]]:
+    """The parts in order and the full, grown steps of each; `effects` are measured, and settling takes a share of its steps."""
     each = [(SHAPING, STEPS[SHAPING]), (SETTLING, settling * STEPS[SETTLING])]
-    return [*([(GAINS, gains)] if gains else []), (HIDDEN, STEPS[HIDDEN]), *(people * each), (WRITING, STEPS[WRITING])]
+    return [
+        *([(GAINS, GAIN * effects)] if effects else []),
+        (HIDDEN, STEPS[HIDDEN]),
+        *(people * each),
+        (WRITING, STEPS[WRITING]),
+    ]
 
 
 class Hooks(Protocol):

@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stages import evaluate, export, render, report
+from stages import evaluate, export, render
 from stages.avatar.drawing.rig import rig_of
+from stages.commands import report
+from stages.commands.report import clip as of_clip
+from stages.commands.report import results
 from stages.contract import Job, StageError
 from stages.filming.cast import cast
 from stages.filming.clip_cast import floor_under, load_cast, posed_as, with_casters
@@ -95,23 +98,25 @@ def test_films_files_and_the_report_show_both(clip, tmp_path):
     job = Job(folders["evaluate"], upstream=tiny.UPSTREAM)
     evaluate.run(job, evaluate.Params(fit_steps=0), **needs(clip, "sfm", "smpl", "train"))
     before = ("frames", "sfm", "smpl", "survey", "train", "export", "render", "evaluate")
-    report.run(Job(folders["report"], upstream=tiny.UPSTREAM), report.Params(), **needs(folders, *before))
-    text = (folders["report"] / "report.html").read_text()
+    rows = tuple(report.Row(name=name, state="done", folder=str(folders[name])) for name in before)
+    state = report.State(clip="two.mp4", pipeline="default", stages=rows, over=True)
+    assert report.write(folders["report"], state, {}) == []
+    text = (folders["report"] / report.PAGE).read_text()
     assert "person 2: the person from all sides" in text and "person 2: frame" in text and ", person 2<" in text
     assert "person 2: frame 000000: body blue" in text and "PSNR, box of the person, person 1<" in text
 
 
-def test_the_report_says_whose_bodies_and_numbers_it_shows(clip, monkeypatch):
-    monkeypatch.setattr(report, "OVERLAYS", 1)
+def test_the_report_says_whose_bodies_and_numbers_it_shows(clip):
     people, ground = load_people(clip["sfm"], clip["smpl"]), read_ground(clip["smpl"] / "ground.json")
     facts = read_facts(clip["smpl"] / "smpl.json", Smpl)
-    figures = [report._overlays(one, ground, facts, report._who(one.person, range(1, 3)))[0] for one in people]
+    whose = [results.who_of(one.person, range(1, 3)) for one in people]
+    figures = [next(of_clip._overlays(one, ground, facts, who)) for one, who in zip(people, whose)]
     assert [one.caption.partition(": body")[0] for one in figures] == [f"person {k}: frame 000000" for k in (1, 2)]
     scores = {region: {"psnr": 30.0} for region in ("full", "person_crop", "person_white")}
     known = {"heldout": scores, "seconds": Seconds(total=1), "peak_memory_bytes": 1}
     one, two = (Metrics.model_construct(**known, people=others) for others in ({}, {"2": {"heldout": scores}}))
-    assert [name for name, _ in report._headline(one)[:2]] == ["PSNR, whole picture", "PSNR, box of the person"]
-    assert [name for name, _ in report._headline(two)[:2]] == [
+    assert [name for name, _ in results._headline(one)[:2]] == ["PSNR, whole picture", "PSNR, box of the person"]
+    assert [name for name, _ in results._headline(two)[:2]] == [
         "PSNR, whole picture",
         "PSNR, box of the person, person 1",
     ]

@@ -11,7 +11,7 @@ from stages.training.timing.finishing import GAINS, HIDDEN, SETTLING, SHAPING, W
 def test_what_is_left_is_what_is_expected_or_longer_where_it_took_longer_so_far(tmp_path, monkeypatch, slow, first):
     now, events = [0.0], []
     monkeypatch.setattr(finishing.time, "perf_counter", lambda: now[0])
-    parts = finishing_parts(2, gains=48.0)
+    parts = finishing_parts(2, effects=4)
     assert [name for name, _ in parts] == [GAINS, HIDDEN, SHAPING, SETTLING, SHAPING, SETTLING, WRITING]
     say = Finishing(Job(tmp_path, emit=events.append), parts, 1400, 0.5)
     for name, steps in parts:
@@ -29,4 +29,4 @@ def test_parts_that_are_left_out_are_over(tmp_path):
     say = Finishing(Job(tmp_path, emit=events.append), finishing_parts(1), 100, 1.0)
     say.begins(SHAPING)
     say.begins(WRITING)
-    assert [event["left"] for event in events] == [pytest.approx(60 + 120 + 4), pytest.approx(4, rel=0.1)]
+    assert [event["left"] for event in events] == [pytest.approx(30 + 150 + 4), pytest.approx(4, rel=0.1)]
