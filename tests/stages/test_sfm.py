@@ -114,14 +114,14 @@ def test_a26_a_standing_camera_is_named_and_its_frames_are_left_alone(tmp_path):
 
 @pytest.mark.slow
 def test_a_camera_that_is_said_to_move_is_mapped_although_it_seems_to_stand(tmp_path, monkeypatch):
-    write_clip(tmp_path, walk(16, 1.2))
+    write_clip(tmp_path, walk(10, 0.8))
     captions = Stillness(stays=0.2, cells=0.2, one_way=0.2, drift_px=0.0)
     monkeypatch.setattr(solving, "measure_stillness", lambda *args: captions)
-    facts, events = run(tmp_path)
+    facts, events = run(tmp_path, features=1024)
     warned = " ".join(event["text"] for event in events if event["event"] == "warning")
     assert facts["verdict"] == "static camera" and "sfm.camera=moving" in warned
     shutil.rmtree(tmp_path / "out")
-    assert run(tmp_path, camera="moving")[0]["verdict"] == "moving"
+    assert run(tmp_path, camera="moving", features=1024)[0]["verdict"] == "moving"
 
 
 def test_a_fixed_camera_needs_no_features(tmp_path):

@@ -52,12 +52,12 @@ def test_defect_3_the_place_of_the_person_is_refined(clip):
     views, person = clip
     shift = 0.05 * torch.randn(FRAMES, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1, 0])
     shift -= shift[[0, 1, 3, 4, 5]].mean(0)  # a shift of all frames alike is nobody's fault
-    fit = fit_of((views, person._replace(transl=person.transl + shift)), steps=600, human_cap=170)
+    fit = fit_of((views, person._replace(transl=person.transl + shift)), steps=200, human_cap=170)
     trained = fit.train
     before = shift[trained].norm(dim=1).mean()
-    run(fit, 600)
+    run(fit, 200)
     after = (fit.poses(fit.people[0])[2] - person.transl)[trained]
-    assert (after - after.mean(0)).norm(dim=1).mean() < 0.6 * before
+    assert (after - after.mean(0)).norm(dim=1).mean() < 0.6 * before, "a third of it after 300 steps"
 
 
 def test_defect_4_a_checkpoint_holds_every_state_that_training_has(clip):
