@@ -59,7 +59,6 @@ DONE = {
     "--name": f"{FLEET}test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left",
     "--keep export,evaluate": f"{FLEET}test_only_what_is_kept_stays_and_only_what_failed_is_run_again",
     "--jobs": f"{FLEET}test_without_the_extra_it_says_what_to_install_and_runs_one_after_another",
-    "--keep export,evaluate": "tests/hugs_cli/fleet/test_keep.py::test_only_what_is_kept_stays_and_counts_as_done",
     "python -m stages.train X": "tests/stages/test_train.py::"
     "test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_again",
     "hugs stages": "tests/docs/test_commands.py::test_cheap_commands_run",

@@ -18,7 +18,7 @@ from stages.estimators.cameras import colmap, colmap_features
 from stages.estimators.cameras.colmap import Cloud
 from stages.estimators.cameras.motion import Pair
 from stages.estimators.cameras.sparse_model import Pinholes, write_ignored
-from stages.estimators.cameras.stillness import measure_stillness
+from stages.estimators.cameras.stillness import ONE_WAY, measure_stillness
 from stages.formats.images import read_image
 
 MATCHES_OFF = 0.01  # of the longer side: matches farther from their epipolar lines contradict the cameras
@@ -69,11 +69,11 @@ def better_way(misfits: list[float]) -> int:
 
 
 def compare_stillness(job: Job, found: Pinholes, size: tuple[int, int], scratch: Path) -> None:
-    """Warn where given cameras without points stand still and the film's moves, or turn and the film's stands still."""
+    """Warn where given cameras without points stand still and the film goes one way, or turn and the film's stands still."""
     write_ignored(found.names, job.out, scratch / "ignored", max(size))
     measured = measure_stillness(job.out / "images", scratch / "ignored", [f"{name}.png" for name in found.names])
     stands = found.verdict == "static camera"
-    if measured is not None and measured.still != stands:
+    if measured is not None and stands != measured.still and (measured.still or measured.one_way > ONE_WAY):
         do = ("stand still", "moves") if stands else ("turn", "stands still")
         job.warn(f"the given cameras {do[0]}, and the film's {do[1]}: they may belong to another clip")
 
