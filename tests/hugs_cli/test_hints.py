@@ -134,7 +134,7 @@ def test_what_a_run_says_makes_it_go_through(flow, case):
 
 @pytest.mark.slow
 def test_a_run_without_a_gpu_says_what_is_here(folder, monkeypatch, capsys):
-    monkeypatch.setattr("hugs_cli.cache.child.find_device", lambda: "cpu")
+    monkeypatch.setattr("hugs_cli.device.find_device", lambda: "cpu")
     words = ["animate", "clip.mp4", "moves.npz", "--out", "cpu.mp4", *SMALL]
     _, said = hugs_here(folder, monkeypatch, capsys, *words, "--device", "cuda", code=2)
     assert hinted(said, "--device cuda") and hinted(said, "hugs doctor")
