@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages import report
 from stages.avatar.cameras import pinhole as cameras
+from stages.commands.report import clip as report
 from stages.contract import Job, StageError
 from stages.estimators.cameras import colmap, colmap_features, ladder, short_walk
 from stages.estimators.cameras.intrinsics import FOCAL_SPREAD
