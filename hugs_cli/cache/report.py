@@ -21,7 +21,7 @@ from hugs_cli.direct import failed
 from stages.contract import StageError, StageRecord
 
 PAGE, STATE, LOG = "report.html", ".report.json", ".report.log"  # in the pipeline's folder
-EVERY = 2.0  # s between words on how far a stage is
+EVERY = 5.0  # s between words on how far a stage is
 PATIENCE = 60.0  # s, at most, that a run which failed or was stopped waits for its page
 
 

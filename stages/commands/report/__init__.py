@@ -18,7 +18,7 @@ from stages.formats.facts import Facts, Number, Whole, read_facts
 STATE, PAGE = ".report.json", "report.html"
 NICE = 10  # the stages come first
 TICK = 0.5  # s between looks at STATE
-EVERY = 3.0  # s, at least, from one page to the next while stages run
+EVERY = 5.0  # s, at least, from one page to the next while stages run
 HEARTBEAT = 30.0  # s, at most: by it a reader sees that the run is alive
 RELOAD = 5  # s after which the browser reads a page that still grows
 
@@ -66,7 +66,7 @@ def run(job: Job, params: Params) -> None:
     A part that cannot be made is named on the page while it grows; StageError where that is so at the end.
     """
     os.nice(NICE)
-    known: dict[tuple[str, str], Mapping[str, Any]] = {}
+    known: dict[tuple[str, str], Any] = {}
     seen, written = "", 0.0
     while True:
         text, since = (job.out / STATE).read_text(encoding="utf-8"), time.monotonic() - written
@@ -81,7 +81,7 @@ def run(job: Job, params: Params) -> None:
         time.sleep(TICK)
 
 
-def write(folder: Path, state: State, known: dict[tuple[str, str], Mapping[str, Any]]) -> list[StageError]:
+def write(folder: Path, state: State, known: dict[tuple[str, str], Any]) -> list[StageError]:
     """Write the page of a state. `known` keeps the parts of results, by stage and folder; returns why parts are missing."""
     from stages.commands.report.parts import parts_of
     from stages.formats import page

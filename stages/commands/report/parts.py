@@ -35,7 +35,7 @@ def parts_of(
     done: Folders,
     begun: Folders,
     records: Mapping[str, StageRecord],
-    known: dict[tuple[str, str], Part],
+    known: dict[tuple[str, str], Any],
 ) -> tuple[dict[str, Any], list[StageError]]:
     """The template's values from finished stages, and from a training that is `begun`; and why some could not be made."""
     values, trouble = dict(EMPTY), []
@@ -50,7 +50,7 @@ def parts_of(
         except StageError as error:
             trouble.append(error)
     try:
-        values |= results.so_far(begun["train"]) if "train" in begun else {}
+        values |= results.so_far(begun["train"], known) if "train" in begun else {}
     except StageError as error:  # it may just have ended, and its folder has another name
         trouble.append(error)
     return values | {"times": results.stage_times(records)}, trouble

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,17 +42,28 @@ def measured(survey: Path) -> dict[str, Any]:
     return {"measures": _measures(found), "scene": found.decisions.get("scene", True), "effects": _effects(found, {})}
 
 
-def so_far(train: Path) -> dict[str, Any]:
-    """A training under way: its last picture, and its curve."""
+def so_far(train: Path, known: dict[tuple[str, str], Any]) -> dict[str, Any]:
+    """A training under way: its last picture, and its curve; those of `known` where they are the same."""
     from stages.formats import page
     from stages.formats.images import read_image
 
-    live = train / "live.png"
     caption = "the clip, a held-out frame drawn now, the person alone"
     return {
-        "live": page.picture(read_image(live), caption) if live.is_file() else None,
-        "curve": _curve(train) if (train / "curve.csv").is_file() else "",
+        "live": _if_new(known, train / "live.png", lambda path: page.picture(read_image(path), caption)),
+        "curve": _if_new(known, train / "curve.csv", lambda path: _curve(path.parent)),
     }
+
+
+def _if_new(known: dict[tuple[str, str], Any], path: Path, make: Callable[[Path], Any]) -> Any:
+    """What is made of a file, again where the file has changed; None without it."""
+    if not path.is_file():
+        return None
+    key = path.name, str(path.stat().st_mtime_ns)
+    if key not in known:
+        for old in [one for one in known if one[0] == path.name]:
+            del known[old]
+        known[key] = make(path)
+    return known[key]
 
 
 def training(train: Path) -> dict[str, Any]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import base64
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jinja2 import DictLoader, Environment, StrictUndefined
+from jinja2 import DictLoader, Environment, StrictUndefined, Template
 
 from stages.formats.video import probe
 
@@ -31,11 +32,16 @@ class Figure(NamedTuple):
 
 def fill(template: str, **values: object) -> str:
     """The whole document. A template may use `values` and the SHARED templates; a name that is missing is an error."""
-    texts = {name: (ROOM / name).read_text(encoding="utf-8") for name in (*SHARED, template)}
+    return _template(template).render(values) + "\n"
+
+
+@cache
+def _template(name: str) -> Template:
+    texts = {name: (ROOM / name).read_text(encoding="utf-8") for name in (*SHARED, name)}
     environment = Environment(
         loader=DictLoader(texts), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    return environment.get_template(template).render(values) + "\n"
+    return environment.get_template(name)
 
 
 def picture(pixels: np.ndarray, caption: str, quality: int = 88) -> Figure:

@@ -97,7 +97,7 @@ def test_everything_is_told(page):
 def test_the_browser_shows_everything_and_complains_of_nothing(page, tmp_path, width):
     found, logged = probe(page, tmp_path, width)
     assert logged == []
-    assert found["images"] == 8 and found["bad"] == [] and found["films"] == 4 and found["still"] == []
+    assert found["images"] == 9 and found["bad"] == [] and found["films"] == 4 and found["still"] == []
     assert not found["wide"], f"the page is wider than {width} px"
 
 
