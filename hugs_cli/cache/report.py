@@ -59,7 +59,8 @@ class Report:
 
     def write(self, **facts: Any) -> None:
         """Write down what there is to be seen. A full disk hurts the page, not the result."""
-        state = {"clip": self.session.video.name, "pipeline": self.session.pipeline.name, "now": self.now}
+        clip = os.fsencode(self.session.video.name).decode(errors="replace")
+        state = {"clip": clip, "pipeline": self.session.pipeline.name, "now": self.now}
         self.written = time.monotonic()
         with suppress(OSError):
             replace(
@@ -92,12 +93,7 @@ class Report:
             ended = self._end(self._start())
         self.process = None
         if ended is None or ended["event"] != "done":
-            lost = {
-                "event": "error",
-                "problem": "the report was not made",
-                "hint": f"see {self.place / LOG}",
-                "facts": [],
-            }
+            lost = {"event": "error", "problem": "the report was not made", "hint": "run again", "facts": []}
             raise failed(ended or lost, "the report", str(self.place / LOG))
         self.write(over=True, made_of=made_of)
 

@@ -5,14 +5,17 @@ No pipeline names it; a run keeps it going in a process of its own, and writes w
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import PlainValidator
 
 from stages import contract
 from stages.contract import Job, StageError, StageRecord, whole
-from stages.formats.facts import Facts, Number, Whole, read_facts
+from stages.formats.facts import Facts, Number, Whole
 
 STATE, PAGE = ".report.json", "report.html"
 NICE = 10  # the stages come first
@@ -32,8 +35,8 @@ class Row(Facts):
     name: str
     state: str
     """done, running, failed, waits."""
-    folder: str = ""
-    """Of the result, or of what a running or failed stage has left so far; '' before it began."""
+    folder: Annotated[str, PlainValidator(str)] = ""
+    """A path, not always a text: of the result, or of what a running or failed stage has left so far; '' before it began."""
     seconds: Number = 0.0
     peak_memory_bytes: Whole = 0
     notes: tuple[str, ...] = ()
@@ -58,6 +61,11 @@ class State(Facts):
     now: str = ""
     error: Trouble | None = None
 
+    @classmethod
+    def read(cls, text: str) -> State:
+        """The state in a JSON text, in which a path may be no text."""
+        return cls.model_validate(json.loads(text), strict=False)
+
 
 def run(job: Job, params: Params) -> None:
     """Write report.html into the pipeline's folder `job.out`, and again whenever STATE there changes, until it is over.
@@ -69,7 +77,7 @@ def run(job: Job, params: Params) -> None:
     seen, written = "", 0.0
     while True:
         text, since = (job.out / STATE).read_text(encoding="utf-8"), time.monotonic() - written
-        state = read_facts(job.out / STATE, State)
+        state = State.read(text)
         if state.over or (text != seen and since > EVERY) or since > HEARTBEAT:
             trouble = write(job.out, state, known)
             seen, written = text, time.monotonic()

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import os
 import signal
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from hugs_cli.cache.report import STATE, Report
 from tests.made.flow import LONGEST
 
 PAGE = '''
@@ -110,6 +113,17 @@ def test_a_run_that_is_stopped_leaves_a_page_that_is_over(shown):
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=LONGEST)
     assert process.returncode == 130 and states(shown)[1]["over"]
+
+
+def test_a_clip_whose_name_is_no_text_is_shown(tmp_path):
+    """Its page is a text."""
+    session = SimpleNamespace(
+        video=Path(os.fsdecode(b"Bj\xf6rn.mp4")),
+        pipeline=SimpleNamespace(name="default"),
+        workspace=SimpleNamespace(links=tmp_path),
+    )
+    Report(session, "flow.page", ["one"], 0).write(over=True)
+    assert json.loads((tmp_path / STATE).read_text())["clip"] == "Bj\ufffdrn.mp4"
 
 
 def test_a_report_that_no_module_makes_is_refused(shown):

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import re
 import time
 
@@ -39,8 +40,7 @@ def show(folder, rows, over=False, known=None, **facts):
     """Write the state of a run, and the page of it; why parts are missing."""
     value = {"clip": "dance <1>.mp4", "pipeline": "default", "stages": rows, "over": over, **facts}
     (folder / report.STATE).write_text(json.dumps(value))
-    state = report.read_facts(folder / report.STATE, report.State)
-    return report.write(folder, state, {} if known is None else known)
+    return report.write(folder, report.State.read(json.dumps(value)), {} if known is None else known)
 
 
 def make(clip, folder):
@@ -130,6 +130,15 @@ def test_a_stage_that_failed_leaves_its_pictures_and_the_error(finished, tmp_pat
     text = (tmp_path / report.PAGE).read_text(encoding="utf-8")
     assert "no &lt;person&gt; was found" in text and "<b>hint:</b> `--masks`" in text
     assert "<h2>The frames</h2>" in text and "<script" not in text
+
+
+def test_a_folder_whose_name_is_no_text_is_read(finished, tmp_path):
+    """As of a clip or a work folder of another encoding."""
+    _, rows = finished
+    place = tmp_path / os.fsdecode(b"Bj\xf6rn")
+    place.symlink_to(rows[0]["folder"])
+    assert show(tmp_path, [row("frames", place)]) == []
+    assert "<h2>The frames</h2>" in (tmp_path / report.PAGE).read_text(encoding="utf-8")
 
 
 def test_a_part_that_cannot_be_made_is_named_and_fails_at_the_end(finished, tmp_path):
