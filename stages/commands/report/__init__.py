@@ -113,5 +113,5 @@ def write(folder: Path, state: State, known: dict[tuple[str, str], Any]) -> list
         **parts,
     )
     with whole(folder / PAGE) as new:
-        new.write_text(text, encoding="utf-8")
+        new.write_text(text, encoding="utf-8", errors="replace")
     return trouble

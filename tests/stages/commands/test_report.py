@@ -132,13 +132,13 @@ def test_a_stage_that_failed_leaves_its_pictures_and_the_error(finished, tmp_pat
     assert "<h2>The frames</h2>" in text and "<script" not in text
 
 
-def test_a_folder_whose_name_is_no_text_is_read(finished, tmp_path):
-    """As of a clip or a work folder of another encoding."""
+def test_a_folder_whose_name_is_no_text_is_named(finished, tmp_path):
+    """As of a work folder of another encoding: pictures there cannot be read, and the page is made."""
     _, rows = finished
     place = tmp_path / os.fsdecode(b"Bj\xf6rn")
     place.symlink_to(rows[0]["folder"])
-    assert show(tmp_path, [row("frames", place)]) == []
-    assert "<h2>The frames</h2>" in (tmp_path / report.PAGE).read_text(encoding="utf-8")
+    (trouble,) = show(tmp_path, [row("frames", place)])
+    assert "is not UTF-8" in str(trouble) and "is not UTF-8" in (tmp_path / report.PAGE).read_text(encoding="utf-8")
 
 
 def test_a_part_that_cannot_be_made_is_named_and_fails_at_the_end(finished, tmp_path):
