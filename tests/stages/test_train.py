@@ -288,7 +288,7 @@ def test_h11_h12_killed_while_saving_stopped_and_resumed_equals_straight(tmp_pat
 
 @pytest.mark.slow
 def test_h01_h05_a_training_that_breaks_down_leaves_what_is_needed_to_see_it_again(tmp_path, inputs, monkeypatch):
-    def faint(task, note, real=build):
+    def faint(task, note, warn=None, real=build):
         fit = real(task, note)
         fit.scene.logit_opacities.data.fill_(-20)
         return fit

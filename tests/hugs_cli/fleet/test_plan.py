@@ -31,7 +31,7 @@ def test_each_row_has_its_own_verdict(fleet, common):
     found = plan(rows, common, History({"short": 2**30}), known, split=False)
     assert [one.state for one in found] == ["fresh", "todo", "todo", "failed", "failed", "todo"]
     assert [len(one.todo) for one in found] == [0, 1, 3, 0, 0, 1]  # the first stage is shared by both pipelines
-    assert [one.seconds for one in found[:3]] == [0, 4, 4 + 2 * times.STAGE_START] and found[1].megabytes == 200 + 1280
+    assert [one.seconds for one in found[:3]] == [0, 4, 3 * times.STAGE_START] and found[1].megabytes == 200 + 1280
     assert found[3].problem == "no video at clips/gone.mp4" and "no pipeline 'nowhere'" in found[4].problem
     assert found[0].result["seconds"] > 0
     fleet.edit("helper", "# with a comment", "print('other code')")

@@ -21,7 +21,7 @@ ROW = {
     "effects": ["motion_blur"], "warnings": [], "kind": "", "problem": "", "hint": "", "facts": [], "log": "",
     "picture": "", "pages": ["report.html", "export/viewer.html"],
 }  # fmt: skip
-TOTALS = {"states": {"done": 1}, "failures": {}, "machine_seconds": 7200.0, "spent_seconds": 90.0, "seconds_left": None}
+TOTALS = {"states": {"done": 1}, "failures": {}, "machine_seconds": 7200.0, "spent_seconds": 90.0, "seconds_left": 0}
 
 
 def write(folder, *rows, live=False, totals=TOTALS) -> str:
