@@ -130,7 +130,7 @@ def run_pipeline(
     if dry_run:
         found = (promised.last_session() if promised else session).verdicts(wanted, forced)
         todo = [] if promised else [name for name, verdict in found.items() if not verdict.fresh]
-        show(console, found, as_json, times.here(engine.device_of(device)[0]).forecast(session, todo))
+        show(console, found, as_json, times.here(device_of(device)[0]).forecast(session, todo))
         return
     video, workspace = session.video, session.workspace
     session.check_sources()

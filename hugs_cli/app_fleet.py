@@ -13,8 +13,8 @@ import typer
 from typer import Argument, Option
 
 from hugs_cli import options, pipelines, times, words
-from hugs_cli.cache import engine
 from hugs_cli.console import Console
+from hugs_cli.device import device_of
 from hugs_cli.options import AsJson, BodyModel, DeviceName, DryRun, PipelineName, PipelinesFile, Settings, Work
 from hugs_cli.pipelines import NAME, UsageError
 
@@ -79,7 +79,7 @@ def fleet(
     pipelines.load(pipeline, set_ or (), pipelines_file).upstream(kept)  # refuses at once what no clip could run with
     rows = read(clips, pipeline, set_ or (), work)
     common = plan.Common(work, pipelines_file, body_model, device.value, kept)
-    known = times.here(engine.device_of(device.value)[0])
+    known = times.here(device_of(device.value)[0])
     planned = plan.plan(rows, common, past, known, split is not None)
     if only_failed:
         planned = board.failed_before(planned, work, name)

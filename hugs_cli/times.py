@@ -101,10 +101,8 @@ def sizes_of(session: Session, picked: bool) -> Sizes:
     """The sizes of a clip; until its frames are `picked` those that are asked for."""
     stages = session.pipeline.stages
     asked = stages["frames"].params.model_dump() if "frames" in stages else {}
-    side, steps = (
-        asked.get("max_side", 0),
-        stages["train"].params.model_dump().get("steps", 0) if "train" in stages else 0,
-    )
+    side = asked.get("max_side", 0)
+    steps = stages["train"].params.model_dump().get("steps", 0) if "train" in stages else 0
     sizes = Sizes(asked.get("count") or Sizes().frames, side * side * 9 / 16 or Sizes().pixels, steps)
     if picked:
         facts = read_json(session.workspace.links / "frames" / "frames.json")

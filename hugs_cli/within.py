@@ -15,6 +15,7 @@ from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Workspace, read_json, write_json
 from hugs_cli.console import Console
 from hugs_cli.countdown import Countdown
+from hugs_cli.device import device_of
 from hugs_cli.pipelines import Stage, UsageError
 from hugs_cli.studies.calibration import LEAST
 from hugs_cli.times import STAGE_START
@@ -60,7 +61,7 @@ class Promise:
         place = self.session.workspace.links / CHOSEN
         chosen = read_json(place)
         begun = "train" not in forced and self._begun(chosen)
-        guess = self._guess(forced, begun, engine.device_of(device)[0], console)
+        guess = self._guess(forced, begun, device_of(device)[0], console)
         self._say_what_does_not_fit(guess, console)
         later = ["train", *after]
         made = engine.run(self.session, before, forced & set(before), device, console, report=True, later=later)

@@ -78,11 +78,11 @@ def run(
     done = dict(taken)
     ran: list[Ran] = []
     unchecked = [session.pipeline.stages[name] for name in (*wanted, *later)]
-    stages = [session.pipeline.stages[name] for name in wanted]
+    stages, made_by = [session.pipeline.stages[name] for name in wanted], session.pipeline.report
     with (
         session.workspace.lock(console.waiting) as lock,
         closing(Launcher(lock)) as launcher,
-        reporting(session, wanted, lock) if report else nullcontext() as page,
+        reporting(session, made_by, wanted, lock) if report and made_by else nullcontext() as page,
     ):
         session.workspace.keep_options(session.options)
         for stage, after in zip_longest(stages, stages[1:]):

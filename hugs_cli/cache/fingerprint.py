@@ -88,6 +88,7 @@ class Code:
         self.known: dict[str, Any] = {}
         self.used: dict[str, Any] = {}
         self.files: dict[str, dict[str, Path]] = {}
+        self.places: dict[str, Path | None] = {}
         if memory and memory.is_file():
             self.known = read_memory(memory)
 
@@ -103,8 +104,9 @@ class Code:
             if name in seen:
                 continue
             seen.add(name)
-            path = module_file(root, name)
-            if path is None:
+            if name not in self.places:
+                self.places[name] = module_file(root, name)
+            if (path := self.places[name]) is None:
                 continue
             facts = self.read(name, path)
             found[name] = facts["digest"]

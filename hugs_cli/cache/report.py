@@ -98,10 +98,10 @@ class Report:
         self.write(over=True, made_of=made_of)
 
     def fails(self, error: BaseException) -> None:
-        """A stage, or the run, has ended without a result: the page says so, and stays."""
+        """A stage has failed, or the run was stopped: the page says so, and stays."""
         for row in self.rows.values():
             if row["state"] == "running":
-                row["state"] = "failed"
+                row["state"] = "failed" if isinstance(error, Exception) else "stopped"
         words = {}
         if isinstance(error, StageError):
             words["error"] = {"problem": error.problem, "facts": error.facts, "hint": error.hint}
@@ -136,12 +136,9 @@ class Report:
 
 
 @contextmanager
-def reporting(session: Session, wanted: list[str], lock: int) -> Iterator[Report | None]:
-    """The report of a block that makes results, None where the pipeline has none; where the block fails, the page says why."""
-    if session.pipeline.report is None:
-        yield None
-        return
-    report = Report(session, session.pipeline.report, wanted, lock)
+def reporting(session: Session, module: str, wanted: list[str], lock: int) -> Iterator[Report]:
+    """The report, made by `module`, of a block that makes results; where the block fails, the page says why."""
+    report = Report(session, module, wanted, lock)
     try:
         yield report
     except BaseException as error:

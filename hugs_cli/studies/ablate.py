@@ -11,6 +11,7 @@ from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.workspace import Stamp, read_json
 from hugs_cli.console import Console
 from hugs_cli.countdown import Countdown
+from hugs_cli.device import device_of
 from hugs_cli.pipelines import unknown
 from hugs_cli.studies import comparison
 from hugs_cli.studies.comparison import (
@@ -62,7 +63,7 @@ def summary(plan: list[tuple[Case, str, Stamp | None]], device: str) -> str:
     """One line: '18 trainings: 6 cached, 12 to do, about 2h 10m (between 1h 44m and 2h 42m)'."""
     left = sum(stamp is None for _, _, stamp in plan)
     said = f"{count(len(plan), 'training')}: {len(plan) - left} cached, {left} to do"
-    guess = times.total(one for _, one in expected([case for case, _, _ in plan], engine.device_of(device)[0]))
+    guess = times.total(one for _, one in expected([case for case, _, _ in plan], device_of(device)[0]))
     return f"{said}, {times.said(guess)}" if left else said
 
 
@@ -70,7 +71,7 @@ def run(cases: list[Case], device: str, console: Console) -> dict[str, Any]:
     """Bring all cases up to date and compare them: `pipeline`, `seeds`, `heldout`, see `compared`, and `paper`, see
     `compare_with_paper`."""
     found: dict[str, list[Scores]] = {}
-    ahead = expected(cases, engine.device_of(device)[0])
+    ahead = expected(cases, device_of(device)[0])
     console.countdown = Countdown([(name, guess.seconds) for name, guess in ahead], console.clock())
     for i, case in enumerate(cases):
         if case.variant in NEEDS_SCENE and found[""][0]["full"]["psnr"] is None:

@@ -34,9 +34,9 @@ class Row(Facts):
 
     name: str
     state: str
-    """done, running, failed, waits."""
+    """done, running, failed, stopped, waits."""
     folder: Annotated[str, PlainValidator(str)] = ""
-    """A path, not always a text: of the result, or of what a running or failed stage has left so far; '' before it began."""
+    """A path, not always a text: of the result, or of what one that is not done has left so far; '' before it began."""
     seconds: Number = 0.0
     peak_memory_bytes: Whole = 0
     notes: tuple[str, ...] = ()

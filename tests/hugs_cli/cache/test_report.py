@@ -112,7 +112,7 @@ def test_a_run_that_is_stopped_leaves_a_page_that_is_over(shown):
                    and states(shown)[0][-1].get("three") == "running")  # fmt: skip
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=LONGEST)
-    assert process.returncode == 130 and states(shown)[1]["over"]
+    assert process.returncode == 130 and states(shown)[1]["over"] and states(shown)[0][-1]["three"] == "stopped"
 
 
 def test_a_clip_whose_name_is_no_text_is_shown(tmp_path):

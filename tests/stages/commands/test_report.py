@@ -129,7 +129,7 @@ def test_a_stage_that_failed_leaves_its_pictures_and_the_error(finished, tmp_pat
     show(tmp_path, [*rows[:1], row("masks", tmp_path, "failed")], over=True, error=error)
     text = (tmp_path / report.PAGE).read_text(encoding="utf-8")
     assert "no &lt;person&gt; was found" in text and "<b>hint:</b> `--masks`" in text
-    assert "<h2>The frames</h2>" in text and "<script" not in text
+    assert "<h2>The frames</h2>" in text and "<script" not in text and ">masks failed<" in text
 
 
 def test_a_folder_whose_name_is_no_text_is_named(finished, tmp_path):
