@@ -90,7 +90,7 @@ class Console:
         print(f"{before}{plain(text)}", file=self.err, flush=True)
 
     def header(self, clip: str, facts: str, pipeline: str, folder: str, device: str, why: str) -> None:
-        """The first line of a run."""
+        """What a run is of, and where it computes."""
         self.say(f"{clip}  {facts}".rstrip() + f"   pipeline {pipeline}   {folder}   {device}: {why}")
 
     def expect(self, stages: Iterable[tuple[str, times.Guess]]) -> None:
