@@ -38,10 +38,16 @@ def clip(flow: Flow) -> Flow:
     return add_tiny(flow)
 
 
-@pytest.fixture
-def importable(flow: Flow, monkeypatch: pytest.MonkeyPatch) -> Iterator[Flow]:
-    """A fresh clip and package that this process can import."""
-    monkeypatch.syspath_prepend(str(flow.folder))
-    yield flow
+@pytest.fixture(autouse=True)
+def _flow_is_this_tests() -> Iterator[None]:
+    """Forget the package `flow` after each test: the next one's lies in another folder."""
+    yield
     for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
         del sys.modules[name]
+
+
+@pytest.fixture
+def importable(flow: Flow, monkeypatch: pytest.MonkeyPatch) -> Flow:
+    """A fresh clip and package that this process can import."""
+    monkeypatch.syspath_prepend(str(flow.folder))
+    return flow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 
@@ -255,8 +254,6 @@ def test_results_within_a_time_are_kept_when_only_code_changes(timed):
 def test_a_busy_machine_is_part_of_the_first_guess(clip, monkeypatch, given):
     monkeypatch.setattr(times, "free", lambda: given)
     monkeypatch.setattr(times, "rows", list)
-    for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:  # of another test's clip
-        monkeypatch.delitem(sys.modules, name)
     monkeypatch.syspath_prepend(clip.folder)
     run = options.RunOptions(pipeline="tiny", work=clip.work, pipelines_file=clip.folder / "pipelines.yaml")
     session = run.session(clip.folder / "clip.mp4")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,10 +17,8 @@ def fleet(tmp_path: Path) -> Fleet:
 
 
 @pytest.fixture
-def common(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> Iterator[Common]:
+def common(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> Common:
     """The fleet's folder, with stages that this process can import."""
     monkeypatch.chdir(fleet.folder)
     monkeypatch.syspath_prepend(str(fleet.folder))
-    yield Common(Path("work"), Path("pipelines.yaml"))
-    for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
-        del sys.modules[name]
+    return Common(Path("work"), Path("pipelines.yaml"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -27,8 +26,6 @@ RESULT = {"seconds": 3.0, "picture": "", "pages": [PAGE, "export/viewer.html"]}
 def open_(made, monkeypatch) -> Callable[..., Session]:
     """`open_()`: the session of a finished clip of four stages, with other settings or sources where they are given."""
     monkeypatch.syspath_prepend(str(made.folder))
-    for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
-        monkeypatch.delitem(sys.modules, name)
 
     def session(*settings: str, **sources: object) -> Session:
         options = RunOptions(list(settings), work=made.work, pipelines_file=made.folder / "pipelines.yaml")
