@@ -8,6 +8,7 @@
 PYTHON ?= python3
 VENV   ?= .venv
 WORKERS ?= 2
+unexport PYTHONDONTWRITEBYTECODE  # else each of the many processes compiles all modules again
 HUGS    = $(VENV)/bin/hugs
 PYTEST  = $(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 

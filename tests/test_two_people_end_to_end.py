@@ -28,7 +28,7 @@ FPS = 8.0
 
 @pytest.fixture(scope="module")
 def pair() -> Pair:
-    return make_pair(seed=7, width=384, height=216, frames=20, fps=FPS)
+    return make_pair(seed=7, width=384, height=216, frames=16, fps=FPS)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def run(pair, tmp_path_factory) -> Path:
     for i, (one, other) in enumerate(zip(*(view.masks for view in pair.views), strict=True)):
         write_mask(folder / "ids" / f"{i:06d}.png", ids(one > 127, other > 127))
     said = hugs("run", folder / "pair.mp4", "export", "--person", "all", "--masks", folder / "ids", "--pipeline", "ci",
-                "--set", "train.steps=120", "--set", "export.triangles=500", "--set", "export.texture=64",
+                "--set", "train.steps=40", "--set", "export.triangles=500", "--set", "export.texture=64",
                 "--work", folder / "work")  # fmt: skip
     print(said.stderr)
     return folder / "work/pair/ci"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import subprocess
 import sys
 from collections import Counter
@@ -14,7 +13,7 @@ from typing import Any
 
 from hugs_cli.cache.fingerprint import file_digest, files_under
 from hugs_cli.cache.workspace import OURS, PART, Stamp
-from tests.made.flow import HUGS, LONGEST, ROOT, Flow
+from tests.made.flow import HUGS, LONGEST, Flow
 
 BREAKS = '''
 """Does to a stage what the clip asks for."""
@@ -104,11 +103,12 @@ class Fleet(Flow):
     def fleet(self, *args: str, first: str = "", **environment: str) -> subprocess.Popen[str]:
         """Start `hugs fleet`, on all clips if none are named. `first` comes before all else on Python's path."""
         given = args if args and not args[0].startswith("-") else ("clips/*.mp4", *args)
-        path = ":".join([*([first] if first else []), str(self.folder), str(ROOT)])
+        own = self.environment()
+        own["PYTHONPATH"] = ":".join([*([first] if first else []), own["PYTHONPATH"]])
         return subprocess.Popen(
             [sys.executable, "-c", HUGS, "fleet", *given, "--pipelines-file", "pipelines.yaml"],
             cwd=self.folder,
-            env={**os.environ, "PYTHONPATH": path, "NO_COLOR": "1", "OMP_NUM_THREADS": "1", **environment},
+            env={**own, "OMP_NUM_THREADS": "1", **environment},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

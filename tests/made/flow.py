@@ -152,7 +152,8 @@ class Flow:
 
     def environment(self) -> dict[str, str]:
         """Of the command line."""
-        return {**os.environ, "PYTHONPATH": f"{self.folder}:{ROOT}", "NO_COLOR": "1", "COLUMNS": "200"}
+        own = {"PYTHONPATH": f"{self.folder}:{ROOT}", "HUGS_CACHE": str(self.folder / "cache")}  # times of stand-ins
+        return {**os.environ, **own, "NO_COLOR": "1", "COLUMNS": "200"}
 
     def start(self, *args: str, command: str = "run") -> subprocess.Popen:
         """Start `hugs COMMAND clip.mp4 ARGS`."""

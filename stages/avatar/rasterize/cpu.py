@@ -102,7 +102,7 @@ class _Rasterize(torch.autograd.Function):
         screen = [ctx.extras[name].numpy() for name in ("screen_grad", "screen_grad_abs")]
         by_thread = sums.reshape(threads, n, kernels.ROW)
         camera = ctx.needs_input_grad[4]
-        d_view = kernels.project_backward(*parts, CHUNKS, radii, by_thread, camera, (*grads, *screen))
+        d_view = kernels.project_backward(*parts, CHUNKS, radii, by_thread, camera, (*grads, *screen)).sum(0)
         slopes = [torch.from_numpy(g) for g in (*grads, d_view.astype(np.float32))]
         return (*slopes, *[None] * 5, *d_backgrounds)
 

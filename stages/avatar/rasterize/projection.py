@@ -130,7 +130,7 @@ def project_backward(
     """Turn the blend's sums partial [threads,N,16] into gradients.
 
     Fills upstream = (means [N,3], axes [N,3,3], opacities [N], colors [N,3], screen [N,2], screen_abs [layers,N,2]) and
-    returns the gradient of view [4,4] if `camera`, else zeros; rows that were not drawn get 0.
+    returns the gradient of view if `camera`, else zeros, in parts [chunks,4,4]; rows that were not drawn get 0.
     """
     d_means, d_axes, d_opacities, d_colors, d_screen, d_screen_abs = upstream
     n = len(means)
@@ -199,7 +199,7 @@ def project_backward(
             d_screen[i, 0], d_screen[i, 1] = d_px, d_py
             for layer in range(len(d_screen_abs)):
                 d_screen_abs[layer, i, 0], d_screen_abs[layer, i, 1] = s[ABS + 2 * layer], s[ABS + 2 * layer + 1]
-    return d_views.sum(0)
+    return d_views
 
 
 @njit(cache=True, parallel=True)
