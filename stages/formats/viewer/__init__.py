@@ -17,14 +17,15 @@ from markupsafe import Markup
 from stages.formats.images import shrink
 from stages.formats.viewer.libraries import licences, packed
 from stages.formats.viewer.packing import Packer, slopes_in_words
+from stages.formats.viewer.staging import background, covered, seen, underfoot
 from stages.records import Cameras, Effects, Move, Rig, Scene
 
 ROOM = Path(__file__).parent / "page"
 TEMPLATE, STYLE, BOOT, ICONS = "viewer.html", "viewer.css", "boot.js", "icons.json"
 MODULES = (
-    "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "floor.js", "headset.js", "light.js", "main.js",
-    "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "shading.js", "shadow.js", "skeleton.js",
-    "skin.js", "splats.js", "stage.js", "turns.js",
+    "arrays.js", "bvh.js", "clip.js", "clothes.js", "controls.js", "dropped.js", "fading.js", "floor.js", "headset.js",
+    "light.js", "main.js", "motion.js", "names.js", "pace.js", "person.js", "player.js", "retarget.js", "shading.js",
+    "shadow.js", "skeleton.js", "skin.js", "splats.js", "stage.js", "turns.js",
 )  # fmt: skip
 """They import each other as hugs/NAME."""
 POLICY = (
@@ -110,6 +111,8 @@ def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
             packer.whole(f"person{number}/facing", np.rint(127.5 * (figure.rig.facing + 1)))
     if scene is not None:
         packer.gaussians("scene", scene, 24)
+        marks = np.stack([seen(scene, shown.cameras), underfoot(scene, shown.turn, shown.spot)], 1)
+        packer.whole("scene/marks", np.rint(255 * marks))
     Ks = shown.cameras.Ks
     packer.exact("clip/views", shown.cameras.viewmats)
     packer.exact("clip/lenses", np.stack([Ks[:, 0, 0], Ks[:, 1, 1], Ks[:, 0, 2], Ks[:, 1, 2]], 1))
@@ -148,6 +151,7 @@ def _facts(shown: Exhibit, scene: Scene | None, packer: Packer) -> dict[str, Any
         "arrays": packer.table,
         "antialias": shown.figures[0].rig.antialias if scene is None else scene.antialias,
         "world": world.ravel().tolist(),
+        "background": background([figure.rig for figure in shown.figures]),
         "people": [
             {
                 "parents": np.asarray(figure.rig.parents).tolist(),
@@ -203,9 +207,8 @@ def _lacks(shown: Exhibit) -> list[str]:
 
 
 def _largest(scene: Scene, count: int) -> Scene:
-    """The Gaussians that cover most: opacity times the area of their two longer axes. Their order stays."""
-    longest = np.sort(scene.scales, axis=1)[:, 1:]
-    kept = np.sort(np.argsort(-scene.opacities * longest.prod(1), kind="stable")[:count])
+    """The Gaussians that cover most. Their order stays."""
+    kept = np.sort(np.argsort(-covered(scene), kind="stable")[:count])
     names = ("means", "quats", "scales", "opacities", "sh0", "shN")
     rows: dict[str, Any] = {name: getattr(scene, name)[kept] for name in names}
     return replace(scene, **rows)

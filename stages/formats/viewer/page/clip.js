@@ -12,6 +12,12 @@ export class Clip {
     return { view: Array.from(this.views.subarray(16 * frame, 16 * frame + 16)), fx, fy, cx, cy, width, height };
   }
 
+  /** Where the camera of a frame stands [3], in the clip's world. */
+  eye(frame) {
+    const v = this.views.subarray(16 * frame, 16 * frame + 12);
+    return [0, 1, 2].map((j) => -(v[j] * v[3] + v[4 + j] * v[7] + v[8 + j] * v[11]));
+  }
+
   /** The latest frame with a picture up to a frame, or the first. */
   pictured(frame) {
     return this.pictures.findLast(([at]) => at <= frame) ?? this.pictures[0];

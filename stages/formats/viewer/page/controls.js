@@ -103,6 +103,7 @@ export function connect(player, read, facts) {
   $("full").hidden = !document.fullscreenEnabled;
   offerHeadset(player, $("headset"), say, home);
 
+  document.body.style.setProperty("--stage", `#${facts.background.toString(16)}`);
   document.body.style.setProperty("--shape", facts.clip.size[0] / facts.clip.size[1]);
   player.changed = () => {
     const { motion, position } = player, at = Math.floor(position);

@@ -3,6 +3,7 @@ import { unpack } from "hugs/arrays";
 import { Clip } from "hugs/clip";
 import { connect } from "hugs/controls";
 import { performed, readMotion } from "hugs/dropped";
+import { Fading } from "hugs/fading";
 import { Motion } from "hugs/motion";
 import { Person } from "hugs/person";
 import { Player } from "hugs/player";
@@ -24,7 +25,8 @@ export async function start(facts, buffer) {
   if (scene) stage.world.add(scene.mesh);
   const shadow = facts.shadow && scene ? new Shadow(facts.shadow) : null;
   const motions = facts.motions.map(({ name, fps }, i) => new Motion(name, fps, people.map((_, who) => groups[`motion${who}.${i}`])));
-  player = new Player(stage, people, scene, shadow, new Clip(facts.clip, groups.clip), motions);
+  const clip = new Clip(facts.clip, groups.clip), fading = scene ? new Fading(scene, groups.scene.marks, clip) : null;
+  player = new Player(stage, people, scene, { shadow, fading }, clip, motions);
   connect(player, (file) => readMotion(file, people), facts);
   window.hugs = { player, facts, show: (wanted) => show(player, wanted), perform: (text) => performed(text, people[0]) };
   player.position = facts.clip.middle;

@@ -5,6 +5,8 @@ import { Skin } from "hugs/skin";
 import { Splats } from "hugs/splats";
 import { add, rotvecOfQuat, scale as mulScalar, sub } from "hugs/turns";
 
+const REACH = 0.13; // of a person's height, from a joint to the skin around it: hands and the crown are farthest
+
 export class Person {
   /** `stand`: `turn` [9] and `spot` [3] m take a motion to the clip's world, where they are `scale` times as large, in the light
    * of `bands` [8][3] or of itself. */
@@ -33,6 +35,12 @@ export class Person {
     this.mesh.position.fromArray(this.placed(step));
     this.mesh.scale.setScalar(this.stand.scale);
     return { ...bones, step };
+  }
+
+  /** Where their joints are in a pose, and how far they reach around each, in m: [x, y, z, reach]. */
+  joined({ quats, step }) {
+    const { places } = bonesOf(quats, this.joints, this.parents);
+    return places.map((place) => [...this.placed(add(place, step)), REACH * this.height * this.stand.scale]);
   }
 
   /** A point [3] of the person as they would be if they were no larger, where it is. */

@@ -1,10 +1,9 @@
 // What is shown: which motion, at what time, through which camera. All else follows from it.
-import { Vector3 } from "three";
-import { add, matrixOfQuat, matrixOfRotvec, mul, quatOfMatrix, row } from "hugs/turns";
+import { add, matrixOfQuat, matrixOfRotvec, mul, quatOfMatrix } from "hugs/turns";
 
 export class Player {
-  constructor(stage, people, scene, shadow, clip, motions) {
-    Object.assign(this, { stage, people, scene, shadow, clip, motions });
+  constructor(stage, people, scene, { shadow, fading }, clip, motions) {
+    Object.assign(this, { stage, people, scene, shadow, fading, clip, motions });
     this.motion = motions[0];
     this.position = 0; // in frames of the motion
     this.playing = false;
@@ -54,6 +53,7 @@ export class Player {
     if (scene) scene.mesh.visible = this.show !== "person";
     stage.floor.visible = this.show === "person" && this.view === "orbit" && !this.plain;
     stage.lens = this.view === "clip" ? this.clip.lens(Math.floor(this.position)) : this.given;
+    this.fading?.look(stage.eye, !stage.lens);
     const at = this.view === "clip" ? Math.floor(this.position) : this.position;
     const wanted = JSON.stringify([this.motions.indexOf(this.motion), at, seen, this.show, this.shaded, [...this.bends]]);
     if (wanted === this.posed) return;
@@ -77,16 +77,11 @@ export class Player {
     return { ...pose, quats };
   }
 
-  /** Orbit about where the person is now, from where the camera stands. */
+  /** Orbit about where the people are now, from where the camera stands, with all of them in sight. */
   orbit() {
     Object.assign(this, { view: "orbit", given: null, plain: false });
-    const middle = new Vector3(), { people } = this;
-    people.forEach((person, who) => {
-      const { step } = this.motion.at(this.position, who);
-      middle.add(new Vector3(...person.placed(add(row(person.joints, 0), step))).divideScalar(people.length));
-    });
     this.changed();
-    this.stage.orbit(middle.applyMatrix4(this.stage.world.matrix), Math.max(...people.map(({ height }) => height)));
+    this.stage.orbit(this.people.flatMap((person, who) => person.joined(this.bent(this.motion.at(this.position, who)))));
   }
 
   /** Orbit from the clip's camera of a frame. */

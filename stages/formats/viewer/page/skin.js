@@ -1,10 +1,9 @@
 // Skinning with all bones: Spark's own takes four, which a person's shoulders and hips are not done with. And their light.
-import { DataArrayTexture, DataTexture, FloatType, RGBAFormat, RGBAIntegerFormat, UnsignedByteType, UnsignedIntType } from "three";
-import { dyno } from "@sparkjsdev/spark";
+import { DataArrayTexture, DataTexture, FloatType, RGBAFormat, RGBAIntegerFormat, UnsignedIntType } from "three";
 import { glslOf } from "hugs/shading";
+import { bytesOf, eachSplat } from "hugs/splats";
 
 const PER_WORD = 3, PER_TEXEL = 12, BITS = 10; // the roots of weights in 10 bits each, three in each of a texel's four words
-const SKIN = { type: "HugsSkin" };
 const SLOPES = 12, PER_SLOPE = 4; // bones at most that draw a Gaussian of cloth, and how many of them lie in a texel
 const LARGEST_SLOPE = 8; // 1/m: no part of a slope is larger; stages/formats/viewer/packing.py has it, too
 const GROWTH = `
@@ -62,41 +61,40 @@ ${bands ? LIT : ""}
  * The Gaussians `cloth`, if any, grow by `slopes` [SLOPES each]: a bone, and three parts of its slope. In a light of `bands` [8][3],
  * if any: `facing` [3 a Gaussian] is where each faces at rest, 0 to 255. */
 export class Skin {
-  constructor(mesh, { weights, cloth, slopes, facing }, bones, { width, height, depth }, bands) {
+  constructor(mesh, { weights, cloth, slopes, facing }, bones, image, bands) {
     this.mesh = mesh;
+    const { width, height, depth } = image;
     const size = 4 * width * height * depth;
     const parts = Array.from({ length: Math.ceil(bones / PER_TEXEL) }, () => new Uint32Array(size));
     for (let i = 0; i < weights.length; i++) {
       const row = Math.floor(i / bones), k = i % bones, word = Math.floor((k % PER_TEXEL) / PER_WORD);
       parts[Math.floor(k / PER_TEXEL)][4 * row + word] |= weights[i] << (BITS * (k % PER_WORD));
     }
-    const texture = (values, type, internalFormat, layers = depth) => Object.assign(
+    const texture = (values, layers) => Object.assign(
       new DataArrayTexture(values, width, height, layers),
-      { format: RGBAIntegerFormat, type, internalFormat, needsUpdate: true },
+      { format: RGBAIntegerFormat, type: UnsignedIntType, internalFormat: "RGBA32UI", needsUpdate: true },
     );
-    const textures = parts.map((part) => texture(part, UnsignedIntType, "RGBA32UI"));
+    const textures = parts.map((part) => texture(part, depth));
     this.rows = new Float32Array(12 * bones);
     this.bones = new DataTexture(this.rows, 3, bones, RGBAFormat, FloatType);
     this.bones.needsUpdate = true;
-    this.names = textures.map((_, i) => `weights${i}`);
-    this.code = glsl(bones, this.names, bands, slopes);
-    const value = { ...Object.fromEntries(textures.map((texture, i) => [this.names[i], texture])), bones: this.bones };
+    const names = textures.map((_, i) => `weights${i}`), code = glsl(bones, names, bands, slopes);
+    const value = Object.fromEntries(textures.map((texture, i) => [names[i], texture]));
     if (slopes) {
       const words = new Uint32Array(SLOPES / PER_SLOPE * size), each = slopes.length / cloth.length;
       for (let i = 0; i < slopes.length; i++) {
         const m = i % each;
         words[Math.floor(m / PER_SLOPE) * size + 4 * cloth[Math.floor(i / each)] + (m % PER_SLOPE)] = slopes[i];
       }
-      value.slopes = texture(words, UnsignedIntType, "RGBA32UI", SLOPES / PER_SLOPE * depth);
-      this.names = [...this.names, "slopes"];
+      value.slopes = texture(words, SLOPES / PER_SLOPE * depth);
     }
-    if (bands) {
-      const faced = new Uint8Array(size);
-      for (let i = 0; i < facing.length; i++) faced[4 * Math.floor(i / 3) + (i % 3)] = facing[i];
-      value.facing = texture(faced, UnsignedByteType, "RGBA8UI");
-      this.names = [...this.names, "facing"];
-    }
-    this.uniform = new dyno.DynoUniform({ key: "skin", type: SKIN, globals: () => [this.code], value });
+    if (bands) value.facing = bytesOf(facing, 3, image);
+    value.bones = this.bones;
+    const given = (skin) => Object.keys(value).map((name) => `${skin}.${name}`).join(", ");
+    this.modifyCov = eachSplat("HugsSkin", code, value, (out, skin) => `
+      vec3 color = ${out}.rgba.rgb;
+      hugsSkin(${given(skin)}, ${out}.index, ${out}.center, ${out}.xxyyzz, ${out}.xyxzyz, color);
+      ${out}.rgba.rgb = color;`);
   }
 
   /** Of each bone its turn [9] and shift [3] from rest. */
@@ -106,24 +104,5 @@ export class Skin {
     });
     this.bones.needsUpdate = true;
     this.mesh.needsUpdate = true;
-  }
-
-  modifyCov(covsplat) {
-    const step = new dyno.Dyno({
-      inTypes: { covsplat: dyno.CovSplat, skin: SKIN },
-      outTypes: { covsplat: dyno.CovSplat },
-      globals: () => [this.code],
-      inputs: { covsplat, skin: this.uniform },
-      statements: ({ inputs, outputs }) => {
-        const { skin } = inputs, out = outputs.covsplat;
-        return dyno.unindentLines(`
-          ${out} = ${inputs.covsplat};
-          vec3 color = ${out}.rgba.rgb;
-          hugsSkin(${this.names.map((name) => `${skin}.${name}`).join(", ")}, ${skin}.bones, ${out}.index, ${out}.center, ${out}.xxyyzz, ${out}.xyxzyz, color);
-          ${out}.rgba.rgb = color;
-        `);
-      },
-    });
-    return step.outputs.covsplat;
   }
 }

@@ -1,6 +1,6 @@
-// Gaussians as Spark draws them: full-precision centres, covariances that may shear.
-import { Color, Quaternion, Vector3, LinearSRGBColorSpace } from "three";
-import { ExtSplats, SplatMesh, toHalf } from "@sparkjsdev/spark";
+// Gaussians as Spark draws them: full-precision centres, covariances that may shear; and how each is changed on its way.
+import { Color, DataArrayTexture, LinearSRGBColorSpace, Quaternion, RGBAIntegerFormat, UnsignedByteType, Vector3 } from "three";
+import { dyno, ExtSplats, SplatMesh, toHalf } from "@sparkjsdev/spark";
 import { quaternions } from "hugs/arrays";
 
 const ROW = 2048; // Spark's textures are so wide
@@ -47,4 +47,26 @@ export class Splats {
     this.splats.textures[which].needsUpdate = true;
     this.mesh.needsUpdate = true;
   }
+}
+
+/** What Spark calls to change each Gaussian: `code` holds a struct `name` of which `value` is one, and functions; `lines` calls
+ * them, in GLSL, by the names of the Gaussian and of the struct. */
+export function eachSplat(name, code, value, lines) {
+  const type = { type: name }, globals = () => [code], uniform = new dyno.DynoUniform({ key: name, type, globals, value });
+  return (covsplat) => new dyno.Dyno({
+    inTypes: { covsplat: dyno.CovSplat, more: type },
+    outTypes: { covsplat: dyno.CovSplat },
+    globals,
+    inputs: { covsplat, more: uniform },
+    statements: ({ inputs, outputs: { covsplat: out } }) => dyno.unindentLines(`
+      ${out} = ${inputs.covsplat};${lines(out, inputs.more)}`),
+  }).outputs.covsplat;
+}
+
+/** A texture of `each` bytes, at most 4, of each Gaussian, in the order of another: the centres'. */
+export function bytesOf(values, each, { width, height, depth }) {
+  const bytes = new Uint8Array(4 * width * height * depth);
+  for (let i = 0; i < values.length; i++) bytes[4 * Math.floor(i / each) + (i % each)] = values[i];
+  const format = { format: RGBAIntegerFormat, type: UnsignedByteType, internalFormat: "RGBA8UI", needsUpdate: true };
+  return Object.assign(new DataArrayTexture(bytes, width, height, depth), format);
 }

@@ -1,20 +1,20 @@
 // The stage: camera, light table, one frame at a time. A frame is drawn when the last one is, never before.
-import { CanvasTexture, Color, Group, Matrix4, Mesh, MeshBasicMaterial, PerspectiveCamera, PlaneGeometry, Scene, SRGBColorSpace, Vector2, Vector3, WebGLRenderer } from "three";
+import { Box3, CanvasTexture, Color, Group, Matrix4, Mesh, MeshBasicMaterial, PerspectiveCamera, PlaneGeometry, Scene, SRGBColorSpace, Vector2, Vector3, WebGLRenderer } from "three";
 import { SparkRenderer } from "@sparkjsdev/spark";
 import { Light } from "hugs/light";
 import { Pace } from "hugs/pace";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-const DARK = 0x141517;
 const NEAR = 0.01, FAR = 1e5; // m
 const MOVING = 60, STILL = 1500; // ms that a frame may take
 const REST = 250; // ms without a change until a frame is drawn as fine as it can be
+const WIDEST = 75; // degrees
 const BAR = 42; // px by which the middle of the picture lies above the middle of the window, to clear the controls
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 export class Stage {
   /** `world` [16], row by row, takes the clip's world to one with y up and the floor at 0; both in metres. */
-  constructor(canvas, { world, antialias }, pose) {
+  constructor(canvas, { world, antialias, background }, pose) {
     this.canvas = canvas;
     this.pose = pose;
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
@@ -37,7 +37,7 @@ export class Stage {
     this.controls.addEventListener("change", () => this.wake());
     this.lens = null; // a frame's camera, {view [16], fx, fy, cx, cy, width, height}, in place of the orbit's
     this.size = null; // px, in place of the window's
-    this.background = DARK;
+    this.background = this.backdrop = background;
     this.dirty = this.busy = false;
     this.pace = new Pace();
     this.light = new Light(this.renderer);
@@ -124,16 +124,29 @@ export class Stage {
     camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
   }
 
-  /** Stand where the lens stands, and orbit about a point [3] of the stage from there. */
-  orbit(target, height) {
-    const { camera, controls } = this;
+  /** Where the camera stands, in the clip's world. */
+  get eye() {
+    return this.camera.getWorldPosition(new Vector3()).applyMatrix4(this.world.matrix.clone().invert());
+  }
+
+  /** Stand where the lens stands and orbit about points of the clip's world from there, [x, y, z, reach] each: all fit into the
+   * window above the controls, and where that would be too wide an angle the camera steps back. */
+  orbit(points) {
+    const { camera, controls } = this, places = points.map((point) => new Vector3(...point).applyMatrix4(this.world.matrix));
     if (this.lens) this.aim();
-    Object.assign(this, { lens: null, size: null, background: DARK });
+    Object.assign(this, { lens: null, size: null, background: this.backdrop });
     this.measure();
-    const away = camera.position.distanceTo(target), aspect = Math.max(0.4, camera.aspect);
-    const tall = Math.max(1.5 * height, 0.9 * height / aspect);
-    camera.fov = Math.min(75, 2 * Math.atan(tall / 2 / away) * 180 / Math.PI);
-    controls.target.copy(target);
+    new Box3().setFromPoints(places).getCenter(controls.target);
+    controls.update();
+    camera.updateMatrixWorld();
+    const tall = Math.max(0.4, 1 - 4 * BAR / this.height), wide = 0.92 * camera.aspect;
+    const needs = places.map((place, i) => {
+      const { x, y, z } = place.applyMatrix4(camera.matrixWorldInverse), reach = points[i][3];
+      return [Math.max((Math.abs(y) + reach) / tall, (Math.abs(x) + reach) / wide), -z];
+    });
+    const widest = Math.tan(WIDEST / 2 * Math.PI / 180), back = Math.max(0, ...needs.map(([half, z]) => half / widest - z));
+    camera.translateZ(back);
+    camera.fov = 2 * Math.atan(Math.max(...needs.map(([half, z]) => half / (z + back)))) * 180 / Math.PI;
     controls.update();
     this.wake();
   }
