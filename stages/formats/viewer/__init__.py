@@ -112,7 +112,7 @@ def _pack(shown: Exhibit, scene: Scene | None) -> Packer:
     if scene is not None:
         packer.gaussians("scene", scene, 24)
         marks = np.stack([seen(scene, shown.cameras), underfoot(scene, shown.turn, shown.spot)], 1)
-        packer.whole("scene/marks", np.rint(255 * marks))
+        packer.whole("scene/marks", np.rint(15 * marks))
     Ks = shown.cameras.Ks
     packer.exact("clip/views", shown.cameras.viewmats)
     packer.exact("clip/lenses", np.stack([Ks[:, 0, 0], Ks[:, 1, 1], Ks[:, 0, 2], Ks[:, 1, 2]], 1))

@@ -14,13 +14,13 @@ struct HugsFading {
 
 float hugsFaded(usampler2DArray marks, vec4 eye, int index, vec3 center) {
   if (eye.w == 0.0) return 1.0;
-  vec2 mark = vec2(texelFetch(marks, splatTexCoord(index), 0).xy) / 255.0;
+  vec2 mark = vec2(texelFetch(marks, splatTexCoord(index), 0).xy) / 15.0;
   float near = -1.0;
   for (int k = 0; k < ${eyes.length}; k++) near = max(near, dot(normalize(hugsEyes[k] - center), normalize(eye.xyz - center)));
   return mark.x * max(mark.y, smoothstep(${cosine(ASIDE)}, ${cosine(NEARBY)}, near));
 }`;
 
-/** What Spark asks of a scene's skinning: `marks` [2 a Gaussian], how much of it was seen and how much is floor, 0 to 255. */
+/** What Spark asks of a scene's skinning: `marks` [2 a Gaussian], how much of it was seen and how much is floor, 0 to 15. */
 export class Fading {
   constructor(scene, marks, clip) {
     this.mesh = scene.mesh;
