@@ -44,7 +44,7 @@ def import_masks(
             [f"{len(chosen)} objects: {', '.join(one.id for one in chosen)}"],
         )
     inverted = len(chosen) == 1 and polarity(job, chosen[0], invert)
-    encodings = chosen[0].masks.encodings()
+    encodings = {str(levels): levels.files for levels in chosen[0].levels.values()}
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
     details = {
         "folder": plain(path.name),
@@ -106,11 +106,8 @@ def report_objects(job: Job, objects: list[Object], chosen: list[Object]) -> Non
 
 def polarity(job: Job, person: Object, invert: Literal["auto", "always", "never"]) -> bool:
     """Whether the masks mark the background instead of the person; a note gives the numbers."""
-    shares = [
-        (float((mask > 127).mean()), border_share(mask))
-        for i in person.masks.keys
-        if (mask := person.read(i)) is not None
-    ]
+    masks = (mask for i in person.levels if (mask := person.read(i)) is not None)
+    shares = [(float((mask > 127).mean()), border_share(mask)) for mask in masks]
     area, border = (sum(part) / len(shares) for part in zip(*shares))
     inverted = invert == "always" or (invert == "auto" and area > 0.5 and border > 0.5)
     marked = f"marked: {area:.0%} of the picture, {border:.0%} of its border"
