@@ -18,7 +18,7 @@ from stages.formats.given_masks.objects import Object, objects_of, pick
 from stages.formats.given_masks.recognize import read_mask_files
 from stages.formats.images import same_shape
 from stages.formats.people import EVERYBODY
-from stages.formats.whole_clip import possible_counts
+from stages.formats.whole_clip import DECODED_SHARE
 
 
 def import_masks(
@@ -62,7 +62,9 @@ def import_masks(
 def check_masks(path: Path, clip: Listing) -> None:
     """StageError for files that are no masks, or not of a clip of which any frames may be picked (see `whole_clip`): too
     many or too few, none with a frame's name, or the first of another shape."""
-    given, joined = joined_masks(path, clip, possible_counts(clip), lambda doubt: None)
+    total = clip.video.frames
+    may_decode = range(round(DECODED_SHARE * total), total + 1)
+    given, joined = joined_masks(path, clip, may_decode, lambda doubt: None)
     if not joined:
         raise lacking(given, joined, clip)
     name, row = next(iter(joined.items()))
