@@ -22,12 +22,11 @@ from hugs_cli.app_compose import compose
 from hugs_cli.app_draw import animate, render
 from hugs_cli.app_export import export
 from hugs_cli.app_fleet import fleet
-from hugs_cli.app_show import list_stages, show, stamp_facts, status, why
-from hugs_cli.app_view import view
+from hugs_cli.app_show import list_stages, show, stamp_facts, status, view, why
 from hugs_cli.cache import child, engine
 from hugs_cli.cache import garbage as unused
 from hugs_cli.cache.accept import accept as keep_results
-from hugs_cli.cache.engine import RunStopped
+from hugs_cli.cache.engine import Ran, RunStopped
 from hugs_cli.cache.freshness import Session
 from hugs_cli.cache.report import PAGE
 from hugs_cli.cache.workspace import Workspace, read_json, result_behind, size_of
@@ -152,27 +151,20 @@ def run_pipeline(
     else:
         ran, kept = engine.run(session, wanted, forced, device.value, console, report=True), None
     path = page if session.pipeline.report and not stages else workspace.links / (stages or wanted)[-1]
-    if not as_json:
-        console.result(words.relative(path))
-        return
-    rows = [
-        {
-            "stage": one.stage,
-            "state": one.state,
-            "reasons": list(map(str, one.reasons)),
-            "folder": str(one.folder),
-            **stamp_facts(one.stamp),
-        }
-        for one in ran
-    ]
-    result: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "clip": video.name,
         "pipeline": session.pipeline.name,
         "result": str(path),
-        "stages": rows,
+        "stages": rows(ran),
     }
-    result |= {"within": kept} if kept else {}
-    console.result(json.dumps(result, indent=1))
+    facts |= {"within": kept} if kept else {}
+    console.result(json.dumps(facts, indent=1) if as_json else words.relative(path))
+
+
+def rows(ran: list[Ran]) -> list[dict[str, Any]]:
+    """The stages of a finished run as plain values."""
+    own = [{"stage": one.stage, "state": one.state, "reasons": list(map(str, one.reasons))} for one in ran]
+    return [facts | {"folder": str(one.folder), **stamp_facts(one.stamp)} for facts, one in zip(own, ran, strict=True)]
 
 
 def hint_accept(session: Session, wanted: list[str], console: Console) -> None:

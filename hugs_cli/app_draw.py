@@ -64,12 +64,11 @@ def render(
     An exported avatar (--avatar) without cameras is drawn from all sides. Pictures that it made itself are drawn again;
     a folder with anything else in it needs --force.
     """
-    check_source(video, avatar)
+    check_source(video, avatar, who)
     if cameras is None and (avatar is None or scene is not None):
         raise UsageError("no cameras to draw for", "`--cameras views.npz`; only an avatar alone is drawn without")
     if only is options.Only.scene and avatar is not None and scene is None:
         raise UsageError(f"{avatar} has no scene", "`--only human`, or a scene with `--scene room.ply`")
-    check_who(avatar, who)
     console, train, smpl = Console(), None, None
     if video is not None:
         train, smpl = finished(video, work, pipeline_of(video, work, pipeline, console, "train"), "train", "smpl")
@@ -126,10 +125,9 @@ def animate(
     """
     if avatar is not None and motion is None:
         video, motion = None, video
-    check_source(video, avatar)
+    check_source(video, avatar, who)
     if motion is None:
         raise UsageError("no motion to perform", "`hugs animate VIDEO moves.bvh`")
-    check_who(avatar, who)
     run_folder = None
     if video is not None:
         pipeline = pipeline_of(video, work, pipeline, Console(), "train")
@@ -144,30 +142,36 @@ def animate(
         raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
     person: dict[str, Any] = {"avatar": run_folder or avatar, "who": who, "motion": str(motion)}
     person |= {"motion_fps": motion_fps, "up": up and up.value}
-    film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene": scene}
-    film["scene_axes"] = scene_axes.value
-    film["camera"] = str(cameras) if cameras else "before"
-    if scene is not None and scene.is_dir():
-        film |= {"people": [person | {"at": (at[0], at[2])}], "camera": str(cameras) if cameras else "still"}
-    elif run_folder is not None:
-        own = {"scene": run_folder, "gaussians": scene, "camera": str(cameras) if cameras else "still"}
-        film |= {"people": [person]} | own
-    else:
-        floor = {} if scene is None else {"ground": {"point": at}}
-        film |= {"people": [person], "size": None if cameras else SIZE} | floor
+    film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene_axes": scene_axes.value}
+    film |= staged(person, run_folder, scene, at, cameras)
     given = [path for path in (video, motion, cameras, avatar, scene) if path is not None]
     shoot(films.checked(film, "animate"), None, device.value, work, force, given, "animate")
 
 
-def check_source(video: Path | None, avatar: Path | None) -> None:
-    """UsageError unless there is either a video or an avatar file."""
+def staged(
+    person: dict[str, Any],
+    run: Path | None,
+    scene: Path | None,
+    at: tuple[float, float, float],
+    cameras: Path | None,
+) -> dict[str, Any]:
+    """The part of a film that says where its one person stands: in the scene of another run, of their own `run`, or alone."""
+    camera = str(cameras) if cameras else "still"
+    if scene is not None and scene.is_dir():
+        return {"people": [person | {"at": (at[0], at[2])}], "scene": scene, "camera": camera}
+    if run is not None:
+        return {"people": [person], "scene": run, "gaussians": scene, "camera": camera}
+    floor = {} if scene is None else {"ground": {"point": at}}
+    alone = {"camera": str(cameras), "size": None} if cameras else {"camera": "before", "size": SIZE}
+    return {"people": [person], "scene": scene} | alone | floor
+
+
+def check_source(video: Path | None, avatar: Path | None, who: int) -> None:
+    """UsageError unless there is either a video or an avatar file, which holds one person."""
     if (video is None) == (avatar is None):
         problem = "nobody to draw" if video is None else f"{video} and {avatar} are two people"
         raise UsageError(problem, "give a VIDEO that `hugs run` has finished, or `--avatar avatar.npz`")
 
-
-def check_who(avatar: Path | None, who: int) -> None:
-    """UsageError where one of several people is asked of an avatar file, which holds one."""
     if avatar is not None and who > 1:
         raise UsageError(f"{avatar} holds one person, and not {who}", "leave out `--who`; it goes with a VIDEO")
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -62,50 +62,72 @@ def fleet(
     """
     from hugs_cli.fleet import board, history, plan, runner
     from hugs_cli.fleet.clips import read
-    from hugs_cli.fleet.run import Fleet, counts
+    from hugs_cli.fleet.run import Fleet
 
-    if not NAME.fullmatch(name):
-        raise UsageError(f"{name!r} cannot name a fleet", "use small letters, digits and _")
-    console, past = Console(), history.history(work)
-    if jobs and jobs > 1 and not runner.has_snakemake():
-        raise UsageError("clips run side by side only with Snakemake", f"{runner.EXTRA}, or leave out `--jobs`")
-    if profile:
-        if not runner.has_snakemake():
-            raise UsageError("a profile is for Snakemake", f"{runner.EXTRA}, or leave out `--profile`")
-        runner.profile_folder(profile)
-    kept = tuple(one.strip() for one in (keep or "").split(",") if one.strip())
-    if keep is not None and not kept:
-        raise UsageError("--keep names no stage", "as `--keep export,evaluate`; without it all results stay")
+    check_asked(name, jobs, profile)
+    console, past, kept = Console(), history.history(work), stages_kept(keep)
     pipelines.load(pipeline, set_ or (), pipelines_file).upstream(kept)  # refuses at once what no clip could run with
-    rows = read(clips, pipeline, set_ or (), work)
     common = plan.Common(work, pipelines_file, body_model, device.value, kept)
-    known = times.here(device_of(device.value)[0])
+    rows, known = read(clips, pipeline, set_ or (), work), times.here(device_of(device.value)[0])
     planned = plan.plan(rows, common, past, known, split is not None)
-    if only_failed:
-        planned = board.failed_before(planned, work, name)
+    planned = board.failed_before(planned, work, name) if only_failed else planned
     todo = [one for one in planned if one.state == "todo"]
-    at_a_time, why = (jobs or 0, "") if profile else runner.side_by_side(jobs, [one.megabytes for one in todo])
-    if not profile and not runner.has_snakemake():
-        at_a_time, why = 1, f"{runner.EXTRA} lets clips run side by side"
+    at_a_time, why = (jobs or 0, "") if profile else side_by_side(jobs, todo)
     for one in planned:
         one.slowed(runner.slower(at_a_time))
     if dry_run:
-        lines = [plan_line(one) for one in planned]
-        found = [plan.as_json(one) for one in planned]
-        console.result(json.dumps(found, indent=1) if as_json else "\n".join([*lines, summary(planned, at_a_time)]))
+        lines = [*map(plan_line, planned), summary(planned, at_a_time)]
+        console.result(json.dumps([*map(plan.as_json, planned)], indent=1) if as_json else "\n".join(lines))
         return
     console.say(summary(planned, at_a_time))
     if todo and not profile and (jobs is None or at_a_time < jobs):
         console.say(f"{words.count(at_a_time, 'clip')} at a time: {why}")
     done, total = Fleet(name, common, planned, split is not None, at_a_time, profile).run(console)
-    console.say(counts(total))
-    for kind, number in total["failures"].items():
-        console.say(f"  {number:>4} x {kind}")
-    if total["freed_bytes"]:
-        console.say(f"{words.size(total['freed_bytes'])} freed: of clips that are done {', '.join(kept)} stay")
+    for line in ending(total, kept):
+        console.say(line)
     console.result(board.as_json(done, total) if as_json else words.relative(work / f"{name}.html"))
     if not all(row["state"] in board.WELL for row in done):
         raise typer.Exit(1)
+
+
+def check_asked(name: str, jobs: int | None, profile: str | None) -> None:
+    """UsageError for a name that names no fleet, and for what only Snakemake can do where it is not installed."""
+    from hugs_cli.fleet import runner
+
+    if not NAME.fullmatch(name):
+        raise UsageError(f"{name!r} cannot name a fleet", "use small letters, digits and _")
+    if jobs and jobs > 1 and not runner.has_snakemake():
+        raise UsageError("clips run side by side only with Snakemake", f"{runner.EXTRA}, or leave out `--jobs`")
+    if profile and not runner.has_snakemake():
+        raise UsageError("a profile is for Snakemake", f"{runner.EXTRA}, or leave out `--profile`")
+    if profile:
+        runner.profile_folder(profile)
+
+
+def stages_kept(keep: str | None) -> tuple[str, ...]:
+    """The stages that `--keep` names; UsageError where it is given and names none."""
+    kept = tuple(one.strip() for one in (keep or "").split(",") if one.strip())
+    if keep is not None and not kept:
+        raise UsageError("--keep names no stage", "as `--keep export,evaluate`; without it all results stay")
+    return kept
+
+
+def side_by_side(jobs: int | None, todo: Sequence[Planned]) -> tuple[int, str]:
+    """How many clips run at a time on this machine, and why."""
+    from hugs_cli.fleet import runner
+
+    if not runner.has_snakemake():
+        return 1, f"{runner.EXTRA} lets clips run side by side"
+    return runner.side_by_side(jobs, [one.megabytes for one in todo])
+
+
+def ending(total: dict[str, Any], kept: Sequence[str]) -> list[str]:
+    """What a fleet has come to, in lines; of clips that are done the results of the stages `kept` stay."""
+    from hugs_cli.fleet.run import counts
+
+    lines = [counts(total), *(f"  {number:>4} x {kind}" for kind, number in total["failures"].items())]
+    freed = f"{words.size(total['freed_bytes'])} freed: of clips that are done {', '.join(kept)} stay"
+    return lines + ([freed] if total["freed_bytes"] else [])
 
 
 def plan_line(one: Planned) -> str:

@@ -1,19 +1,37 @@
-"""The commands that show and change nothing: status, why, stages."""
+"""The commands that show and change nothing: status, why, stages, view."""
 
 from __future__ import annotations
 
 import json
+import webbrowser
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
-from hugs_cli import options, pipelines, times
+from typer import Option
+
+from hugs_cli import options, pipelines, times, words
+from hugs_cli.app_draw import finished
 from hugs_cli.cache import child
 from hugs_cli.cache.freshness import Verdict
 from hugs_cli.cache.workspace import Stamp
 from hugs_cli.console import Console
-from hugs_cli.options import AsJson, PipelineName, PipelinesFile, RunOptions, Settings, Stages, on_a_run
+from hugs_cli.options import (
+    AnyPipeline,
+    AsJson,
+    PipelineName,
+    PipelinesFile,
+    RunOptions,
+    Settings,
+    Stages,
+    Work,
+    on_a_run,
+    pipeline_of,
+)
+from hugs_cli.pipelines import UsageError
 from stages.contract import listed
 
+PAGE = "viewer.html"
 STAMP_FACTS = ("key", "made", "seconds", "peak_memory_bytes", "params", "machine", "notes", "warnings", "accepted")
 
 
@@ -69,6 +87,31 @@ def list_stages(
         for name, info in listed(type(stage.params)).items():
             doc = " ".join((info.description or "").split())
             console.result(f"    {name} = {values[name]}{'   ' + doc if doc else ''}")
+
+
+def view(
+    video: options.Video,
+    open_: Annotated[
+        bool, Option("--open/--no-open", help="Open it in the default browser, or only say where it is.")
+    ] = True,
+    pipeline: AnyPipeline = None,
+    work: Work = Path("work"),
+) -> None:
+    """Open the page on which person and scene move.
+
+    It is one file that needs no network. The line on stdout is its path.
+    """
+    console = Console()
+    pipeline = pipeline_of(video, work, pipeline, console, "export")
+    (folder,) = finished(video, work, pipeline, "export")
+    page = folder / PAGE
+    if not page.is_file():
+        command = words.command("run", video, "export", pipeline=pipeline, work=work)
+        facts = ["it was written without `viewer` in `export.formats`, or by a hugs that had no page"]
+        raise UsageError(f"the export of {video.name} holds no {PAGE}", f"`{command}`", facts)
+    if open_ and not webbrowser.open(page.absolute().as_uri()):
+        console.say("no browser was found to open it with")
+    console.result(words.relative(page))
 
 
 def show(console: Console, verdicts: dict[str, Verdict], as_json: bool, ahead: Mapping[str, times.Guess]) -> None:

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from hugs_cli import plain_yaml
 from hugs_cli.studies import variants
 from hugs_cli.words import command
-from stages.contract import Params, StageError, StageModule, changes_speed_only, load_stage
+from stages.contract import Params, StageError, StageModule, load_stage, marked
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
 if not FILE.exists():  # installed, not a checkout
@@ -54,7 +54,7 @@ class Stage:
     def settings(self, speed_only: bool = False) -> dict[str, Any]:
         """The settings that make the result (or those that only change speed), as plain JSON values."""
         fields = type(self.params).model_fields
-        chosen = {name for name, info in fields.items() if changes_speed_only(info) == speed_only}
+        chosen = {name for name, info in fields.items() if marked(info, "speed_only") == speed_only}
         return self.params.model_dump(mode="json", include=chosen)
 
 

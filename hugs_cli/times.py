@@ -29,6 +29,7 @@ STAGE_START = 2.5
 FINISHING, SETTLING = 100, 200  # steps that take as long as what follows the last one, and settling in it, at most
 KEPT, ASKED = 400, 5  # rows in the file, and the last ones of a stage that a guess is made from
 SHORT = 2.0  # s; shorter stages tell nothing
+LEAST = 250  # steps of a training that takes as long as the shortest one, with what it times and the least after it
 WORTH = 10.0  # s; of a shorter run it is not found out how busy the machine is
 OFF = {0: 2.0, 1: 1.6, 2: 1.4}
 """Earlier runs -> factor within which a guess is held to be; of more it is FEW."""

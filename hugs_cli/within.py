@@ -17,8 +17,7 @@ from hugs_cli.console import Console
 from hugs_cli.countdown import Countdown
 from hugs_cli.device import device_of
 from hugs_cli.pipelines import Stage, UsageError
-from hugs_cli.studies.calibration import LEAST
-from hugs_cli.times import STAGE_START
+from hugs_cli.times import LEAST, STAGE_START
 from hugs_cli.words import duration
 from stages.contract import load_stage
 

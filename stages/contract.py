@@ -31,7 +31,7 @@ def internal(default: Any, **limits: Any) -> Any:
 
 def listed(form: type[BaseModel]) -> dict[str, FieldInfo]:
     """The settings of a form that users give, by name."""
-    return {name: info for name, info in form.model_fields.items() if not _marked(info, "internal")}
+    return {name: info for name, info in form.model_fields.items() if not marked(info, "internal")}
 
 
 def speed_only(default: Any, **limits: Any) -> Any:
@@ -39,12 +39,8 @@ def speed_only(default: Any, **limits: Any) -> Any:
     return Field(default, json_schema_extra={"speed_only": True}, **limits)
 
 
-def changes_speed_only(setting: FieldInfo) -> bool:
-    """Whether a setting was declared with `speed_only`."""
-    return _marked(setting, "speed_only")
-
-
-def _marked(setting: FieldInfo, mark: str) -> bool:
+def marked(setting: FieldInfo, mark: str) -> bool:
+    """Whether a setting was declared with `internal`, or with `speed_only`."""
     return isinstance(setting.json_schema_extra, dict) and bool(setting.json_schema_extra.get(mark))
 
 

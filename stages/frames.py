@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
@@ -59,7 +59,6 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     """
     from stages.formats.facts import write_facts
     from stages.formats.film_times import FilmTimes, TimesFall
-    from stages.formats.frame_names import plain
     from stages.formats.told_focal import told_focal
 
     info, pace = described(params, video), params.folder_fps if video.is_dir() else 1.0
@@ -81,20 +80,14 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     frames, blurred = without_blurred(picker.kept)
     for frame in blurred:
         (folder / f"{frame['name']}.png").unlink()
-    check_usable(
-        info, len(frames), f"{decoded} decoded, {picker.copies} copies of the frame before, {len(blurred)} blurred"
-    )
+    if len(frames) < LEAST:
+        raise StageError(
+            f"{Path(info.path).name} has only {len(frames)} usable frames",
+            "film longer, with the phone or the person moving and the picture sharp",
+            [f"{decoded} decoded, {picker.copies} copies of the frame before, {len(blurred)} blurred"],
+        )
     facts = {
-        "video": {
-            "path": plain(Path(video).name),
-            "width": info.width,
-            "height": info.height,
-            "fps": round(info.fps, 3),
-            "frames": decoded,
-            "duration_s": round(info.duration_s, 4),
-            "rotation": info.rotation,
-            **({"mirrored": True} if info.mirrored else {}),
-        },
+        "video": film_facts(info, decoded),
         "width": width,
         "height": height,
         "frames": with_sources(frames, video),
@@ -106,7 +99,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
         },
     }
     if told := told_focal(video, width, height):
-        facts["focal"] = asdict(told)
+        facts["focal"] = told.model_dump()
     write_facts(job.out / "frames.json", facts)
     job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
     if video.is_dir() and pace == Params.model_fields["folder_fps"].default:
@@ -197,14 +190,13 @@ def check_decoded(job: Job, info: VideoInfo, decoded: int) -> None:
         )
 
 
-def check_usable(info: VideoInfo, count: int, fate: str) -> None:
-    """StageError if too few frames are left; `fate` says where the others went."""
-    if count < LEAST:
-        raise StageError(
-            f"{Path(info.path).name} has only {count} usable frames",
-            "film longer, with the phone or the person moving and the picture sharp",
-            [fate],
-        )
+def film_facts(info: VideoInfo, decoded: int) -> dict[str, Any]:
+    """What frames.json says of the film, of which so many frames were decoded."""
+    from stages.formats.frame_names import plain
+
+    numbers = {"fps": round(info.fps, 3), "frames": decoded, "duration_s": round(info.duration_s, 4)}
+    turned = {"rotation": info.rotation} | ({"mirrored": True} if info.mirrored else {})
+    return {"path": plain(Path(info.path).name), "width": info.width, "height": info.height} | numbers | turned
 
 
 def with_sources(frames: list[dict[str, Any]], video: Path) -> list[dict[str, Any]]:

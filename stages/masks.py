@@ -77,15 +77,16 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         from stages.estimators.person.given import import_masks
 
         details, masks = import_masks(job, Path(mask_files), listing, params.invert, params.person)
-        source = "imported"
     else:
-        source, details, masks = "blazepose", {}, segment(job, params, frames, names)
+        from stages.estimators.person.outline import coverage
+
+        details, masks = {}, segment(job, params, frames, names)
         job.note("outlines by BlazePose, a small network; `--masks DIR` takes better ones")
-    steps = len(names)
-    if params.outlines == "always" or (params.outlines == "auto" and source == "blazepose"):
+    given, steps = mask_files is not None, len(names)
+    if params.outlines == "always" or (params.outlines == "auto" and not given):
         masks, steps = outlined_by_scene(job, frames, names, masks), 2 * steps
-    if source == "blazepose":
-        masks = covered(masks)
+    if not given:
+        masks = ([coverage(one) for one in own] for own in masks)
     (job.out / "masks").mkdir(exist_ok=True)
     found: dict[str, FrameMask] = {}
     parts, shared, seen = [], [], []
@@ -104,21 +105,16 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
             shared += [name] if sum(int((one > 127).sum()) for one in each) > (1 + SHARED) * (mask > 127).sum() else []
         job.progress(steps - len(names) + i + 1, steps)
     nobody = [name for name, frame in found.items() if frame["coverage"] < PERSON_SHARE]
-    report(job, found, nobody, given=source == "imported")
-    if source == "imported" and (frames / "images").is_dir():
+    report(job, found, nobody, given, parts)
+    if given and (frames / "images").is_dir():
         check_motion(job, listing, frames)
+    counted = [sum(there) for there in zip(*seen, strict=True)]
     if params.person == EVERYBODY and not seen:
         job.note("--person all: one person is found, and followed as without it")
     if seen:
-        report_people(job, names, seen, shared)
-    if len(parts) > MANY * len(names):
-        job.warn(
-            f"the masks have a second large part in {len(parts)} of {len(names)} frames, first {parts[0]}: is it "
-            "somebody else? Masks with an id for each person (SAM 2, COCO) let one be picked with --person"
-        )
-    summary = {"source": source, **details, "no_person": nobody, "frames": found}
+        report_people(job, names, counted, shared)
+    summary = {"source": "imported" if given else "blazepose", **details, "no_person": nobody, "frames": found}
     if seen:
-        counted = [sum(there) for there in zip(*seen, strict=True)]
         summary["people"] = {str(k): {"frames": count} for k, count in enumerate(counted, 1)}
     write_facts(job.out / "masks.json", summary)
 
@@ -198,13 +194,6 @@ def outlined_by_scene(
         job.note("outlines stay as they are: no other frame shows what is behind them")
 
 
-def covered(masks: Iterator[list[np.ndarray]]) -> Iterator[list[np.ndarray]]:
-    """The `masks` of each frame, probabilities as `segment` yields them, as the share of each pixel that shows the person."""
-    from stages.estimators.person.outline import coverage
-
-    return ([coverage(one) for one in own] for own in masks)
-
-
 def outlined(pictures: Pictures, tracks: Sequence[Sequence[Pose | None]]) -> Iterator[list[np.ndarray]]:
     """Of each picture the masks uint8 [H,W] of all whose poses are in `tracks`, empty where they are not."""
     import numpy as np
@@ -231,9 +220,8 @@ class Pictures:
         return read_image(self.paths[i])
 
 
-def report_people(job: Job, names: list[str], seen: list[list[bool]], shared: list[str]) -> None:
+def report_people(job: Job, names: list[str], counts: list[int], shared: list[str]) -> None:
     """Note in how many frames each of several people is seen; warn where their masks claim the same pixels."""
-    counts = [sum(there) for there in zip(*seen, strict=True)]
     said = ", ".join(f"{k} in {count}" for k, count in enumerate(counts, 1))
     job.note(f"{len(counts)} people, each with masks of their own: person {said} of {len(names)} frames")
     if shared:
@@ -278,10 +266,10 @@ def cut_sides(mask: np.ndarray) -> list[str]:
     return [side for side, line in sides.items() if (line > 127).mean() > BORDER_SHARE]
 
 
-def report(job: Job, found: dict[str, FrameMask], nobody: list[str], given: bool) -> None:
+def report(job: Job, found: dict[str, FrameMask], nobody: list[str], given: bool, parts: list[str]) -> None:
     """Note how much of the pictures the person covers, and where they are missing or cut off; StageError if nowhere.
 
-    `given`: the masks are the user's.
+    `given`: the masks are the user's; `parts`: frames whose mask has a second large part.
     """
     count = len(found)
     if len(nobody) == count and given:
@@ -305,3 +293,8 @@ def report(job: Job, found: dict[str, FrameMask], nobody: list[str], given: bool
         if cut:
             say = job.warn if len(cut) > MANY * count else job.note
             say(f"the person is cut off at the {side} in {len(cut)} of {count} frames: {listed(cut)}")
+    if len(parts) > MANY * count:
+        job.warn(
+            f"the masks have a second large part in {len(parts)} of {count} frames, first {parts[0]}: is it "
+            "somebody else? Masks with an id for each person (SAM 2, COCO) let one be picked with --person"
+        )

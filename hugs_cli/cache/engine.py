@@ -92,7 +92,8 @@ def run(
             if stamp := verdict.stamp or rescued(session, verdict):
                 console.cached(name, stamp)
                 state = "cached"
-                if verdict.last and verdict.recipe and (back := other_settings(verdict.last, verdict.recipe)):
+                other = changes(verdict.last, verdict.recipe) if verdict.last and verdict.recipe else ()
+                if back := tuple(reason for reason in other if isinstance(reason, ParamChanged)):
                     console.below(f"linked again: {reasons_text(back)}")
             else:
                 if unchecked:
@@ -111,11 +112,6 @@ def run(
             page.end(done)
         session.code.save()
     return ran
-
-
-def other_settings(last: Stamp, recipe: Recipe) -> tuple[Reason, ...]:
-    """The settings in which a result that is there differs from the one that was linked last."""
-    return tuple(reason for reason in changes(last, recipe) if isinstance(reason, ParamChanged))
 
 
 def rescued(session: Session, verdict: Verdict) -> Stamp | None:

@@ -224,13 +224,13 @@ def flatten(node: Any, tokens: list[str]) -> None:
         tokens.append(")")
     elif isinstance(node, list):
         for item in node:
-            if not (isinstance(item, ast.Expr) and is_text(item.value)):
+            text = (
+                isinstance(item, ast.Expr)
+                and isinstance(item.value, ast.Constant)
+                and isinstance(item.value.value, str)
+            )
+            if not text:
                 flatten(item, tokens)
         tokens.append(";")
     else:
         tokens.append(repr(node))
-
-
-def is_text(node: ast.AST) -> bool:
-    """True for a plain string literal."""
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)

@@ -130,11 +130,6 @@ class Upstream:
 Reason = FirstRun | CodeChanged | ParamChanged | InputChanged | SeedChanged | Damaged | Forced | Unfinished | Upstream
 
 
-def is_code(reason: Reason) -> bool:
-    """Whether a reason is a change of code: a stage that no longer reads an input is one, too."""
-    return isinstance(reason, CodeChanged) or (isinstance(reason, InputChanged) and reason.how == UNREAD)
-
-
 @dataclass(frozen=True)
 class Verdict:
     """Is one stage fresh? `stamp` and `folder` of its result, or the reasons to run it."""
@@ -155,8 +150,9 @@ class Verdict:
 
     @property
     def only_code(self) -> bool:
-        """Whether a result is there of which nothing but code has changed."""
-        only = all(is_code(reason) or isinstance(reason, Unfinished) for reason in self.reasons)
+        """Whether a result is there of which nothing but code has changed: a stage that no longer reads an input is that, too."""
+        others = (one for one in self.reasons if not isinstance(one, CodeChanged | Unfinished))
+        only = all(isinstance(one, InputChanged) and one.how == UNREAD for one in others)
         return only and self.last is not None and not self.fresh
 
     @property

@@ -58,14 +58,9 @@ class Order:
     side_by_side: int
     profile: str | None
 
-    @property
-    def threads(self) -> int:
-        """Threads of each stage on this machine: as many as `hugs run` takes, so that results have the same bytes."""
-        return threads()
-
 
 def threads() -> int:
-    """Threads that `hugs run` takes here."""
+    """Threads of each stage on this machine: as many as `hugs run` takes, so that results have the same bytes."""
     told = os.environ.get("OMP_NUM_THREADS", "")
     return int(told) if told.isdigit() and int(told) else child.processors()
 
@@ -125,7 +120,7 @@ class Loop:
         command = [sys.executable, "-m", "hugs_cli.fleet.job", str(self.order.folder), row, step]
         with open(self.order.folder / LOGS / f"{row}.{step}.log", "ab") as log:
             return subprocess.Popen(
-                [*command, str(self.order.threads)],
+                [*command, str(threads())],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -158,7 +153,7 @@ class Snakemake:
             "most": most,
             "megabytes": {one.row.id: one.megabytes for one in order.todo},
             "steps": STEPS[order.split],
-            "threads": order.threads,
+            "threads": threads(),
             "minutes": max(MINUTES, round(max(one.seconds for one in order.todo) / 20)),
         }
         whole.replace(order.folder / "jobs.json", json.dumps(jobs))
@@ -166,7 +161,7 @@ class Snakemake:
                    str(order.folder), "--nolock", "--rerun-incomplete", "--drop-metadata", "--rerun-triggers", "mtime",
                    "--keep-going", "--profile", profile_folder(order.profile)]  # fmt: skip
         if local:
-            slots = order.side_by_side * order.threads  # a clip counts as its threads
+            slots = order.side_by_side * threads()  # a clip counts as its threads
             command += ["--cores", str(slots), *(["--resources", f"mem_mb={most}"] if most else [])]
         elif order.side_by_side:
             command += ["--jobs", str(order.side_by_side)]

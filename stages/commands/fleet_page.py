@@ -33,12 +33,13 @@ def run(
     from stages.formats import page
 
     _draw(job.out, rows, SHARE if live else float("inf"))
+    states = [(state, WORDS.get(state, state), totals["states"][state]) for state in _sorted(totals["states"])]
     text = page.fill(
         "fleet.html",
-        title=f"{name}: {_states(totals['states'])}",
+        title=f"{name}: {', '.join(f'{count} {shown}' for _, shown, count in states)}",
         name=name,
         rows=[_shown(job.out, row) for row in rows],
-        states=[(state, WORDS.get(state, state), totals["states"][state]) for state in _sorted(totals["states"])],
+        states=states,
         failures=totals["failures"],
         hours=[("machine time in these results", _time(totals["machine_seconds"])),
                ("machine time of this call", _time(totals["spent_seconds"])),
@@ -53,10 +54,6 @@ def run(
 
 def _sorted(states: Mapping[str, int]) -> list[str]:
     return [state for state in ORDER if state in states]
-
-
-def _states(states: Mapping[str, int]) -> str:
-    return ", ".join(f"{states[state]} {WORDS.get(state, state)}" for state in _sorted(states))
 
 
 def _small(row: Mapping[str, Any]) -> str:

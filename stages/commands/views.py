@@ -14,6 +14,7 @@ from stages.filming.spec import Axes
 if TYPE_CHECKING:
     import numpy as np
 
+    from stages.avatar.drawing.cast import Cast
     from stages.avatar.rasterize import Camera
 
     Pose = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -54,7 +55,6 @@ def run(
 
     from stages.avatar.drawing.avatar import PosedAvatar, load_avatar
     from stages.avatar.drawing.cast import Cast
-    from stages.avatar.drawing.pixels import to_uint8
     from stages.avatar.drawing.turntable import around, standing
     from stages.avatar.effects.frames import load_effects
     from stages.avatar.model.scene import load_scene
@@ -63,8 +63,7 @@ def run(
     from stages.formats.body_model import read_body_model
     from stages.formats.exchange.read import lacks, read_given
     from stages.formats.ground import read_ground
-    from stages.formats.images import write_image
-    from stages.formats.trained import check_scene, read_trained_poses
+    from stages.formats.trained import check_scene
 
     only = params.only
     given, room, effects = read_given(train, avatar, scene, params.who)
@@ -83,22 +82,27 @@ def run(
         views = {f"{i:03d}": view for i, view in enumerate(seen)}
     else:
         views = _views(cameras)
-    if poses is None:
-        known = {} if train is None else read_trained_poses(train, params.who)
-        middle = list(known.values())[len(known) // 2] if known else standing()
-        chosen = [known.get(name, middle) for name in views]
-    else:
-        chosen = _one_each(poses, len(views), cameras)
+    chosen = _usual(list(views), train, params.who) if poses is None else _one_each(poses, len(views), cameras)
     people = [] if only == "scene" else [PosedAvatar.of(baked, *(np.stack(part) for part in zip(*chosen, strict=True)))]
     behind = None if room is None or only == "human" else load_scene(room, job.device)
     cast = Cast(people, behind, load_effects(effects).to(job.device))
+    _draw(job, cast, views)
+    job.note(f"{len(views)} picture{'' if len(views) == 1 else 's'} of {only}")
+
+
+def _draw(job: Job, cast: Cast, views: dict[str, Camera]) -> None:
+    """Write a picture of each view, with alpha."""
+    import numpy as np
+
+    from stages.avatar.drawing.pixels import to_uint8
+    from stages.formats.images import write_image
+
     job.out.mkdir(parents=True, exist_ok=True)
     for number, (name, view) in enumerate(views.items()):
         image, alpha = cast.at(number).picture(view)
         color = image / np.maximum(alpha, 1 / 255)[..., None]
         with job.writes(job.out / f"{name}.png") as picture:
             write_image(picture, to_uint8(np.concatenate([color, alpha[..., None]], 2)))
-    job.note(f"{len(views)} picture{'' if len(views) == 1 else 's'} of {only}")
 
 
 def _views(cameras: Path) -> dict[str, Camera]:
@@ -109,6 +113,20 @@ def _views(cameras: Path) -> dict[str, Camera]:
     path = read_cameras(cameras)
     each = zip(path.names, path.viewmats, path.Ks, strict=True)
     return {name: Camera.of(viewmat, K, path.width, path.height) for name, viewmat, K in each}
+
+
+def _usual(names: list[str], train: Path | None, who: int) -> list[Pose]:
+    """Of cameras named as frames of a clip those frames' poses, of others the middle frame's; without a clip a relaxed one."""
+    from stages.avatar.drawing.turntable import standing
+    from stages.formats.poses import read_poses
+    from stages.formats.trained import trained_of
+
+    if train is None:
+        return [standing()] * len(names)
+    body = read_poses(trained_of(train, who) / "body.npz")
+    known = dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
+    middle = list(known.values())[len(known) // 2]
+    return [known.get(name, middle) for name in names]
 
 
 def _one_each(poses: Path, count: int, cameras: Path | None) -> list[Pose]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 
+from stages.formats.facts import Told
 from stages.formats.pictures import picture_files
 from stages.formats.video import open_video
 
@@ -26,16 +26,7 @@ MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """EXIF's units of FocalPlaneXResolution in mm."""
 
 
-@dataclass(frozen=True)
-class ToldFocal:
-    """What a file tells: focal length as a share of the picture's longer side, its spread (of the logarithm), and where."""
-
-    share: float
-    spread: float
-    words: str
-
-
-def told_focal(path: Path, width: int, height: int) -> ToldFocal | None:
+def told_focal(path: Path, width: int, height: int) -> Told | None:
     """The focal length that a video, or every picture of a folder, tells; None without one, or if pictures differ.
 
     `width` and `height` are the picture's, in any unit.
@@ -46,7 +37,7 @@ def told_focal(path: Path, width: int, height: int) -> ToldFocal | None:
         some = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, LOOKED_AT).round().astype(int))]
         told = {_of_picture(file, to_share) for file in some}
         share, what = told.pop() or (0.0, "")
-        return ToldFocal(share, PICTURE_SPREAD, f"EXIF, {what}") if share and not told else None
+        return Told(share=share, spread=PICTURE_SPREAD, words=f"EXIF, {what}") if share and not told else None
     container, stream = open_video(path)
     with container:
         tags = {**container.metadata, **stream.metadata}
@@ -54,7 +45,8 @@ def told_focal(path: Path, width: int, height: int) -> ToldFocal | None:
         with suppress(KeyError, ValueError):
             mm = float(tags[key])
             if SANE_MM[0] <= mm <= SANE_MM[1]:
-                return ToldFocal(mm * to_share, VIDEO_SPREAD, f"QuickTime, {mm:g} mm equivalent")
+                words = f"QuickTime, {mm:g} mm equivalent"
+                return Told(share=mm * to_share, spread=VIDEO_SPREAD, words=words)
     return None
 
 

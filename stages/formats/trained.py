@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from stages.contract import StageError
 from stages.formats.effects import read_effects
 from stages.formats.people import PEOPLE, folder_of
-from stages.formats.poses import read_poses
 from stages.formats.splats import read_avatar, read_scene
 from stages.records import Avatar, Effects, Scene
 
@@ -28,12 +25,6 @@ def read_trained(train: Path, who: int = 1) -> tuple[Avatar, Scene | None, Effec
     """The avatar of one of the people, the scene, or None where only people were trained, and the effects."""
     scene = read_scene(train / "scene.npz") if (train / "scene.npz").exists() else None
     return read_avatar(trained_of(train, who) / "avatar.npz"), scene, read_effects(train / "effects.npz")
-
-
-def read_trained_poses(train: Path, who: int = 1) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of one of the people, by frame name: global_orient [3] and body_pose [69] in rad, transl [3] in m."""
-    body = read_poses(trained_of(train, who) / "body.npz")
-    return dict(zip(body.names, zip(body.global_orient, body.body_pose, body.transl, strict=True), strict=True))
 
 
 def check_scene(train: Path) -> None:

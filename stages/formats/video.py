@@ -235,35 +235,24 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int =
 
     An odd width or height gets its last column or row repeated. Raises ValueError without frames or with mixed sizes.
     """
-    with whole(Path(path)) as part:
-        encode(part, frames, fps, crf)
+    options = {"crf": str(crf), "preset": "fast", "x264-params": REPEATABLE}
+    with whole(Path(path)) as part, av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"}) as film:
+        _encode(film, _alike(frames, 3), fps, ("libx264", "rgb24", "yuv420p"), options)
 
 
 def write_alpha_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     """Write uint8 [H,W,4] frames, alpha not multiplied into colour, as ProRes 4444 in MOV, which editors read."""
-    with whole(Path(path)) as part:
-        encode_alpha(part, frames, fps)
+    options = {"profile": "4444", "alpha_bits": "16", "vendor": "apl0"}
+    with whole(Path(path)) as part, av.open(str(part), "w", format="mov") as film:
+        _encode(film, _alike(frames, 4), fps, ("prores_ks", "rgba", "yuva444p10le"), options)
 
 
 def join_videos(path: Path, parts: Sequence[Path], fps: float) -> None:
     """Write films of one coding, size and rate, one after the other, as one, without coding anything again."""
     kind = "mov" if Path(path).suffix.lower() == ".mov" else "mp4"
-    with whole(Path(path)) as part:
-        _joined(part, parts, fps, kind)
-
-
-def encode(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int) -> None:
-    """Encode frames into a file, see `write_video`."""
-    options = {"crf": str(crf), "preset": "fast", "x264-params": REPEATABLE}
-    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-        _encode(container, _alike(frames, 3), fps, ("libx264", "rgb24", "yuv420p"), options)
-
-
-def encode_alpha(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Encode frames into a file, see `write_alpha_video`."""
-    options = {"profile": "4444", "alpha_bits": "16", "vendor": "apl0"}
-    with av.open(str(path), "w", format="mov") as container:
-        _encode(container, _alike(frames, 4), fps, ("prores_ks", "rgba", "yuva444p10le"), options)
+    options = {"movflags": "+faststart"} if kind == "mp4" else {}
+    with whole(Path(path)) as part, av.open(str(part), "w", format=kind, options=options) as out:
+        _join(out, parts, fps)
 
 
 def _encode(
@@ -308,19 +297,18 @@ def _stream(container: av.container.OutputContainer, codec: str, frame: np.ndarr
     return stream
 
 
-def _joined(path: Path, parts: Sequence[Path], fps: float, kind: str) -> None:
-    with av.open(str(path), "w", format=kind, options={"movflags": "+faststart"} if kind == "mp4" else {}) as out:
-        stream: Any = None
-        begin = Fraction(0)  # s
-        for part in parts:
-            with av.open(str(part)) as film:
-                own: Any = film.streams.video[0]
-                stream = stream or out.add_stream_from_template(own)
-                shift, count = round(begin / own.time_base), 0
-                for packet in film.demux(own):
-                    if packet.dts is None or packet.pts is None:  # the end
-                        continue
-                    packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
-                    packet.stream, count = stream, count + 1
-                    out.mux(packet)
-                begin += count / Fraction(fps).limit_denominator(1001)
+def _join(out: av.container.OutputContainer, parts: Sequence[Path], fps: float) -> None:
+    stream: Any = None
+    begin = Fraction(0)  # s
+    for part in parts:
+        with av.open(str(part)) as film:
+            own: Any = film.streams.video[0]
+            stream = stream or out.add_stream_from_template(own)
+            shift, count = round(begin / own.time_base), 0
+            for packet in film.demux(own):
+                if packet.dts is None or packet.pts is None:  # the end
+                    continue
+                packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
+                packet.stream, count = stream, count + 1
+                out.mux(packet)
+            begin += count / Fraction(fps).limit_denominator(1001)

@@ -29,9 +29,3 @@ def whole_clip(video: Path) -> Listing | None:
     frames = tuple(Frame(name=f"{i:06d}", index=i, time_s=0.0, source=name) for i, name in enumerate(names))
     film = Video(path=plain(video.name), frames=total)
     return Listing(width=info.width, height=info.height, video=film, frames=frames)
-
-
-def possible_counts(clip: Listing) -> range:
-    """How many frames of such a clip may decode."""
-    total = clip.video.frames
-    return range(round(DECODED_SHARE * total), total + 1)

@@ -13,13 +13,10 @@ from stages.avatar.rasterize.rendering import NEAR, Camera, Gaussians, Layer, Re
 __all__ = ["Camera", "Gaussians", "Layer", "Rendering", "gaussian_axes", "rasterize"]
 
 
-def _fast(like: Tensor) -> bool:
-    return like.dtype == torch.float32 and like.device.type == "cpu"
-
-
 def gaussian_axes(quats: Tensor, scales: Tensor) -> Tensor:
     """Scaled axes [N,3,3] (columns) of Gaussians with rotations quats[N,4] (w x y z, any length) and scales[N,3] m."""
-    return (cpu if _fast(quats) else reference).gaussian_axes(quats, scales)
+    fast = quats.dtype == torch.float32 and quats.device.type == "cpu"
+    return (cpu if fast else reference).gaussian_axes(quats, scales)
 
 
 def rasterize(

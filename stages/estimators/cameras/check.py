@@ -52,11 +52,8 @@ WAYS = (
     *(Way("if the frames were enlarged cuts of their pictures", scale=(size, size)) for size in (1.1, 1.25)),
     *(Way("if their pictures were enlarged cuts of the frames", scale=(size, size)) for size in (0.9, 0.8)),
     *(
-        Way(f"if each were of the frame {count} before (`--set sfm.cameras_from=0` or `=1`)", count)
-        for count in (1, 2, 3)
-    ),
-    *(
-        Way(f"if each were of the frame {count} after (`--set sfm.cameras_from=0` or `=1`)", -count)
+        Way(f"if each were of the frame {count} {where} (`--set sfm.cameras_from=0` or `=1`)", sign * count)
+        for where, sign in (("before", 1), ("after", -1))
         for count in (1, 2, 3)
     ),
 )

@@ -50,11 +50,6 @@ class CameraMotion:
     nearly_turns: bool = False
 
 
-def pair_displacements(pairs: list[Pair]) -> np.ndarray:
-    """Median displacement of the matches of each pair, in px [P]."""
-    return np.array([np.median(np.linalg.norm(pair.a - pair.b, axis=1)) for pair in pairs])
-
-
 def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None = None) -> CameraMotion:
     """Name the camera's motion from `pairs` at growing gaps in time; `known` is the focal length in px, if it is.
 
@@ -62,7 +57,7 @@ def judge_motion(pairs: list[Pair], width: int, height: int, known: float | None
     length, one lens and one rotation a pair explain the farthest pairs to ROTATION_PX and ROTATION_SHARE.
     """
     side = max(width, height)
-    moved = pair_displacements(pairs)
+    moved = np.array([np.median(np.linalg.norm(pair.a - pair.b, axis=1)) for pair in pairs])
     gaps = np.array([pair.second - pair.first for pair in pairs])
     by_gap = [np.median(moved[gaps == gap]) for gap in np.unique(gaps)]
     if max(by_gap) < STATIC_PX * side:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stages.avatar.cameras.pinhole import project
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
-    from stages.formats.clip import Clip
+from stages.formats.clip import Clip
 
 RATIO = 1.6  # of the largest and smallest scale at which the median point is seen
 LEAST = 5  # frames that must see a point

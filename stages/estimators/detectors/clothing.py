@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -11,10 +10,8 @@ import torch
 from stages.avatar.body.hull import Sight, Skin, carve, space_around
 from stages.avatar.body.smpl import Body, vertex_normals
 from stages.avatar.model.person import bone_transforms
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 OFF = 0.005  # a ponytail has 0.02 of the body's volume, a bag 0.1, a skirt or a coat 1; jeans and errors of our fit 0
 OUTSIDE = 0.01  # of the body's area: a mask that hardly leaves the body in any frame shows nothing off it

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +12,7 @@ from stages.estimators.bodyfit.posed import posed_bodies
 from stages.estimators.detectors.bundle import BundleResiduals, adjust_bundle
 from stages.estimators.detectors.light import frame_gains
 from stages.estimators.detectors.tracks import Tracks, follow
-
-if TYPE_CHECKING:
-    from stages.formats.clip import Clip
+from stages.formats.clip import Clip
 from stages.formats.facts import Sfm
 
 FRAMES = 30  # enough for a median or a share; detectors that look at pictures take this many

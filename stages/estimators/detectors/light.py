@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
 from stages.avatar.cameras.pinhole import project
 from stages.estimators.detectors.pictures import brightness, soften
-
-if TYPE_CHECKING:
-    from stages.formats.clip import Clip
+from stages.formats.clip import Clip
 
 MIN_SAMPLES = 30  # points that must be seen in a frame before its exposure is believed
 

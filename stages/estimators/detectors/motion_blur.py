@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import background_mask, sample
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 BLUR_PX = 0.9  # as measured: about half the length of a box blur, since edges are soft already
 SHARE = 0.2  # of the frames that must be blurred by as much

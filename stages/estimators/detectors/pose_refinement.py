@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 GAP = 0.001  # true poses: 0.0000; a fit of ours to true masks, 4 cm off along the view: 0.003; clothes: 0.07
 UNIT = "of body and mask more than a pixel apart"

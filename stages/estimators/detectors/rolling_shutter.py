@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 SHIFT_PX = 0.5  # of the first and last row against the middle one
 SIGMAS = 3.0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 import torch
@@ -12,11 +10,9 @@ from stages.avatar.body.smpl import vertex_normals
 from stages.avatar.cameras.pinhole import camera_centers, project
 from stages.avatar.kernels.mesh import NEAR, fill
 from stages.avatar.splats.sh import sh_basis
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import brightness, sample
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 CHANGE = 0.06  # of the light on a place, standard deviation over frames
 LIKENESS = 0.4  # least correlation of the light that half of the frames tell with the brightness in the others

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from stages.avatar.body.joints import ANKLES, HEAD
 from stages.avatar.cameras.pinhole import project
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import background_mask, brightness, sample
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 DARKNESS = 0.08  # share of the light that is taken
 LIKENESS = 0.15  # least correlation of predicted shadow and measured darkness

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -11,9 +10,7 @@ import numpy as np
 from stages.avatar.cameras.pinhole import camera_centers
 from stages.estimators.corners import Choice
 from stages.estimators.corners import follow as follow_corners
-
-if TYPE_CHECKING:
-    from stages.formats.clip import Clip
+from stages.formats.clip import Clip
 
 SIDE = 640  # px of the longer side; larger frames are followed at this size
 ALIVE = 500  # points followed at a time

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import background_mask
 from stages.estimators.detectors.tracks import SIDE
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 AREA = 0.005  # of the picture
 SHARE = 0.1  # of the frames in which as much must be unexplained

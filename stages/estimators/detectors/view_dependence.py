@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from stages.estimators.detectors.evidence import ClipEvidence
 from stages.estimators.detectors.finding import Finding, compare, strongest_frames, unmeasured
 from stages.estimators.detectors.pictures import brightness, sample
 from stages.estimators.detectors.tracks import bearings
-
-if TYPE_CHECKING:
-    from stages.estimators.detectors.evidence import ClipEvidence
 
 CHANGE = 6.0  # of 255: standard deviation over views
 LIKENESS = 0.7  # least correlation of brightness and angle

@@ -18,7 +18,7 @@ from stages.formats.given_masks.objects import Object, objects_of, pick
 from stages.formats.given_masks.recognize import read_mask_files
 from stages.formats.images import same_shape
 from stages.formats.people import EVERYBODY
-from stages.formats.whole_clip import possible_counts
+from stages.formats.whole_clip import DECODED_SHARE
 
 
 def import_masks(
@@ -44,7 +44,7 @@ def import_masks(
             [f"{len(chosen)} objects: {', '.join(one.id for one in chosen)}"],
         )
     inverted = len(chosen) == 1 and polarity(job, chosen[0], invert)
-    encodings = chosen[0].masks.encodings()
+    encodings = {str(levels): levels.files for levels in chosen[0].levels.values()}
     job.note(f"{given.kind}: " + "; ".join(f"{words} ({count} files)" for words, count in encodings.items()))
     details = {
         "folder": plain(path.name),
@@ -62,7 +62,9 @@ def import_masks(
 def check_masks(path: Path, clip: Listing) -> None:
     """StageError for files that are no masks, or not of a clip of which any frames may be picked (see `whole_clip`): too
     many or too few, none with a frame's name, or the first of another shape."""
-    given, joined = joined_masks(path, clip, possible_counts(clip), lambda doubt: None)
+    total = clip.video.frames
+    may_decode = range(round(DECODED_SHARE * total), total + 1)
+    given, joined = joined_masks(path, clip, may_decode, lambda doubt: None)
     if not joined:
         raise lacking(given, joined, clip)
     name, row = next(iter(joined.items()))
@@ -106,11 +108,8 @@ def report_objects(job: Job, objects: list[Object], chosen: list[Object]) -> Non
 
 def polarity(job: Job, person: Object, invert: Literal["auto", "always", "never"]) -> bool:
     """Whether the masks mark the background instead of the person; a note gives the numbers."""
-    shares = [
-        (float((mask > 127).mean()), border_share(mask))
-        for i in person.masks.keys
-        if (mask := person.read(i)) is not None
-    ]
+    masks = (mask for i in person.levels if (mask := person.read(i)) is not None)
+    shares = [(float((mask > 127).mean()), border_share(mask)) for mask in masks]
     area, border = (sum(part) / len(shares) for part in zip(*shares))
     inverted = invert == "always" or (invert == "auto" and area > 0.5 and border > 0.5)
     marked = f"marked: {area:.0%} of the picture, {border:.0%} of its border"

@@ -12,15 +12,12 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from stages.estimators.person.blazepose import Images
 from stages.estimators.person.scene_motion import HIDDEN, SceneMotion, disk
-
-if TYPE_CHECKING:
-    from stages.estimators.person.blazepose import Images
 
 GAPS = (2, 4, 7, 11, 16, 22, 28)  # frames before and after that a frame is compared with
 GONE = 5  # frames after somebody is seen, and before: in an empty mask within them they are rather missed than gone

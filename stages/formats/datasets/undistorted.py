@@ -59,7 +59,8 @@ def write_undistorted(
             for mask in each:
                 person = cv2.remap(read_mask(masks / mask), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
                 write_mask(out / mask, person)
-        return _moved(seen[name], grid) if seen else None
+        there = seen[name] if seen else None
+        return there if there is None or grid is None else replace(there, xy=pinhole_points(there.xy, grid))
 
     landmarks = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -68,10 +69,6 @@ def write_undistorted(
             yield done
     if seen:
         write_landmarks(out / LANDMARKS, names, landmarks)
-
-
-def _moved(seen: SeenLandmarks | None, grid: Grid | None) -> SeenLandmarks | None:
-    return seen if seen is None or grid is None else replace(seen, xy=pinhole_points(seen.xy, grid))
 
 
 def pinhole_points(points: np.ndarray, grid: Grid) -> np.ndarray:

@@ -64,17 +64,15 @@ class SmplFit:
 
     def rows(self, rows: Sequence[int]) -> SmplFit:
         """The same fit with only these rows."""
-        return replace(self, **{name: _taken(values, rows) for name, values in _per_row(self).items()})
+        each = _per_row(self).items()
+        taken = {n: v[list(rows)] if isinstance(v, np.ndarray) else tuple(v[i] for i in rows) for n, v in each}
+        return replace(self, **taken)
 
 
 def _per_row(fit: SmplFit) -> dict[str, Any]:
     """What a fit has for each row."""
     every = {field.name: getattr(fit, field.name) for field in fields(SmplFit) if field.name not in _SHARED}
     return {name: values for name, values in every.items() if values is not None}
-
-
-def _taken(values: Any, rows: Sequence[int]) -> Any:
-    return values[list(rows)] if isinstance(values, np.ndarray) else tuple(values[i] for i in rows)
 
 
 def join_fits(fits: Sequence[SmplFit], path: str) -> SmplFit:

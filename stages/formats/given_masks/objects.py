@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from stages.contract import StageError
-from stages.formats.given_masks.mask_set import MaskSet
-from stages.formats.given_masks.values import ForeignMasks
+from stages.formats.given_masks.mask_set import MaskSet, Values
+from stages.formats.given_masks.values import Levels, levels_of
 
 TOUCHING = 0.8
 """Share of the pictures with both from which two labels that touch are parts of one person."""
@@ -23,7 +23,9 @@ class Object:
     id: str
     pictures: int
     share: float
-    masks: ForeignMasks
+    levels: dict[int, Levels]
+    """What the values of its masks mean, by their rows."""
+    values_of: Callable[[int], Values | None]
     labels: frozenset[int] = frozenset()
     """The labels that are its parts, in label masks."""
 
@@ -33,7 +35,8 @@ class Object:
 
     def read(self, row: int) -> np.ndarray | None:
         """Its mask in a row of those given, uint8 [H,W], 255 = marked; None where there is none of it."""
-        return self.masks.read(row, self.labels) if row in self.masks.keys else None
+        found = self.values_of(row) if row in self.levels else None
+        return None if found is None else self.levels[row].marked(found[0], self.labels)
 
 
 def pick(objects: Sequence[Object], person: str | int | None) -> Object:
@@ -65,12 +68,14 @@ def objects_of(given: MaskSet, rows: Sequence[int]) -> list[Object]:
     """
     found = []
     for name in given.objects:
-        masks = ForeignMasks(rows, partial(given.read, name))
+        values_of = partial(given.read, name)
+        whole = Object(name, len(rows), 0.0, levels_of(rows, values_of), values_of)
         if name == "":
-            found += labeled_objects(masks) or [Object("", len(rows), 0.0, masks)]
-        elif masks.keys:
-            shares = [share for i in masks.keys if (share := float((masks.read(i) > 127).mean()))]
-            found.append(Object(name, len(shares), sum(shares) / max(len(shares), 1), masks))
+            found += labeled_objects(whole) or [whole]
+        elif whole.levels:
+            masks = (mask for i in whole.levels if (mask := whole.read(i)) is not None)
+            shares = [share for mask in masks if (share := float((mask > 127).mean()))]
+            found.append(replace(whole, pictures=len(shares), share=sum(shares) / max(len(shares), 1)))
     found = [one for one in found if one.pictures]
     if not found:
         facts = [f"{len(given.objects)} objects"]
@@ -78,10 +83,10 @@ def objects_of(given: MaskSet, rows: Sequence[int]) -> list[Object]:
     return sorted(found, key=lambda one: (-one.pictures * one.share, one.id))
 
 
-def labeled_objects(masks: ForeignMasks) -> list[Object]:
+def labeled_objects(whole: Object) -> list[Object]:
     """The objects in label masks; labels that touch nearly always are parts of one, like the clothes of a person."""
     objects = []
-    for levels in masks.kinds.values():
+    for levels in {id(one): one for one in whole.levels.values()}.values():
         if levels.few is None or not levels.labels or len(levels.few) <= 2:
             continue
         labels = [int(label) for label in levels.few if label != levels.background]
@@ -93,5 +98,6 @@ def labeled_objects(masks: ForeignMasks) -> list[Object]:
             parts = [label for label in labels if group[label] == first]
             pictures = max(len(levels.areas[label]) for label in parts)
             share = sum(sum(levels.areas[label]) for label in parts) / pictures
-            objects.append(Object(str(first), pictures, share, masks, frozenset(parts)))
+            labels_of = frozenset(parts)
+            objects.append(replace(whole, id=str(first), pictures=pictures, share=share, labels=labels_of))
     return objects

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from stages.formats.frame_names import ENDINGS
 from stages.formats.images import read_pixels
 from stages.formats.pictures import natural_order
 
+K = TypeVar("K")
 LABELS = 32
 """Labels of one clip at most; pictures with more colours than this are no masks."""
 UNMARKED = 127
@@ -187,31 +188,17 @@ def neighbours(values: np.ndarray) -> set[tuple[int, int]]:
     return found
 
 
-class ForeignMasks:
-    """Masks of another program: what their values mean is decided over all files of a kind, then each can be read.
+def levels_of(keys: Iterable[K], values_of: Callable[[K], tuple[np.ndarray, str] | None]) -> dict[K, Levels]:
+    """Of each mask of another program what its values mean, which is decided over all masks of a kind.
 
     Few integers up to `UNMARKED`, a few integers of 16 bits and more, colours, and any two values, are labels (the lowest is
     background). Floats below 0 are logits: the person is above 0. Other values are soft masks over the range of their
-    type (floats: 0..1, or 0..255 if any is above 1). `values_of` reads the values of a key; keys that have none are left
-    out of `keys`.
+    type (floats: 0..1, or 0..255 if any is above 1). `values_of` reads the values of a key; keys that have none are left out.
     """
-
-    def __init__(self, keys: Iterable[Any], values_of: Callable[[Any], tuple[np.ndarray, str] | None] = read_values):
-        self.values_of, self.keys = values_of, dict[Any, Levels]()
-        self.kinds: dict[str, Levels] = {}
-        for key in keys:
-            if (found := values_of(key)) is not None:
-                values, kind = found
-                levels = self.kinds.setdefault(kind, Levels(kind, values.dtype, values[:0, 0]))
-                levels.add(values)
-                self.keys[key] = levels
-
-    def read(self, key: Hashable, labels: frozenset[int] = frozenset()) -> np.ndarray:
-        """The mask as uint8 [H,W], 255 = marked; of label masks only `labels`, or all but the background."""
-        found = self.values_of(key)
-        assert found, "of those in `keys`"
-        return self.keys[key].marked(found[0], labels)
-
-    def encodings(self) -> dict[str, int]:
-        """Encoding in words -> number of files."""
-        return {str(levels): levels.files for levels in self.kinds.values()}
+    found, kinds = dict[K, Levels](), dict[str, Levels]()
+    for key in keys:
+        if read := values_of(key):
+            values, kind = read
+            found[key] = kinds.setdefault(kind, Levels(kind, values.dtype, values[:0, 0]))
+            found[key].add(values)
+    return found

@@ -102,7 +102,9 @@ class Fit:
             self.densifier.settle(self.progress, self.adam["scene"], self._inpaint)
         self.clock.lap("growth")
         self.frame = self._next_frame()
-        self._set_rates()
+        for optimizer in self.adam.values():
+            for one in optimizer.param_groups:
+                one["lr"] = one["base"] * rate(one["name"], self.progress.done)
         views = self.small if self.progress.done < self.half_until else self.full
         numbers = self._learn(self.frame, views)
         self.progress.step += 1
@@ -118,11 +120,6 @@ class Fit:
             self.order = torch.randperm(len(self.train), generator=self.generator)
         frame, self.order = self.train[int(self.order[0])], self.order[1:]
         return frame
-
-    def _set_rates(self) -> None:
-        for optimizer in self.adam.values():
-            for group in optimizer.param_groups:
-                group["lr"] = group["base"] * rate(group["name"], self.progress.done)
 
     def _learn(self, frame: int, views: Views) -> dict[str, float]:
         shot = self._draw(frame, views)

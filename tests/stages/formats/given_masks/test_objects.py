@@ -6,9 +6,9 @@ import pytest
 
 from stages.contract import StageError
 from stages.formats.given_masks.objects import Object, pick
-from stages.formats.given_masks.values import ForeignMasks
 
-OBJECTS = [Object(name, 10, 0.1, ForeignMasks(())) for name in ("10", "010", "008", "2", "²", "no", "1:30", "000")]
+NAMES = ("10", "010", "008", "2", "²", "no", "1:30", "000")
+OBJECTS = [Object(name, 10, 0.1, {}, lambda row: None) for name in NAMES]
 
 
 @pytest.mark.parametrize("name", ["10", "010", "008", "2", "²", "no", "1:30"])

@@ -9,7 +9,7 @@ from stages.formats.frame_names import number, stem
 from stages.formats.given_masks import values as values_module
 from stages.formats.given_masks.mask_set import MaskSet
 from stages.formats.given_masks.objects import is_number, objects_of
-from stages.formats.given_masks.values import ForeignMasks, Levels, mask_files
+from stages.formats.given_masks.values import Levels, levels_of, mask_files, read_values
 from stages.formats.images import write_image
 
 
@@ -57,6 +57,12 @@ def encoded(kind, folder):
     return path
 
 
+def read_all(*paths):
+    """The masks of files that belong together, uint8 [H,W]."""
+    levels = levels_of(paths, read_values)
+    return [levels[path].marked(read_values(path)[0]) for path in paths]
+
+
 KINDS = [
     *("0/1", "0/255", "0/128", "16 bit", "labels 0..3", "jpeg", "rgba cut-out", "rgba without alpha", "palette colour"),
     *("npy bool", "npy float 0..1", "npy float 0..255", "npy int64 [1,H,W]"),
@@ -66,18 +72,17 @@ KINDS = [
 @pytest.mark.parametrize("kind", KINDS)
 def test_g15_k05_every_encoding_gives_the_same_mask(tmp_path, kind):
     path = encoded(kind, tmp_path)
-    given = ForeignMasks([path])
-    mask = given.read(path)
+    (mask,) = read_all(path)
     assert mask.dtype == np.uint8 and np.array_equal(mask > 127, disc())
-    assert sum(given.encodings().values()) == 1
+    assert levels_of([path], read_values)[path].files == 1
 
 
 def test_soft_masks_stay_soft(tmp_path):
     ramp = np.tile(np.arange(256, dtype=np.uint8), (10, 1))
     write_raw(tmp_path / "m.png", ramp[..., None])
-    assert np.array_equal(ForeignMasks([tmp_path / "m.png"]).read(tmp_path / "m.png"), ramp)
+    assert np.array_equal(*read_all(tmp_path / "m.png"), ramp)
     np.save(tmp_path / "m.npy", ramp / 255)
-    assert np.array_equal(ForeignMasks([tmp_path / "m.npy"]).read(tmp_path / "m.npy"), ramp)
+    assert np.array_equal(*read_all(tmp_path / "m.npy"), ramp)
 
 
 @pytest.mark.parametrize("ids", [(1, 2), (3, 40), (7, 104)])
@@ -94,16 +99,15 @@ def test_what_a_value_means_is_decided_over_all_files(tmp_path):
     noise = np.random.default_rng(0).integers(0, 9, (60, 80, 1), dtype=np.uint8)
     write_raw(tmp_path / "a.png", noise)
     write_raw(tmp_path / "b.png", noise + disc()[..., None].astype(np.uint8) * 240)
-    given = ForeignMasks([tmp_path / "a.png", tmp_path / "b.png"])
-    assert given.read(tmp_path / "a.png").max() < 16
-    assert np.array_equal(given.read(tmp_path / "b.png") > 127, disc())
+    faint, shown = read_all(tmp_path / "a.png", tmp_path / "b.png")
+    assert faint.max() < 16 and np.array_equal(shown > 127, disc())
 
 
 def test_g15_all_marked_and_none_marked(tmp_path):
     for name, value in (("a", 1), ("b", 0)):
         write_raw(tmp_path / f"{name}.png", np.full((8, 8, 1), value, np.uint8))
-    given = ForeignMasks([tmp_path / "a.png", tmp_path / "b.png"])
-    assert given.read(tmp_path / "a.png").min() == 255 and given.read(tmp_path / "b.png").max() == 0
+    full, none = read_all(tmp_path / "a.png", tmp_path / "b.png")
+    assert full.min() == 255 and none.max() == 0
 
 
 def test_k02_k06_bad_arrays_are_refused(tmp_path):
@@ -116,7 +120,7 @@ def test_k02_k06_bad_arrays_are_refused(tmp_path):
     for name, (array, message) in bad.items():
         np.save(tmp_path / f"{name}.npy", array, allow_pickle=True)
         with pytest.raises(StageError, match=message):
-            ForeignMasks([tmp_path / f"{name}.npy"])
+            read_values(tmp_path / f"{name}.npy")
 
 
 def test_names():
