@@ -58,7 +58,7 @@ def compose(
         raise UsageError(f"{len(given)} films to make", "`hugs compose film.yaml`")
     film = films.read_film(given[0])
     if not films.outputs(film):
-        raise UsageError(f"{given[0].name} asks for nothing", "add `out: {film: film.mp4}`")
+        raise UsageError(f"{given[0].name} names no output", "add `out: {film: film.mp4}`")
     kept = work / KEPT / f"{given[0].stem}-{digest(os.path.realpath(given[0]))[:8]}"
     shoot(film, kept, device.value, work, force, [given[0]])
 
@@ -72,7 +72,7 @@ def shoot(
     for one, other in permutations(outs, 2):
         place, inside = (Path(os.path.realpath(path)) for path in (one, other))
         if place == inside or (one != folder and place in inside.parents):
-            raise UsageError(f"{one} and {other} cannot both be written", "give each a place of its own")
+            raise UsageError(f"{one} and {other} cannot both be written", "give each another path")
     for path in outs:
         check_out(path, work, sources, force, is_folder=path == folder)
     where, _ = device_of(device)

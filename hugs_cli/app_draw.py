@@ -169,11 +169,13 @@ def staged(
 def check_source(video: Path | None, avatar: Path | None, who: int) -> None:
     """UsageError unless there is either a video or an avatar file, which holds one person."""
     if (video is None) == (avatar is None):
-        problem = "nobody to draw" if video is None else f"{video} and {avatar} are two people"
+        problem = "nobody to draw" if video is None else f"{video} and {avatar} are two people, one is drawn"
         raise UsageError(problem, "give a VIDEO that `hugs run` has finished, or `--avatar avatar.npz`")
 
     if avatar is not None and who > 1:
-        raise UsageError(f"{avatar} holds one person, and not {who}", "leave out `--who`; it goes with a VIDEO")
+        raise UsageError(
+            f"{avatar} holds one person: there is no person {who}", "leave out `--who`; it goes with a VIDEO"
+        )
 
 
 def finished(video: Path, work: Path, pipeline: str, *stages: str) -> list[Path]:

@@ -138,7 +138,7 @@ def plan_line(one: Planned) -> str:
     if one.state == "fresh":
         return f"{clip}fresh" + (f", of {', '.join(kept)} alone" if (kept := one.result.get("kept")) else "")
     if not one.todo:
-        return f"{clip}made: what is not kept is to go"
+        return f"{clip}made; results that are not kept go now"
     return f"{clip}{words.count(len(one.todo), 'stage')} to do, about {words.duration(one.seconds)}"
 
 

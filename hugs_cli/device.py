@@ -34,5 +34,5 @@ def device_of(name: str) -> tuple[str, str]:
     if name == "cuda" and not gpu:
         raise UsageError(why, "leave out `--device cuda`; `hugs doctor` shows what is here")
     if name == "cuda":
-        raise UsageError("a GPU is here, but gsplat, which draws on it, is not", "pip install 'hugs-avatar[gpu]'")
-    return "cpu", "a GPU is here, but not gsplat: pip install 'hugs-avatar[gpu]'" if gpu else why
+        raise UsageError("a GPU is here, but gsplat, which draws on it, is missing", "pip install 'hugs-avatar[gpu]'")
+    return "cpu", "a GPU is here, but gsplat is missing: pip install 'hugs-avatar[gpu]'" if gpu else why

@@ -43,7 +43,7 @@ def checked(content: Any, where: str, folder: Path = Path()) -> Params:
             "key", str(key), listed(form_at(form, inside)), ", ".join([where, place(inside)] if inside else [where])
         )
     if facts:
-        raise UsageError(f"{where}: not a film that can be made", HINT, facts)
+        raise UsageError(f"{where}: not a valid film", HINT, facts)
     return with_paths(film, folder)
 
 
@@ -104,7 +104,7 @@ def check_sources(film: Any) -> list[Path]:
             missing = [stage for stage in stages if Stamp.read(path / stage) is None]
             if missing:
                 facts = [f"no finished {', '.join(missing)} in it"]
-                raise UsageError(f"{who}: {path} is no finished run", "finish it with `hugs run VIDEO`", facts)
+                raise UsageError(f"{who}: {path} is not a finished run", "finish it with `hugs run VIDEO`", facts)
             check_together(who, path)
         read.append(path)
     files = [Path(person.motion) for person in people if is_path("motion", person.motion)]
@@ -123,7 +123,7 @@ def check_together(who: str, run: Path) -> None:
         now = Stamp.read(run / stage)
         if train and now and train.inputs.get(stage, now.content) != now.content:
             facts = [f"{stage} was made again after train"]
-            raise UsageError(f"{who}: {run} is half made again", "finish it with `hugs run VIDEO`", facts)
+            raise UsageError(f"{who}: parts of {run} were made again", "finish it with `hugs run VIDEO`", facts)
 
 
 def outputs(film: Any) -> list[Path]:

@@ -30,12 +30,12 @@ def check_out(out: Path, work: Path, given: Iterable[Path | None], force: bool, 
     place = Path(os.path.realpath(out))
     for kind, kept in protected(work, given, place):
         if any(one.exists() and one.samefile(kept) for one in (place, *place.parents)):
-            raise UsageError(f"{out} is {kind}, or lies in it, and is never written over", ELSEWHERE, [str(kept)])
+            raise UsageError(f"cannot write {out}: it is {kind}, or lies in one", ELSEWHERE, [str(kept)])
     ground = next(one for one in (place, *place.parents) if one.exists())
     if ground != place and not ground.is_dir():
-        raise UsageError(f"cannot write {out}: {ground} is no folder", ELSEWHERE)
+        raise UsageError(f"cannot write {out}: {ground} is not a folder", ELSEWHERE)
     if ground == place and place.is_dir() != is_folder:
-        what = "a file, and pictures need a folder" if is_folder else "a folder, and a video is a file"
+        what = "a file, not a folder" if is_folder else "a folder, not a file"
         raise UsageError(f"cannot write {out}: it is {what}", ELSEWHERE)
     if force or not os.path.lexists(out) or (is_folder and not any(out.iterdir())):
         return

@@ -204,7 +204,9 @@ def running_order(stages: dict[str, Any], pipeline: str) -> list[str]:
         graph.prepare()
     except graphlib.CycleError as error:
         circle = " -> ".join(error.args[1])
-        raise UsageError(f"pipeline {pipeline}: stages need each other in a circle", "break it", [circle]) from error
+        raise UsageError(
+            f"pipeline {pipeline}: stages need each other in a circle", "remove one of these", [circle]
+        ) from error
     order: list[str] = []
     ready: list[str] = []
     position = {stage: i for i, stage in enumerate(stages)}
@@ -221,7 +223,7 @@ def check_stage(name: str, entry: dict[str, Any], stages: dict[str, Any], pipeli
     module = module_of(str(entry["module"]), where)
     if set(module.inputs) != set(entry["needs"]):
         facts = [f"needs: {', '.join(entry['needs'])}", f"run() takes: {', '.join(module.inputs)}"]
-        raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "make them the same", facts)
+        raise UsageError(f"{where}: needs and {entry['module']}.run() differ", "give both the same names", facts)
     params = checked(module.params, entry["params"], name, pipeline)
     return Stage(name, entry["module"], tuple(entry["needs"]), params, module.resumes, tuple(module.loads), module.doc)
 

@@ -61,6 +61,6 @@ def check_size(text: str, most: int = MOST) -> None:
             keys.pop()
             sizes[anchor] = count - before + 1
         if len(open_) > DEEPEST:
-            raise ValueError(f"more than {DEEPEST} lists and mappings in one another")
+            raise ValueError(f"lists and mappings nested more than {DEEPEST} deep")
         if count > most:
-            raise ValueError(f"more than {most} values, with aliases unfolded")
+            raise ValueError(f"more than {most} values, counted with aliases unfolded")

@@ -112,9 +112,9 @@ class Promise:
         needed = guess["before"] + guess["from"]
         if needed > self.seconds:
             console.say(
-                f"{duration(self.seconds)} is too short, going by a guess: {duration(guess['before'])} until training, "
-                f"{duration(guess['from'])} for the shortest training and what follows; "
-                f"the run goes on, and will be about {duration(needed - self.seconds)} late"
+                f"{duration(self.seconds)} is too short, by a guess of {duration(guess['before'])} until training "
+                f"and {duration(guess['from'])} for the shortest training and what follows; "
+                f"the run goes on, about {duration(needed - self.seconds)} late"
             )
 
     def _begun(self, chosen: dict[str, Any]) -> bool:

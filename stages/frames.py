@@ -103,7 +103,7 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     write_facts(job.out / "frames.json", facts)
     job.note(f"{len(frames)} of {decoded} frames, {width}x{height}")
     if video.is_dir() and pace == Params.model_fields["folder_fps"].default:
-        job.note(f"a folder does not say how fast: {pace:g} pictures a second taken (`--set frames.folder_fps=30`)")
+        job.note(f"a folder has no frame rate: {pace:g} pictures a second taken (`--set frames.folder_fps=30`)")
     if picker.copies or blurred:
         job.note(f"dropped {picker.copies} copies and {len(blurred)} blurred frames")
 

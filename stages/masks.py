@@ -110,7 +110,7 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
         check_motion(job, listing, frames)
     counted = [sum(there) for there in zip(*seen, strict=True)]
     if params.person == EVERYBODY and not seen:
-        job.note("--person all: one person is found, and followed as without it")
+        job.note("--person all: only one person is found")
     if seen:
         report_people(job, names, counted, shared)
     summary = {"source": "imported" if given else "blazepose", **details, "no_person": nobody, "frames": found}
@@ -128,7 +128,7 @@ def check_motion(job: Job, listing: Listing, frames: Path) -> None:
     images, masks, names = frames / "images", job.out / "masks", [frame.name for frame in listing.frames]
     of = len(names), lambda i: read_image(images / f"{names[i]}.png"), lambda i: read_mask(masks / f"{names[i]}.png")
     if lies_elsewhere(*of):
-        job.warn(f"what moves lies beside the given masks: are they of other frames? {matching(listing)}")
+        job.warn(f"what moves lies outside the given masks: are they of other frames? {matching(listing)}")
 
 
 def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterator[list[np.ndarray]]:
@@ -221,14 +221,14 @@ class Pictures:
 
 
 def report_people(job: Job, names: list[str], counts: list[int], shared: list[str]) -> None:
-    """Note in how many frames each of several people is seen; warn where their masks claim the same pixels."""
+    """Note in how many frames each of several people is seen; warn where their masks overlap."""
     said = ", ".join(f"{k} in {count}" for k, count in enumerate(counts, 1))
     job.note(f"{len(counts)} people, each with masks of their own: person {said} of {len(names)} frames")
     if shared:
         say = job.warn if len(shared) > MANY * len(names) else job.note
         say(
-            f"two people claim the same pixels in {len(shared)} of {len(names)} frames, first {shared[0]}: these teach nobody; "
-            "masks with an id for each person (SAM 2) tell whose they are"
+            f"masks of two people overlap in {len(shared)} of {len(names)} frames, first {shared[0]}: these pixels train nobody; "
+            "masks with an id for each person (SAM 2) have no such pixels"
         )
 
 

@@ -118,7 +118,7 @@ def test_names_in_arrays_that_lead_elsewhere_are_refused(whole, put):
         annots["ims"][1]["ims"][0] = name
         file = io.BytesIO()
         np.save(file, annots)
-        assert "names a file outside the folder" in put(kind, file.getvalue()).problem
+        assert "outside" in put(kind, file.getvalue()).problem
 
 
 def test_l08_headers_that_promise_more_than_there_is_take_no_memory(whole, put):

@@ -220,7 +220,7 @@ def publish(session: Session, stage: Stage, verdict: Verdict, outcome: Outcome, 
     if outcome.kind == "done":
         content, files = seal(part)
         if not files:
-            outcome = replace(outcome, kind="crash", facts={"problem": "it ended as if all was well but wrote no file"})
+            outcome = replace(outcome, kind="crash", facts={"problem": "it ended without an error but wrote no file"})
         elif doubt := distrust(session, stage, recipe, part):
             outcome = replace(outcome, kind="error", facts=doubt)
     if outcome.kind != "done":

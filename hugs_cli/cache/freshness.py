@@ -278,7 +278,7 @@ class Session:
                 what = "video" if name == "video" else f"file for {SOURCES[name]}"
                 if address := ADDRESS.fullmatch(str(path)):
                     hint = "download it first, and give the path of the file"
-                    raise UsageError(f"{address[1]}//{address[2]} is an address, and a {what} is wanted", hint)
+                    raise UsageError(f"{address[1]}//{address[2]} is an address, not a {what}", hint)
                 raise UsageError(f"no {what} at {path}", "check the path")
             if path is not None and name not in taken:
                 hint = "leave it out, or choose another pipeline"

@@ -110,7 +110,7 @@ class Launcher:
             if event["event"] != "checks":
                 return {**event, "stage": stage}
         code, _ = self.ahead.wait()
-        problem = f"the check of what stage {stage} is given was ended by signal {-code}"
+        problem = f"the check of the inputs of stage {stage} was ended by signal {-code}"
         return {"event": "error", "stage": stage, "problem": problem, "hint": "see whether memory ran out", "facts": []}
 
     def _first(self, log: Path) -> Process:

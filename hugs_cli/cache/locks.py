@@ -30,7 +30,7 @@ def locked(file: Path, waiting: Callable[[str], None], without: bool = False) ->
             if error.errno not in NO_LOCKS:
                 raise
             if not without:
-                hint = "choose one on another disk with `--work`, or use `hugs fleet`, which can do without"
+                hint = "choose one on another disk with `--work`, or use `hugs fleet`, which needs no locks"
                 raise UsageError(f"no file can be locked in {file.parent}", hint, [str(error.strerror)]) from error
         os.ftruncate(handle, 0)
         os.pwrite(handle, f"process {os.getpid()}".encode(), 0)

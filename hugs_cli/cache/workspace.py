@@ -188,7 +188,7 @@ class Workspace:
         name = result_behind(link)
         if link.is_dir() and not link.is_symlink():
             if name is None:
-                raise UsageError(f"{link} is no result, and stands where one is linked", "move it away, and run again")
+                raise UsageError(f"{link} is not a link to a result", "move it away, then run again")
             old = self.store / (name + OLD)
             shutil.rmtree(old, ignore_errors=True)
             shutil.move(link, old if (self.store / name).exists() else self.store / name)
@@ -299,7 +299,7 @@ def clip_name(video: Path) -> str:
     video = Path(os.path.abspath(video))
     name = os.fsencode(video.stem if video.suffix and not video.is_dir() else video.name).decode(errors="replace")
     if name in ("", ".", ".."):
-        raise UsageError(f"{video} gives no name to a clip", "give a video, or a folder that has a name")
+        raise UsageError(f"no clip can be named after {video}", "give a video, or a folder with a name")
     return name
 
 

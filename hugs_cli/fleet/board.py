@@ -32,8 +32,8 @@ NEVER: dict[str, Any] = {
     "hint": AGAIN,
     "facts": ["the log says why"],
 }
-GONE: dict[str, Any] = {"problem": "its process ended without a word", "hint": AGAIN,
-        "facts": ["the machine is gone, something killed the process, or it could not write its report"]}  # fmt: skip
+GONE: dict[str, Any] = {"problem": "its process ended without a report", "hint": AGAIN,
+        "facts": ["the machine is gone, the process was killed, or it could not write its report"]}  # fmt: skip
 CSV = ("clip", "folder", "pipeline", "state", "stage", "seconds_left", "seconds", "psnr", "psnr_person", "effects",
        "warnings", "kind", "problem", "hint", "log")  # fmt: skip
 

@@ -171,8 +171,8 @@ def told_apart(rows: list[Row]) -> list[Row]:
         if ids.setdefault(row.id, row).same != row.same:
             facts = [f"{' '.join(one.settings) or 'no settings'}, masks {one.masks}, fit {one.fit}, person {one.person}"
                      for one in (ids[row.id], row)]  # fmt: skip
-            hint = "give each a pipeline of its own in a file, see `--pipelines-file`"
-            raise UsageError(f"{row.video} is there twice with pipeline {row.pipeline}", hint, facts)
+            hint = "give each another pipeline, see `--pipelines-file`"
+            raise UsageError(f"{row.video} is listed twice with pipeline {row.pipeline}", hint, facts)
     return found
 
 

@@ -219,7 +219,7 @@ def notes(found: Sequence[Run], rows: Sequence[dict[str, Any]], common: str) -> 
     if apart:
         said.append(f"measured on other frames, sizes or masks than the rest, so on no front: {', '.join(apart)}")
     if not measured([row["scores"] for row in rows]):
-        said.append("no accuracy was measured in all of them, so there is none to compare")
+        said.append("they have no measured accuracy in common, so times and memory alone are compared")
     if len(machines := sorted({run.machine for run in found})) > 1:
         said.append(f"times are of different machines: {', '.join(machines)}")
     if len({run.code for run in found}) > 1:

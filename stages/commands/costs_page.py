@@ -34,7 +34,7 @@ def run(
     """
     if not regions:
         hint = "leave out `--plot`: times and memory are compared without it"
-        raise StageError("there is nothing to plot: no accuracy was measured in all of these pipelines", hint)
+        raise StageError("nothing to plot: these pipelines have no measured accuracy in common", hint)
     figure = plot.plot(panels(result, regions), len(regions))
     text = page.fill("costs.html", title=params.title, plot=Markup(plot.svg(figure)), lines=table)
     files = {"svg": plot.svg(figure, alone=True).encode(), "png": plot.png(figure), "html": text.encode()}

@@ -121,7 +121,7 @@ def cast(person: Person, name: str, ground: records.Ground, fps: float, device: 
     """Read a person and let them perform on the `ground` of the film; StageError for what cannot be read or performed."""
     run = person.avatar if person.avatar.is_dir() else None
     if run is None and person.who > 1:
-        raise StageError(f"{person.avatar} holds one person, and not {person.who}", "leave out `who:`")
+        raise StageError(f"{person.avatar} holds one person: there is no person {person.who}", "leave out `who:`")
     own = None if run is None else trained_of(run / "train", person.who)
     record = read_avatar(own / "avatar.npz") if own else read_any_avatar(person.avatar)
     model = _model(run, record)

@@ -109,14 +109,14 @@ def gain_between(own: Look, there: Look, always: bool) -> np.ndarray:
 def match(own: Look | None, there: Look | None, always: bool) -> tuple[np.ndarray, str]:
     """What colours [3] of a person are multiplied by, and how to say so after their name."""
     if own is None or there is None:
-        return np.ones(3), f"colours are left: {'their clip' if own is None else 'the scene'} cannot be measured"
+        return np.ones(3), f"colours are unchanged: {'their clip' if own is None else 'the scene'} cannot be measured"
     gain = gain_between(own, there, always)
     if abs(gain - 1).max() > 0.005:
         return gain, f"red, green and blue times {', '.join(f'{part:.2f}' for part in gain)}"
     if always or min(own.sure, there.sure) == 1:
-        return np.ones(3), "colours are left: the clips differ by no more than rooms do"
+        return np.ones(3), "colours are unchanged: the clips differ no more than rooms do"
     where = "their clip" if own.sure < there.sure else "the scene"
-    return np.ones(3), f"colours are left: {where} has too few neutral places to know its light"
+    return np.ones(3), f"colours are unchanged: {where} has too few neutral places to measure its light"
 
 
 def _firm(value: np.ndarray, doubt: float) -> np.ndarray:

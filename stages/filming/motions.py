@@ -64,15 +64,13 @@ def from_file(
     if up is None:
         pelvis = ", ".join(f"{x:.2f}" for x in performance.rotations[:, 0, :, 1].mean(0))
         found = [f"the pelvis points along ({pelvis}) on average"]
-        raise StageError(f"cannot tell which way is up in {path}", "say it with `--up`: y, -y, z or -z", found)
+        raise StageError(f"cannot tell which way is up in {path}", "give it with `--up`: y, -y, z or -z", found)
     check_time((len(performance.hips) - 1) / rate, manner.wanted, path)
     performance = retarget.resample(placing.face_ahead(performance, up), rate, manner.wanted)
     placed = placing.on_floor(performance, manner.wanted, soles)
     facts.append(f"{up} is up")
     if seen and seen != up:
-        facts.append(
-            f"the pelvis says that {seen} is up: `--up {seen}`, or none, if people do not stand on their heads"
-        )
+        facts.append(f"the pelvis points along {seen}: `--up {seen}`, or none, if people do not stand on their heads")
     if placed.drift > 0.05:
         facts.append(f"its floor rose and fell by {placed.drift:.2f} m, which is taken out")
     return placed, facts
@@ -122,5 +120,5 @@ def _read(
     rate = usual_rate(f"{fps:.10g}") if fps else own_fps
     if rate is None:
         rate = DEFAULT_FPS
-        notes.append(f"how fast is not said: {rate:g} frames a second taken (`--motion-fps`)")
+        notes.append(f"no frame rate in the file: {rate:g} frames a second taken (`--motion-fps`)")
     return performance, rate, [f"{length} frames, {(length - 1) / rate:.1f} s at {rate:.4g} fps", *notes]

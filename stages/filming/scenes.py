@@ -24,7 +24,7 @@ def stood(scene: Scene, axes: Axes, ground: Ground | None) -> Scene:
         return scene
     other = "y_up" if axes == "y_down" else "y_down"
     fact = (
-        "the scene lies on its head: its floor is where the floor should be after half a turn; "
+        "the scene is upside down: after half a turn its floor is where it should be; "
         f"--scene-axes {other} (in a film `scene_axes: {other}`) turns it"
     )
     return replace(scene, said=(*scene.said, fact))

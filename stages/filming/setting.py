@@ -58,7 +58,7 @@ def load_setting(film: Film, device: str) -> Setting:
             hint = (
                 "`ground: {point: [0, 1, 3]}` in the film, in the scene's axes; up and ahead as its people should stand"
             )
-            raise StageError(f"where is the floor of {film.scene}?", hint, ["a file of Gaussians does not say it"])
+            raise StageError(f"the floor of {film.scene} is not given", hint, ["a file of Gaussians has none"])
         ground = _floor(film.ground)
         scene = stood(read_any_scene(film.scene), film.scene_axes, ground)
         if film.only == "human":
@@ -90,9 +90,7 @@ def _floor(floor: Floor) -> Ground:
     across = np.cross(ahead, up)
     if not np.linalg.norm(across) > 1e-3 * np.linalg.norm(up) * np.linalg.norm(ahead):
         facts = [f"up {list(floor.up)}, ahead {list(floor.ahead)}"]
-        raise StageError(
-            "up and ahead of the ground are not two directions", "give vectors that are not parallel", facts
-        )
+        raise StageError("up and ahead of the ground are parallel", "give two directions", facts)
     up, ahead = (axis / np.linalg.norm(axis) for axis in (up, np.cross(up, across)))
     return Ground(np.array(floor.point, np.float64), up, ahead, 1.0, 0.0, 0.0, 0, "given")
 

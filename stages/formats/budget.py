@@ -46,4 +46,4 @@ class Budget:
         if self.spent > self.most:
             left = f"{(self.most - self.spent + wanted) / 1e9:.2f} of its {self.most / 1e9:.2f} GB are left"
             facts = [f"{what} would take {wanted / 1e9:.2f} GB, {left}"]
-            raise StageError(f"{self.path} asks for too much memory", HINT, facts)
+            raise StageError(f"{self.path} needs too much memory", HINT, facts)

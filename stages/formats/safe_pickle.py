@@ -218,4 +218,4 @@ class ArraysOnly(pickle._Unpickler):
             module.startswith("scipy.sparse") and name[:3] in ("csc", "csr", "coo")
         ):
             return type(name, (_Inert,), {"kind": f"{module}.{name}", "budget": self.budget})
-        raise pickle.UnpicklingError(f"it asks for {module}.{name}, which is refused")
+        raise pickle.UnpicklingError(f"it would load {module}.{name}, which is refused")

@@ -144,10 +144,10 @@ def test_commands_that_the_product_says_exist(hint):
 @pytest.mark.parametrize(
     ("command", "problem"),
     [
-        ("hugs walk dance.mp4", "No such command"),
-        ("hugs run dance.mp4 --fast", "No such option"),
-        ("hugs run dance.mp4 paint", "no stage 'paint'"),
-        ("hugs run dance.mp4 --set train.no=1", "no setting 'no'"),
+        ("hugs walk dance.mp4", "walk"),
+        ("hugs run dance.mp4 --fast", "--fast"),
+        ("hugs run dance.mp4 paint", "paint"),
+        ("hugs run dance.mp4 --set train.no=1", "'no'"),
     ],
 )
 def test_a_command_that_does_not_exist_is_noticed(command, problem):

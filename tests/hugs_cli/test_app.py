@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from hugs_cli import app
 from tests.made.flow import HUGS, LONGEST
+from tests.made.said import holds
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"torch", "cv2", "pycolmap", "numpy", "scipy", "numba", "av", "OpenImageIO", "trimesh", "rich"}
@@ -60,25 +61,25 @@ def test_a_run_with_nothing_to_do_is_quick_and_loads_nothing_heavy(made):
 @pytest.mark.parametrize(
     ("args", "problem", "hint"),
     [
-        (["--set", "two.wort=1"], "pipeline default, stage two: no setting 'wort'", "did you mean `word`?"),
-        (["tow"], "pipeline default: no stage 'tow'", "did you mean `two`?"),
-        (["--pipeline", "othr"], "pipelines.yaml: no pipeline 'othr'", "did you mean `other`?"),
-        (["--masks", "nowhere"], "no file for --masks at nowhere", "check the path"),
-        (["--smpl-fit", "clip.mp4"], "no stage of pipeline default reads --smpl-fit", "leave it out"),
-        (["--work", "clip.mp4/x"], "cannot write to clip.mp4/x/clip", "--work"),
+        (["--set", "two.wort=1"], ("default", "two", "setting", "wort"), "word"),
+        (["tow"], ("default", "stage", "tow"), "two"),
+        (["--pipeline", "othr"], ("pipelines.yaml", "pipeline", "othr"), "other"),
+        (["--masks", "nowhere"], ("--masks", "nowhere"), "path"),
+        (["--smpl-fit", "clip.mp4"], ("default", "--smpl-fit"), "another pipeline"),
+        (["--work", "clip.mp4/x"], ("write", "clip.mp4/x/clip"), "--work"),
     ],
 )
 def test_wrong_usage_is_refused_in_our_words(flow, args, problem, hint):
     _, err = flow.hugs(*args, code=2)
     first, *rest = err.splitlines()
-    assert first == f"error: {problem}"
-    assert rest[-2] == "" and rest[-1].startswith("hint: ") and hint in rest[-1]
+    assert holds(first, "error", *problem)
+    assert rest[-2] == "" and holds(rest[-1], "hint", hint)
     assert "Traceback" not in err
 
 
 def test_missing_video_and_unknown_option(flow):
     flow.video.unlink()
-    assert "error: no video at clip.mp4\n" in flow.hugs(code=2)[1]
+    assert holds(flow.hugs(code=2)[1], "error", "video", "clip.mp4")
     assert "--wrok" in flow.hugs("--wrok", "x", code=2)[1]
 
 
@@ -104,7 +105,7 @@ def test_ctrl_c_while_the_command_is_loaded_is_no_error(tmp_path, module):
     else:
         code += "from hugs_cli.cache import child; child.prepare = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
     done = subprocess.run([sys.executable, "-c", code + "main()"], capture_output=True, text=True, cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (130, "stopped; finished stages are kept\n")
+    assert done.returncode == 130 and holds(done.stderr, "stopped") and done.stderr.count("\n") == 1
 
 
 def test_stages_lists_settings_with_their_meaning(flow):
@@ -115,22 +116,19 @@ def test_stages_lists_settings_with_their_meaning(flow):
         f"import sys; sys.path.insert(0, {str(ROOT)!r}); from hugs_cli import main; main()",
     ]
     out = subprocess.run([*command, *args], capture_output=True, text=True, cwd=flow.folder, check=True).stdout
-    assert out == (
-        "  default     Four.\n* other       Another.\n\nfour  <- two, three\n  Write one file.\n"
-        "    word = z   What to write.\n    delay = 0.0   Seconds to wait before the end.\n"
-        "    hold =    A file; while it is there, the stage waits.\n"
-    )
+    assert holds(out, "default", "Four.", "* other", "Another.", "four", "two, three", "Write one file.")
+    assert holds(out, "Write one file.", "word = z", "What to write.", "delay = 0.0", "Seconds", "hold", "A file")
     rows = json.loads(subprocess.run([*command, *args, "--json"], capture_output=True, cwd=flow.folder).stdout)
     assert rows["stages"][0]["params"] == {"word": "z", "delay": 0.0, "hold": ""}
 
 
 def test_render_without_a_finished_run_says_what_to_run(flow):
     _, err = flow.hugs("--cameras", "c.npz", "--out", "o", command="render", code=2)
-    assert err == "error: no finished train of clip.mp4 in pipeline default\n\nhint: `hugs run clip.mp4`\n"
+    assert holds(err, "error", "train", "clip.mp4", "default", "hint", "hugs run clip.mp4")
 
 
 def test_gc_without_results_is_refused(flow):
-    assert "error: no results of clip.mp4 in work" in flow.hugs(command="gc", code=2)[1]
+    assert holds(flow.hugs(command="gc", code=2)[1], "error", "clip.mp4", "work")
 
 
 def test_help_of_all_commands_fits_80_columns(tmp_path):

@@ -5,6 +5,7 @@ import os
 import pytest
 
 from tests.made.flow import Flow
+from tests.made.said import holds
 
 EXPORT = '''
 """Files of a format each."""
@@ -130,7 +131,7 @@ def test_files_of_others_are_not_written_over(run):
     (run.folder / "mine" / "avatar.ply").write_text("theirs")
     (run.folder / "mine" / "notes.txt").write_text("theirs")
     _, said = export(run, code=2)
-    assert "avatar.ply is already there" in said and held(run)["avatar.ply"] == "theirs"
+    assert holds(said, "error", "avatar.ply", "--force") and held(run)["avatar.ply"] == "theirs"
     export(run, "--force")
     assert held(run) == {"avatar.ply": "smpl y_down", "notes.txt": "theirs"}
     export(run, "--names", "mixamo")

@@ -11,6 +11,7 @@ import pytest
 from hugs_cli.app import main
 from hugs_cli.cache.fingerprint import content_digest
 from hugs_cli.cache.workspace import Stamp
+from tests.made.said import holds
 
 
 @pytest.fixture
@@ -75,10 +76,10 @@ def test_a_machine_without_a_browser_says_so(hugs, page, monkeypatch):
 def test_an_export_without_the_page_says_how_to_get_it(hugs, page, opened):
     page.resolve().unlink()
     code, _, said = hugs("my dance.mp4", "--pipeline", "default")
-    assert code == 2 and "holds no viewer.html" in said and "hint: `hugs run 'my dance.mp4' export`" in said
+    assert code == 2 and holds(said, "error", "viewer.html", "hint", "`hugs run 'my dance.mp4' export`")
     assert opened == []
 
 
 def test_a_clip_that_never_ran_says_so(hugs):
     code, _, said = hugs("my dance.mp4")
-    assert code == 2 and "no finished export of my dance.mp4" in said and "hint: `hugs run 'my dance.mp4'`" in said
+    assert code == 2 and holds(said, "error", "export", "my dance.mp4", "hint", "`hugs run 'my dance.mp4'`")

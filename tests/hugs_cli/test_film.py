@@ -12,6 +12,7 @@ from hugs_cli import film as films
 from hugs_cli.cache.workspace import Stamp
 from hugs_cli.pipelines import UsageError
 from tests.made import finished
+from tests.made.said import holds
 
 GOOD = """
 scene: runs/room
@@ -40,35 +41,30 @@ def test_paths_count_from_the_films_folder_and_words_are_no_paths(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "problem", "help"),
     [
-        ("camera: orbit", "camra: orbit", "film.yaml: no key 'camra'", "did you mean `camera`?"),
-        ("motion: moves.bvh", "motoin: moves.bvh", "film.yaml, people 1: no key 'motoin'", "did you mean `motion`?"),
-        ("{film:", "{flim:", "film.yaml, out: no key 'flim'", "did you mean `film`?"),
-        ("{folder:", "{fodler:", "film.yaml, out, stills: no key 'fodler'", "did you mean `folder`?"),
-        ("camera: orbit", "code: orbit", "film.yaml: no key 'code'", ""),
-        ("at: [0.5, 0]", "at: [0.5]", "film.yaml: not a film that can be made", "people 1, at 2"),
-        (
-            "at: [0.5, 0]",
-            "speed: 0",
-            "film.yaml: not a film that can be made",
-            "people 1, speed: input should be greater",
-        ),
-        ("camera: orbit", "fps: fast", "film.yaml: not a film that can be made", "fps"),
-        ("camera: orbit", "seconds: .inf", "film.yaml: not a film that can be made", "seconds: input should be a"),
-        ("at: [0.5, 0]", "at: [.nan, 0]", "film.yaml: not a film that can be made", "people 1, at 1: input should be"),
-        ("camera: orbit", "size: [640, 0]", "film.yaml: not a film that can be made", "size 2: input should be"),
-        ("at: [1]", "at: []", "film.yaml: not a film that can be made", "out, stills, at: list should have at least 1"),
-        ("people:", "folk:", "film.yaml: no key 'folk'", ""),
-        (GOOD, "scene: a", "film.yaml: not a film that can be made", "people"),
-        (GOOD, "[1, 2]", "holds no film", "--init"),
-        (GOOD, "{", "is not valid YAML", ""),
+        ("camera: orbit", "camra: orbit", ("film.yaml", "key", "camra"), ("camera",)),
+        ("motion: moves.bvh", "motoin: moves.bvh", ("people 1", "key", "motoin"), ("motion",)),
+        ("{film:", "{flim:", ("out", "key", "flim"), ("film",)),
+        ("{folder:", "{fodler:", ("out, stills", "key", "fodler"), ("folder",)),
+        ("camera: orbit", "code: orbit", ("film.yaml", "key", "code"), ()),
+        ("at: [0.5, 0]", "at: [0.5]", ("film.yaml", "film"), ("people 1, at 2",)),
+        ("at: [0.5, 0]", "speed: 0", ("film.yaml", "film"), ("people 1, speed", "greater")),
+        ("camera: orbit", "fps: fast", ("film.yaml", "film"), ("fps",)),
+        ("camera: orbit", "seconds: .inf", ("film.yaml", "film"), ("seconds", "number")),
+        ("at: [0.5, 0]", "at: [.nan, 0]", ("film.yaml", "film"), ("people 1, at 1",)),
+        ("camera: orbit", "size: [640, 0]", ("film.yaml", "film"), ("size 2",)),
+        ("at: [1]", "at: []", ("film.yaml", "film"), ("out, stills, at", 1)),
+        ("people:", "folk:", ("film.yaml", "key", "folk"), ()),
+        (GOOD, "scene: a", ("film.yaml", "film"), ("people",)),
+        (GOOD, "[1, 2]", ("film.yaml",), ("--init",)),
+        (GOOD, "{", ("film.yaml", "YAML"), ()),
     ],
 )
 def test_what_is_no_film_is_refused_by_name(tmp_path, old, new, problem, help):
     assert old in GOOD
     with pytest.raises(UsageError) as refused:
         read(tmp_path, GOOD.replace(old, new))
-    assert problem in refused.value.problem
-    assert help in "\n".join([refused.value.hint, *refused.value.facts])
+    assert holds(refused.value.problem, *problem)
+    assert holds("\n".join([refused.value.hint, *refused.value.facts]), *help)
 
 
 @pytest.mark.parametrize("name", ["two: ann", "ann #1", "ann, eve", "- a", "[a]", "null", "10", "a\nb", "*a"])
@@ -79,21 +75,21 @@ def test_a_name_that_yaml_takes_for_something_else_is_quoted(name):
 
 
 def test_a_film_that_is_not_there_is_said(tmp_path):
-    with pytest.raises(UsageError, match="cannot read"):
+    with pytest.raises(UsageError, match=r"film\.yaml"):
         films.read_film(tmp_path / "film.yaml")
 
 
 def test_runs_and_files_that_are_missing_are_named_before_anything_is_drawn(tmp_path):
     film = read(tmp_path, GOOD)
-    with pytest.raises(UsageError, match="scene: nothing at"):
+    with pytest.raises(UsageError, match=r"scene.*runs/room"):
         films.check_sources(film)
     (tmp_path / "runs/room/train").mkdir(parents=True)
-    with pytest.raises(UsageError, match=r"scene: .* is no finished run") as refused:
+    with pytest.raises(UsageError, match=r"scene.*runs/room") as refused:
         films.check_sources(film)
-    assert "no finished train, smpl, sfm, frames, survey" in refused.value.facts[0]
+    assert holds(refused.value.facts[0], "train, smpl, sfm, frames, survey")
     film = read(tmp_path, GOOD.replace("scene: runs/room", "scene: room.ply"))
     shutil.copyfile(tmp_path / "film.yaml", tmp_path / "room.ply")
-    with pytest.raises(UsageError, match="person 1: nothing at"):
+    with pytest.raises(UsageError, match=r"person 1.*runs/ann"):
         films.check_sources(film)
     (tmp_path / "runs/ann.npz").touch()
     text = (
@@ -102,7 +98,7 @@ def test_runs_and_files_that_are_missing_are_named_before_anything_is_drawn(tmp_
         .replace("/elsewhere/bob", "runs/ann")
     )
     film = read(tmp_path, text)
-    with pytest.raises(UsageError, match=r"no file at .*moves.bvh"):
+    with pytest.raises(UsageError, match=r"moves\.bvh"):
         films.check_sources(film)
     (tmp_path / "moves.bvh").touch()
     assert [path.name for path in films.check_sources(film)] == ["room.ply", "ann.npz", "ann.npz", "moves.bvh"]
@@ -114,5 +110,5 @@ def test_a_run_of_which_a_part_was_made_again_is_refused(tmp_path):
     films.check_sources(film)
     stamp = Stamp.read(links / "train")
     replace(stamp, inputs=stamp.inputs | {"smpl": "of before"}).write(links / "train")
-    with pytest.raises(UsageError, match="half made again"):
+    with pytest.raises(UsageError, match=r"work/ann/default"):
         films.check_sources(film)

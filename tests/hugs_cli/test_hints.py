@@ -57,7 +57,7 @@ DRAWN = {
     "what to show": ("--only human", ["animate", "clip.mp4", "moves.npz", "--only", "scene"]),
     "an ending": ("--out motion.mp4", ["animate", "clip.mp4", "moves.npz", "--out", "motion.avi", *SMALL]),
     "somebody's file": ("--force", ["animate", "clip.mp4", "moves.npz", "--out", "theirs.mp4", *SMALL]),
-    "how fast": ("--motion-fps", ["animate", "clip.mp4", "slow.npz", "--out", "slow.mp4", *SMALL]),
+    "a rate": ("--motion-fps", ["animate", "clip.mp4", "slow.npz", "--out", "slow.mp4", *SMALL]),
     "cameras": ("--cameras views.npz", ["render", "--avatar", "avatar.npz", "--scene", "room.npz", "--out", "views"]),
     "no clip": ("--avatar avatar.npz", ["render", "--cameras", "views.npz", "--only", "human", "--out", "none"]),
     "no films": ("hugs compose --init work/kitchen/default work/dance/default", ["compose", "--init"]),
@@ -80,7 +80,7 @@ def test_what_a_drawing_command_says_makes_it_go_through(folder, monkeypatch, ca
             "scene: null\npeople: [{avatar: avatar.npz, motion: wave}]\ncamera: before\nfps: 2\nseconds: 0.5\nsize: [64, 48]\n"
             "out: {film: film.mp4}\n"
         )
-    said = "".join(hugs_here(folder, monkeypatch, capsys, *words, code=0 if case == "how fast" else 2))
+    said = "".join(hugs_here(folder, monkeypatch, capsys, *words, code=0 if case == "a rate" else 2))
     done = hinted(said, hint)
     done = done[1:] if done[0] == "hugs" else [*words, *MORE.get(hint, done)]
     if done[0] == "animate" and "--fps" not in done:

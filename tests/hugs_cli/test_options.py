@@ -42,7 +42,7 @@ def test_every_command_on_a_clip_passes_all_options_on(monkeypatch, command):
 
 def test_a_pipelines_name_has_no_such_seed_either(tmp_path):
     for seed in (2**63, "9" * 5_000):
-        with pytest.raises(UsageError, match=r"no such seed|no variant"):
+        with pytest.raises(UsageError, match=r"\bseed\d+\b"):
             RunOptions(pipeline=f"default.seed{seed}").session(tmp_path / "clip.mp4")
     largest = 2**63 - 1
     assert RunOptions(pipeline=f"default.seed{largest}").session(tmp_path / "clip.mp4").seeds["train"] == largest
@@ -153,9 +153,9 @@ def test_hostile_options_name_no_code_and_obey_no_terminal(kept):
     _, err = kept.hugs(command="status", code=2)
     assert "\x1b" not in err and holds(err, "--masks", "/nowhere/\\x1b[31mred\\x00")
     file.write_text(json.dumps(hostile | {"masks": str(kept.folder)}))
-    assert "would be written into" in kept.hugs(command="status", code=2)[1]
+    assert holds(kept.hugs(command="status", code=2)[1], "error", "source")
     file.write_text(json.dumps(hostile | {"set_": ["two.word=\x1b[2J"]}))
-    assert "control characters are not allowed" in kept.hugs(command="status", code=2)[1]
+    assert holds(kept.hugs(command="status", code=2)[1], "error", "control characters")
 
 
 @pytest.mark.slow

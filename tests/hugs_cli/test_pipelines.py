@@ -14,6 +14,7 @@ import yaml
 from hugs_cli import pipelines
 from hugs_cli.options import RunOptions
 from hugs_cli.pipelines import SOURCES, UsageError, load
+from tests.made.said import holds
 
 REAL = yaml.safe_load(pipelines.FILE.read_text())
 HEAVY = ("torch", "cv2", "pycolmap", "numpy", "scipy", "numba", "av", "OpenImageIO", "trimesh")
@@ -51,32 +52,32 @@ def test_a_pipeline_is_read_in_running_order_with_what_it_extends(importable):
 @pytest.mark.parametrize(
     ("old", "new", "problem", "hint"),
     [
-        ("doc: Four.", "docs: Four.", "pipeline default: no key 'docs'", "did you mean `doc`?"),
-        ("{needs: [video]", "{need: [video]", "pipeline default, stage one: no key 'need'", "did you mean `needs`?"),
-        ("[video]", "[vidoe]", "pipeline default, stage one: no need 'vidoe'", "did you mean `video`?"),
-        ("module: flow.two", "module: flow.tow", "pipeline default, stage two: there is no module flow.tow", "write"),
-        ("[two, three]", "[two]", "stage four: needs and flow.four.run() differ", "make them the same"),
-        ("[video]", "[four]", "pipeline default: stages need each other in a circle", "break it"),
-        ("flow.one}", "flow.one, params: {wrod: b}}", "pipeline default, stage one: no setting 'wrod'", "`word`?"),
-        ("flow.one}", "flow.one, params: {delay: x}}", "stage one: settings are not valid", "`hugs stages one`"),
-        ("doc: Four.", "extends: default", "pipeline default extends itself", "look at pipelines.yaml"),
-        ("  stages:\n", "  stages: [\n", "is not valid YAML", "mend"),
-        ("needs: [video], ", "needs: [{video: 1}], ", "stage one: no need", "one of: one, two"),
-        ("needs: [video], ", "", "pipeline default, stage one: needs is missing", "needs: [video]"),
+        ("doc: Four.", "docs: Four.", ("default", "key", "docs"), "doc"),
+        ("{needs: [video]", "{need: [video]", ("default", "one", "key", "need"), "needs"),
+        ("[video]", "[vidoe]", ("default", "one", "need", "vidoe"), "video"),
+        ("module: flow.two", "module: flow.tow", ("default", "two", "module", "flow.tow"), "name"),
+        ("[two, three]", "[two]", ("four", "needs", "flow.four.run()", "differ"), "names"),
+        ("[video]", "[four]", ("default", "circle"), "remove"),
+        ("flow.one}", "flow.one, params: {wrod: b}}", ("default", "one", "setting", "wrod"), "word"),
+        ("flow.one}", "flow.one, params: {delay: x}}", ("one", "settings"), "hugs stages one"),
+        ("doc: Four.", "extends: default", ("default", "extends", "itself"), "pipelines.yaml"),
+        ("  stages:\n", "  stages: [\n", ("pipelines.yaml", "YAML"), "mend"),
+        ("needs: [video], ", "needs: [{video: 1}], ", ("one", "need"), "one, two"),
+        ("needs: [video], ", "", ("default", "one", "needs", "missing"), "needs: [video]"),
     ],
 )
 def test_what_is_wrong_is_refused_and_named(refused, old, new, problem, hint):
     error = refused(old, new)
-    assert problem in error.problem and hint in error.hint
+    assert holds(error.problem, *problem) and holds(error.hint, hint)
 
 
 def test_wrong_overrides_and_names_are_refused(refused):
-    assert "did you mean `default`?" in refused(name="defualt").hint
-    assert "did you mean `word`?" in refused(overrides=("one.wort=b",)).hint
-    assert "did you mean `three`?" in refused(overrides=("tree.word=b",)).hint
-    assert "`--set stage.param=value`" in refused(overrides=("word=b",)).hint
+    assert holds(refused(name="defualt").hint, "default")
+    assert holds(refused(overrides=("one.wort=b",)).hint, "word")
+    assert holds(refused(overrides=("tree.word=b",)).hint, "three")
+    assert holds(refused(overrides=("word=b",)).hint, "--set stage.param=value")
     error = refused(overrides=("one.delay=soon",))
-    assert error.facts == ("one.delay: input should be a valid number, unable to parse string as a number, got 'soon'",)
+    assert len(error.facts) == 1 and holds(error.facts[0], "one.delay", "number", "soon")
 
 
 def test_an_error_inside_a_stage_module_is_not_called_a_missing_module(importable):
@@ -137,17 +138,17 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}']
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("text", "fact"),
+    ("text", "most"),
     [
-        ("default: " + "[" * 100_000 + "]" * 100_000, "more than 50 lists and mappings in one another"),
-        ("default: " + "{a: " * 100_000, "more than 50 lists and mappings in one another"),
-        ("".join("\n" + " " * i + "a:" for i in range(2_000)), "more than 50 lists and mappings in one another"),
-        (LAUGHS, "more than 10000 values, with aliases unfolded"),
-        ("default: &a [*a]", "more than 10000 values, with aliases unfolded"),
+        ("default: " + "[" * 100_000 + "]" * 100_000, 50),
+        ("default: " + "{a: " * 100_000, 50),
+        ("".join("\n" + " " * i + "a:" for i in range(2_000)), 50),
+        (LAUGHS, 10000),
+        ("default: &a [*a]", 10000),
     ],
     ids=["lists", "mappings", "indents", "laughs", "itself"],
 )
-def test_a_file_that_is_too_deep_or_unfolds_without_end_is_refused_at_once(tmp_path, text, fact):
+def test_a_file_that_is_too_deep_or_unfolds_without_end_is_refused_at_once(tmp_path, text, most):
     file = tmp_path / "pipelines.yaml"
     file.write_text(text)
     code = "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (20, 20)); from hugs_cli import main; main()"
@@ -155,13 +156,13 @@ def test_a_file_that_is_too_deep_or_unfolds_without_end_is_refused_at_once(tmp_p
     root = Path(pipelines.FILE).parent
     done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, cwd=root)
     assert done.returncode == 2, done.stderr[-2000:]
-    assert f"pipelines.yaml is not valid YAML\n  {fact}" in done.stderr and "hint: mend" in done.stderr
+    assert holds(done.stderr, "error", "pipelines.yaml", "YAML", most, "hint")
     assert len(done.stderr) < 1000
 
 
 def test_a_setting_that_is_too_deep_is_refused(refused):
     error = refused(overrides=(f"one.word={'[' * 5_000}",))
-    assert error.problem.endswith("[[[...: the value is not understood") and "in one another" in error.facts[0]
+    assert "[[[..." in error.problem and holds(error.facts[0], 50)
 
 
 @pytest.mark.parametrize("value", [".inf", "-.inf", ".nan", "1e400"])

@@ -52,10 +52,10 @@ def test_the_own_pipelines_read_as_before():
 
 def test_ten_thousand_values_are_read_and_no_more():
     assert len(read(f"[{'1, ' * 9_000}]")) == 9_000
-    with pytest.raises(ValueError, match="more than 10000 values"):
+    with pytest.raises(ValueError, match=r"\b10000\b"):
         read(f"[{'1, ' * 10_000}]")
     assert len(read(f"{{a: &a [{'1, ' * 90}], b: [{'*a, ' * 90}]}}")["b"]) == 90
-    with pytest.raises(ValueError, match="with aliases unfolded"):
+    with pytest.raises(ValueError, match=r"\b10000\b.*aliases"):
         read(f"{{a: &a [{'1, ' * 90}], b: [{'*a, ' * 120}]}}")
 
 
@@ -71,7 +71,7 @@ def test_ten_thousand_values_are_read_and_no_more():
     ],
 )
 def test_a_key_that_is_given_twice_is_an_error(text):
-    with pytest.raises(ValueError, match="is given twice, again in line"):
+    with pytest.raises(ValueError, match=r"twice.* \d"):
         read(text)
 
 

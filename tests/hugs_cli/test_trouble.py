@@ -74,7 +74,7 @@ def test_a_full_disk_behind_the_error_of_a_library_is_found():
 
     with pytest.raises(RuntimeError) as caught:
         wrapped()
-    assert child.error_event(caught.value, "x.part")["problem"].endswith("disk is full at x.part")
+    assert holds(child.error_event(caught.value, "x.part")["problem"], "disk", "full", "x.part")
 
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS, errno.EPERM])
@@ -82,9 +82,7 @@ def test_a_folder_that_may_only_be_read(flow, number, monkeypatch, capsys):
     def forbidden(*_, **__):
         raise OSError(number, os.strerror(number), "work/clip/store/two.part")
 
-    assert child.error_event(OSError(number, "no", "out/x"), "out")["problem"].startswith(
-        "cannot read or write out/x: "
-    )
+    assert holds(child.error_event(OSError(number, "no", "out/x"), "out")["problem"], "out/x")
     monkeypatch.chdir(flow.folder)
     monkeypatch.syspath_prepend(str(flow.folder))
     monkeypatch.setattr(engine, "make", forbidden)
@@ -116,7 +114,7 @@ def test_a_video_that_vanishes_while_it_is_read(flow):
     assert run.returncode == 1 and holds(err, "clip.mp4", "cannot be read") and "Traceback" not in err
     assert holds(err, "hint", "run again") and kept(flow) == {}
     (flow.folder / "away").rename(flow.video)
-    assert flow.ran()["one"] == ["first run", "last run was cut short"]
+    assert len(reasons := flow.ran()["one"]) == 2 and holds(reasons[1], "last run")
 
 
 @pytest.mark.slow
@@ -163,7 +161,7 @@ def test_a_clip_without_a_name_is_refused_not_written_elsewhere(tmp_path, monkey
         return
     with pytest.raises(UsageError) as error:
         clip_name(Path(name))
-    assert "gives no name" in error.value.problem
+    assert holds(error.value.problem, "named")
 
 
 @pytest.mark.parametrize("name", ["../../x", "/x", "..", "a/b", ""])

@@ -135,7 +135,7 @@ def test_training_gets_what_is_left_of_the_time_and_the_outcome_is_said(finished
     assert least <= given["seconds"] < 60 - 2 * STAGE_START
     assert kept["settings"] == {"train": {name: given[name] for name in ("seconds", "reserve", "reserve_least")}}
     assert given["reserve"] == given["reserve_least"] == 40 and given["size"] == 1
-    assert "promised 1m 00s, took" in err and "are left for training" in err
+    assert holds(err, "left", "training") and holds(err, "promised", "1m 00s", "took")
 
 
 @pytest.mark.slow
@@ -232,10 +232,10 @@ def test_what_follows_a_training_takes_the_time_that_is_left_then(clip, step, fi
 @pytest.mark.slow
 def test_what_cannot_fit_is_said_before_the_first_stage_and_ends_in_a_result(clip):
     _, err = run(clip, "--within", "1s")
-    before, _, rest = err.partition("is too short, going by a guess")
+    before, _, rest = err.partition("too short")
     assert rest and " one " not in before and holds(rest, "goes on", "took")
     assert (clip.work / "clip" / "tiny.1s" / "after" / "out.txt").exists()
-    assert "is too short" not in run(clip, "--within", "99h")[1]
+    assert "too short" not in run(clip, "--within", "99h")[1]
 
 
 @pytest.mark.slow

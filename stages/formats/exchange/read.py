@@ -54,7 +54,7 @@ def lacks(avatar: Path | None, scene: Path | None, antialias: bool = False) -> l
             f"{avatar.name} was made before clothes had bones: they follow the skin; train again for clothes that swing"
         )
     if scene is not None and scene.suffix.lower() == ".ply" and not antialias:
-        found.append(f"{scene.name} does not say that it was learned with anti-aliasing: drawn without")
+        found.append(f"{scene.name} has no mark that it was learned with anti-aliasing: drawn without")
     return found
 
 

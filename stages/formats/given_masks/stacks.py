@@ -36,7 +36,7 @@ def read_stack(path: Path, frames: range, film: str) -> MaskSet:
     single = {key: np.squeeze(array) for key, array in arrays.items() if np.squeeze(array).ndim == 2}
     if stacks or not single:
         shapes = "; ".join(f"{key} {array.dtype} {array.shape}" for key, array in list(arrays.items())[:8]) or "nothing"
-        raise StageError(f"{path} holds no masks that can be told apart", HINT, [f"it holds {shapes}"])
+        raise StageError(f"{path} holds no single stack of masks [N,H,W]", HINT, [f"it holds {shapes}"])
     keys = tuple(single)
 
     def read(_: str, i: int) -> Values:

@@ -105,7 +105,7 @@ def _outwards(limbs: Mapping[int, int], parents: list[int]) -> bool:
 
 def _told(limbs: Mapping[int, int], bvh: Bvh, sides: str) -> str:
     parts = [f"left {part} {bvh.names[limbs[JOINT_NAMES.index(f'left_{part}')]] or 'end'}" for part in NEEDED]
-    return f"names do not say which joint is which: taken by the tree, left and right by {sides}: {', '.join(parts)}"
+    return f"unknown names of joints: taken by the tree, left and right by {sides}: {', '.join(parts)}"
 
 
 def _words(name: str) -> tuple[str, str]:

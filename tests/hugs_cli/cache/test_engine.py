@@ -164,8 +164,8 @@ def test_killed_inside_each_stage_and_run_again(flow, stage):
     assert not [folder for folder in flow.store.iterdir() if folder.name.startswith(stage) and folder.suffix != ".part"]
     ran = flow.ran("--set", f"{stage}.delay=0.05")
     assert set(ran) == set(ALL) - before
-    how = "continues a run cut short" if stage == "three" else "last run was cut short"
-    assert ran[stage] == ["first run", how]
+    first, how = ran[stage]
+    assert first == "first run" and holds(how, "cut short") and holds(how, "continues") == (stage == "three")
     assert flow.text("four") == WHOLE
     stamp = json.loads((flow.work / "clip/default" / stage / "stamp.json").read_text())
     assert (stamp["notes"] == ["began at step 0"]) == (stage != "three")
@@ -337,7 +337,7 @@ def test_a_stage_error_is_told_without_a_traceback_and_a_bug_with_one(flow):
               "'only 41 of 300 frames placed', 'try `--set two.word=b`', ['median 38 matches'])")  # fmt: skip
     out, err = flow.hugs(code=1)
     assert out == ""
-    assert err.endswith("error: only 41 of 300 frames placed\n  median 38 matches\n\nhint: try `--set two.word=b`\n")
+    assert holds(err, "error", "41 of 300", "38", "hint", "--set two.word=b")
     assert "Traceback" not in err and "  two      failed" in err
     flow.edit("two", "raise StageError(", "print('seen'); 1 / 0; StageError(")
     _, err = flow.hugs(code=1)
@@ -473,7 +473,7 @@ def test_an_input_that_was_given_and_is_not_any_more_is_no_change_of_code(flow):
 
 @pytest.mark.slow
 def test_a_run_says_how_to_keep_results_where_only_code_changed(flow):
-    hint = "of results are made again; `hugs accept clip.mp4` keeps them"
+    hint = "`hugs accept clip.mp4`"
     assert hint not in flow.hugs()[1]
     flow.edit("helper", "count = len(", "count = 0 + len(")
     err = flow.hugs()[1]

@@ -35,7 +35,7 @@ def test_a_work_folder_inside_the_source_is_refused_before_anything_is_read(tmp_
     monkeypatch.chdir(tmp_path / "pictures")
     session = Session(Workspace(Path("."), Path("work"), "default"), Pipeline("default", "", {}), {"video": None})
     session.check_sources()
-    with pytest.raises(UsageError, match="results would be written into") as error:
+    with pytest.raises(UsageError, match="source") as error:
         session.pipeline.stages["a"] = type("Stage", (), {"needs": ("video",)})()
         session.sources["video"] = Path(".")
         session.check_sources()

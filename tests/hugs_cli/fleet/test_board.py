@@ -16,6 +16,7 @@ from hugs_cli.fleet.clips import Row
 from hugs_cli.fleet.job import LOGS, ROWS, SNAKEMAKE_LOG, STOP
 from hugs_cli.fleet.plan import Planned
 from hugs_cli.pipelines import UsageError
+from tests.made.said import holds
 
 EXPECTED = {"frames": 10.0, "train": 100.0}
 
@@ -71,7 +72,7 @@ def test_what_is_lost_has_a_log(show):
     (show.folder / LOGS / f"{show.planned[0].row.id}.clip.log").touch()
     (show.folder / SNAKEMAKE_LOG).touch()
     lost, never, _ = show.rows(over=True)
-    assert lost["log"].endswith("clip.log") and "without a word" in lost["problem"]
+    assert lost["log"].endswith("clip.log") and holds(lost["problem"], "ended")
     assert never["log"].endswith(SNAKEMAKE_LOG) and "never began" in never["problem"]
 
 
@@ -85,14 +86,15 @@ def test_silence_is_said_and_in_the_end_it_is_lost(show, monkeypatch):
     assert show.rows()[0]["silent"] is None
     lost, never, _ = show.rows(over=True)
     assert lost["state"] == never["state"] == "lost"
-    assert "without a word" in lost["problem"] and "never began" in never["problem"] and never["hint"]
+    assert holds(lost["problem"], "ended") and holds(never["problem"], "never", "began") and never["hint"]
     (show.folder / STOP).touch()
     assert [row["state"] for row in show.rows(over=True)] == ["lost", "stopped", "fresh"]
 
 
 def test_kinds_leave_out_what_differs_from_clip_to_clip():
     one, two = ("no person in {} of {} frames of 'clips/{}.mp4'".format(*x) for x in ((3, 40, "a"), (12, 9, "b c")))
-    assert kind_of("masks", one) == kind_of("masks", two) == "masks: no person in N of N frames of ..."
+    kind = kind_of("masks", one)
+    assert kind == kind_of("masks", two) != kind_of("sfm", one) and holds(kind, "masks", "N of N") and "mp4" not in kind
     assert kind_of("", "no video at clips/x.mp4") == "no video at ..."
 
 
@@ -134,7 +136,7 @@ def test_failures_of_a_kind_are_told_together(show):
     rows = show.rows(over=True)
     (kind,) = json.loads(board.as_json(rows, totals(rows, 1)))["failures"]
     assert kind["clips"] == ["a/default", "b/default"] and (kind["stage"], kind["hint"]) == ("masks", "film one")
-    assert kind["problem"].startswith("no person in any of 40") and "N frames" in kind["kind"]
+    assert holds(kind["problem"], 40) and "N frames" in kind["kind"]
 
 
 def test_what_failed_is_known_from_the_table_of_the_last_call(show):
@@ -144,5 +146,5 @@ def test_what_failed_is_known_from_the_table_of_the_last_call(show):
     board.write(show.work, "fleet", show.rows(over=True), totals(show.rows(over=True), 1), live=False)
     again = board.failed_before(show.planned, show.work, "fleet")
     assert [one.row.name for one in again] == ["a", "b", "c"]  # the first is lost; what is fresh stays on the page
-    with pytest.raises(UsageError, match="no table of an earlier call"):
+    with pytest.raises(UsageError, match=r"other\.csv"):
         board.failed_before(show.planned, show.work, "other")

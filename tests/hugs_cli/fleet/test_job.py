@@ -83,7 +83,7 @@ def test_a_folder_that_another_clip_took_meanwhile_is_left_to_it(room, common):
     root.mkdir()
     (root / "sources.json").write_text(json.dumps({"video": {"path": str(other)}}))
     heart = Heart(room.path, Report(room.path / "row.json"), {})
-    with pytest.raises(UsageError, match=r"now holds the results of .*tue/c00000"):
+    with pytest.raises(UsageError, match=r"work/c00000 .*tue/c00000\.mp4"):
         jobs.work(room.row, common, WHOLE, heart.report, heart, leases.identity())
     assert not (root / leases.NAME).exists() and room.fleet.made() == {}
 

@@ -101,7 +101,7 @@ def test_where_nothing_was_measured_times_are_compared_and_that_is_said(tmp_path
         found[1].scores[region] = dict.fromkeys(METRICS)
     result = costs.compared(found)
     lines = "\n".join(costs.table(result))
-    assert "1m 10s" in lines and holds(lines.splitlines()[-1], "note", "no accuracy")
+    assert "1m 10s" in lines and holds(lines.splitlines()[-1], "note", "accuracy")
     with pytest.raises(StageError, match="nothing to plot"):
         costs.write_page(tmp_path, "costs", "clip", result)
 

@@ -40,7 +40,7 @@ def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     assert "Pareto front" in drawn and ">sh<" in drawn
     assert holds(err, "8 trainings", "0 cached", "8 to do")
     assert holds(err, "8 trainings", "1 cached", "7 to do"), "said again when it is known"
-    assert "error: too many colours" in err and holds(out, "note", "tiny.sh_3.seed1 failed", "too many colours")
+    assert holds(err, "error", "too many colours") and holds(out, "note", "tiny.sh_3.seed1 failed", "too many colours")
     assert err.endswith("work/clip/sweep-tiny.html\n")
     table = out.partition("whole picture")[2].partition("person")[0].splitlines()[1:-1]
     rows = {line.split()[0]: line.split()[1:4] for line in table}
@@ -50,7 +50,7 @@ def test_levels_are_set_beside_the_noise_of_the_pipeline_and_cached(clip):
     counts = {name: len(list(clip.store.glob(f"{name}-*/{file}"))) for name, file in (("one", "out.txt"), *MADE)}
     assert counts == {"one": 1, "train": 6, "evaluate": 6}
     again, err = sweep_(clip, "--axis", "sh", "--seeds", "2", "--budget", "0")
-    assert "8 trainings: 6 cached, 2 to do" in err and again.partition("note")[0] == out.partition("note")[0]
+    assert holds(err, "8 trainings", "6 cached", "2 to do") and again.partition("note")[0] == out.partition("note")[0]
 
 
 @pytest.mark.slow
@@ -119,12 +119,12 @@ def test_a_difference_counts_from_two_standard_errors_on(seeds, means, spread, w
 @pytest.mark.parametrize(
     ("args", "problem", "hint"),
     [
-        (("--axis", "stpes"), "hugs costs --axis: no axis 'stpes'", "did you mean `steps`?"),
-        (("--axis", "overlap"), "pipeline tiny has none of the settings to vary", "`hugs stages`"),
-        (("--pipeline", "tiny.sh_2"), "tiny.sh_2 is a variant already", "`--pipeline tiny`"),
-        (("--pipeline", "default"), "pipeline default has none of the settings to vary", "`hugs stages`"),
+        (("--axis", "stpes"), ("axis", "stpes"), "steps"),
+        (("--axis", "overlap"), ("tiny", "settings"), "hugs stages"),
+        (("--pipeline", "tiny.sh_2"), ("tiny.sh_2", "variant"), "--pipeline tiny"),
+        (("--pipeline", "default"), ("default", "settings"), "hugs stages"),
     ],
 )
 def test_what_cannot_be_swept_is_refused(clip, args, problem, hint):
     _, err = sweep_(clip, *args, code=2)
-    assert err.startswith(f"error: {problem}\n") and hint in err
+    assert holds(err, "error", *problem, "hint", hint)

@@ -89,7 +89,7 @@ def test_the_person_waves_where_it_stood(trained, hugs, motion):
     assert holds(about, motion, "50 frames", "2.0 s", "25 fps") and holds(
         about, *(("fingers", "z is up") if motion == "amass.npz" else ("22 of 24 joints", "y is up"))
     )
-    assert made == "8 frames, 2.0 s at 4 fps"
+    assert holds(made, "8 frames", "2.0 s", "4 fps")
     frames = film(trained / out.strip())
     assert frames.shape == (8, HEIGHT, WIDTH, 3) and (frames[:, :8, :8] > 245).all()
     clip = load_clip(*(trained / "work/clip/default" / name for name in ("sfm", "smpl")))
@@ -121,19 +121,13 @@ def test_cameras_of_ones_own_and_the_scene(trained, hugs):
 @pytest.mark.parametrize(
     "motion,args,code,problem,hint",
     [
-        ("none.bvh", (), 2, "no file at none.bvh", "check the path"),
-        ("clip.mp4", (), 1, "clip.mp4 is no motion", "give a .bvh"),
-        ("amass.npz", ("--only", "scene"), 2, "a scene alone does not move", "--only human"),
-        ("amass.npz", ("--out", "m.avi"), 2, "cannot write m.avi: only .mp4 is written", "--out motion.mp4"),
-        (
-            "amass.npz",
-            ("--pipeline", "draft"),
-            2,
-            "no finished train of clip.mp4 in pipeline draft",
-            "hugs run clip.mp4",
-        ),
-        ("lying.npz", (), 1, "cannot tell which way is up in lying.npz", "`--up`"),
-        ("flat.bvh", (), 1, "flat.bvh has bones without length", "BVH"),
+        ("none.bvh", (), 2, ("none.bvh",), "path"),
+        ("clip.mp4", (), 1, ("clip.mp4", "motion"), ".bvh"),
+        ("amass.npz", ("--only", "scene"), 2, ("scene",), "--only human"),
+        ("amass.npz", ("--out", "m.avi"), 2, ("m.avi", ".mp4"), "--out motion.mp4"),
+        ("amass.npz", ("--pipeline", "draft"), 2, ("train", "clip.mp4", "draft"), "hugs run clip.mp4"),
+        ("lying.npz", (), 1, ("up", "lying.npz"), "--up"),
+        ("flat.bvh", (), 1, ("flat.bvh", "bones"), "BVH"),
     ],
 )
 def test_what_cannot_be_done_is_refused_in_our_words(trained, hugs, motion, args, code, problem, hint):
@@ -143,16 +137,16 @@ def test_what_cannot_be_done_is_refused_in_our_words(trained, hugs, motion, args
     (trained / "flat.bvh").write_text("\n".join([*text[: knee + 2], "OFFSET 0 0 0", *text[knee + 3 :]]))
     _, err = hugs(motion, *args, code=code)
     first, *rest = err.splitlines()
-    assert first == f"error: {problem}" and "Traceback" not in err
-    assert rest[-2] == "" and rest[-1].startswith("hint: ") and hint in rest[-1]
+    assert holds(first, "error", *problem) and "Traceback" not in err
+    assert rest[-2] == "" and holds(rest[-1], "hint", hint)
 
 
 def test_a_motion_that_does_not_say_how_fast_or_which_way(trained, hugs):
     poses = np.tile([0, 0, np.pi / 2] + [0] * 69, (11, 1))
     np.savez(trained / "plain.npz", poses=poses, trans=np.zeros((11, 3)))
     args = ("--fps", "5", "--only", "human", "--out", "p.mp4", "--up", "y")
-    assert holds(hugs("plain.npz", *args)[1], "11 frames", "0.3 s", "30 fps", "not said")
-    assert hugs("plain.npz", *args, "--motion-fps", "10")[1].endswith("\n6 frames, 1.2 s at 5 fps\n")
+    assert holds(hugs("plain.npz", *args)[1], "11 frames", "0.3 s", "30 fps", "--motion-fps")
+    assert holds(hugs("plain.npz", *args, "--motion-fps", "10")[1].splitlines()[-1], "6 frames", "1.2 s", "5 fps")
     assert Path(trained / "p.mp4").stat().st_size > 500
 
 
@@ -183,7 +177,7 @@ def test_no_source_and_no_result_is_drawn_over(trained, hugs, force):
     before = {path: path.read_bytes() for path in trained.rglob("*") if path.is_file()}
     for out in ("clip.mp4", "link.mp4", "work/../clip.mp4", "work/clip/default/train/film.mp4", "clip.mp4/x.mp4"):
         _, err = hugs("amass.npz", "--out", out, *force, code=2)
-        assert f"error: {out} is a" in err and "hint: choose another `--out`" in err
+        assert holds(err, "error", out, "hint", "--out")
     assert before.items() <= {path: path.read_bytes() for path in trained.rglob("*") if path.is_file()}.items()
 
 
@@ -194,10 +188,9 @@ def test_pictures_go_to_a_folder_of_their_own(trained, hugs):
     (trained / "mine").mkdir()
     (trained / "mine/a.png").write_text("my picture")
     (trained / "notes.txt").write_text("my notes")
-    assert "mine is already there" in hugs(*args, "mine", command="render", code=2)[1]
-    assert "notes.txt: it is a file" in hugs(*args, "notes.txt", "--force", command="render", code=2)[1]
-    assert "clip.mp4 is a source" in hugs(*args, "clip.mp4", "--force", command="render", code=2)[1]
-    assert "notes.txt is no folder" in hugs(*args, "notes.txt/x", "--force", command="render", code=2)[1]
+    assert holds(hugs(*args, "mine", command="render", code=2)[1], "error", "mine", "--force")
+    for out, facts in (("notes.txt", ("file",)), ("clip.mp4", ("source",)), ("notes.txt/x", ("notes.txt", "folder"))):
+        assert holds(hugs(*args, out, "--force", command="render", code=2)[1], "error", out, *facts)
     for _ in range(2):
         assert hugs(*args, "views", command="render")[0] == "views\n"
     assert (trained / "mine/a.png").read_text() == "my picture"
@@ -210,7 +203,7 @@ def test_pictures_go_to_a_folder_of_their_own(trained, hugs):
 
 def test_a_video_needs_a_name_that_is_no_folder(trained, hugs):
     (trained / "folder.mp4").mkdir()
-    assert "a video is a file" in hugs("amass.npz", "--out", "folder.mp4", "--force", code=2)[1]
+    assert holds(hugs("amass.npz", "--out", "folder.mp4", "--force", code=2)[1], "error", "folder.mp4", "folder")
 
 
 @pytest.fixture(scope="module")
@@ -275,21 +268,21 @@ def test_an_exported_avatar_is_drawn_from_all_sides(trained, exported, hugs):
 
 
 @pytest.mark.parametrize(
-    ("command", "args", "problem"),
+    ("command", "args", "facts"),
     [
-        ("animate", ("clip.mp4", "amass.npz", "--avatar", "made/train/avatar.npz"), "are two people"),
-        ("animate", (), "nobody to draw"),
-        ("animate", ("--avatar", "made/train/avatar.npz"), "no motion to perform"),
-        ("animate", ("clip.mp4",), "no motion to perform"),
-        ("animate", ("--avatar", "none.glb", "amass.npz"), "no file at none.glb"),
-        ("render", ("clip.mp4", "--out", "x"), "no cameras to draw for"),
-        ("render", ("--out", "x"), "nobody to draw"),
-        ("animate", ("--avatar", "made/train/avatar.npz", "amass.npz", "--who", "2"), "holds one person, and not 2"),
-        ("render", ("--avatar", "made/train/avatar.npz", "--only", "scene", "--out", "x"), "has no scene"),
+        ("animate", ("clip.mp4", "amass.npz", "--avatar", "made/train/avatar.npz"), ("two people",)),
+        ("animate", (), ("nobody",)),
+        ("animate", ("--avatar", "made/train/avatar.npz"), ("no motion",)),
+        ("animate", ("clip.mp4",), ("no motion",)),
+        ("animate", ("--avatar", "none.glb", "amass.npz"), ("none.glb",)),
+        ("render", ("clip.mp4", "--out", "x"), ("no cameras",)),
+        ("render", ("--out", "x"), ("nobody",)),
+        ("animate", ("--avatar", "made/train/avatar.npz", "amass.npz", "--who", "2"), ("avatar.npz", "no person 2")),
+        ("render", ("--avatar", "made/train/avatar.npz", "--only", "scene", "--out", "x"), ("no scene",)),
     ],
 )
-def test_a_person_is_a_clips_or_a_files(hugs, command, args, problem):
-    assert problem in hugs(*args, command=command, code=2, source=())[1]
+def test_a_person_is_a_clips_or_a_files(hugs, command, args, facts):
+    assert holds(hugs(*args, command=command, code=2, source=())[1], "error", *facts)
 
 
 @pytest.mark.slow
@@ -317,7 +310,7 @@ def test_one_of_several_people_is_drawn(tmp_path, monkeypatch, capsys):
     shown = [film(tmp_path / name)[0].reshape(-1, 3).astype(float).mean(0) for name in names[:2]]
     assert shown[0][1] > shown[0][0] and shown[1][0] > shown[1][1]
     for command, *args in (("animate", "moves.npz"), ("render", "--cameras", "c.npz", "--out", "x")):
-        assert "there is no person 3" in hugs(command, "clip.mp4", *args, "--who", "3", code=1)[1]
+        assert holds(hugs(command, "clip.mp4", *args, "--who", "3", code=1)[1], "error", "no person 3")
 
 
 def write_motion(folder):
@@ -342,9 +335,7 @@ def write_motion(folder):
 def test_a_film_of_any_length_is_refused_before_memory_is_taken(trained, monkeypatch, film, person):
     monkeypatch.chdir(trained)
     people = [{"avatar": "work/clip/default", "motion": "wave"} | person]
-    with pytest.raises(
-        (StageError, ValidationError), match=r"too many pictures|less than or equal|greater than or equal"
-    ):
+    with pytest.raises((StageError, ValidationError), match=r"too many|less than|greater than"):
         compose.run(Job(trained), compose.Params(people=people, **film))
 
 
@@ -352,7 +343,7 @@ def test_what_of_a_scene_is_left_out_is_a_warning_wherever_it_is_drawn(trained, 
     scene = read_scene(trained / "work/clip/default/train/scene.npz")
     means = np.array(scene.means)
     write_ply(trained / "few.ply", replace(scene, means=np.where(np.arange(len(means))[:, None] == 5, np.nan, means)))
-    said = f"warning: few.ply: 1 of {len(scene)} Gaussians cannot be drawn and are left out: rows 5"
+    said = ("warning", "few.ply", f"1 of {len(scene)} Gaussians", "rows 5")
     view = ("--cameras", "work/clip/default/sfm/cameras.npz")
-    assert said in hugs("wave.bvh", "--fps", "1", "--out", "few.mp4", "--scene", "few.ply")[1]
-    assert said in hugs("--out", "few", "--scene", "few.ply", *view, command="render")[1]
+    assert holds(hugs("wave.bvh", "--fps", "1", "--out", "few.mp4", "--scene", "few.ply")[1], *said)
+    assert holds(hugs("--out", "few", "--scene", "few.ply", *view, command="render")[1], *said)

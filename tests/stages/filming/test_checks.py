@@ -49,7 +49,7 @@ def test_a_person_under_the_floor_is_named_with_the_distance(tiny):
     ground = read_ground(tiny["smpl"] / "ground.json")
     sunk = stand_at(run, replace(ground, point=ground.point - 0.3 * ground.up), motion="wave")
     (fault,) = faults_of([replace(sunk, name="ann")], ground, 30, 30.0)
-    assert fault.startswith("ann is under the floor") and abs(float(fault.split(" by ")[1].split(" cm")[0]) - 30) < 4
+    assert holds(fault, "ann", "under", "floor") and abs(float(fault.split(" by ")[1].split(" cm")[0]) - 30) < 4
 
 
 def of_balls(name: str, *balls: tuple[np.ndarray, np.ndarray]) -> SimpleNamespace:

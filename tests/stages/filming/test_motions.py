@@ -15,6 +15,7 @@ from stages.estimators.bodyfit.resting import posed_joints
 from stages.filming.motions import Manner, from_clip, from_file
 from stages.formats.body_model import read_body_model
 from tests.made import bvh as bvh_made
+from tests.made.said import holds
 from tests.made.tiny import EMPTY, FRAMES, make_ground, make_poses
 
 MODEL = read_body_model()
@@ -110,16 +111,16 @@ def test_a_motion_that_claims_to_take_for_ever_is_refused_before_memory_is_taken
     local = np.tile(np.eye(3), (3, 24, 1, 1))
     path = bvh_made.write_bvh(tmp_path / "m.bvh", soles.joints, local, np.zeros((3, 3)), bvh_made.a_pose(), fps=30)
     path.write_text(path.read_text().replace("Frame Time: 0.03333333", f"Frame Time: {seconds}"))
-    with pytest.raises(StageError, match="has too many") as refused:
+    with pytest.raises(StageError, match=r"\bm\.bvh\b") as refused:
         from_file(path, Manner(30.0), soles, MODEL.parents.tolist())
-    assert "108,000 are the most" in refused.value.facts[1] and "--motion-fps" in refused.value.hint
+    assert holds(refused.value.facts[1], "108,000") and "--motion-fps" in refused.value.hint
     np.savez(tmp_path / "m.npz", poses=np.zeros((3, 72)), trans=np.zeros((3, 3)), fps=1 / seconds)
-    with pytest.raises(StageError, match=r"has too many|above 0"):
+    with pytest.raises(StageError, match=r"\bm\.npz\b"):
         from_file(tmp_path / "m.npz", Manner(30.0), soles, MODEL.parents.tolist())
-    with pytest.raises(StageError, match="has too many"):
+    with pytest.raises(StageError, match=r"\bm\.npz\b"):
         from_file(tmp_path / "m.npz", Manner(30.0, 1e-12, motion_fps=30.0), soles, MODEL.parents.tolist())
     times = np.linspace(0, seconds, FRAMES)
-    with pytest.raises(StageError, match="the motion of the clip has too many poses"):
+    with pytest.raises(StageError, match=r"\bclip\b.*too many"):
         from_clip(make_poses(), times, make_ground(make_poses(), MODEL), Manner(30.0), soles)
 
 
@@ -132,7 +133,7 @@ def test_an_up_that_the_pelvis_contradicts_is_said_with_the_axis_that_it_has(sol
     poses[:, :3] = turn
     np.savez(tmp_path / "m.npz", poses=poses, trans=np.zeros((9, 3)), fps=30)
     _, facts = from_file(tmp_path / "m.npz", Manner(30.0, up=said), soles, MODEL.parents.tolist())
-    contradicted = [fact for fact in facts if "the pelvis says" in fact]
+    contradicted = [fact for fact in facts if "--up" in fact]
     assert len(contradicted) == (said not in (None, stands))
     assert all(f"--up {stands}" in fact for fact in contradicted) and f"{said or stands} is up" in facts
 

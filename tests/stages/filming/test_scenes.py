@@ -6,6 +6,7 @@ import pytest
 from stages.avatar.splats.turn import OVER, turned
 from stages.filming.scenes import on_its_head, stood
 from stages.records import Ground, Scene
+from tests.made.said import holds
 
 GROUND = Ground(np.array([0.3, 1.2, 2.0]), np.array([0, -1.0, 0]), np.array([0, 0, -1.0]), 1.0, 0.0, 0.0, 0, "given")
 
@@ -23,7 +24,7 @@ def test_a_scene_with_y_up_is_said_to_lie_on_its_head_until_it_is_turned():
     scene = room()
     assert stood(scene, "y_down", GROUND).said == ()
     (said,) = stood(turned(scene, OVER), "y_down", GROUND).said
-    assert "head" in said and "--scene-axes y_up" in said
+    assert holds(said, "upside down", "--scene-axes y_up")
     right = stood(turned(scene, OVER), "y_up", GROUND)
     assert right.said == ()
     np.testing.assert_allclose(right.means, scene.means, atol=1e-6)

@@ -97,10 +97,10 @@ def test_a_guessed_floor_is_said(run):
 
 def test_a_file_needs_its_floor_and_stands_on_it(run, tmp_path):
     write_ply(tmp_path / "room.ply", read_scene(run / "train" / "scene.npz"))
-    with pytest.raises(StageError, match="where is the floor of") as refused:
+    with pytest.raises(StageError, match=r"floor.*room\.ply") as refused:
         load_setting(film(tmp_path / "room.ply"), "cpu")
     assert "ground: {point:" in refused.value.hint
-    with pytest.raises(StageError, match="not two directions"):
+    with pytest.raises(StageError, match="parallel"):
         load_setting(film(tmp_path / "room.ply", ground=Floor(point=(0, 1, 3), up=(0, 2, 0), ahead=(0, -1, 0))), "cpu")
     setting = load_setting(film(tmp_path / "room.ply", ground=Floor(point=(0, 1, 3), ahead=(1, 5, -1))), "cpu")
     np.testing.assert_allclose(setting.ground.up, [0, -1, 0])

@@ -19,7 +19,7 @@ from stages.formats.given_masks.coco import read_coco
 def test_as_many_as_there_may_be_and_not_one_more(kind):
     check_count(MOST[kind], kind, "x")
     for count in (MOST[kind] + 1, 1e30, float("inf"), float("nan")):
-        with pytest.raises(StageError, match=f"x has too many {kind}"):
+        with pytest.raises(StageError, match=rf"\bx\b.*{kind}"):
             check_count(count, kind, "x")
 
 
@@ -61,7 +61,7 @@ def test_a_glb_holds_no_more_than_its_header_can_say(tmp_path):
 
     arrays = Arrays()
     arrays.data = Huge()
-    with pytest.raises(StageError, match="too large for a GLB"):
+    with pytest.raises(StageError, match=r"a\.glb.*large"):
         write_glb(tmp_path / "a.glb", {}, arrays)
     assert not Path(tmp_path / "a.glb").exists()
 

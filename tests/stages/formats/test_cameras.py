@@ -47,10 +47,10 @@ def test_centers_are_where_the_camera_sees_zero():
         ({"Ks": np.tile([[500.0, 0, 0], [0, 500, 0], [320, 240, 1]], (3, 1, 1))}, "skewed or transposed"),
         ({"Ks": np.tile(np.diag([500.0, 500, 2]), (3, 1, 1))}, "skewed or transposed"),
         ({"names": np.array(["a", "a", "b"])}, "names"),
-        ({"names": np.array(["a", "../../b", "c"])}, "cannot be a file name"),
+        ({"names": np.array(["a", "../../b", "c"])}, "camera name"),
         ({"width": None}, "width"),
-        ({"width": 0}, "impossible picture size"),
-        ({"width": 1 << 16, "height": 1 << 16}, "asks for too much memory"),
+        ({"width": 0}, "picture size"),
+        ({"width": 1 << 16, "height": 1 << 16}, "memory"),
     ],
 )
 def test_k08_wrong_cameras_are_refused_by_name(tmp_path, change, token):
@@ -76,7 +76,7 @@ def test_d13_what_is_no_rotation_is_refused_with_numbers(tmp_path, change, words
     viewmats = good.viewmats.copy()
     viewmats[1, :3, :3] = change @ viewmats[1, :3, :3]
     write_cameras(tmp_path / "cameras.npz", replace(good, viewmats=viewmats))
-    with pytest.raises(StageError, match=r"camera 1 of .* is not a rotation") as refused:
+    with pytest.raises(StageError, match=r"\bcamera 1\b.*rotation") as refused:
         read_cameras(tmp_path / "cameras.npz")
     assert all(word in refused.value.facts[0] for word in words), refused.value.facts
     noise = 1e-5 * np.random.default_rng(0).uniform(-1, 1, viewmats.shape) * (np.arange(4) < 3)[:, None]

@@ -12,6 +12,7 @@ from stages.formats.clip import load_clip
 from stages.formats.images import write_image
 from stages.formats.poses import read_poses, write_poses
 from tests.made import tiny as tiny_clip
+from tests.made.said import holds
 
 
 def test_cameras_points_and_body_share_a_world_of_metres(tiny):
@@ -58,7 +59,7 @@ def test_a14_a_world_far_from_its_origin_is_refused(tiny, tmp_path):
         write_cameras(sfm / "cameras.npz", replace(cameras, viewmats=viewmats))
         if metres < 1000:
             assert load_clip(sfm, tiny["smpl"]).names == tiny_clip.NAMES
-    with pytest.raises(StageError, match=r"5e\+05 m from the origin"):
+    with pytest.raises(StageError, match=r"5e\+05 m\b"):
         load_clip(sfm, tiny["smpl"])
 
 
@@ -68,4 +69,4 @@ def test_a25_a_picture_of_another_size_is_refused(tiny, tmp_path):
     clip = load_clip(sfm, tiny["smpl"])
     with pytest.raises(StageError, match=r"images/000003\.png") as refused:
         clip.images(1)
-    assert refused.value.facts == ("picture 48x64, camera 96x128",)
+    assert holds(*refused.value.facts, "48x64", "96x128")

@@ -24,5 +24,5 @@ def test_landmarks_come_back_by_the_names_of_their_frames(tmp_path):
 def test_landmarks_of_another_count_are_refused(tmp_path):
     arrays = {"xy": np.ones((1, 17, 2)), "visibility": np.ones((1, 17)), "world": np.ones((1, 17, 3))}
     np.savez(tmp_path / "landmarks.npz", names=["a"], **arrays)
-    with pytest.raises(StageError, match=r"xy in .* has the wrong shape"):
+    with pytest.raises(StageError, match=r"\bxy\b.*landmarks\.npz"):
         read_landmarks(tmp_path / "landmarks.npz")

@@ -48,11 +48,11 @@ def test_k02_l01_damage_is_named(tmp_path):
     np.savez(path, **(avatar() | {"sh0": np.zeros((4, 3), np.float32)}))
     with pytest.raises(StageError, match=r"sh0 .*avatar\.npz.* shape") as error:
         read_avatar(path)
-    assert error.value.facts[0] == "found 4x3, wanted 5x3"
+    assert holds(error.value.facts[0], "4x3", "5x3")
     broken = avatar()
     broken["means"][2, 1] = np.nan
     np.savez(path, **broken)
-    with pytest.raises(StageError, match=r"means .*avatar\.npz.*not finite") as error:
+    with pytest.raises(StageError, match=r"\bmeans\b.*avatar\.npz") as error:
         read_avatar(path)
     assert "[2, 1]" in error.value.facts[0]
     np.savez(path, **(avatar() | {"lbs_weights": np.full((5, 24), 0.05, np.float32)}))
@@ -70,28 +70,25 @@ def test_a19_a_zero_quaternion_is_no_rotation(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "facts"),
     [
-        ({"scales": np.zeros((5, 3))}, "5 Gaussians have a scale that is not positive, the first is row 0"),
-        (
-            {"opacities": np.array([0, 1, 0.5, 1.5, -1])},
-            "2 Gaussians have an opacity that is not in 0..1, the first is row 3",
-        ),
-        ({"shN": np.zeros((5, 5, 3))}, "shN has 5 coefficients a colour"),
-        ({"lbs_weights": np.full((5, 24), 0.05)}, "5 Gaussians are below 0 or do not sum to one: row 0 sums to 1.2"),
-        ({"lbs_weights": np.eye(24)[:5] * 6 - np.eye(24)[1:6] * 5}, "row 0 sums to 1.0000, its least is -5"),
-        ({"lbs_weights": np.eye(24)[:5] * 1e30 - np.eye(24)[1:6] * 1e30}, "are below 0"),
-        ({"parents": np.roll(np.arange(24) - 1, 1)}, "not a tree"),
-        ({"parents": np.arange(24)}, "not a tree"),
-        ({"parents": np.r_[-1, 99, np.arange(1, 23)]}, "not a tree"),
+        ({"scales": np.zeros((5, 3))}, ("5 Gaussians", "scale", "row 0")),
+        ({"opacities": np.array([0, 1, 0.5, 1.5, -1])}, ("2 Gaussians", "opacity", "row 3")),
+        ({"shN": np.zeros((5, 5, 3))}, ("shN", "5 coefficients")),
+        ({"lbs_weights": np.full((5, 24), 0.05)}, ("5 Gaussians", "row 0", "1.2000")),
+        ({"lbs_weights": np.eye(24)[:5] * 6 - np.eye(24)[1:6] * 5}, ("row 0", "1.0000", "-5")),
+        ({"lbs_weights": np.eye(24)[:5] * 1e30 - np.eye(24)[1:6] * 1e30}, ("below 0",)),
+        ({"parents": np.roll(np.arange(24) - 1, 1)}, ("tree",)),
+        ({"parents": np.arange(24)}, ("tree",)),
+        ({"parents": np.r_[-1, 99, np.arange(1, 23)]}, ("tree",)),
     ],
 )
-def test_what_no_avatar_can_have_is_refused_by_name(tmp_path, change, said):
+def test_what_no_avatar_can_have_is_refused_by_name(tmp_path, change, facts):
     """An avatar of a stranger (`--avatar FILE`): none of these could be posed or drawn."""
     np.savez(tmp_path / "theirs.npz", **avatar() | change)
-    with pytest.raises(StageError, match=r"theirs.npz is damaged") as refused:
+    with pytest.raises(StageError, match=r"theirs\.npz") as refused:
         read_avatar(tmp_path / "theirs.npz")
-    assert said in refused.value.facts[0]
+    assert holds(refused.value.facts[0], *facts)
 
 
 @pytest.mark.parametrize("name", ["means", "scales", "sh0", "lbs_weights", "joints", "betas", "canonical_pose"])

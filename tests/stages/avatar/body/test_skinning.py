@@ -203,7 +203,7 @@ def test_e08_refuses_what_has_no_answer(skinned_cloud):
         knn_weights(vertices, vertices[:0], weights[:0])
     broken = vertices.clone()
     broken[4, 1] = math.nan
-    with pytest.raises(ValueError, match="point 4 is not finite"):
+    with pytest.raises(ValueError, match=r"\b4\b.*finite"):
         knn_weights(broken, vertices, weights)
 
 

@@ -101,9 +101,9 @@ def test_gradient_is_the_slope(pictures):
 
 def test_g09_refuses_small_and_unequal_pictures_and_other_weights():
     lpips = Lpips(small_weights("alex"))
-    with pytest.raises(ValueError, match="alex needs 64 px each way, the picture has 80x63"):
+    with pytest.raises(ValueError, match=r"alex.*64 px.*80x63"):
         lpips(torch.zeros(63, 80, 3), torch.zeros(63, 80, 3))
-    with pytest.raises(ValueError, match="of one size"):
+    with pytest.raises(ValueError, match="one size"):
         lpips(torch.zeros(64, 64, 3), torch.zeros(64, 65, 3))
     with pytest.raises(ValueError, match="0 convolutions"):
         Lpips({})

@@ -123,5 +123,5 @@ def test_f03_a_cell_that_is_not_finite_is_named_though_its_weight_is_0():
     assert t(node).isfinite().all()
     with torch.no_grad():
         t.table[2 * 81 + 2 * 9 + 6, 1] = torch.nan  # the neighbour along y, in the plane yz
-    with pytest.raises(ValueError, match=r"plane yz of the triplane is not finite in 1 cells, first \(6, 2\)"):
+    with pytest.raises(ValueError, match=r"\byz\b.*\b1\b.*\(6, 2\)"):
         t(node)

@@ -134,7 +134,7 @@ def test_bones_without_length_are_refused(tmp_path, joints, truth):
     squashed = joints.copy()
     squashed[4] = squashed[1]
     path = bvh_made.write_bvh(tmp_path / "s.bvh", squashed, local, hips, bvh_made.a_pose())
-    with pytest.raises(ValueError, match="LeftUpLeg and LeftLeg stand in one place in 100 of 100 frames"):
+    with pytest.raises(ValueError, match=r"LeftUpLeg.*LeftLeg.*100 of 100"):
         retargeted(path, joints)
 
 

@@ -49,9 +49,8 @@ def test_l07_l09_every_column_stands_where_viewers_look_for_it(tmp_path):
 
 
 def test_l02_opacities_without_a_logit_are_bounded_and_counted(tmp_path):
-    assert write_ply(tmp_path / "a.ply", scene(opacities=np.array([0, 1, 0.5, 0.5, 0.5]))) == {
-        "with opacities of 0 or 1, as logits of +-15": 2
-    }
+    ((what, count),) = write_ply(tmp_path / "a.ply", scene(opacities=np.array([0, 1, 0.5, 0.5, 0.5]))).items()
+    assert count == 2 and holds(what, "opacities", 15)
     assert read(tmp_path / "a.ply")["opacity"].tolist() == [-15, 15, 0, 0, 0]
 
 
@@ -169,12 +168,10 @@ def test_a_few_rows_that_cannot_be_drawn_are_left_out_and_said(tmp_path, rows, s
     if share is None:
         with pytest.raises(StageError, match="11 Gaussians of 200") as refused:
             read_ply(path)
-        assert refused.value.facts[-1] == "up to 5% of all would be left out"
+        assert "5%" in refused.value.facts[-1]
         return
     back = read_ply(path)
-    assert back.said == (
-        f"a.ply: {share} Gaussians cannot be drawn and are left out: rows {', '.join(map(str, wrong))}",
-    )
+    assert len(back.said) == 1 and holds(back.said[0], "a.ply", share, ", ".join(map(str, wrong)))
     np.testing.assert_array_equal(back.means[:, 1], np.delete(np.arange(200), wrong))
 
 
@@ -248,7 +245,7 @@ def test_one_row_more_or_less_than_promised_is_refused_in_every_form(tmp_path, f
     path = as_written(tmp_path / "a.ply", columns_of(), form)
     for count in (b"299", b"301", b"99999999999"):
         path.with_name("b.ply").write_bytes(path.read_bytes().replace(b"vertex 300", b"vertex " + count, 1))
-        with pytest.raises(StageError, match="another length than its header says"):
+        with pytest.raises(StageError, match=r"b\.ply.*length"):
             read_ply(path.with_name("b.ply"))
 
 

@@ -23,6 +23,7 @@ from stages.formats.exchange.spz import HEAD, MAGIC, MORE, STEPS, read_spz, writ
 from stages.records import Scene
 from tests.made import judges
 from tests.made.devtools import Page
+from tests.made.said import holds
 from tests.made.tiny import make_avatar
 
 DOCUMENT = Path(__file__).parents[4] / "docs" / "exports.md"
@@ -106,12 +107,9 @@ def test_what_is_clamped_is_counted(tmp_path):
     splats.means[2, 1], splats.sh0[3, 0], splats.sh0[3, 1] = -5000, 4, -4
     splats.scales[:2, 1], splats.shN[1, 2, 0], splats.shN[4, 0, 1], splats.shN[4, 1, 1] = 900, 3, -2, 2
     said = write_spz(tmp_path / "a.spz", splats)
-    assert said == {
-        "beyond 2048 m": 1,
-        "wider than 379 m": 2,
-        "with colours out of range": 1,
-        "with colours that depend too much on the view": 2,
-    }
+    lines = [f"{count} {what}" for what, count in said.items()]
+    facts = (1, "2048 m"), (2, "379 m"), (1, "colours"), (2, "colours", "view")
+    assert len(lines) == 4 and all(holds(line, *one) for line, one in zip(lines, facts, strict=True))
     back = read_spz(tmp_path / "a.spz")
     assert back.means[2, 1] == -2048 and round(float(back.scales[0, 1])) == 379
     assert back.shN[1, 2, 0] == 127 / 128 and back.shN[4, 0, 1] == -1
@@ -179,7 +177,7 @@ def packed(*head: int, body: bytes = b"", magic: bytes = MAGIC) -> bytes:
         (packed(1, 1, 0, 12, 0), "version 1"),
         (packed(3, 1, 4, 12, 0), "degree 4"),
         (packed(3, 1, 0, 60, 0), "60 bits"),
-        (packed(3, 2, 0, 12, 0, body=bytes(39)), "2 x 4 bytes ends after 7"),
+        (packed(3, 2, 0, 12, 0, body=bytes(39)), "2 x 4 bytes"),
         (packed(3, 2, 0, 12, 0, body=bytes(41)), "longer"),
         (packed(3, 2, 0, 12, 0, body=bytes(40))[:-12], "cut short"),
         (packed(3, 2**32 - 1, 3, 12, 0), "too much memory"),
@@ -215,14 +213,15 @@ def test_higher_colours_are_multiples_of_a_step_and_so_pack_well(tmp_path):
 def test_colours_that_depend_too_much_on_the_view_are_counted_whichever_way(tmp_path, value):
     splats = some(9, degree=1)
     splats.shN[3, 1, 2] = value
-    assert write_spz(tmp_path / "a.spz", splats) == {"with colours that depend too much on the view": 1}
+    ((what, count),) = write_spz(tmp_path / "a.spz", splats).items()
+    assert count == 1 and holds(what, "colours", "view")
 
 
 def test_what_extensions_add_after_the_tables_is_left(tmp_path):
     write_spz(tmp_path / "a.spz", some(5))
     data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
     (tmp_path / "b.spz").write_bytes(gzip.compress(bytes(data) + b"more"))
-    with pytest.raises(StageError, match="longer than its header says"):
+    with pytest.raises(StageError, match=r"b\.spz.*longer"):
         read_spz(tmp_path / "b.spz")
     data[HEAD.size - 2] |= MORE
     (tmp_path / "b.spz").write_bytes(gzip.compress(bytes(data) + b"more"))

@@ -14,6 +14,7 @@ from stages.contract import StageError
 from stages.estimators.bodyfit.frames import join_frames
 from stages.formats.given_fits.recognize import read_smpl_fit
 from tests.made import fits
+from tests.made.said import holds
 
 
 @pytest.fixture(scope="module")
@@ -127,11 +128,11 @@ for tool, spoil, words in (
     ("GVHMR", within(*INCAM, "body_pose")(lambda v: v[:, :60]), ["body_pose", "12x60", "12x63"]),
     ("GVHMR", within(*INCAM, "global_orient")(nan), ["global_orient", "[0, 1]", "nan"]),
     ("GVHMR", within("K_fullimg")(lambda v: v[:2]), ["K_fullimg", "2x3x3", "12x3x3"]),
-    ("GVHMR", within("K_fullimg")(with_number(-5, slice(None), 0, 0)), ["focal length that is not positive"]),
+    ("GVHMR", within("K_fullimg")(with_number(-5, slice(None), 0, 0)), ["focal length"]),
     ("GVHMR", within("K_fullimg")(with_number(0, slice(None), 0, 2)), ["without a size", "found 0"]),
     ("GVHMR", within("smpl_params_incam")(put(torch.zeros(3))), ["smpl_params_incam", "no named values"]),
     # TRAM
-    ("TRAM", within("camera", "img_focal")(put(0.0)), ["camera.npy", "focal length that is not positive"]),
+    ("TRAM", within("camera", "img_focal")(put(0.0)), ["camera.npy", "focal length"]),
     ("TRAM", within("camera", "img_center")(put(np.ones(3))), ["camera.npy", "img_center", "found 3, wanted 2"]),
     ("TRAM", within("camera", "img_center")(put(np.array([64.0, 48]))), ["another shape", "128x96"]),
     ("TRAM", within(*TRAM, "pred_rotmat")(lambda v: -v), ["hps_track_1.npy", "pred_rotmat", "determinant -1"]),
@@ -144,8 +145,8 @@ for tool, spoil, words in (
     ("EasyMocap", within(0, 1, "poses")(lambda v: [v[0][:60]]), ["000000.json", "poses", "1x60", "1x69"]),
     ("EasyMocap", within(0, 1, "Th")(put([[1, 2], [3]])), ["000000.json", "Th", "a list"]),
     ("EasyMocap", within(0, 1, "Rh")(put([[float("nan")] * 3])), ["000000.json", "Rh", "nan"]),
-    ("EasyMocap", within(0)(put("[{")), ["000000.json is not valid JSON"]),
-    ("EasyMocap", within(0)(put({"a": 1})), ["000000.json lists no people", "a dict"]),
+    ("EasyMocap", within(0)(put("[{")), ["000000.json", "JSON"]),
+    ("EasyMocap", within(0)(put({"a": 1})), ["000000.json", "a dict"]),
     # AMASS and the plain family
     ("AMASS", within("poses")(lambda v: v[:, :150]), ["poses", "4x150", "4x72"]),
     ("AMASS", within("mocap_framerate")(put(0.0)), ["mocap_framerate", "not a frame rate", "0"]),
@@ -228,6 +229,6 @@ def test_a_fit_of_another_video_has_no_rows(truth, whole, tmp_path):
     for tool in ("WHAM", "GVHMR", "AMASS", "EasyMocap"):
         fit = read_smpl_fit(fits.write(tool, whole[tool], tmp_path), truth.size)
         names = [f"{n:06d}" for n in range(1000, 1040)]
-        with pytest.raises(StageError, match="40 of 40 frames have no row") as caught:
+        with pytest.raises(StageError, match="40 of 40 frames") as caught:
             join_frames(fit, fits.listed(names, np.arange(1000, 1040) / 30))
-        assert "the clip 001000 to 001039 (40)" in caught.value.facts[0]
+        assert holds(caught.value.facts[0], "001000", "001039", 40)

@@ -11,6 +11,7 @@ from stages.formats.body_model import read_body_model
 from stages.formats.given_fits import recognize
 from stages.formats.poses import write_poses
 from tests.made.fits import listed
+from tests.made.said import holds
 
 N = 6
 
@@ -177,7 +178,7 @@ def test_k04_rows_are_joined_by_name_then_number_never_by_order(tmp_path, arrays
 
 def test_six_rows_for_six_frames_of_a_longer_video_are_not_guessed(tmp_path, arrays):
     fit = read_smpl_fit(save(tmp_path / "a.npz", **arrays))
-    with pytest.raises(StageError, match="5 of 6 frames have no row") as caught:
+    with pytest.raises(StageError, match="5 of 6 frames") as caught:
         match_frames(fit, [f"{10 * i:06d}" for i in range(N)])
     assert "add `names`" in caught.value.hint and "rows 0 to 5" in caught.value.facts[0]
 
@@ -218,7 +219,7 @@ def test_j01_k09_refuses_people_behind_the_camera_and_twice_named_frames(tmp_pat
     fit = match_frames(read_smpl_fit(save(tmp_path / "a.npz", **behind)), list("012345"))[0]
     with pytest.raises(StageError, match="behind the camera") as caught:
         place_in_world(fit, random_viewmats(np.random.default_rng(0)), model, 1.0)
-    assert "6 of 6 frames; first 0" in caught.value.facts[0]
+    assert holds(caught.value.facts[0], "6 of 6 frames", "first 0")
     twice = read_smpl_fit(save(tmp_path / "b.npz", **arrays, names=np.array(["a1", "b1", "3", "4", "5", "6"])))
     with pytest.raises(StageError, match="two rows"):
         match_frames(twice, ["000001"])

@@ -70,30 +70,30 @@ def test_line_ends_case_and_byte_order_marks_do_not_matter(tmp_path):
     "old,new,line,expected,found",
     [
         ("HIERARCHY", "HIERARCHIE", 1, "HIERARCHY", "HIERARCHIE"),
-        ("ROOT Bip01 Pelvis", "ROOT", 2, "the name of a joint", "ROOT"),
+        ("ROOT Bip01 Pelvis", "ROOT", 2, "name", "ROOT"),
         ("ROOT", "JOINT", 2, "ROOT", "JOINT Bip01 Pelvis"),
         ("{\n  OFFSET 1", "OFFSET 1", 3, "{", "OFFSET 1 2 3"),
-        ("OFFSET 1 2 3", "OFFSET 1 2", 4, "3 numbers (x y z)", "2 numbers"),
-        ("OFFSET 1 2 3", "OFFSET 1 2,5 3", 4, "3 numbers (x y z)", "'2,5'"),
-        ("OFFSET 1 2 3", "OFFSET 1 inf 3", 4, "finite numbers (x y z)", "inf"),
+        ("OFFSET 1 2 3", "OFFSET 1 2", 4, "3 numbers", "2 numbers"),
+        ("OFFSET 1 2 3", "OFFSET 1 2,5 3", 4, "3 numbers", "'2,5'"),
+        ("OFFSET 1 2 3", "OFFSET 1 inf 3", 4, "finite", "inf"),
         ("  OFFSET 1 2 3\n", "", 4, "OFFSET", "CHANNELS 6"),
-        ("CHANNELS 6", "CHANNELS 5", 5, "a count and as many channels", "'5' and 6 channels"),
-        ("CHANNELS 2 Yrotation Xrotation", "CHANNELS", 8, "a count and as many", "'none'"),
-        ("CHANNELS 1 Yposition", "CHANNELS 1 Wrotation", 17, "channels of Xposition", "'Wrotation'"),
-        ("CHANNELS 2 Yrotation Xrotation", "CHANNELS 2 Xrotation Xrotation", 8, "each channel once", "Xrotation"),
-        ("JOINT Slider", "JOINT Knee", 14, "a name of its own", "'Knee' twice"),
-        ("JOINT Slider", "BONE Slider", 14, "JOINT, End Site or a closing brace", "BONE Slider"),
+        ("CHANNELS 6", "CHANNELS 5", 5, "count", "'5' and 6 channels"),
+        ("CHANNELS 2 Yrotation Xrotation", "CHANNELS", 8, "count", "'none'"),
+        ("CHANNELS 1 Yposition", "CHANNELS 1 Wrotation", 17, "Xposition", "'Wrotation'"),
+        ("CHANNELS 2 Yrotation Xrotation", "CHANNELS 2 Xrotation Xrotation", 8, "once", "Xrotation"),
+        ("JOINT Slider", "JOINT Knee", 14, "name", "'Knee' twice"),
+        ("JOINT Slider", "BONE Slider", 14, "JOINT, End Site", "BONE Slider"),
         ("OFFSET 0 -4 0\n    }", "OFFSET 0 -4 0\n    CHANNELS 1 Xrotation }", 12, "}", "CHANNELS 1 Xrotation"),
-        ("  }\n}\nMOTION", "  }\nMOTION", 19, "a closing brace (of Bip01 Pelvis)", "MOTION"),
+        ("  }\n}\nMOTION", "  }\nMOTION", 19, "Bip01 Pelvis", "MOTION"),
         ("MOTION", "ROOT Two", 20, "MOTION", "ROOT Two"),
-        ("Frames: 2", "Frames: two", 21, "a whole number of frames", "Frames: two"),
+        ("Frames: 2", "Frames: two", 21, "whole number", "Frames: two"),
         ("Frames: 2", "Frames: 0", 21, "at least 1", "Frames: 0"),
         ("Frame Time: .025", "Frame Time: 0", 22, "above 0 s", "Frame Time: 0"),
-        ("Frame Time: .025", "Frame Time:", 22, "1 numbers (seconds", "0 numbers"),
-        ("90 0 0 0 0 1", "90 0 0 0 0", 23, "9 numbers (the channels of frame 0)", "8 numbers"),
-        ("60 2", "60 x", 24, "the channels of frame 1", "'x'"),
+        ("Frame Time: .025", "Frame Time:", 22, "1 numbers", "0 numbers"),
+        ("90 0 0 0 0 1", "90 0 0 0 0", 23, "frame 0", "8 numbers"),
+        ("60 2", "60 x", 24, "frame 1", "'x'"),
         ("60 2", "60 nan", 24, "finite numbers", "nan"),
-        ("60 2\n", "60 2\n1 2 3\n", 25, "9 numbers (the channels of frame 2)", "3 numbers"),
+        ("60 2\n", "60 2\n1 2 3\n", 25, "frame 2", "3 numbers"),
     ],
 )
 def test_broken_files_are_refused_with_line_and_expectation(tmp_path, old, new, line, expected, found):
@@ -106,24 +106,23 @@ def test_broken_files_are_refused_with_line_and_expectation(tmp_path, old, new, 
 
 
 @pytest.mark.parametrize(
-    "text,problem,fact",
+    "text,problem,facts",
     [
-        ("", "ends too soon", "after line 0: expected HIERARCHY"),
-        (GOOD[: GOOD.index("  JOINT Slider")], "ends too soon", "expected JOINT, End Site or a closing brace"),
-        (
-            GOOD[: GOOD.index("11 20")].replace("Frames: 2", "Frames: 4"),
-            "ends too soon",
-            "after line 23: 1 frames of 4",
-        ),
-        (GOOD[: GOOD.index("10 20")], "ends too soon", "after line 22: 0 frames of 2"),
-        (GOOD.replace("Frames: 2", f"Frames: {10**17}"), "ends too soon", f"2 frames of {10**17}"),
-        (b"HIERARCHY \xff\xfe\x00", "is not a text", "zero bytes"),
+        ("", "ends", ("line 0", "HIERARCHY")),
+        (GOOD[: GOOD.index("  JOINT Slider")], "ends", ("JOINT", "End Site")),
+        (GOOD[: GOOD.index("11 20")].replace("Frames: 2", "Frames: 4"), "ends", ("line 23", "1 frames of 4")),
+        (GOOD[: GOOD.index("10 20")], "ends", ("line 22", "0 frames of 2")),
+        (GOOD.replace("Frames: 2", f"Frames: {10**17}"), "ends", (f"2 frames of {10**17}",)),
+        (b"HIERARCHY \xff\xfe\x00", "text", ("zero bytes",)),
+        (b"\xff\xfeH\0I", "text", ()),
+        (b"\xff\xfe\0\xd8H\0", "text", ()),
+        (b"PK\3\4\0\0", "text", ()),
     ],
 )
-def test_cut_files_are_refused(tmp_path, text, problem, fact):
+def test_cut_files_and_what_is_no_text_are_refused(tmp_path, text, problem, facts):
     with pytest.raises(StageError, match=problem) as refused:
         read_bvh(write(tmp_path, text))
-    assert fact in refused.value.facts[0]
+    assert holds(refused.value.facts[0], *facts)
 
 
 @pytest.mark.parametrize(
@@ -160,16 +159,10 @@ def test_a_text_in_any_encoding_is_read(tmp_path, encoding):
     assert bvh.names[0] == "Bip01 Pelvis" and (bvh.names[1] == name or encoding == "latin-1") and bvh.said == ()
 
 
-@pytest.mark.parametrize("data", [b"\xff\xfeH\0I", b"\xff\xfe\0\xd8H\0", b"PK\3\4\0\0"])
-def test_what_is_no_text_is_refused(tmp_path, data):
-    with pytest.raises(StageError, match="is not a text"):
-        read_bvh(write(tmp_path, data))
-
-
 def test_names_and_skeletons_of_any_length_are_refused_at_once(tmp_path):
-    with pytest.raises(StageError, match="a name in line 2") as refused:
+    with pytest.raises(StageError, match="line 2") as refused:
         read_bvh(write(tmp_path, GOOD.replace("Bip01 Pelvis", "x" * 1_000_000)))
-    assert refused.value.facts == ("1,000,000 letters", "1,000 are the most")
+    assert holds(" ".join(refused.value.facts), "1,000,000", "1,000")
     many = "".join(f"JOINT j{i} {{ OFFSET 0 1 0\nCHANNELS 0\n" for i in range(6000))
     with pytest.raises(StageError, match="the skeleton of"):
         read_bvh(write(tmp_path, f"HIERARCHY\nROOT r {{ OFFSET 0 0 0\nCHANNELS 1 Xposition\n{many}"))

@@ -46,5 +46,5 @@ def test_rates_as_files_have_them(written, rate):
 
 @pytest.mark.parametrize("written", ["", "x", "0", "-0.04", "nan", "inf", "1e400", "9" * 5000])
 def test_what_is_no_rate_is_refused(written):
-    with pytest.raises(ValueError, match=r"is no number|is not above 0"):
+    with pytest.raises(ValueError, match=r"number|\b0\b"):
         usual_rate(written, seconds=True)
