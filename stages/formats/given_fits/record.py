@@ -65,7 +65,9 @@ class SmplFit:
     def rows(self, rows: Sequence[int]) -> SmplFit:
         """The same fit with only these rows."""
         each = _per_row(self).items()
-        taken = {n: v[list(rows)] if isinstance(v, np.ndarray) else tuple(v[i] for i in rows) for n, v in each}
+        taken: dict[str, Any] = {
+            n: v[list(rows)] if isinstance(v, np.ndarray) else tuple(v[i] for i in rows) for n, v in each
+        }
         return replace(self, **taken)
 
 
