@@ -255,7 +255,7 @@ MALFORMED = {
     "pickled stack": (lambda d, p, o: saved(d / "a.npy", np.array([None, {}], object)), "not a plain .npy", "Python objects"),
     "npy cut short": (lambda d, p, o: cut(saved(d / "a.npy", p), 500), "not a plain .npy array", ""),
     "npz cut short": (lambda d, p, o: cut(stack(d / "a.npz", masks=p), 500), "cannot read", "zip"),
-    "npz of something else": (lambda d, p, o: stack(d / "a.npz", poses=np.zeros((10, 72))), "do(es)? not have|missing|no single stack",
+    "npz of something else": (lambda d, p, o: stack(d / "a.npz", poses=np.zeros((10, 72))), "not have|missing|no single stack",
                               "poses|given"),
     "names too few": (lambda d, p, o: stack(d / "a.npz", masks=p, names=np.array(["1", "2"])), "does not name its rows",
                       r"\(2,\), wanted 10"),
