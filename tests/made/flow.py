@@ -19,23 +19,7 @@ from typing import Self
 ROOT = Path(__file__).parents[2]
 LONGEST = 600.0  # s for what takes a few, on a machine with much else to do
 HUGS = "from hugs_cli import main; main()"  # what the installed command does
-READY = """
-import json, os, sys
-from hugs_cli import app, main
-for line in sys.stdin:
-    folder, environment, path, arguments, *outputs = json.loads(line)
-    if (child := os.fork()) == 0:
-        os.chdir(folder)
-        os.environ.clear()
-        os.environ.update(environment)
-        sys.path[1:1] = path
-        sys.argv = ["hugs", *arguments]
-        for number, file in enumerate([os.devnull, *outputs]):
-            os.dup2(os.open(file, os.O_RDWR), number)
-        main()
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
-"""
-"""Forks a command line that has loaded its libraries, which takes most of a short command's time."""
+READY = "from tests.made.ready import serve; serve()"
 
 STAGE = '''
 """A stage that writes what its inputs hold, after its own name."""
@@ -91,7 +75,7 @@ NEEDS = {"one": ["video"], "two": ["one"], "three": ["one", "mask_files"], "four
 
 @cache
 def ready_made() -> subprocess.Popen:
-    """The process that runs READY, one for all tests."""
+    """The process that forks command lines, one for all tests."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", READY]
     return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
