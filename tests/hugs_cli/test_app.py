@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hugs_cli import app
-from tests.made.flow import HUGS, LONGEST
+from tests.made.flow import LONGEST
 from tests.made.said import holds
 
 ROOT = Path(__file__).parents[2]
@@ -40,7 +40,6 @@ def test_help_and_the_list_of_stages_load_nothing_heavy(tmp_path):
     assert not modules_after(tmp_path, "run", "--help") & HEAVY
 
 
-@pytest.mark.slow
 def processor_seconds(flow, command: str) -> float:
     """What a command takes; unlike the clock's, seconds of the processor bear other work beside them."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -54,7 +53,7 @@ def test_a_run_with_nothing_to_do_is_quick_and_loads_nothing_heavy(made):
     args = ["run", "clip.mp4", "--pipelines-file", "pipelines.yaml"]
     loaded = modules_after(made.folder, *args)
     assert "flow" in loaded and not loaded & HEAVY
-    run, status = (min(processor_seconds(made, command) for _ in range(3)) for command in ("run", "status"))
+    run, status = (min(processor_seconds(made, command) for _ in range(2)) for command in ("run", "status"))
     assert run < 2 * status  # 1.0 measured
 
 
@@ -109,16 +108,12 @@ def test_ctrl_c_while_the_command_is_loaded_is_no_error(tmp_path, module):
 
 
 def test_stages_lists_settings_with_their_meaning(flow):
-    args = ["stages", "four", "--pipelines-file", "pipelines.yaml", "--pipeline", "other"]
-    command = [
-        sys.executable,
-        "-c",
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from hugs_cli import main; main()",
-    ]
-    out = subprocess.run([*command, *args], capture_output=True, text=True, cwd=flow.folder, check=True).stdout
+    flow.arguments = lambda command, *words: [command, *words, "--pipelines-file", "pipelines.yaml"]
+    args = ("four", "--pipeline", "other")
+    out, _ = flow.hugs(*args, command="stages")
     assert holds(out, "default", "Four.", "* other", "Another.", "four", "two, three", "Write one file.")
     assert holds(out, "Write one file.", "word = z", "What to write.", "delay = 0.0", "Seconds", "hold", "A file")
-    rows = json.loads(subprocess.run([*command, *args, "--json"], capture_output=True, cwd=flow.folder).stdout)
+    rows = json.loads(flow.hugs(*args, "--json", command="stages")[0])
     assert rows["stages"][0]["params"] == {"word": "z", "delay": 0.0, "hold": ""}
 
 
@@ -171,15 +166,17 @@ def test_a_folder_that_may_only_be_read_can_be_looked_at(flow):
 def test_control_characters_of_a_name_stay_out_of_the_terminal(flow, name):
     flow.edit("one", "[video])", "[video]); job.note(video.name); job.warn(video.name)")
     flow.video = flow.video.rename(flow.folder / name)
+    flow.arguments = lambda command, *words: [command, *words]
     shown = name.encode("unicode_escape").decode()
-    for args, code in ((["run", name], 0), (["status", name], 0), (["gc", name], 0), (["run", f"no{name}"], 2)):
-        place = [] if args[0] == "gc" else ["--pipelines-file", "pipelines.yaml"]
-        command = [sys.executable, "-c", HUGS, *args, *place]
-        env = {**os.environ, "PYTHONPATH": f"{flow.folder}:{ROOT}", "NO_COLOR": "1"}
-        done = subprocess.run(command, cwd=flow.folder, env=env, capture_output=True)
-        out, err = done.stdout.decode(), done.stderr.decode()
-        assert done.returncode == code, err
+    place = ("--pipelines-file", "pipelines.yaml")
+    for command, args, code in (
+        ("run", (name, "one", *place), 0),
+        ("status", (name, *place), 0),
+        ("gc", (name,), 0),
+        ("run", (f"no{name}", *place), 2),
+    ):
+        out, err = flow.hugs(*args, command=command, code=code)
         assert not set(out + err) & set("\x1b\x9b\u2028") and "b.mp4" not in (out + err).split("\n")
-        if args[0] == "run" and not code:
-            assert out == f"work/{shown.removesuffix('.mp4')}/default/four\n"
+        if command == "run" and not code:
+            assert out == f"work/{shown.removesuffix('.mp4')}/default/one\n"
             assert err.count(f"warning: {shown}") == 1 and err.count(shown) >= 3

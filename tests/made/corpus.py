@@ -8,7 +8,7 @@ import json
 import pickle
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,24 +34,12 @@ from stages.formats.splits import read_split, write_split
 from stages.formats.video import write_video
 from stages.records import Avatar, BodyModel, BodyPoses, Cameras, Effects, Rig, Scene
 from tests.made.fits import listed
+from tests.made.kinds import WHOLE, Kind
 
 NAMES = tuple(f"{i:06d}" for i in range(6))
 SIDE = 24  # px of the pictures
 FPS = 12.0
 VERTICES = 30
-WHOLE = "whole"
-"""The folder of the corpus that has every file undamaged."""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """One file of the corpus, and `read(root)`: what our program does with it, other files of `root` being whole.
-
-    `read` may write under `root / "out"` only, which it finds empty.
-    """
-
-    file: str
-    read: Callable[[Path], Any]
 
 
 def fit(file: str, given: str = "") -> Kind:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.made.corpus import Kind
+from tests.made.kinds import Kind
 
 
 def faults(last: Callable[[], object]) -> Callable[[Path], None]:

@@ -59,11 +59,19 @@ def run(job, params, *, video):
 '''
 WAYS = ("error", "bug", "killed", "exit", "nothing", "disk", "memory", "missing", "pipeline", "setting")
 """Ten ways in which a clip is broken; the last three show before anything runs."""
-SHORT = "short:\n  doc: One stage.\n  stages:\n    one: {needs: [video], module: flow.one}\n"
+SHORT = """
+short:
+  doc: One stage.
+  stages: {one: {needs: [video], module: flow.one}}
+pair:
+  doc: Two stages.
+  extends: short
+  stages: {two: {needs: [one], module: flow.two}}
+"""
 
 
 class Fleet(Flow):
-    """A folder of clips, and pipelines of stand-ins: `default` of four stages and `short` of one."""
+    """A folder of clips, and pipelines of stand-ins: `default` of four stages, `short` of one, `pair` of two."""
 
     def __init__(self, folder: Path, count: int = 0):
         super().__init__(folder)

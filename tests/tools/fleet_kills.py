@@ -121,10 +121,10 @@ def settle(fleet: Fleet) -> None:
                     time.sleep(0.05)
 
 
-def run(times: int, seed: int, folder: Path, clips: int = 4) -> Counter:
+def run(times: int, seed: int, folder: Path) -> Counter:
     """Harass fleets of a few clips."""
     jobs = 2 if importlib.util.find_spec("snakemake") else 1
-    return harass(Fleet(folder, clips), times, jobs, np.random.default_rng(seed))
+    return harass(Fleet(folder, 4), times, jobs, np.random.default_rng(seed))
 
 
 def main() -> int:

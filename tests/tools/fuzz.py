@@ -26,9 +26,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.made.corpus import KINDS, WHOLE, Kind, make
+from tests.made.kinds import WHOLE, Kind
 from tests.tools.mutations import mutated
 
+CORPUS = "tests.made.corpus"  # loads every reader, which takes seconds
 LONGEST = 10.0  # s for one file
 START = 300.0  # s until the first one, on a machine with much else to do
 GROWTH = 1 << 30  # bytes
@@ -49,7 +50,7 @@ def damaged(kind: Kind, whole: Path, seed: int, number: int) -> bytes:
     return mutated((whole / kind.file).read_bytes(), rng)
 
 
-def fuzz(kind: Kind, whole: Path, seed: int, tries: int, kinds: str = "tests.made.corpus") -> Tally:
+def fuzz(kind: Kind, whole: Path, seed: int, tries: int, kinds: str = CORPUS) -> Tally:
     """Run `tries` damaged files of one kind; a process that dies or hangs is replaced by another one that goes on.
 
     `kinds` is the module whose KINDS have it.
@@ -153,7 +154,7 @@ def row(name: str, counts: Counter) -> str:
 
 def run(tries: int, seed: int, kinds: list[Kind], folder: Path) -> dict[str, Tally]:
     """Spread `tries` evenly over the kinds."""
-    whole = folder / WHOLE if (folder / WHOLE).is_dir() else make(folder)
+    whole = folder / WHOLE if (folder / WHOLE).is_dir() else importlib.import_module(CORPUS).make(folder)
     share = -(-tries // len(kinds))
     return {kind.file: fuzz(kind, whole, seed, share) for kind in kinds}
 
@@ -161,8 +162,8 @@ def run(tries: int, seed: int, kinds: list[Kind], folder: Path) -> dict[str, Tal
 def show(text: str, seed: int, folder: Path) -> None:
     """Repeat one try of a finding, with its traceback."""
     name, _, number = text.rpartition(":")
-    (kind,) = (kind for kind in KINDS if kind.file == name)
-    whole = make(folder)
+    (kind,) = (kind for kind in importlib.import_module(CORPUS).KINDS if kind.file == name)
+    whole = importlib.import_module(CORPUS).make(folder)
     (folder / "damaged").write_bytes(damaged(kind, whole, seed, int(number)))
     shutil.copyfile(folder / "damaged", whole / name)
     print(attempt(kind, whole, shown=True))
@@ -183,12 +184,13 @@ def main() -> int:
         kinds = importlib.import_module(module).KINDS
         work(next(kind for kind in kinds if kind.file == name), Path(whole), *map(int, numbers))
         return 0
+    every = importlib.import_module(CORPUS).KINDS
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.corpus or Path(temporary)
         if args.show:
             show(args.show, args.seed, folder)
             return 0
-        kinds = [kind for kind in KINDS if not args.only or kind.file in args.only]
+        kinds = [kind for kind in every if not args.only or kind.file in args.only]
         tallies = run(args.tries, args.seed, kinds, folder)
     findings = [finding for tally in tallies.values() for finding in tally.findings]
     print("\n".join([*findings, "", table(tallies)]))

@@ -60,6 +60,7 @@ class StandIns(Flow):
     """Four stages; the third goes on where it was cut short."""
 
     args = ("--set", "two.delay=0.2", "--set", "three.delay=0.6")
+    peace: tuple[tuple[str, ...], ...] = ((),)
 
     @property
     def name(self) -> str:
@@ -71,6 +72,7 @@ class Training(Flow):
     """A tiny clip's folder in place of the video, and the real training on it."""
 
     args = ()
+    peace = ((), ("--force",))  # the first run may have kernels to compile
 
     def __init__(self, folder: Path):
         super().__init__(folder)
@@ -126,7 +128,7 @@ def harass(flow: StandIns | Training, times: int, rng: np.random.Generator) -> C
 
 def in_peace(flow: StandIns | Training) -> tuple[float, dict[str, str]]:
     """How long a whole run takes and what it leaves."""
-    for more in ((), ("--force",)):  # the first run may have kernels to compile
+    for more in flow.peace:
         began = time.monotonic()
         process = flow.start(*flow.args, *more)
         _, said = process.communicate(timeout=LONGEST)

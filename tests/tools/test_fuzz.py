@@ -10,7 +10,7 @@ from tests.made.corpus import KINDS
 from tests.tools import fuzz, kills
 from tests.tools.mutations import DAMAGE, mutated, with_checksums
 
-TRIES = 5  # of each kind
+TRIES = 3  # of each kind
 
 
 @pytest.mark.slow
@@ -59,7 +59,7 @@ def test_checksums_are_made_right(whole):
 @pytest.mark.slow
 def test_killed_at_random_moments_nothing_is_lost(tmp_path):
     """Stand-in stages; `python -m tests.tools.kills` also kills a real training."""
-    times = 3
+    times = 2
     found = kills.harass(kills.StandIns(tmp_path), times, np.random.default_rng(3))
     assert {what: found[what] for what in kills.FINDINGS} == dict.fromkeys(kills.FINDINGS, 0)
     assert sum(found[f"killed {number.name}"] for number in kills.SIGNALS) == times and found["finished"]

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.slow
 HAS_SNAKEMAKE = importlib.util.find_spec("snakemake") is not None
 needs_snakemake = pytest.mark.skipif(not HAS_SNAKEMAKE, reason="Snakemake is not installed: pip install -e '.[fleet]'")
 WEAK = "import fcntl\nfcntl.flock = lambda *_: None\n"  # sitecustomize: a file system whose locks hold nobody back
+PAIR = ("--pipeline", "pair", "--jobs", "1")
 FULL = """import builtins
 keep = builtins.open
 def full(file, mode="r", *more, **how):
@@ -55,27 +56,29 @@ def test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left(fleet)
     before = fleet.made()
     for name in ("b00000", "b00002"):
         fleet.add(name, "mended")
-    said, _ = fleet.done(table.name, "--pipeline", "short", "--jobs", "1", "--name", "again", code=1)
-    assert said["totals"]["states"] == {"failed": 8, "done": 2, "fresh": 2}
+    left = [f"clips/{name}.mp4" for name in ("b00000", "b00001", "b00002", "c00000")]
+    said, _ = fleet.done(*left, "--pipeline", "short", "--jobs", "1", "--name", "again", code=1)
+    assert said["totals"]["states"] == {"failed": 1, "done": 2, "fresh": 1}
     assert before.items() <= fleet.made().items()
     assert len([run for run in fleet.runs() if run["result"] == "done"]) == 4
 
 
 def test_only_what_is_kept_stays_and_only_what_failed_is_run_again(fleet):
+    (fleet.clips / "c00001.mp4").unlink()
     fleet.add("bad", "broken error")
-    said, err = fleet.done("--jobs", "1", "--keep", "four", code=1)
-    assert states(said) == {"bad": "failed", "c00000": "done", "c00001": "done"}
-    assert [one["clips"] for one in said["failures"]] == [["bad/default"]] and said["failures"][0]["stage"] == "one"
-    assert said["totals"]["freed_bytes"] == sum(row["freed"] for row in said["rows"]) > 0 and holds(
-        err, "freed", "four"
-    )
-    assert [path.name[:4] for path in fleet.work.glob("c0*/store/*-*")] == ["four"] * 2
+    said, err = fleet.done(*PAIR, "--keep", "two", code=1)
+    assert states(said) == {"bad": "failed", "c00000": "done"}
+    assert [one["clips"] for one in said["failures"]] == [["bad/pair"]] and said["failures"][0]["stage"] == "one"
+    assert said["totals"]["freed_bytes"] == sum(row["freed"] for row in said["rows"]) > 0
+    assert holds(err, "freed", "two")
+    assert [path.name[:3] for path in fleet.work.glob("c0*/store/*-*")] == ["two"]
     fleet.add("bad", "mended")
     fleet.add("new", "pixels")
-    said, _ = fleet.done("--jobs", "1", "--keep", "four", "--only-failed")
-    assert states(said) == {"bad": "done", "c00000": "fresh", "c00001": "fresh"}
-    said, _ = fleet.done("--jobs", "1")
-    assert states(said) == {"bad": "fresh", "c00000": "fresh", "c00001": "fresh", "new": "done"} and not fleet.twice()
+    said, _ = fleet.done(*PAIR, "--keep", "two", "--only-failed")
+    assert states(said) == {"bad": "done", "c00000": "fresh"}
+    said, _ = fleet.done(*PAIR, "--dry-run")
+    assert {row["clip"]: row["state"] for row in said} == {"bad": "fresh", "c00000": "fresh", "new": "todo"}
+    assert not fleet.twice()
 
 
 def test_a_dry_run_does_nothing_and_says_how_long(fleet):
@@ -89,36 +92,34 @@ def test_a_dry_run_does_nothing_and_says_how_long(fleet):
 
 
 def test_ctrl_c_keeps_what_is_finished_and_goes_on_later(fleet):
-    run = fleet.fleet("--jobs", "1", *fleet.hold("three"))
-    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/three-*.part/step0")))
+    run = fleet.fleet(*PAIR, *fleet.hold("two"))
+    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/two-*.part/step0")))
     run.send_signal(signal.SIGINT)
     _, err = run.communicate(timeout=LONGEST)
     assert run.returncode == 130 and "stopping: " in err and "Traceback" not in err
-    assert [path.parts[-3] for path in fleet.work.glob("*/store/two-*")] == ["c00000"]  # no other was begun
+    assert [path.parts[-3] for path in fleet.work.glob("*/store/one-*")] == ["c00000"]  # no other was begun
     with open(fleet.work / "fleet.csv", newline="") as file:
         assert [row["state"] for row in csv.DictReader(file)] == ["stopped"] * 2
     before = fleet.made()
-    said, _ = fleet.done("--jobs", "1")
+    said, _ = fleet.done(*PAIR)
     assert set(states(said).values()) == {"done"} and before.items() <= fleet.made().items()
-    assert [run["stage"] for run in fleet.runs() if run["result"] == "stopped"] == ["three"]
+    assert [run["stage"] for run in fleet.runs() if run["result"] == "stopped"] == ["two"]
 
 
 def test_a_fleet_that_is_killed_takes_its_job_along_and_loses_nothing(fleet):
-    run = fleet.fleet("--jobs", "1", *fleet.hold("three"))
-    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/three-*.part/step0")))
+    run = fleet.fleet(*PAIR, *fleet.hold("two"))
+    fleet.wait_for(lambda: list(fleet.work.glob("c00000/store/two-*.part/step0")))
     run.kill()
     run.communicate(timeout=LONGEST)
     holder = fleet.work / "c00000" / lease.NAME
     fleet.wait_for(lambda: not holder.exists())  # the job saw that its fleet is gone, and ended in good order
-    said, _ = fleet.done("--jobs", "1")
+    said, _ = fleet.done(*PAIR)
     assert set(states(said).values()) == {"done"}
-    assert sorted(run["stage"] for run in fleet.runs() if run["result"] == "done") == sorted(
-        ["one", "two", "three", "four"] * 2
-    )
+    assert sorted(run["stage"] for run in fleet.runs() if run["result"] == "done") == ["one", "one", "two", "two"]
 
 
 def test_a_job_that_is_killed_is_tried_again(fleet):
-    run = fleet.fleet("clips/c00000.mp4", "--jobs", "1", *fleet.hold("one"), "--json")
+    run = fleet.fleet("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1", *fleet.hold("one"), "--json")
     room = fleet.work / ".fleet" / "fleet"
     fleet.wait_for(lambda: list(room.glob("*/rows/*.json")) and list(fleet.work.glob("c00000/store/one-*.part/step0")))
     os.kill(json.loads(next(room.glob("*/rows/*.json")).read_text())["pid"], signal.SIGKILL)
@@ -197,7 +198,7 @@ def test_side_by_side_through_snakemake(tmp_path):
     room.mkdir()
     fleet = Fleet(room, 2)
     broken, hungry = fleet.add("c00002", "broken error"), fleet.add("c00003", "broken memory")
-    said, err = fleet.done("--jobs", "2", code=1)
+    said, err = fleet.done("--jobs", "2", "--pipeline", "short", code=1)
     assert list(states(said).values()) == ["done", "done", "failed", "failed"] and "Traceback" not in err
     assert said["rows"][2]["problem"].startswith("no person") and said["rows"][2]["log"]
     tries = Counter(run["clip"] for run in fleet.runs() if run["result"] == "error")
@@ -207,7 +208,7 @@ def test_side_by_side_through_snakemake(tmp_path):
     assert set(jobs) == {min(4000, most), min(8000, most)}, "the second try has twice the memory"
     for one in (broken, hungry):
         one.write_text(f"mended {one.stem}")
-    said, _ = fleet.done("--jobs", "2")
+    said, _ = fleet.done("--jobs", "2", "--pipeline", "short")
     assert said["totals"]["states"] == {"fresh": 2, "done": 2}
     assert not log.exists(), "the folder of the call before is taken away"
 
@@ -218,13 +219,14 @@ def test_ctrl_c_and_kills_with_snakemake(fleet):
 
     def at_work() -> bool:
         reports = [read_json(file) for file in fleet.work.glob(".fleet/fleet/*/rows/*.json")]
-        return bool(leases()) and any((one["state"], one.get("stage")) == ("running", "three") for one in reports)
+        return bool(leases()) and any((one["state"], one.get("stage")) == ("running", "two") for one in reports)
 
     def leases() -> list[Path]:
         return list(fleet.work.glob(f"*/{lease.NAME}"))
 
+    pair = ("--pipeline", "pair", "--jobs", "2")
     for number, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9), (None, 1)):
-        run = fleet.fleet("--jobs", "2", *fleet.hold("three"))
+        run = fleet.fleet(*pair, *fleet.hold("two"))
         fleet.wait_for(at_work)
         if number:
             run.send_signal(number)
@@ -236,7 +238,7 @@ def test_ctrl_c_and_kills_with_snakemake(fleet):
             fleet.wait_for(lambda: not leases())
     assert holds(err, "error", "Snakemake", "SIGKILL")
     before = fleet.made()
-    said, _ = fleet.done("--jobs", "2")
+    said, _ = fleet.done(*pair)
     assert set(states(said).values()) <= {"done", "fresh"} and before.items() <= fleet.made().items()
 
 
@@ -256,9 +258,9 @@ def test_a_fleet_of_two_pipelines_and_settings(tmp_path: Path):
     fleet = Fleet(tmp_path, 1)
     table = fleet.folder / "clips.yaml"
     table.write_text(
-        "- {clip: clips/c00000.mp4, pipeline: short}\n- {clip: clips/c00000.mp4, settings: [two.word=z]}\n"
+        "- {clip: clips/c00000.mp4, pipeline: short}\n- {clip: clips/c00000.mp4, pipeline: pair, settings: [two.word=z]}\n"
     )
     said, _ = fleet.done("clips.yaml", "--jobs", "1")
-    assert [row["pipeline"] for row in said["rows"]] == ["short", "default"]
-    assert "two:z" in (fleet.work / "c00000/default/four/out.txt").read_text()
-    assert len(fleet.runs()) == 4  # the first stage is shared
+    assert [row["pipeline"] for row in said["rows"]] == ["short", "pair"]
+    assert "two:z" in (fleet.work / "c00000/pair/two/out.txt").read_text()
+    assert len(fleet.runs()) == 2  # the first stage is shared

@@ -33,7 +33,10 @@ def perform(plan: Plan, body: Body, betas: np.ndarray) -> tuple[np.ndarray, np.n
         with torch.no_grad():
             vertices = body(shape, *(torch.from_numpy(part) for part in (orient, pose, transl)))[0].numpy()
         low = vertices[..., 1].min(1) - plan.flight * unit
-        tall = tall + (-low - 0.01).clip(0)
+        sunk = (-low - 0.01).clip(0)
+        if not sunk.any():
+            break  # all rounds after it would be this one
+        tall = tall + sunk
     transl[:, 1] -= low
     return orient, pose, transl
 
