@@ -38,7 +38,7 @@ people:
   - {avatar: work/bob/default, motion: squats, at: [0.45, 0.0], start: -0.5}
 camera: still
 fps: 4
-seconds: 2.5
+seconds: 1.5
 size: [96, 128]
 out:
 """
@@ -116,16 +116,16 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
 def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs, drawn):
     film = write(made, "a.yaml", "film: a.mp4")
     _, err = hugs(film)
-    assert holds(err, "10 frames", "2.5 s", "4 fps") and drawn == list(range(10))
+    assert holds(err, "6 frames", "1.5 s", "4 fps") and drawn == list(range(6))
     first = (made / "a.mp4").read_bytes()
     seen = colour_of(next(decode(made / "a.mp4"))[2])
     columns = np.argwhere(seen == 3)[:, 1]  # heads
     assert (columns < 48).sum() > 20 and (columns > 48).sum() > 20
     again = hugs(film)[1]
-    assert holds(again, "a.mp4", "before") and len(drawn) == 10
+    assert holds(again, "a.mp4", "before") and len(drawn) == 6
     other = write(made, "b.yaml", "film: b.mp4")
     hugs(other)
-    assert (made / "b.mp4").read_bytes() == first and len(drawn) == 20
+    assert (made / "b.mp4").read_bytes() == first and len(drawn) == 12
 
 
 def test_a_second_compose_of_a_film_waits_for_the_first(made, hugs, monkeypatch):
@@ -156,7 +156,7 @@ class Killed(BaseException):
 @pytest.mark.parametrize("at", ["page", "glb"])
 def test_a_compose_killed_after_some_of_its_files_makes_the_rest(made, hugs, monkeypatch, at):
     out = f"film: {at}k.mp4; page: {at}k.html; stills: {{folder: {at}k, at: [0]}}; splats: {at}k.ply; glb: {at}k.glb"
-    film = write(made, f"{at}k.yaml", out, ("seconds: 2.5", "seconds: 0.5"))
+    film = write(made, f"{at}k.yaml", out, ("seconds: 1.5", "seconds: 0.5"))
 
     def kill(*_: object) -> None:
         raise Killed
@@ -203,26 +203,26 @@ def test_a_still_takes_the_place_of_a_link_and_what_it_leads_to_stays(made, hugs
 
 
 def test_a_film_that_was_cut_short_goes_on_where_it_was(made, hugs, drawn, monkeypatch):
-    film = write(made, "long.yaml", "film: long.mp4", ("seconds: 2.5", "seconds: 5"))
+    film = write(made, "long.yaml", "film: long.mp4", ("seconds: 1.5", "seconds: 3"))
     picture = Shoot.picture
 
     def stop(self, number):
-        if number == 13:
+        if number == 10:
             raise OSError(28, "No space left on device")
         return picture(self, number)
 
     with monkeypatch.context() as patch:
         patch.setattr(Shoot, "picture", stop)
         hugs(film, code=1)
-    assert not (made / "long.mp4").exists() and drawn == list(range(13))
+    assert not (made / "long.mp4").exists() and drawn == list(range(10))
     drawn.clear()
     hugs(film)
-    assert drawn == list(range(8, 20)), "the first piece of 2 s was kept"
-    longer = write(made, "long.yaml", "film: long.mp4", ("seconds: 2.5", "seconds: 6"))
+    assert drawn == list(range(8, 12)), "the first piece of 2 s was kept"
+    longer = write(made, "long.yaml", "film: long.mp4", ("seconds: 1.5", "seconds: 4"))
     drawn.clear()
     hugs(longer)
-    assert drawn == list(range(16, 24)), "only what is new is drawn"
-    assert len(list(decode(made / "long.mp4"))) == 24
+    assert drawn == list(range(8, 16)), "only what is new is drawn"
+    assert len(list(decode(made / "long.mp4"))) == 16
 
 
 def test_a_film_is_no_strangers_where_what_comes_after_it_was_not_made(made, hugs, drawn, monkeypatch):
@@ -265,7 +265,7 @@ def test_stills_splats_alpha_and_glb(made, hugs):
     np.testing.assert_allclose(whole.means[-len(scene) :], scene.means, atol=1e-6)
     with av.open(str(made / "d.mov")) as film:
         frames = [frame.to_ndarray(format="rgba") for frame in film.decode(video=0)]
-    assert len(frames) == 10 and frames[0][:4, :4, 3].max() == 0 and (frames[0][..., 3] > 250).sum() > 300
+    assert len(frames) == 6 and frames[0][:4, :4, 3].max() == 0 and (frames[0][..., 3] > 250).sum() > 300
     glb = Glb(made / "d.glb")
     nodes = {node["name"]: node for node in glb.content["nodes"]}
     assert {"ann", "bob", "scene"} <= set(nodes) and len(glb.content["skins"]) == 2
@@ -279,8 +279,8 @@ def test_the_page_has_all_people_and_the_films_camera(made, hugs):
     html = (made / "e.html").read_text(encoding="utf-8")
     facts = json.loads(re.search(r'id="facts">(.*?)</script>', html, re.S)[1])
     assert len(facts["people"]) == 2 and facts["motions"][0]["name"] == "The film"
-    assert facts["clip"]["pictures"] == [] and len(facts["clip"]["names"]) == 10
-    assert facts["arrays"]["motion1.0/steps"]["shape"] == [10, 3]
+    assert facts["clip"]["pictures"] == [] and len(facts["clip"]["names"]) == 6
+    assert facts["arrays"]["motion1.0/steps"]["shape"] == [6, 3]
     spots = np.array([one["stand"]["spot"] for one in facts["people"]])
     assert np.linalg.norm(spots[1] - spots[0]) == pytest.approx(0.85)
 

@@ -108,6 +108,10 @@ class Fleet(Flow):
             table.writerows(rows)
         return file
 
+    def arguments(self, command: str, *args: str) -> list[str]:
+        """As words: a fleet has many clips."""
+        return [command, *args, "--pipelines-file", "pipelines.yaml"]
+
     def fleet(self, *args: str, first: str = "", **environment: str) -> subprocess.Popen[str]:
         """Start `hugs fleet`, on all clips if none are named. `first` comes before all else on Python's path."""
         given = args if args and not args[0].startswith("-") else ("clips/*.mp4", *args)
@@ -127,6 +131,12 @@ class Fleet(Flow):
         process = self.fleet(*args, "--json", **more)
         out, err = process.communicate(timeout=LONGEST)
         assert process.returncode == code, f"exit code {process.returncode}\n{out}\n{err}"
+        return json.loads(out), err
+
+    def forked(self, *args: str, code: int = 0) -> tuple[dict[str, Any], str]:
+        """As `done`, through the process of tests/made/ready.py."""
+        given = args if args and not args[0].startswith("-") else ("clips/*.mp4", *args)
+        out, err = self.hugs(*given, "--json", command="fleet", code=code)
         return json.loads(out), err
 
     def runs(self) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""A command line, and processes of its stages, that are forked from one process whose libraries are loaded.
+"""A command line, and the processes that it starts for stages and jobs, forked from one process whose libraries are loaded.
 
 Loading them takes most of the time of a short command, and of a stage that does next to nothing. What a machine does instead
 is started by `Flow.start`, and by the flows of whole clips.
@@ -13,26 +13,32 @@ import signal
 import subprocess
 import sys
 import traceback
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen
 from types import SimpleNamespace
+from typing import IO, Any
 
 from hugs_cli import app, main  # noqa: F401 - `app` is what `main` loads
 from hugs_cli.cache import child, launcher
+from hugs_cli.fleet import job, runner
 
 
 class Forked:
-    """What `launcher.Process` starts, with as much of `subprocess.Popen` as it uses."""
+    """A process that does `work`, with as much of `subprocess.Popen` as those use who start stages and jobs."""
 
-    def __init__(self, command: list[str], *, stdout: int, pass_fds: tuple[int, ...], **as_ever: object):
+    def __init__(self, work: Callable[[], int], stdin: int, stdout: int | IO[bytes], handles: Sequence[int] = ()):
         there, here = os.pipe()
         for stream in (sys.stdout, sys.stderr):
             stream.flush()  # else the fork says it again
         self.pid, self.returncode = os.fork(), None
         if self.pid == 0:
-            output = os.open(os.devnull, os.O_WRONLY) if stdout == subprocess.DEVNULL else stdout
-            for number, file in enumerate([there, output, output]):
+            nothing = os.open(os.devnull, os.O_RDWR)
+            output = stdout.fileno() if hasattr(stdout, "fileno") else nothing if stdout == DEVNULL else stdout
+            for number, file in enumerate([there if stdin == PIPE else nothing, output, output]):
                 os.dup2(file, number)
-            os._exit(stage(command[command.index(child.__file__) :], pass_fds))
+            os._exit(alone(work, handles))
         os.close(there)
         self.stdin = os.fdopen(here, "wb")
 
@@ -51,9 +57,28 @@ class Forked:
         os.kill(self.pid, signal.SIGKILL)
 
 
-def stage(words: list[str], handles: tuple[int, ...]) -> int:
-    """The process of a stage, as a new one would be: no other handles, signals or modules of stages; its exit code."""
+def start(
+    command: list[str], *, stdin: int, stdout: int | IO[bytes], pass_fds: Sequence[int] = (), **more: Any
+) -> Forked | Popen[bytes]:
+    """As `subprocess.Popen` does; a stage or a job of a fleet is forked."""
+    if child.__file__ in command:
+        return Forked(lambda: stage(command), stdin, stdout, pass_fds)
+    if job.__name__ in command:
+        folder, *words = command[command.index(job.__name__) + 1 :]
+        return Forked(lambda: job.main(Path(folder), *words), stdin, stdout)
+    return Popen(command, stdin=stdin, stdout=stdout, pass_fds=pass_fds, **more)
+
+
+def stage(command: list[str]) -> int:
+    """The process of a stage."""
+    sys.argv = command[command.index(child.__file__) :]
+    return child.main()
+
+
+def alone(work: Callable[[], int], handles: Sequence[int]) -> int:
+    """Do it as a new process would: with no other handles, streams, signals or modules of stages; its exit code."""
     os.setsid()
+    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # a job has a stderr of its own
     for handle in map(int, os.listdir("/proc/self/fd")):
         if handle > 2 and handle not in handles:
             with suppress(OSError):  # that of the listing is closed
@@ -62,9 +87,8 @@ def stage(words: list[str], handles: tuple[int, ...]) -> int:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     for name in [name for name in sys.modules if name.partition(".")[0] == "flow"]:
         del sys.modules[name]
-    sys.argv = words
     try:
-        return child.main()
+        return work()
     except BaseException:
         traceback.print_exc()
         return 1
@@ -75,7 +99,7 @@ def stage(words: list[str], handles: tuple[int, ...]) -> int:
 
 def serve() -> None:
     """Run a command line for each line of stdin, and write its exit code."""
-    launcher.subprocess = SimpleNamespace(**{**vars(subprocess), "Popen": Forked})
+    launcher.subprocess = runner.subprocess = SimpleNamespace(**{**vars(subprocess), "Popen": start})
     gc.freeze()
     for line in sys.stdin:
         folder, environment, path, arguments, *outputs = json.loads(line)

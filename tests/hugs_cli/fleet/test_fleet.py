@@ -38,7 +38,7 @@ builtins.open = full
 
 def test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left(fleet):
     table = fleet.table(sorted(fleet.clips.iterdir()), len(WAYS))
-    said, _ = fleet.done(table.name, "--pipeline", "short", "--jobs", "1", code=1)
+    said, _ = fleet.forked(table.name, "--pipeline", "short", "--jobs", "1", code=1)
     assert {clip for clip, state in states(said).items() if state == "done"} == {"c00000", "c00001"}
     assert said["totals"]["states"] == {"failed": 10, "done": 2} and len(said["totals"]["failures"]) == 10
     problems = {row["clip"]: row for row in said["rows"] if row["state"] == "failed"}
@@ -57,7 +57,7 @@ def test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left(fleet)
     for name in ("b00000", "b00002"):
         fleet.add(name, "mended")
     left = [f"clips/{name}.mp4" for name in ("b00000", "b00001", "b00002", "c00000")]
-    said, _ = fleet.done(*left, "--pipeline", "short", "--jobs", "1", "--name", "again", code=1)
+    said, _ = fleet.forked(*left, "--pipeline", "short", "--jobs", "1", "--name", "again", code=1)
     assert said["totals"]["states"] == {"failed": 1, "done": 2, "fresh": 1}
     assert before.items() <= fleet.made().items()
     assert len([run for run in fleet.runs() if run["result"] == "done"]) == 4
@@ -66,7 +66,7 @@ def test_ten_broken_clips_hurt_nobody_and_a_second_call_does_what_is_left(fleet)
 def test_only_what_is_kept_stays_and_only_what_failed_is_run_again(fleet):
     (fleet.clips / "c00001.mp4").unlink()
     fleet.add("bad", "broken error")
-    said, err = fleet.done(*PAIR, "--keep", "two", code=1)
+    said, err = fleet.forked(*PAIR, "--keep", "two", code=1)
     assert states(said) == {"bad": "failed", "c00000": "done"}
     assert [one["clips"] for one in said["failures"]] == [["bad/pair"]] and said["failures"][0]["stage"] == "one"
     assert said["totals"]["freed_bytes"] == sum(row["freed"] for row in said["rows"]) > 0
@@ -74,18 +74,18 @@ def test_only_what_is_kept_stays_and_only_what_failed_is_run_again(fleet):
     assert [path.name[:3] for path in fleet.work.glob("c0*/store/*-*")] == ["two"]
     fleet.add("bad", "mended")
     fleet.add("new", "pixels")
-    said, _ = fleet.done(*PAIR, "--keep", "two", "--only-failed")
+    said, _ = fleet.forked(*PAIR, "--keep", "two", "--only-failed")
     assert states(said) == {"bad": "done", "c00000": "fresh"}
-    said, _ = fleet.done(*PAIR, "--dry-run")
+    said, _ = fleet.forked(*PAIR, "--dry-run")
     assert {row["clip"]: row["state"] for row in said} == {"bad": "fresh", "c00000": "fresh", "new": "todo"}
     assert not fleet.twice()
 
 
 def test_a_dry_run_does_nothing_and_says_how_long(fleet):
-    said, _ = fleet.done("--dry-run")
+    said, _ = fleet.forked("--dry-run")
     assert [row["state"] for row in said] == ["todo"] * 2 and said[0]["todo"] == ["one", "two", "three", "four"]
     assert said[0]["seconds"] > 0 and not fleet.work.exists()
-    fleet.done("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1")
+    fleet.forked("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1")
     out, _ = fleet.fleet("--dry-run", "--pipeline", "short").communicate(timeout=LONGEST)
     assert "work/c00000" in out and "fresh" in out and re.search(r"\b1 stage.* \d", out)
     assert holds(out, "2 clips", "1 fresh", "1 to do")
@@ -101,7 +101,7 @@ def test_ctrl_c_keeps_what_is_finished_and_goes_on_later(fleet):
     with open(fleet.work / "fleet.csv", newline="") as file:
         assert [row["state"] for row in csv.DictReader(file)] == ["stopped"] * 2
     before = fleet.made()
-    said, _ = fleet.done(*PAIR)
+    said, _ = fleet.forked(*PAIR)
     assert set(states(said).values()) == {"done"} and before.items() <= fleet.made().items()
     assert [run["stage"] for run in fleet.runs() if run["result"] == "stopped"] == ["two"]
 
@@ -113,7 +113,7 @@ def test_a_fleet_that_is_killed_takes_its_job_along_and_loses_nothing(fleet):
     run.communicate(timeout=LONGEST)
     holder = fleet.work / "c00000" / lease.NAME
     fleet.wait_for(lambda: not holder.exists())  # the job saw that its fleet is gone, and ended in good order
-    said, _ = fleet.done(*PAIR)
+    said, _ = fleet.forked(*PAIR)
     assert set(states(said).values()) == {"done"}
     assert sorted(run["stage"] for run in fleet.runs() if run["result"] == "done") == ["one", "one", "two", "two"]
 
@@ -173,7 +173,7 @@ def test_a_full_disk_hurts_reports_and_not_results(fleet):
     assert "Traceback" not in err
     assert run.returncode == 1 and len(fleet.made()) == 1  # nobody could be told that the clip is done
     (fleet.folder / "sitecustomize.py").unlink()
-    said, _ = fleet.done("clips/c00000.mp4", "--jobs", "1", "--pipeline", "short")
+    said, _ = fleet.forked("clips/c00000.mp4", "--jobs", "1", "--pipeline", "short")
     assert states(said) == {"c00000": "fresh"}
 
 
@@ -198,7 +198,7 @@ def test_side_by_side_through_snakemake(tmp_path):
     room.mkdir()
     fleet = Fleet(room, 2)
     broken, hungry = fleet.add("c00002", "broken error"), fleet.add("c00003", "broken memory")
-    said, err = fleet.done("--jobs", "2", "--pipeline", "short", code=1)
+    said, err = fleet.forked("--jobs", "2", "--pipeline", "short", code=1)
     assert list(states(said).values()) == ["done", "done", "failed", "failed"] and "Traceback" not in err
     assert said["rows"][2]["problem"].startswith("no person") and said["rows"][2]["log"]
     tries = Counter(run["clip"] for run in fleet.runs() if run["result"] == "error")
@@ -208,7 +208,7 @@ def test_side_by_side_through_snakemake(tmp_path):
     assert set(jobs) == {min(4000, most), min(8000, most)}, "the second try has twice the memory"
     for one in (broken, hungry):
         one.write_text(f"mended {one.stem}")
-    said, _ = fleet.done("--jobs", "2", "--pipeline", "short")
+    said, _ = fleet.forked("--jobs", "2", "--pipeline", "short")
     assert said["totals"]["states"] == {"fresh": 2, "done": 2}
     assert not log.exists(), "the folder of the call before is taken away"
 
@@ -238,7 +238,7 @@ def test_ctrl_c_and_kills_with_snakemake(fleet):
             fleet.wait_for(lambda: not leases())
     assert holds(err, "error", "Snakemake", "SIGKILL")
     before = fleet.made()
-    said, _ = fleet.done(*pair)
+    said, _ = fleet.forked(*pair)
     assert set(states(said).values()) <= {"done", "fresh"} and before.items() <= fleet.made().items()
 
 
@@ -260,7 +260,7 @@ def test_a_fleet_of_two_pipelines_and_settings(tmp_path: Path):
     table.write_text(
         "- {clip: clips/c00000.mp4, pipeline: short}\n- {clip: clips/c00000.mp4, pipeline: pair, settings: [two.word=z]}\n"
     )
-    said, _ = fleet.done("clips.yaml", "--jobs", "1")
+    said, _ = fleet.forked("clips.yaml", "--jobs", "1")
     assert [row["pipeline"] for row in said["rows"]] == ["short", "pair"]
     assert "two:z" in (fleet.work / "c00000/pair/two/out.txt").read_text()
     assert len(fleet.runs()) == 2  # the first stage is shared

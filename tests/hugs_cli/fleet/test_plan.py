@@ -25,7 +25,7 @@ def row(name: str, pipeline: str = "short", **more) -> Row:
 
 @pytest.mark.slow
 def test_each_row_has_its_own_verdict(fleet, common):
-    fleet.done("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1")
+    fleet.forked("clips/c00000.mp4", "--pipeline", "short", "--jobs", "1")
     rows = [row("c00000"), row("c00001"), row("c00000", "default"), row("gone"), row("c00001", "nowhere")]
     rows.append(row("c00000", settings=("one.word=b",)))
     known = Times([times.Row("one", "flow.one", "short", "cpu", 2, times.Sizes(), 4.0)])
