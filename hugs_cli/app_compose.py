@@ -92,6 +92,7 @@ def shoot(
     alone: AbstractContextManager[Any] = nullcontext()
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
+        code.save()
         alone = locked(kept / LOCK, lambda holder: console.say(f"waiting: {holder} is making this film"), without=True)
     with alone:
         run_directly(films.MODULE, Job(kept or work, where, emit=remembering(work, heard)), settings)

@@ -114,8 +114,10 @@ def test_what_init_writes_runs_as_it_is(made, hugs):
 
 
 def test_both_are_in_the_scene_and_the_same_film_makes_the_same_bytes(made, hugs, drawn):
-    film = write(made, "a.yaml", "film: a.mp4")
+    film, memory = write(made, "a.yaml", "film: a.mp4"), made / "work/.code.json"
+    memory.unlink()
     _, err = hugs(film)
+    assert memory.is_file(), "the next film need not look into the code again"
     assert holds(err, "6 frames", "1.5 s", "4 fps") and drawn == list(range(6))
     first = (made / "a.mp4").read_bytes()
     seen = colour_of(next(decode(made / "a.mp4"))[2])

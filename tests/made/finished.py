@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hugs_cli.cache.fingerprint import content_digest
+from hugs_cli.cache.fingerprint import FORMAT, Code, content_digest
 from hugs_cli.cache.workspace import Stamp
+from hugs_cli.film import MODULE
+from hugs_cli.options import CODE_MEMORY
 from stages.formats.body_model import read_body_model, write_body_model
 from stages.formats.poses import read_poses, write_poses
 from stages.formats.splats import read_avatar, write_splats
@@ -29,6 +32,7 @@ def make(folder: Path, clip: str = "clip", shift: tuple[float, float, float] = (
     (made["frames"] / "frames.json").write_text(json.dumps(listing))
     store, links = folder / f"work/{clip}/store", folder / f"work/{clip}/default"
     links.mkdir(parents=True)
+    (folder / "work" / CODE_MEMORY).write_text(code_memory())
     (folder / f"{clip}.mp4").write_text(f"pixels of {clip}")
     film = {"video": content_digest(folder / f"{clip}.mp4")}
     for name in STAGES:
@@ -36,6 +40,14 @@ def make(folder: Path, clip: str = "clip", shift: tuple[float, float, float] = (
         (links / name).symlink_to(f"../store/{name}-01234567")
         stamp(name, inputs=film).write(store / f"{name}-01234567")
     return links
+
+
+@cache
+def code_memory() -> str:
+    """What a run leaves of the code that draws, which takes a second to look into."""
+    code = Code()
+    code.digests(MODULE)
+    return json.dumps({"format": FORMAT, "modules": code.used})
 
 
 def stamp(stage: str, key: str = "", **facts: Any) -> Stamp:
