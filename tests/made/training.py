@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 
 import numpy as np
@@ -100,6 +101,16 @@ def posed(fit: Fit, resting: Resting, *pose: Tensor, frame: int | None = None) -
 
 def run(fit: Fit, until: int) -> list[float]:
     return [sum(fit.advance().values()) for _ in range(until - fit.progress.step)]
+
+
+def twin(fit: Fit) -> Fit:
+    """A copy of a training between two decodes, which a test may change; its networks are decoded anew."""
+    for who in fit.people:
+        assert who.leaves is None
+        who.pull = who.pull.detach()
+        for decoded in ("shared", "decoded", "prior"):
+            vars(who).pop(decoded, None)
+    return copy.deepcopy(fit)
 
 
 def stored(fit: Fit) -> dict:

@@ -47,8 +47,8 @@ def test_without_densification_the_person_keeps_its_rows_and_the_scene_grows(cli
 def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch):
     monkeypatch.setattr(losses, "person_only", lambda *a: pytest.fail("the person was compared alone"))
     monkeypatch.setattr(losses, "outside_person", lambda *a: pytest.fail("person pixels were taken out"))
-    fit = fit_of(clip, 80, human_loss=False)
-    numbers = [fit.advance() for _ in range(80)]
+    fit = fit_of(clip, 50, human_loss=False)
+    numbers = [fit.advance() for _ in range(50)]
     assert all(set(n) == {"image"} for n in numbers)
     image = [n["image"] for n in numbers]
     assert np.mean(image[-10:]) < 0.8 * np.mean(image[:10])
@@ -59,10 +59,10 @@ def test_without_the_human_loss_the_picture_teaches_the_person(clip, monkeypatch
 
 @pytest.mark.slow
 def test_own_corrections_alone_begin_as_with_networks_and_learn(clip):
-    free, decoded = fit_of(clip, 80, triplane=False), fit_of(clip, 80)
+    free, decoded = fit_of(clip, 50, triplane=False), fit_of(clip, 50)
     for a, b in zip(free.people[0].human()[0], decoded.people[0].human()[0], strict=True):
         assert torch.equal(a, b)
-    numbers = run(free, 80)
+    numbers = run(free, 50)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
     assert free.guard.left_out == 0, "though weights begin where their prior is 0, so its first gradients are sudden"
     human = free.people[0].human
@@ -132,13 +132,13 @@ def test_adam_moments_of_own_corrections_follow_growth(clip, triplane):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [{"triplane": False}, {"joint": False}, {"human_loss": False, "lbs_learning": False}])
 def test_resumed_equals_uninterrupted_bit_for_bit(clip, case):
-    straight, first = fit_of(clip, **case), fit_of(clip, **case)
-    run(straight, 40)
-    run(first, 30)  # behind growth of the scene and of the person, in the second phase where there are two
-    second = fit_of(clip, **case)
+    straight, first = fit_of(clip, 20, **case), fit_of(clip, 20, **case)
+    run(straight, 20)
+    run(first, 15)  # behind growth of the scene and of the person, in the second phase where there are two
+    second = fit_of(clip, 20, **case)
     second.load(stored(first))
     assert len(second.scene) > 150
-    run(second, 40)
+    run(second, 20)
     for key, value in states(straight).items():
         assert torch.equal(value, states(second)[key]), key
 

@@ -52,10 +52,10 @@ def test_defect_3_the_place_of_the_person_is_refined(clip):
     views, person = clip
     shift = 0.05 * torch.randn(FRAMES, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1, 0])
     shift -= shift[[0, 1, 3, 4, 5]].mean(0)  # a shift of all frames alike is nobody's fault
-    fit = fit_of((views, person._replace(transl=person.transl + shift)), steps=200, human_cap=170)
+    fit = fit_of((views, person._replace(transl=person.transl + shift)), steps=130, human_cap=170)
     trained = fit.train
     before = shift[trained].norm(dim=1).mean()
-    run(fit, 200)
+    run(fit, 130)
     after = (fit.poses(fit.people[0])[2] - person.transl)[trained]
     assert (after - after.mean(0)).norm(dim=1).mean() < 0.6 * before, "a third of it after 300 steps"
 
@@ -149,8 +149,8 @@ def test_defect_14_training_settles(clip, monkeypatch):
     for name in ("grow_human", "grow_scene"):
         real = getattr(densify, name)
         monkeypatch.setattr(densify, name, lambda *a, real=real: (grown.append(fit.progress.done), real(*a))[1])
-    fit = fit_of(clip, steps=80)
-    run(fit, 80)
+    fit = fit_of(clip)
+    run(fit, 40)
     assert grown and max(grown) <= SETTLE < 0.8
     for name in LR_HUMAN | LR_SCENE | LR_OWN | LR_FRAMES:
         steps = [rate(name, done) for done in torch.linspace(SETTLE, 1, 20).tolist()]

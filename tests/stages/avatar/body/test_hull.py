@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.avatar.body.hull import CELL, CLEAR, Sight, Skin, Space, beyond, carve, space_around, surface
+from stages.avatar.body.hull import CELL, CLEAR, Carved, Sight, Skin, Space, beyond, carve, space_around, surface
 from stages.avatar.cameras.pinhole import look_at, pinhole
 
 SIDE = 96
@@ -34,6 +34,12 @@ def two_legs(apart: float = 0.12) -> Skin:
 @pytest.fixture(scope="module")
 def space(legs) -> Space:
     return space_around(legs)
+
+
+@pytest.fixture(scope="module")
+def skirt(legs, space) -> Carved:
+    """What twelve frames from all around tell of a skirt."""
+    return carve(space, pictures(legs, 0.3))
 
 
 def pictures(
@@ -75,13 +81,12 @@ def test_weights_spread_from_the_skin_and_are_halves_between_two_legs(legs):
     np.testing.assert_allclose(weights[2:, 1:3], 0.5, atol=0.02)
 
 
-def test_a_skirt_is_found_and_is_one_tube_not_two_legs(legs, space):
-    carved = carve(space, pictures(legs, 0.3))
-    inside = carved.cloth
+def test_a_skirt_is_found_and_is_one_tube_not_two_legs(legs, space, skirt):
+    inside = skirt.cloth
     middle = (np.abs(space.points[:, 1]) < 0.15) & (np.hypot(space.points[:, 0], space.points[:, 2]) < 0.25)
     assert inside[middle & (space.away > CELL) & (np.abs(space.points[:, 2]) > 0.09)].mean() > 0.95
     assert not inside[np.abs(space.points[:, 1]) > 0.3].any()
-    cloth = surface(space, legs, carved, CELL)
+    cloth = surface(space, legs, skirt, CELL)
     side = np.abs(cloth.points[:, 1]) < 0.12
     radius = np.hypot(cloth.points[side, 0], cloth.points[side, 2])
     assert np.abs(radius - 0.3).max() < 0.04 and np.abs(np.median(radius) - 0.3) < 0.015
@@ -96,12 +101,10 @@ def test_a_skirt_that_goes_along_with_both_legs_is_found_while_they_step(legs, s
     assert inside[front & (np.abs(space.points[:, 1]) < 0.15)].all()
 
 
-def test_few_sides_tell_of_no_cloth_since_outlines_are_as_deep_as_one_likes(legs, space):
+def test_few_sides_tell_of_no_cloth_since_outlines_are_as_deep_as_one_likes(legs, space, skirt):
     """A man who is filmed from the front alone had wings to the front and the back."""
     assert not carve(space, pictures(legs, 0.3, arc=np.pi / 2)).cloth.any()
-    assert (
-        carve(space, pictures(legs, 0.3, arc=np.pi)).cloth.sum() > 0.9 * carve(space, pictures(legs, 0.3)).cloth.sum()
-    )
+    assert carve(space, pictures(legs, 0.3, arc=np.pi)).cloth.sum() > 0.9 * skirt.cloth.sum()
 
 
 def test_a_body_alone_has_no_cloth_between_legs_that_step_or_stand(legs, space):
@@ -109,17 +112,16 @@ def test_a_body_alone_has_no_cloth_between_legs_that_step_or_stand(legs, space):
         assert not carve(space, pictures(legs, None, step)).cloth.any()
 
 
-def test_what_few_frames_show_is_no_cloth(legs, space):
+def test_what_few_frames_show_is_no_cloth(legs, space, skirt):
     assert not carve(space, pictures(legs, 0.3)[:3]).cloth.any()
-    whole, rare = pictures(legs, 0.3), [*pictures(legs, 0.3)[:4], *pictures(legs, None)[4:]]
-    assert carve(space, rare).cloth.sum() < 0.1 * carve(space, whole).cloth.sum()
+    rare = [*pictures(legs, 0.3)[:4], *pictures(legs, None)[4:]]
+    assert carve(space, rare).cloth.sum() < 0.1 * skirt.cloth.sum()
     within = [sight._replace(viewmat=np.eye(4)) for sight in pictures(legs, 0.3)]
     assert not carve(space, within).cloth[space.points[:, 2] < 0.05].any(), "what is behind the camera is not seen"
 
 
-def test_finer_points_are_nearer_to_each_other(legs, space):
-    carved = carve(space, pictures(legs, 0.3))
-    coarse, fine = (surface(space, legs, carved, spacing) for spacing in (CELL, CELL / 2))
+def test_finer_points_are_nearer_to_each_other(legs, space, skirt):
+    coarse, fine = (surface(space, legs, skirt, spacing) for spacing in (CELL, CELL / 2))
     assert fine.spacing == pytest.approx(CELL / 2, rel=0.02) and 3 < len(fine.points) / len(coarse.points) < 5
 
 
@@ -145,15 +147,14 @@ def bagged(legs: Skin, beside: float) -> list[Sight]:
     return [one._replace(mask=(one.body | more) * 1.0) for one, more in zip(pictures(legs, None), bag)]
 
 
-@pytest.mark.parametrize("off", [0.0, 0.02, 0.03])
-def test_trousers_that_stand_no_further_off_than_a_fit_errs_are_no_cloth(legs, space, off):
-    carved = carve(space, trousers(legs, off))
+def test_trousers_that_stand_no_further_off_than_a_fit_errs_are_no_cloth(legs, space):
+    carved = carve(space, trousers(legs, 0.03))
     assert not carved.cloth.any() and not carved.far.any() and carved.volume(space) == 0
 
 
 def test_wide_trouser_legs_go_with_their_limbs_as_skin_does(monkeypatch):
     apart = two_legs(0.22)
-    space, worn = space_around(apart), trousers(apart, 0.07, apart=0.22, frames=32)
+    space, worn = space_around(apart), trousers(apart, 0.07, apart=0.22, frames=16)
     assert not carve(space, worn).cloth.any()
     monkeypatch.setattr("stages.avatar.body.hull.ONE_LIMB", 1.1)
     assert carve(space, worn).far.any(), "else this test says nothing"
@@ -164,7 +165,7 @@ def test_a_bag_beside_one_leg_is_found(legs, space):
     assert carved.volume(space) > 0 and space.points[carved.far, 0].min() > 0.12
 
 
-@pytest.mark.parametrize("by", [(0.01, 0, 0), (-0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01), (0, 0, -0.01)])
+@pytest.mark.parametrize("by", [(0.01, 0, 0), (-0.01, 0, 0), (0, 0, 0.01)])
 def test_what_is_found_does_not_hang_on_a_centimetre_of_the_fit(legs, space, by):
     """Bodies, not masks, a centimetre off: the bag is always there, trousers never are."""
     moved = np.eye(4)

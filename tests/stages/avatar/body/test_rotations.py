@@ -47,7 +47,7 @@ def steps(function, path):
 @pytest.mark.parametrize("middle", [0.0, 0.01, math.pi, 2 * math.pi, -0.01])
 def test_d04_a_path_through_a_singular_point_is_smooth(middle, held):
     """Along an axis through 0, both sides of the series, half and whole turns: value and slope move with the angle."""
-    angles = (middle + torch.linspace(-1e-3, 1e-3, 41, dtype=torch.float64))[:, None]
+    angles = (middle + torch.linspace(-1e-3, 1e-3, 21, dtype=torch.float64))[:, None]
     path = angles * torch.tensor([0.48, -0.6, 0.64], dtype=torch.float64)
     held(steps(r.matrix_from_rotvec, path), 3 * 2**0.5, "value")
     slopes = [torch.autograd.functional.jacobian(r.matrix_from_rotvec, v) for v in path]
@@ -107,7 +107,7 @@ def test_d11_quaternions_are_exact_where_the_trace_is_minus_one(turn, held):
 
 
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(1e-9, math.pi - 1e-3))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_round_trips_close(axis, angle):
     axis = torch.tensor(axis, dtype=torch.float64)
     if axis.norm() < 1e-3:
@@ -151,7 +151,7 @@ def test_d01_d02_d03_degenerate_6d_rows_are_rotations_with_bounded_gradient(six,
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_d01_d02_d03_paths_into_degenerate_rows_stay_rotations(dtype, held):
     """A half that shrinks to nothing, and halves that close to parallel: the gradient grows, but never past its bound."""
-    for down in (10.0 ** -torch.arange(0, 26, 0.25)).tolist():
+    for down in (10.0 ** -torch.arange(0, 26, 0.5)).tolist():
         for six in (
             [down, down / 2, 0, 0, 1, 0],
             [1, 0.5, 0, 0, down, 0],
@@ -171,7 +171,7 @@ def test_d01_d02_d03_paths_into_degenerate_rows_stay_rotations(dtype, held):
 
 @pytest.mark.parametrize("size", [1.0, 0.11, 4e8])
 def test_plain_6d_is_the_same_as_any(size, held):
-    six = torch.randn(2000, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * size
+    six = torch.randn(400, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * size
     upstream = torch.randn(len(six), 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     alone = [r._plain_matrix_from_6d(row) is not None for row in six]
     assert 0.2 < sum(alone) / len(alone) < 1, "some rows are too short, long or narrow for it"

@@ -45,10 +45,16 @@ def filmed():
     return FittedBody(*parts, *still), *views, skirt.cloth.places
 
 
+@pytest.fixture(scope="module")
+def found(filmed) -> FittedBody:
+    """The body with the skirt that its frames show."""
+    bare, _, views, _ = filmed
+    return clothed(bare, views, list(range(FRAMES)), 0.025)
+
+
 @pytest.mark.slow
-def test_a_skirt_is_found_where_it_is_with_bones_that_share_it(filmed):
-    bare, _, views, places = filmed
-    found = clothed(bare, views, list(range(FRAMES)), 0.025)
+def test_a_skirt_is_found_where_it_is_with_bones_that_share_it(filmed, found):
+    bare, _, _, places = filmed
     assert found.cloth is not None and 6 <= found.own_bones <= 24
     assert found.weights.shape[1] == found.cloth.weights.shape[1] == 24 + found.own_bones
     torch.testing.assert_close(found.cloth.weights.sum(1), torch.ones(len(found.cloth.means)))
@@ -65,9 +71,8 @@ def test_a_skirt_is_found_where_it_is_with_bones_that_share_it(filmed):
 
 
 @pytest.mark.slow
-def test_its_gaussians_begin_there_and_the_first_picture_is_of_a_skirt(filmed):
-    bare, _, views, _ = filmed
-    found = clothed(bare, views, list(range(FRAMES)), 0.025)
+def test_its_gaussians_begin_there_and_the_first_picture_is_of_a_skirt(filmed, found):
+    bare, *_ = filmed
     sizes = {"channels": 4, "resolution": 8}
     generator = torch.Generator().manual_seed(0)
     skin = on_vertices(found.vertices, found.faces, found.weights)

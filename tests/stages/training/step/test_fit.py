@@ -24,26 +24,27 @@ clip = pytest.fixture(scope="module")(make_clip)
 
 @pytest.mark.slow
 def test_it_learns_and_both_sets_grow_to_their_caps(clip):
-    fit = fit_of(clip, steps=80)
-    numbers = run(fit, 80)
+    fit = fit_of(clip, steps=60)
+    numbers = run(fit, 60)
     assert np.mean(numbers[-10:]) < 0.8 * np.mean(numbers[:10])
     assert len(fit.people[0].human) <= 300 and len(fit.scene) <= 260
     assert len(fit.people[0].human) > 162 and len(fit.scene) > 150 and fit.guard.left_out == 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("broken_at", [14, 17])
-def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip, broken_at):
-    straight, first, second = fit_of(clip), fit_of(clip), fit_of(clip)
+def test_h11_resumed_equals_uninterrupted_bit_for_bit(clip):
+    straight, first = fit_of(clip), fit_of(clip)
     run(straight, 40)
-    run(first, broken_at)
-    assert (first.people[0].leaves is None) == (broken_at % 2 == 0), "17: between two decodes, with gradients waiting"
-    second.load(stored(first))
-    assert len(second.scene) > 150, "a densification must lie before the break"
-    size = len(second.people[0].human)
-    run(second, 40)
-    assert len(second.people[0].human) > size, "and one behind it"
-    assert same(straight, second)
+    for broken_at in (14, 17):
+        run(first, broken_at)
+        assert (first.people[0].leaves is None) == (broken_at == 14), "17: between two decodes, with gradients waiting"
+        second = fit_of(clip)
+        second.load(stored(first))
+        assert len(second.scene) > 150, "a densification must lie before the break"
+        size = len(second.people[0].human)
+        run(second, 40)
+        assert len(second.people[0].human) > size, "and one behind it"
+        assert same(straight, second)
 
 
 @pytest.mark.slow
@@ -58,7 +59,7 @@ def test_h12_the_same_seed_gives_the_same_bits_and_another_gives_others(clip):
 
 @pytest.mark.slow
 def test_what_no_frame_shows_is_kept_as_it_began(clip):
-    fit = fit_of(clip, steps=80)
+    fit = fit_of(clip)
     run(fit, 10)
     hidden = torch.arange(len(fit.people[0].human)) < 5
     fit.people[0].color_grad_sum[hidden] = 0  # as if behind all others
@@ -69,7 +70,7 @@ def test_what_no_frame_shows_is_kept_as_it_began(clip):
     seen = fit.people[0].color_grad_sum > 0.1 * fit.people[0].color_grad_sum.mean()
     assert torch.equal(kept.means[seen], decoded.means[seen])
     assert not torch.equal(decoded.means[hidden], began.means[hidden])
-    run(fit, 80)
+    run(fit, 40)
     assert len(fit.people[0].color_grad_sum) == len(fit.people[0].human) == len(fit.people[0].human.homes) > 162, (
         "rows follow growth"
     )
@@ -129,9 +130,7 @@ def poisoned(fit: Fit, tensor: torch.Tensor, row: int, by: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("by", "begun"), [(float("nan"), 5), (float("inf"), 5), (1e12, 0), (1e12, 1), (1e12, 5), (1e12, 21)]
-)
+@pytest.mark.parametrize(("by", "begun"), [(float("nan"), 5), (1e12, 0), (1e12, 1), (1e12, 21)])
 def test_h01_h02_a_bad_gradient_stays_in_its_row_and_is_forgotten(clip, by, begun):
     fit, clean = fit_of(clip, steps=400), fit_of(clip, steps=400)
     for f in (fit, clean):
@@ -206,7 +205,8 @@ def test_a23_h01_a_gaussian_that_is_not_finite_is_not_drawn_and_counted(clip):
 @pytest.mark.parametrize(
     ("what", "part"), [("loss", ""), ("scene", "sh"), ("corrections of person 1", "sh"), ("person 1", "means")]
 )
-def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(clip, what, part):
+def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(clip, monkeypatch, what, part):
+    monkeypatch.setattr("stages.training.step.guard.BAD_STEPS", 5)
     fit = fit_of(clip, steps=400)
     run(fit, 3)
 
@@ -219,12 +219,12 @@ def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(cl
             spoil(f, part, lambda g: torch.full_like(g, torch.nan))
 
     broken(fit)
-    with pytest.raises(FloatingPointError, match=f"20 bad steps in a row, {what}") as error:
+    with pytest.raises(FloatingPointError, match=f"5 bad steps in a row, {what}") as error:
         run(fit, 100)
     if what != "loss":
         assert f"the first in {what}.{part}" in str(error.value) and "row 0" in str(error.value)
     failed_at = fit.before["progress"]["step"]
-    assert 22 <= failed_at <= 43 and fit.guard.left_out >= 20
+    assert 7 <= failed_at <= 13 and fit.guard.left_out >= 5
     again = fit_of(clip, steps=400)
     again.load(fit.before)
     if what != "loss":
@@ -234,11 +234,12 @@ def test_h01_too_many_bad_steps_stop_training_and_the_last_can_be_taken_again(cl
     assert str(repeated.value) == str(error.value) and again.frame == fit.frame
 
 
-def test_h01_a_single_row_that_is_always_bad_does_not_stop_training(clip):
+def test_h01_a_single_row_that_is_always_bad_does_not_stop_training(clip, monkeypatch):
+    monkeypatch.setattr("stages.training.step.guard.BAD_STEPS", 5)
     fit = fit_of(clip, steps=400)
     fit.scene.means.register_hook(lambda g: g.index_fill(0, torch.tensor([7]), float("nan")))
-    run(fit, 23)
-    assert fit.guard.left_out == 23 and fit.scene.means.isfinite().all()
+    run(fit, 7)
+    assert fit.guard.left_out == 7 and fit.scene.means.isfinite().all()
 
 
 def test_h05_all_gaussians_pruned_stops_with_the_reasons(clip):

@@ -28,10 +28,10 @@ def test_both_learn_their_own_colours_and_grow(clip):
 @pytest.mark.slow
 def test_two_resumed_are_as_two_that_were_not_stopped(clip):
     straight, first, second = fit_of_two(clip), fit_of_two(clip), fit_of_two(clip)
-    run(straight, 40)
-    run(first, 17)
+    run(straight, 20)
+    run(first, 11)
     second.load(stored(first))
-    run(second, 40)
+    run(second, 20)
     assert same(straight, second) and {"person 2", "frames of person 2"} <= set(second.modules())
 
 

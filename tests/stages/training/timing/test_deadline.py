@@ -56,18 +56,21 @@ def test_a_rehearsal_leaves_no_trace(clip):
     assert all(seconds > 0 for seconds in (*pace.half, *pace.full))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("group", "lpips", "timed"), [(6, 0, 6), (3, 0, 6), (4, 0, 4), (4, 3, 12), (5, 7, 5), (30, 0, 30)]
 )
 def test_what_is_timed_is_whole_groups_of_steps_and_a_full_step_even_where_training_has_none(
     clip, monkeypatch, group, lpips, timed
 ):
-    fit, seen = fit_of(clip), []
-    advance = fit.advance
+    clock, fit, seen = Time(monkeypatch), fit_of(clip), []
     fit.params = fit.params.model_copy(update={"views_per_decode": group, "perceptual_every": lpips})
     fit.half_until = 1.0
-    monkeypatch.setattr(fit, "advance", lambda: (seen.append(fit.progress.done < fit.half_until), advance())[1])
+
+    def advance() -> None:
+        seen.append(fit.progress.done < fit.half_until)
+        clock.now += 1
+
+    monkeypatch.setattr(fit, "advance", advance)
     rehearse(fit, 1)
     steps = 2 + timed  # two to warm up
     assert seen == 2 * (steps * [True] + steps * [False]), "small and large, at two sizes"

@@ -11,14 +11,24 @@ from stages.training.step.optimizers import optimizers
 from stages.training.timing.accuracy import heldout_accuracy
 from stages.training.timing.effect_gains import ONLY_TAUGHT, OPTIONS, PARTS, effect_gains, effects_of, without
 from stages.training.views import frame_speeds
-from tests.made.training import everything, fit_of, make_clip, run, same
+from tests.made.training import everything, fit_of, make_clip, run, same, twin
 
 clip = pytest.fixture(scope="module")(make_clip)
 HELD_OUT = [2]
 
 
+@pytest.fixture(autouse=True)
+def once(monkeypatch):
+    """A number is measured once, not as often as gives a true one."""
+    monkeypatch.setattr("stages.training.timing.effect_gains.TURNS", 1)
+
+
+@pytest.fixture(scope="module")
 def changing(clip):
-    """A training in which all that frames can do is on, and learned to something that shows."""
+    """A training in which all that frames can do is on, and learned to something that shows, and how exact it is.
+
+    A test changes a copy of it.
+    """
     fit = everything(clip, 24)
     run(fit, 24)
     effects = FrameEffects.starting(torch.tensor([0.0, 0, -1]), 0.5, motion_blur=True, rolling_shutter=True)
@@ -37,7 +47,7 @@ def changing(clip):
             fit.people[0].corrections.place.weight.fill_(0.02),
         )
         fit.frames.shift.weight[:3] = 0.02
-    return fit
+    return fit, heldout_accuracy(fit.cast(), fit.seen(), HELD_OUT)
 
 
 def everything_of(fit):
@@ -51,7 +61,7 @@ def test_every_effect_that_survey_looks_for_can_be_taken_out_but_two():
 
 @pytest.mark.slow
 def test_it_leaves_no_trace(clip):
-    fit, other = everything(clip), everything(clip)
+    fit, other = everything(clip, 16), everything(clip, 16)
     run(fit, 9), run(other, 9)
     spent = dict(fit.clock.seconds)
     found = effect_gains(fit, HELD_OUT, HELD_OUT[:1])
@@ -59,15 +69,15 @@ def test_it_leaves_no_trace(clip):
     assert set(found) == {"pose_refinement", "exposure", "antialias", "clothing", "transients", "view_dependence"}
     assert same(fit, other) and fit.progress.total == other.progress.total and fit.clock.seconds == spent
     assert fit.densifier.settled is None or torch.equal(fit.densifier.settled, other.densifier.settled)
-    run(fit, 24), run(other, 24)
+    run(fit, 16), run(other, 16)
     assert same(fit, other)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", [*OPTIONS, *PARTS, "view_dependence"])
-def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
-    fit = changing(clip)
-    whole, kept = heldout_accuracy(fit.cast(), fit.seen(), HELD_OUT), everything_of(fit)
+def test_it_is_what_held_out_frames_lose_without_the_effect(changing, effect):
+    fit, whole = twin(changing[0]), changing[1]
+    kept = everything_of(fit)
     with without(fit, effect):
         assert effect not in effects_of(fit) and len(effects_of(fit)) == len(OPTIONS) + len(PARTS)
         drawn = heldout_accuracy(fit.cast(), fit.seen(), HELD_OUT)
@@ -77,11 +87,11 @@ def test_it_is_what_held_out_frames_lose_without_the_effect(clip, effect):
 
 
 @pytest.mark.slow
-def test_the_numbers_are_those_of_drawing_and_of_steps(clip, monkeypatch):
+def test_the_numbers_are_those_of_drawing_and_of_steps(changing, monkeypatch):
     """A made-up clock: three pictures take three times as long as one."""
-    fit = changing(clip)
+    fit, whole = twin(changing[0]), changing[1]
     monkeypatch.setattr("stages.training.timing.effect_gains._seconds", lambda fit: 3.0 if fit.effects.blurs else 1.0)
-    whole, far = (heldout_accuracy(fit.cast(), fit.seen(), some) for some in (HELD_OUT, HELD_OUT[:1]))
+    far = heldout_accuracy(fit.cast(), fit.seen(), HELD_OUT[:1])
     found = effect_gains(fit, HELD_OUT, HELD_OUT[:1])
     for effect in ("shadow", "clothing", "exposure"):
         with without(fit, effect):
