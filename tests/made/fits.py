@@ -26,8 +26,8 @@ from stages.estimators.bodyfit.inputs import Inputs
 from stages.formats.body_model import read_body_model
 from stages.formats.facts import Frame, Listing, Video
 from stages.records import BodyModel, Cameras
-from stages.synthetic import clip as synthetic
 from tests.made.datasets import SHIFT, TURN, UNITS
+from tests.made.synthetic import clip as synthetic
 from tests.made.worlds import align_viewmats
 
 SMPLX_PELVIS = np.array([0.003123, -0.351407, 0.012037])
@@ -108,7 +108,7 @@ def make_truth(frames: int = 12, width: int = 96, height: int = 128) -> Truth:
     model = read_body_model()
     shifted = model.v_template + np.array([0.01, -0.225, 0.03], np.float32)
     model = type(model)(**{**vars(model), "v_template": shifted})
-    clip = synthetic.make_clip(model, frames=frames, width=width, height=height)
+    clip = synthetic.make_clip(model, frames=frames, width=width, height=height, novel=1)
     views = clip.frames
     turns = Rotation.from_matrix(views.viewmats[:, :3, :3])
     rest = model.J_regressor[0].astype(float) @ (model.v_template + model.shapedirs @ clip.betas)

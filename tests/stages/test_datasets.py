@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ from stages.formats.images import read_image, read_mask, write_mask
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses, Cameras
 from tests.made import datasets
+from tests.made.synthetic.clip import make_clip
 from tests.made.truth import Similarity, align, camera_errors, joints_of, psnr
 
 
@@ -62,11 +64,26 @@ def refused(folder: Path, first, out: Path, **params) -> StageError:
 
 
 @pytest.fixture(scope="module")
-def bike(tmp_path_factory):
+def sequences(tmp_path_factory) -> dict[str, datasets.Made]:
+    """A data set of each kind, not to be written to."""
+    root = tmp_path_factory.mktemp("sequences")
+    clip = make_clip(read_body_model(), frames=15, width=96, height=128, novel=1)
+    return {
+        "neuman": datasets.neuman(root / "neuman", frames=15, clip=clip),
+        "zju": datasets.zju(root / "zju", side=48),
+    }
+
+
+def copied(made: datasets.Made, folder: Path) -> Path:
+    """A data set's folder to change."""
+    return Path(shutil.copytree(made.folder, folder / made.folder.name))
+
+
+@pytest.fixture(scope="module")
+def bike(sequences, tmp_path_factory):
     """The data set's folder, the truth's, the stages' folders, and what they said."""
-    folder = tmp_path_factory.mktemp("neuman")
-    made = datasets.neuman(folder)
-    return made, *go(made.folder, neuman, folder / "out")
+    made = sequences["neuman"]
+    return made, *go(made.folder, neuman, tmp_path_factory.mktemp("neuman") / "out")
 
 
 @pytest.fixture(scope="module")
@@ -120,25 +137,27 @@ def test_only_test_frames_are_measured_and_none_of_the_held_out_are_trained_on(b
 
 
 @pytest.mark.slow
-def test_split_files_of_the_data_set_win(tmp_path):
-    made = datasets.neuman(tmp_path, frames=8, width=48, height=64)
-    (made.folder / "test_split.txt").write_text("00001.png\n00006.png\n")
-    (made.folder / "train_split.txt").write_text("\n".join(f"{i:05d}.png" for i in (0, 2, 3, 4)) + "\n")
-    done, _ = go(made.folder, neuman, tmp_path / "out")
+def test_split_files_of_the_data_set_win(sequences, tmp_path):
+    folder = copied(sequences["neuman"], tmp_path)
+    (folder / "test_split.txt").write_text("00001.png\n00006.png\n")
+    (folder / "train_split.txt").write_text("\n".join(f"{i:05d}.png" for i in (0, 2, 3, 4)) + "\n")
+    done, _ = go(folder, neuman, tmp_path / "out", max_side=48)
     clip = load_clip(done["sfm"], done["smpl"])
     assert np.flatnonzero(clip.heldout).tolist() == [1, 6] and np.flatnonzero(clip.training).tolist() == [0, 2, 3, 4]
-    (made.folder / "test_split.txt").write_text("00002.png\n")
-    error = refused(made.folder, neuman, tmp_path / "again")
+    (folder / "test_split.txt").write_text("00002.png\n")
+    error = refused(folder, neuman, tmp_path / "again")
     assert "name the same pictures" in error.problem and "00002.png" in error.facts[0]
 
 
 @pytest.mark.slow
-def test_a25_smaller_pictures_a_lens_and_the_other_masks(tmp_path):
-    made = datasets.neuman(tmp_path, frames=8, k=0.05)
-    for path in (made.folder / "4d_humans" / "sam_segmentations").iterdir():
-        path.unlink()
-    (made.folder / "4d_humans" / "sam_segmentations").rmdir()
-    done, said = go(made.folder, neuman, tmp_path / "out", max_side=64)
+def test_a25_smaller_pictures_a_lens_and_the_other_masks(sequences, tmp_path):
+    made = sequences["neuman"]
+    folder = copied(made, tmp_path)
+    shutil.rmtree(folder / "4d_humans" / "sam_segmentations")
+    cameras = folder / "sparse" / "cameras.txt"
+    f, x, y = read_cameras(made.truth / "cameras.npz").Ks[0][[0, 0, 1], [0, 2, 2]]
+    cameras.write_text(f"1 SIMPLE_RADIAL 96 128 {f} {x} {y} 0.05\n")
+    done, said = go(folder, neuman, tmp_path / "out", max_side=64)
     assert any("distortion of up to 0.05, left out" in text for text in said)
     found, truth = read_cameras(done["sfm"] / "cameras.npz"), read_cameras(made.truth / "cameras.npz")
     assert (found.width, found.height) == (48, 64)
@@ -187,7 +206,7 @@ def renamed(cameras: Cameras, order: list[int]) -> Cameras:
 def test_zju_poses_are_the_true_ones(core, subject, tmp_path):
     made, done = core[:2]
     if subject == 313:
-        made = datasets.zju(tmp_path, subject=313, side=48)
+        made = datasets.zju(tmp_path, subject=313, side=48, cameras=2)
         done, _ = go(made.folder, zju, tmp_path / "out", test_every=2)
     order = order_of(done)
     found, truth = read_poses(done["smpl"] / "body.npz"), read_poses(made.truth / "body.npz")
@@ -213,39 +232,34 @@ def test_a_corner_of_every_layout_is_read():
     assert number("Camera (1)/CoreView_313_Camera_(1)_0013_2019-08-23_16-08-50.592.jpg") == 13
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "gone", "problem"),
     [
         ("neuman", "sparse/images.txt", "lacks images.txt"),
         ("neuman", "4d_humans/smpl_optimized_aligned_scale.npz", "is not a NeuMan sequence"),
-        ("neuman", "images/00003.png", "1 of 8 pictures of sparse/ are not in images/"),
-        ("neuman", "4d_humans/sam_segmentations/mask_0003.png", "7 masks in"),
+        ("neuman", "images/00003.png", "1 of 15 pictures of sparse/ are not in images/"),
+        ("neuman", "4d_humans/sam_segmentations/mask_0003.png", "14 masks in"),
         ("zju", "annots.npy", "is not a ZJU-MoCap sequence"),
         ("zju", "new_params/2.npy", "cannot open"),
         ("zju", "Camera_B1/000001.jpg", "1 files that annots.npy needs are not in"),
     ],
 )
-def test_what_is_missing_is_named(tmp_path, kind, gone, problem):
-    if kind == "neuman":
-        made, stage = datasets.neuman(tmp_path, frames=8, width=48, height=64), neuman
-    else:
-        made, stage = datasets.zju(tmp_path, side=48), zju
-    (made.folder / gone).unlink()
-    assert problem in refused(made.folder, stage, tmp_path / "out").problem
+def test_what_is_missing_is_named(sequences, tmp_path, kind, gone, problem):
+    folder = copied(sequences[kind], tmp_path)
+    (folder / gone).unlink()
+    assert problem in refused(folder, {"neuman": neuman, "zju": zju}[kind], tmp_path / "out").problem
 
 
-@pytest.mark.slow
-def test_a25_a26_what_does_not_fit_is_named(tmp_path):
-    made = datasets.neuman(tmp_path, frames=8, width=48, height=64)
-    cameras = made.folder / "sparse" / "cameras.txt"
+def test_a25_a26_what_does_not_fit_is_named(sequences, tmp_path):
+    folder = copied(sequences["neuman"], tmp_path)
+    cameras = folder / "sparse" / "cameras.txt"
     text = cameras.read_text()
-    cameras.write_text(text.replace("PINHOLE 48", "FISHEYE 48"))
-    assert "known are SIMPLE_PINHOLE" in refused(made.folder, neuman, tmp_path / "a").facts[0]
-    cameras.write_text(text.replace("PINHOLE 48", "PINHOLE 50"))
-    assert refused(made.folder, neuman, tmp_path / "b").facts == ("picture 48x64, camera 50x64",)
-    cameras.write_text("1 PINHOLE 48 x\n")
-    assert "line 1 of" in refused(made.folder, neuman, tmp_path / "c").problem
+    cameras.write_text(text.replace("PINHOLE 96", "FISHEYE 96"))
+    assert "known are SIMPLE_PINHOLE" in refused(folder, neuman, tmp_path / "a").facts[0]
+    cameras.write_text(text.replace("PINHOLE 96", "PINHOLE 98"))
+    assert refused(folder, neuman, tmp_path / "b").facts == ("picture 96x128, camera 98x128",)
+    cameras.write_text("1 PINHOLE 96 x\n")
+    assert "line 1 of" in refused(folder, neuman, tmp_path / "c").problem
 
 
 class Runs:
@@ -253,24 +267,22 @@ class Runs:
         return print, ("code ran",)
 
 
-@pytest.mark.slow
-def test_no_code_of_a_pickle_is_run(tmp_path, capsys):
-    made = datasets.zju(tmp_path, side=48)
-    np.save(made.folder / "annots.npy", {"cams": Runs(), "ims": []})
-    error = refused(made.folder, zju, tmp_path / "out")
+def test_no_code_of_a_pickle_is_run(sequences, tmp_path, capsys):
+    folder = copied(sequences["zju"], tmp_path)
+    np.save(folder / "annots.npy", {"cams": Runs(), "ims": []})
+    error = refused(folder, zju, tmp_path / "out")
     assert "refused" in error.facts[0] and "code ran" not in capsys.readouterr().out
-    (made.folder / "annots.npy").write_bytes(pickle.dumps({"cams": 1}))
-    assert "annots.npy" in refused(made.folder, zju, tmp_path / "again").problem
+    (folder / "annots.npy").write_bytes(pickle.dumps({"cams": 1}))
+    assert "annots.npy" in refused(folder, zju, tmp_path / "again").problem
 
 
 @pytest.mark.slow
-def test_a_folder_of_labels_that_are_not_zero_is_the_person(tmp_path):
+def test_a_folder_of_labels_that_are_not_zero_is_the_person(sequences, tmp_path):
     """One of the two mask folders is enough, whatever its labels are."""
-    made = datasets.zju(tmp_path, side=48)
-    for path in sorted((made.folder / "mask_cihp").rglob("*.png")):
-        path.unlink()
-    for path in (made.folder / "mask").rglob("*.png"):
+    folder = copied(sequences["zju"], tmp_path)
+    shutil.rmtree(folder / "mask_cihp")
+    for path in (folder / "mask").rglob("*.png"):
         write_mask(path, read_mask(path) * np.uint8(7))
-    done, _ = go(made.folder, zju, tmp_path / "out", test_every=9)
+    done, _ = go(folder, zju, tmp_path / "out", test_every=9)
     lower = read_mask(done["masks"] / "masks" / "000000.png")
     assert (lower[:20] == 0).all() and (lower > 127).any()

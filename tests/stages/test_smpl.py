@@ -226,7 +226,7 @@ def test_a_fit_of_somebody_else_is_refused_and_a_doubtful_one_is_said(folders, t
 
 @pytest.mark.slow
 def test_j05_landmarks_become_poses_and_frames_without_a_person_are_named(folders, tmp_path, monkeypatch):
-    bodyfit_clips.take_steps(monkeypatch, 60, 50, 120)
+    bodyfit_clips.take_steps(monkeypatch, 50, 30, 60)
     clip, frames, sfm = folders
     monkeypatch.setattr(blazepose.BlazePose, "__init__", lambda self: None)
     monkeypatch.setattr(blazepose.BlazePose, "sightings", lambda self, images, among: [])

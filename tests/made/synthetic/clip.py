@@ -72,6 +72,7 @@ def make_clip(
     camera: CameraPath = "moving",
     effects: ClipEffects = NO_EFFECTS,
     wears: Sequence[str] = (),
+    novel: int | None = None,
     done: Callable[[int, int], None] = lambda done, total: None,
 ) -> SyntheticClip:
     """Make the clip of that seed; the same arguments give the same bytes.
@@ -79,8 +80,9 @@ def make_clip(
     `model` has keypoints. `camera`: "moving" goes around the person, "rotating"
     only turns, "static" stands. `effects` change the pictures and nothing that is drawn at random; novel views have those
     of the scene and the person, and none of the recording. `wears` names garments that swing, rows of
-    `garments.MAKERS`; in novel poses they have come to rest. Depths and masks are those of room and person at the frame's
-    own time, masks blurred as the pictures are. `done` hears of pictures made and their number.
+    `garments.MAKERS`; in novel poses they have come to rest. Of these only the first `novel` are drawn, where it is given.
+    Depths and masks are those of room and person at the frame's own time, masks blurred as the pictures are. `done` hears
+    of pictures made and their number.
     """
     rng, apart = np.random.default_rng(seed), np.random.default_rng([seed, 1])  # effects change nothing else
     room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
@@ -88,15 +90,15 @@ def make_clip(
     renderer = Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects, garments=garments)
     viewmats = camera_path(frames, fps, camera, rng, effects.antialias)
     orient, pose = person.make_motion(frames, fps, rng)
-    novel_orient, novel_pose = person.novel_poses()
+    novel_orient, novel_pose = (part[:novel] for part in person.novel_poses())
     beside = novel_cameras(len(novel_pose))
     total = frames + len(novel_pose)
     passers = make_passers(round(effects.transients), frames, apart)
     gain = gains(effects, frames, apart)
     clip = renderer.views(viewmats, orient, pose, width, height, lambda n: done(n, total), passers, gain, fps=fps)
     plain = replace(renderer, effects=effects.scene_only())
-    novel = plain.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
-    return SyntheticClip(clip, novel, renderer.betas, fps)
+    others = plain.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
+    return SyntheticClip(clip, others, renderer.betas, fps)
 
 
 def camera_path(

@@ -25,6 +25,7 @@ from stages.estimators.person.blazepose import NAMES
 from stages.formats.body_model import read_body_model
 from stages.records import JOINT_NAMES
 from tests.made import bodyfit_clips, odd_clips
+from tests.made.truth import joints_of
 
 MODEL = read_body_model()
 
@@ -45,14 +46,17 @@ def joint_error(clip, poses, moving=True):
 
 
 @pytest.mark.slow
-def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
+def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale(monkeypatch):
+    bodyfit_clips.take_steps(monkeypatch, 80, 60, 160)
     clip = bodyfit_clips.make(MODEL, frames=24, betas=(0.0, -0.8))
     regressor, evidence, swapped = evidence_of(clip)
     assert np.flatnonzero(swapped).tolist() == [7, 8, 20]
     masks = clip.masks()
     fit = fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, masks, clip.points)
     error = joint_error(clip, fit.poses)
+    print(f"joints {100 * error.mean():.1f} cm off, {100 * error.mean(1).max():.1f} at worst")
     assert error.mean() <= 0.03
+    assert "floor_slope_degrees" not in fit.scale
     assert error.mean(1).max() <= 0.08  # also where nobody was seen
     assert fit.poses.world_from_sfm == pytest.approx(clip.scale, rel=0.03)
     assert np.flatnonzero(fit.poses.confidence == 0).tolist() == [13, 14]
@@ -64,24 +68,20 @@ def test_a_moving_camera_gives_joints_within_3_cm_and_the_scale():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("floor", [bodyfit_clips.level, odd_clips.slope])
-def test_who_stands_on_a_slope_is_not_set_square_to_it(floor, monkeypatch):
-    bodyfit_clips.take_steps(monkeypatch, 80, 60, 200)
-    clip = bodyfit_clips.make(MODEL, frames=16, betas=(0.0,), floor=floor)
+def test_who_stands_on_a_slope_is_not_set_square_to_it(monkeypatch):
+    bodyfit_clips.take_steps(monkeypatch, 60, 40, 80)
+    clip = bodyfit_clips.make(MODEL, frames=16, betas=(0.0,), floor=odd_clips.slope)
     regressor, evidence, _ = evidence_of(clip)
     fit = fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, clip.masks(), clip.points)
     error = joint_error(clip, fit.poses).mean()
     print(f"joints {100 * error:.1f} cm off, slope {fit.scale.get('floor_slope_degrees')}")
-    if floor is bodyfit_clips.level:
-        assert "floor_slope_degrees" not in fit.scale and error < 0.05
-    else:
-        assert fit.scale["floor_slope_degrees"] == pytest.approx(12, abs=4) and error < 0.12  # 0.17 square to it
+    assert fit.scale["floor_slope_degrees"] == pytest.approx(12, abs=4) and error < 0.12  # 0.17 square to it
 
 
 @pytest.mark.slow
 def test_two_threads_fit_the_same_body_bit_for_bit(monkeypatch):
     """30 frames are enough for torch to share out the sum of the vertices' gradients among its threads."""
-    bodyfit_clips.take_steps(monkeypatch, 10, 10, 10)
+    bodyfit_clips.take_steps(monkeypatch, 4, 4, 4)
     clip = bodyfit_clips.make(MODEL, frames=30)
     regressor, evidence, _ = evidence_of(clip)
     masks, threads = clip.masks(), torch.get_num_threads()
@@ -98,8 +98,9 @@ def test_two_threads_fit_the_same_body_bit_for_bit(monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_arm_out_of_sight_does_not_jump_to_where_it_is_guessed():
+def test_a_fixed_camera_keeps_metres_and_the_pose_and_an_arm_out_of_sight_does_not_jump(monkeypatch):
     """BlazePose draws a hidden arm before the body; here, a metre up and 40 % of the height beside."""
+    bodyfit_clips.take_steps(monkeypatch, 80, 20, 100)
     clip = bodyfit_clips.make(MODEL, frames=16, moving=False, betas=(0.0,))
     parts = [NAMES.index(f"right_{name}") for name in ("elbow", "wrist", "pinky", "index", "thumb")]
     for i in (4, 5, 11):
@@ -109,26 +110,17 @@ def test_an_arm_out_of_sight_does_not_jump_to_where_it_is_guessed():
         track.world[parts] += [0.4, -1.0, -0.5]
     regressor, evidence, _ = evidence_of(clip)
     fit = fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, None, clip.points, moving=False)
-    hand = joint_error(clip, fit.poses, moving=False)[:, JOINT_NAMES.index("right_wrist")]
-    print("wrist, cm:", (100 * hand).round(1))
-    assert hand.max() < 0.5  # 0.36; 0.70 if the fit starts from the guesses
-
-
-@pytest.mark.slow
-def test_a_fixed_camera_keeps_metres_and_the_pose(monkeypatch):
-    bodyfit_clips.take_steps(monkeypatch, 80, 60, 200)
-    clip = bodyfit_clips.make(MODEL, frames=16, moving=False, betas=(0.0,))
-    regressor, evidence, _ = evidence_of(clip)
-    fit = fit_body(MODEL, regressor, evidence, clip.cameras, clip.times, None, clip.points, moving=False)
     assert fit.poses.world_from_sfm == 1.0
     error = joint_error(clip, fit.poses, moving=False)
-    assert error.mean() <= 0.12  # one view: depth is as good as the guess of the person's size
-    f32 = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
-    _, joints = Body(MODEL)(
-        f32(fit.poses.betas), f32(fit.poses.global_orient), f32(fit.poses.body_pose), f32(fit.poses.transl)
+    relative = joints_of(fit.poses, MODEL) - clip.joints
+    relative = np.linalg.norm(relative - relative[:, :1], axis=-1)
+    hand = error[:, JOINT_NAMES.index("right_wrist")]
+    print(
+        f"joints {100 * error.mean():.1f} cm off, about the pelvis {100 * relative.mean():.1f}; wrist {hand.max():.2f} m"
     )
-    relative = joints.numpy() - joints.numpy()[:, :1] - (clip.joints - clip.joints[:, :1])
-    assert np.linalg.norm(relative, axis=-1).mean() <= 0.045
+    assert error.mean() <= 0.12  # one view: depth is as good as the guess of the person's size
+    assert relative.mean() <= 0.045
+    assert hand.max() < 0.5  # 0.36; 0.70 if the fit starts from the guesses
 
 
 def test_j08_sides_are_exchanged_where_the_neighbours_say_so():

@@ -25,11 +25,11 @@ from stages.formats.given_cameras.record import PARAMS, Lens
 from stages.formats.images import write_image, write_mask
 from stages.formats.points import read_points
 from stages.records import Cameras
-from stages.synthetic.clip import make_clip
 from tests.made import camera_files as files
 from tests.made.datasets import points_of
 from tests.made.rooms import FOCAL, HEIGHT, WALLS, WIDTH, walk, write_clip
 from tests.made.said import any_holds, holds
+from tests.made.synthetic.clip import make_clip
 from tests.made.truth import align, camera_errors
 
 FRAMES, TOTAL = 10, 30
@@ -38,7 +38,7 @@ FRAMES, TOTAL = 10, 30
 @pytest.fixture(scope="module")
 def clip():
     """The synthetic clip's first pictures, small."""
-    return make_clip(read_body_model(), width=96, height=128, frames=FRAMES).frames
+    return make_clip(read_body_model(), width=96, height=128, frames=FRAMES, novel=1).frames
 
 
 @pytest.fixture(scope="module")

@@ -111,11 +111,11 @@ def test_every_mapper_is_told_when_to_stop_and_a_word_comes_before_each(monkeypa
 
 @pytest.mark.slow
 def test_a_mapper_stops_when_it_is_told_to(tmp_path):
-    matched = extracted(tmp_path, walk(10, 2.0, 2.0))
+    matched = extracted(tmp_path, walk(7, 1.4, 2.0), features=512)
     soon, late = (tmp_path / name for name in ("soon", "late"))
     (whole,) = colmap.map_incremental(matched.database, matched.images, late, False, lambda: None, 60)
     models = colmap.map_incremental(matched.database, matched.images, soon, False, lambda: time.sleep(1.2), 1)
-    assert whole.registered == 10 and max(model.registered for model in models) < 8, (
+    assert whole.registered == 7 and max((model.registered for model in models), default=0) < 5, (
         "two frames begin, each takes 1.2 s"
     )
 
@@ -238,6 +238,7 @@ def test_i06_two_models_are_named_with_the_cut():
 @pytest.mark.slow
 def test_i06_two_rooms_in_one_clip_go_on_with_the_larger_or_fail(monkeypatch, tmp_path):
     monkeypatch.setattr(ladder, "RUNGS", {"global mapper": ladder.by_global})
+    monkeypatch.setattr(short_walk, "compare", lambda *given: None)  # no mapper, and slow
     write_clip(tmp_path, walk(7, 1.2), person=False)
     other = [(normal, offset, room.texture(20 + i)) for i, (normal, offset, _) in enumerate(room.WALLS)]
     monkeypatch.setattr(room, "WALLS", other)
@@ -260,6 +261,7 @@ def test_i06_two_rooms_in_one_clip_go_on_with_the_larger_or_fail(monkeypatch, tm
 @pytest.mark.slow
 def test_i07_a_frame_without_a_pose_is_dropped_by_name(monkeypatch, tmp_path):
     monkeypatch.setattr(ladder, "RUNGS", {"global mapper": ladder.by_global})
+    monkeypatch.setattr(short_walk, "compare", lambda *given: None)  # no mapper, and slow
     views = walk(6, 1.2)
     write_clip(tmp_path, views, person=False)
     write_image(tmp_path / f"frames/images/{NAMES[2]}.png", np.full((room.HEIGHT, room.WIDTH, 3), 80, np.uint8))

@@ -38,10 +38,11 @@ def measured(folder, views, share: float = 0.0) -> Stillness | None:
     return measure_stillness(folder / "images", folder / "ignored", files)
 
 
-STANDING = np.tile(np.eye(4), (12, 1, 1))
+FRAMES = 8
+STANDING = np.tile(np.eye(4), (FRAMES, 1, 1))
 
 
-@pytest.mark.parametrize("share", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 0.7])
+@pytest.mark.parametrize("share", [0.0, 0.7])
 def test_a_standing_camera_stands_whatever_sways_behind_the_person(tmp_path, share):
     found = measured(tmp_path, STANDING, share)
     assert found.still and found.drift_px < 0.3 and found.stays < 1.05 - share
@@ -49,7 +50,7 @@ def test_a_standing_camera_stands_whatever_sways_behind_the_person(tmp_path, sha
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("views", "share"), [
-    (walk(12, 0.3), 0.0), (walk(12, 0.3), 0.5), (walk(12, 0.0, turn=3.0), 0.0), (walk(12, 0.15, turn=0.0), 0.0),
+    (walk(FRAMES, 0.2), 0.5), (walk(FRAMES, 0.0, turn=2.0), 0.0), (walk(FRAMES, 0.1, turn=0.0), 0.0),
 ])  # fmt: skip
 def test_a_camera_that_travels_or_turns_does_not(tmp_path, views, share):
     assert not measured(tmp_path, views, share).still

@@ -15,9 +15,9 @@ from stages.contract import Job, StageError
 from stages.formats.body_model import read_body_model
 from stages.formats.given_masks.coco import decode, polygons
 from stages.formats.images import read_mask, write_image, write_mask
-from stages.synthetic.clip import make_clip
 from tests.made import mask_files as files
 from tests.made.said import any_holds
+from tests.made.synthetic.clip import make_clip
 
 TOTAL, PICKED = 10, (0, 2, 3, 5, 9)
 
@@ -25,7 +25,7 @@ TOTAL, PICKED = 10, (0, 2, 3, 5, 9)
 @pytest.fixture(scope="module")
 def truth():
     """The person bool [N,H,W], and somebody smaller in a corner who leaves after half of the clip."""
-    clip = make_clip(read_body_model(), width=96, height=128, frames=TOTAL).frames
+    clip = make_clip(read_body_model(), width=96, height=128, frames=TOTAL, novel=1).frames
     person = clip.masks > 127
     other = np.zeros_like(person)
     small = np.stack([cv2.resize(mask, (24, 32), interpolation=cv2.INTER_AREA) > 127 for mask in clip.masks])

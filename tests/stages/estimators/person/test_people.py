@@ -14,8 +14,8 @@ from stages.estimators.person.crops import Roi
 from stages.estimators.person.outline import outline
 from stages.estimators.person.people import Bystanders
 from stages.formats.body_model import read_body_model
-from stages.synthetic.clip import make_clip
 from tests.made.said import holds
+from tests.made.synthetic.clip import make_clip
 
 FRAMES = [f"{3 * i:06d}" for i in range(6)]
 
@@ -104,7 +104,7 @@ def test_people_are_looked_for_in_a_few_frames_or_in_those_that_are_asked(monkey
 
 @pytest.mark.slow
 def test_two_people_side_by_side_are_found_and_either_is_followed(blazepose):
-    clip = make_clip(read_body_model(), width=240, height=320, frames=3, fps=4).frames
+    clip = make_clip(read_body_model(), width=240, height=320, frames=3, fps=4, novel=1).frames
     images, truth = [], []
     for i in range(3):
         small = [cv2.resize(p[2 - i], (180, 240), interpolation=cv2.INTER_AREA) for p in (clip.images, clip.masks)]
