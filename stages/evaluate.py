@@ -12,7 +12,8 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job
-from stages.formats.facts import MASKED_REGIONS, REGIONS
+from stages.formats.facts import MASKED_REGIONS, REGIONS, Trained, read_facts
+from stages.formats.people import folder_of, people_of
 
 if TYPE_CHECKING:
     import torch
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from stages.avatar.drawing.cast import Cast, Moment
     from stages.avatar.measures.lpips import Lpips
     from stages.formats.clip import Clip
-    from stages.formats.facts import Trained
 
 LOADS = contract.TORCH
 PROTOCOL = (
@@ -63,7 +63,6 @@ The kitchen clip, a short training, 2 cores, November 2026."""
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
     from stages.formats.clip import load_clip
-    from stages.formats.people import people_of
 
     heldout = int(load_clip(folders["sfm"], folders["smpl"]).heldout.sum()) * len(people_of(folders["sfm"]))
     score = SCORE * (1 + params.masked * len(MASKED_REGIONS) / len(REGIONS))
@@ -84,7 +83,6 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.avatar.measures.lpips import Lpips
     from stages.estimators.assets import path
     from stages.filming.clip_cast import load_cast
-    from stages.formats.facts import Trained, read_facts
 
     began = time.perf_counter()
     clips, cast = load_cast(sfm, smpl, train, job.device)
@@ -140,7 +138,6 @@ def _measured(
     from stages.avatar.measures.poses import farthest
     from stages.avatar.splats.neighbours import spread_evenly
     from stages.formats.images import write_image
-    from stages.formats.people import folder_of
 
     shown = set(spread_evenly(held, SHOWN))
     protocols = ("heldout", "heldout_fitted") if params.fit_steps else ("heldout",)

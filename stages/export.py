@@ -12,7 +12,10 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.exchange.limits import held, unmarked
 from stages.formats.exchange.vrm_meta import VrmMeta
+from stages.formats.facts import Listing, read_facts
+from stages.formats.people import folder_of, people_of
 
 if TYPE_CHECKING:
     from stages.avatar.motion.placing import Soles
@@ -71,7 +74,6 @@ def run(job: Job, params: Params, *, frames: Path, sfm: Path, smpl: Path, train:
     from stages.filming.clip_page import clip_page
     from stages.formats.effects import read_effects
     from stages.formats.ground import read_ground, write_ground
-    from stages.formats.people import folder_of, people_of
     from stages.formats.splats import read_avatar, read_scene
 
     formats: set[str] = set(params.formats)
@@ -159,8 +161,6 @@ def _spz(params: Params) -> Callable[[Path, Scene], dict[str, int]]:
 
 
 def _say_held(job: Job, name: str, clamped: dict[str, int]) -> None:
-    from stages.formats.exchange.limits import held
-
     for line in held(name, clamped):
         job.note(line)
 
@@ -170,7 +170,6 @@ def _takes(frames: Path, train: Path, ground: Ground, soles: Soles) -> list[Take
     import numpy as np
 
     from stages.avatar.motion.takes import clip_take, made_takes
-    from stages.formats.facts import Listing, read_facts
     from stages.formats.poses import read_poses
 
     body: BodyPoses = read_poses(train / "body.npz")
@@ -295,8 +294,6 @@ def _lacks_of_person(job: Job, formats: set[str], avatar: Avatar, rig: Rig) -> N
 
 def _lacks(job: Job, params: Params, people: list[Avatar], scene: Scene | None, lit: bool) -> None:
     """Say once what each format that was written does not hold, and which way up it stands; `lit`: by a light of the clip."""
-    from stages.formats.exchange.limits import unmarked
-
     formats: set[str] = set(params.formats)
     spz = ("spz", "spz_motion")
     turned = set(spz) if params.spz_axes == "y_up" else set()

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from stages import contract
 from stages.contract import Job, StageError
+from stages.formats.facts import write_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,7 +58,6 @@ def run(job: Job, params: Params, *, video: Path) -> None:
     blurred ones are dropped. One pass, one frame in memory. Raises StageError for a path that is missing, not a video,
     cut short, or has too few frames.
     """
-    from stages.formats.facts import write_facts
     from stages.formats.film_times import FilmTimes, TimesFall
     from stages.formats.told_focal import told_focal
 

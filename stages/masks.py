@@ -12,6 +12,7 @@ from stages import contract
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing, read_facts, write_facts
+from stages.formats.people import EVERYBODY, PEOPLE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -68,7 +69,6 @@ def run(job: Job, params: Params, *, frames: Path, mask_files: Path | None = Non
     """
     from stages.formats.datasets.capture import given_by
     from stages.formats.images import write_mask
-    from stages.formats.people import EVERYBODY, PEOPLE
 
     listing = read_facts(frames / "frames.json", Listing)
     names = [frame.name for frame in listing.frames]
@@ -141,7 +141,6 @@ def segment(job: Job, params: Params, frames: Path, names: list[str]) -> Iterato
     from stages.estimators.person.people import Bystanders
     from stages.estimators.person.sightings import everybody
     from stages.formats.landmarks import write_landmarks
-    from stages.formats.people import EVERYBODY
 
     network, paths = BlazePose(), [frames / "images" / f"{name}.png" for name in names]
     pictures, all_of_them = Pictures(paths), params.person == EVERYBODY

@@ -10,6 +10,8 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from stages import contract
 from stages.contract import Job
+from stages.formats.facts import Trained, read_facts
+from stages.formats.people import folder_of, people_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,7 +52,6 @@ The kitchen clip, a short training, 2 cores, November 2026."""
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
     from stages.formats.clip import load_clip
-    from stages.formats.people import people_of
 
     clip = load_clip(folders["sfm"], folders["smpl"])
     heldout, frames = int(clip.heldout.sum()), len(clip.names)
@@ -68,9 +69,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, train: Path) -> None
     from stages.avatar.drawing.rig import rig_of
     from stages.avatar.motion.placing import Soles
     from stages.filming.clip_cast import floor_under, load_cast
-    from stages.formats.facts import Trained, read_facts
     from stages.formats.ground import read_ground
-    from stages.formats.people import folder_of
     from stages.formats.splats import read_avatar
     from stages.formats.video import write_video
 

@@ -14,6 +14,7 @@ from stages import contract
 from stages.contract import Job, StageError
 from stages.estimators.words import listed
 from stages.formats.facts import Listing, read_facts, write_facts
+from stages.formats.people import folder_of, people_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,7 +59,6 @@ def run(
     from stages.formats.body_model import write_body_model
     from stages.formats.datasets.capture import given_by
     from stages.formats.ground import write_ground
-    from stages.formats.people import folder_of, people_of
 
     listing = read_facts(frames / "frames.json", Listing)
     clip = read_inputs(listing, sfm, body_model)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Literal
 
 from stages import contract
 from stages.contract import Job
+from stages.formats.facts import Sfm, read_facts, write_facts
 
 if TYPE_CHECKING:
     from stages.estimators.detectors.finding import Finding
     from stages.formats.clip import Clip
-    from stages.formats.facts import Sfm
 
 Effect = Literal["auto", "always", "never"]
 LOADS = contract.TORCH
@@ -66,7 +66,6 @@ def run(job: Job, params: Params, *, frames: Path, masks: Path, sfm: Path, smpl:
     from stages.estimators.detectors.every import DETECTORS
     from stages.estimators.detectors.evidence import ClipEvidence
     from stages.formats.clip import load_people
-    from stages.formats.facts import Sfm, read_facts, write_facts
     from stages.formats.images import Kept
 
     facts = read_facts(sfm / "sfm.json", Sfm)

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages.contract import ADAM, Job, StageError, whole
+from stages.formats.facts import Survey, read_facts
+from stages.formats.people import folder_of, people_of
 from stages.training.settings import Params
 from stages.training.timing.finishing import finishing_parts
 
@@ -32,8 +34,6 @@ LIVE = "live.png"  # the last picture of a training under way
 
 def cost(params: Params, folders: Mapping[str, Path]) -> float:
     """See `contract.StageModule`."""
-    from stages.formats.people import people_of
-
     return sum(steps for _, steps in finishing_parts(len(people_of(folders["sfm"]))))
 
 
@@ -65,7 +65,6 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
 def _task(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> Task:
     from stages.formats.clip import load_people
-    from stages.formats.facts import Survey, read_facts
     from stages.training.beginning.start import Task
 
     facts = read_facts(survey / "survey.json", Survey)
@@ -92,7 +91,6 @@ def write(out: Path, result: Result) -> None:
     """
     from stages.formats.cameras import write_cameras
     from stages.formats.effects import write_effects
-    from stages.formats.people import folder_of
     from stages.formats.poses import write_poses
     from stages.formats.splats import write_splats
 

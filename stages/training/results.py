@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,21 +26,11 @@ from stages.training.finishing.swing import fit_swing
 from stages.training.seen import unseen
 from stages.training.step.fit import Fit
 from stages.training.step.person import PersonLearner
-from stages.training.timing.finishing import HIDDEN, SETTLING, SHAPING
+from stages.training.timing.finishing import HIDDEN, SETTLING, SHAPING, Finishing
 from stages.training.views import FittedBody
 
 UNFINISHED = (ValueError, IndexError, RuntimeError, ArithmeticError, MemoryError)
 """What finishing raises where somebody cannot be finished: the training is over, and is kept."""
-
-
-class Listener(Protocol):
-    """Who hears what is worth knowing of a result, and which part of finishing begins."""
-
-    def note(self, text: str, at_once: bool = False) -> None: ...
-
-    def warn(self, text: str) -> None: ...
-
-    def begins(self, name: str) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -66,7 +56,7 @@ def learned_numbers(effects: FrameEffects, scene: SceneModel | None) -> dict[str
 
 
 def result_of(
-    fit: Fit, clips: Sequence[Clip], curve: list[dict[str, Any]], effects: dict[str, dict[str, Any]], say: Listener
+    fit: Fit, clips: Sequence[Clip], curve: list[dict[str, Any]], effects: dict[str, dict[str, Any]], say: Finishing
 ) -> Result:
     """Finish what was trained on `clips`, the same with the body of each person; `effects` is what train.json has of their gains,
     `say` hears about the rest.
@@ -109,7 +99,7 @@ def result_of(
     return Result(people, scene, Effects(**known) if known else None, cameras, curve, facts)
 
 
-def _say(fit: Fit, counts: Counter[str], distrusted: dict[str, float], say: Listener) -> None:
+def _say(fit: Fit, counts: Counter[str], distrusted: dict[str, float], say: Finishing) -> None:
     """What is worth knowing of the whole; what is of one person is said of each."""
     if counts["behind"]:
         behind = f"{counts['behind']:,} Gaussians of the scene"
@@ -134,7 +124,7 @@ def _say(fit: Fit, counts: Counter[str], distrusted: dict[str, float], say: List
         say.warn(f"Gaussians that were not finite were left out of the picture {fit.undrawn} times")
 
 
-def _filled(fit: Fit, say: Listener) -> int:
+def _filled(fit: Fit, say: Finishing) -> int:
     if fit.scene is None:
         return 0
     say.begins(HIDDEN)
@@ -150,7 +140,7 @@ def _filled(fit: Fit, say: Listener) -> int:
     return filled
 
 
-def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Listener) -> tuple[Avatar, BodyPoses, Counter[str]]:
+def _person(fit: Fit, who: PersonLearner, clip: Clip, say: Finishing) -> tuple[Avatar, BodyPoses, Counter[str]]:
     """The avatar of a person, their poses, and what finishing COUNTED."""
     learned, fitted = fit.poses(who), (who.body.global_orient, who.body.body_pose, who.body.transl)
     sound = finite_rows(learned)[:, None]
@@ -193,7 +183,7 @@ def effect_facts(
     return facts
 
 
-def _settle_swing(fit: Fit, body: FittedBody, clothing: Clothing, table: Tensor, say: Listener) -> None:
+def _settle_swing(fit: Fit, body: FittedBody, clothing: Clothing, table: Tensor, say: Finishing) -> None:
     bones = [bone_transforms(body.joints, body.parents, *pose) for pose in zip(body.global_orient, body.body_pose)]
     try:
         untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, torch.stack(bones), body.body_pose)
@@ -204,7 +194,7 @@ def _settle_swing(fit: Fit, body: FittedBody, clothing: Clothing, table: Tensor,
     say.note(f"{len(clothing)} bones of clothes; {told}")
 
 
-def _finished(fit: Fit, who: PersonLearner, body: FittedBody, say: Listener) -> Finished:
+def _finished(fit: Fit, who: PersonLearner, body: FittedBody, say: Finishing) -> Finished:
     say.begins(SHAPING)
     baked, _ = who.baked()
     seen = who.masked(fit.seen())

@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
 from stages.avatar.measures.poses import farthest
 from stages.avatar.splats.neighbours import spread_evenly
-from stages.contract import StageError, Stopped, peak_memory
+from stages.contract import Job, StageError, Stopped, peak_memory
 from stages.training.beginning.start import Task, build
 from stages.training.checkpoint import Checkpoint
 from stages.training.finishing.settle import SHARE, STEPS
@@ -23,7 +23,6 @@ from stages.training.timing.calibration import PAUSE
 from stages.training.timing.deadline import Deadline, Pace
 from stages.training.timing.effect_gains import PAUSES, effect_gains, effects_of
 from stages.training.timing.finishing import GAINS, WRITING, Finishing, finishing_parts
-from stages.training.timing.finishing import Hooks as Watcher
 from stages.training.timing.window import Window
 
 MEASURED = 6  # held-out frames on the accuracy curve
@@ -35,13 +34,6 @@ SAVED = ("curve", "seconds", "parts", "choice", "deadline")
 HALF, FULL = (0.4, 0.5), (0.8, 1.0)
 """Of the time of a full, grown step: that of steps of each resolution before and after growth, see `Pace`."""
 LEG = 5.0  # s of steps, whose pace is that of the steps to come
-
-
-class Hooks(Watcher, Protocol):
-    """Who watches a training, as a `contract.Job` does; `stop_asked` makes it stop."""
-
-    @property
-    def stop_asked(self) -> bool: ...
 
 
 class Breakdown(Exception):
@@ -125,7 +117,7 @@ class Training:
 
 def run(
     task: Task,
-    hooks: Hooks,
+    job: Job,
     checkpoint: Checkpoint | None = None,
     checkpoint_seconds: float = 60,
     began: float | None = None,
@@ -136,12 +128,12 @@ def run(
     The time of `task.params.seconds` counts from `began` (of time.perf_counter; None: now). Raises Breakdown, Stopped
     when asked to stop, StageError where clip or time is not enough.
     """
-    training = begin(task, hooks, checkpoint, time.perf_counter() if began is None else began)
-    learn(training, hooks, checkpoint, checkpoint_seconds, window)
-    return finish(training, hooks)
+    training = begin(task, job, checkpoint, time.perf_counter() if began is None else began)
+    learn(training, job, checkpoint, checkpoint_seconds, window)
+    return finish(training, job)
 
 
-def begin(task: Task, hooks: Hooks, checkpoint: Checkpoint | None, began: float) -> Training:
+def begin(task: Task, job: Job, checkpoint: Checkpoint | None, began: float) -> Training:
     """The training at its first step, or where a checkpoint left it."""
     params, deadline = task.params, None
     if params.seconds:
@@ -149,19 +141,19 @@ def begin(task: Task, hooks: Hooks, checkpoint: Checkpoint | None, began: float)
     saved = checkpoint.load(SAVED) if checkpoint else None
     if saved:
         task = task.chosen(**saved["choice"])
-    fit = build(task, hooks.note, hooks.warn)
+    fit = build(task, job.note, job.warn)
     if deadline and (effects := effects_of(fit)):
         deadline.extra = PAUSES * len(effects) + 1
     if checkpoint and saved:
-        return _resume(task, fit, deadline, checkpoint, saved, hooks)
+        return _resume(task, fit, deadline, checkpoint, saved, job)
     choice = Choice()
     if deadline:
 
         def rebuilt(choice: Choice) -> Fit:
-            return build(task.chosen(choice.settings, choice.left_out), hooks.note, hooks.warn)
+            return build(task.chosen(choice.settings, choice.left_out), job.note, job.warn)
 
         def note(text: str) -> None:
-            hooks.note(text, at_once=True)
+            job.note(text, at_once=True)
 
         try:
             fit, choice = fit_into_time(fit, params, deadline, rebuilt, note)
@@ -171,12 +163,12 @@ def begin(task: Task, hooks: Hooks, checkpoint: Checkpoint | None, began: float)
 
 
 def _resume(
-    task: Task, fit: Fit, deadline: Deadline | None, checkpoint: Checkpoint, saved: dict[str, Any], hooks: Hooks
+    task: Task, fit: Fit, deadline: Deadline | None, checkpoint: Checkpoint, saved: dict[str, Any], job: Job
 ) -> Training:
     checkpoint.resume(fit, saved["fit"])
-    hooks.note(f"goes on after step {fit.progress.step}")
+    job.note(f"goes on after step {fit.progress.step}")
     if saved["threads"] != (now := torch.get_num_threads()):
-        hooks.warn(f"{saved['threads']} threads before, {now} now: sums differ in their last digits")
+        job.warn(f"{saved['threads']} threads before, {now} now: sums differ in their last digits")
     fit.clock.seconds = dict(saved["parts"])
     if deadline:
         deadline.load(saved["deadline"], fit)
@@ -185,7 +177,7 @@ def _resume(
 
 def learn(
     training: Training,
-    hooks: Hooks,
+    job: Job,
     checkpoint: Checkpoint | None = None,
     checkpoint_seconds: float = 60,
     window: Window | None = None,
@@ -194,7 +186,7 @@ def learn(
     fit, curve, deadline = training.fit, training.curve, training.deadline
     progress, params = fit.progress, training.task.params
     sizes = " and ".join(f"{count:,} of the {name}" for name, count in fit.sizes().items() if count)
-    hooks.note(f"{len(fit.train)} training frames; starts with {sizes}")
+    job.note(f"{len(fit.train)} training frames; starts with {sizes}")
     mark = saved = time.perf_counter()
     while progress.step < progress.total:
         try:
@@ -223,31 +215,31 @@ def learn(
             deadline.mark(fit)
         if shown:
             total = progress.total + round(sum(steps for _, steps in training.after))
-            hooks.progress(progress.step, total, training.to_go(), **shown, gaussians=sum(fit.sizes().values()))
+            job.progress(progress.step, total, training.to_go(), **shown, gaussians=sum(fit.sizes().values()))
             if window:
                 window.look(fit, training.heldout)
-        if checkpoint and (hooks.stop_asked or time.perf_counter() - saved > checkpoint_seconds):
+        if checkpoint and (job.stop_asked or time.perf_counter() - saved > checkpoint_seconds):
             saved = time.perf_counter()
             training.seconds, mark = training.seconds + saved - mark, saved
             checkpoint.save(fit, training.state())
-        if hooks.stop_asked:
+        if job.stop_asked:
             raise Stopped(f"stopped after step {progress.step} of {progress.total}; the next run goes on from there")
 
 
-def finish(training: Training, hooks: Hooks) -> Result:
+def finish(training: Training, job: Job) -> Result:
     """The result of a training that has taken all its steps."""
     fit, curve, deadline = training.fit, training.curve, training.deadline
     effects: dict[str, dict[str, Any]] = {}
     pace, steps = deadline.pace if deadline else training.pace, fit.progress.step
     step = pace.last if deadline or pace.slow != 1.0 else training.seconds / max(steps, 1)
-    say = Finishing(hooks, training.after, steps, step)
+    say = Finishing(job, training.after, steps, step)
     if deadline is None or not deadline.hurried:
         say.begins(GAINS)
         try:
             found = effect_gains(fit, training.heldout, training.far)
-            effects = effect_facts(found, curve[-1]["seconds"], hooks.note)
+            effects = effect_facts(found, curve[-1]["seconds"], job.note)
         except (FloatingPointError, ValueError) as error:  # a timed step failed: the training is over, and is kept
-            hooks.warn(f"what effects are worth could not be measured: {error}")
+            job.warn(f"what effects are worth could not be measured: {error}")
     result = result_of(fit, training.task.clips, curve, effects, say)
     say.begins(WRITING)
     result.facts["effects_left_out"] = list(training.choice.left_out)

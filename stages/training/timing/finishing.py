@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import Protocol
+
+from stages.contract import Job
 
 GAINS, HIDDEN, SHAPING, SETTLING, WRITING = (
     "measuring effects",
@@ -14,8 +15,6 @@ GAINS, HIDDEN, SHAPING, SETTLING, WRITING = (
 )
 STEPS = {HIDDEN: 25.0, SHAPING: 30.0, SETTLING: 150.0, WRITING: 4.0}
 """Part -> full, grown steps that take as long, of each person or once. The kitchen clip, 2 cores, November 2026."""
-
-
 GAIN = 12.0
 """The same for measuring what one effect is worth."""
 
@@ -31,24 +30,14 @@ def finishing_parts(people: int, effects: int = 0, settling: float = 1.0) -> lis
     ]
 
 
-class Hooks(Protocol):
-    """Who watches a training, as a `contract.Job` does."""
-
-    def note(self, text: str, at_once: bool = False) -> None: ...
-
-    def warn(self, text: str) -> None: ...
-
-    def progress(self, done: int, total: int, left: float | None = None, **numbers: float | str) -> None: ...
-
-
 class Finishing:
-    """Tells the hooks which part begins and how long all will take, given its parts, the training's steps and seconds a step.
+    """Tells the job which part begins and how long all will take, given its parts, the training's steps and seconds a step.
 
     Where parts took longer than that, so do those to come.
     """
 
-    def __init__(self, hooks: Hooks, parts: list[tuple[str, float]], steps: int, step: float):
-        self.note, self.warn, self.progress = hooks.note, hooks.warn, hooks.progress
+    def __init__(self, job: Job, parts: list[tuple[str, float]], steps: int, step: float):
+        self.note, self.warn, self.progress = job.note, job.warn, job.progress
         self.parts, self.steps, self.step, self.at = parts, steps, step, 0
         self.began = time.perf_counter()
 
