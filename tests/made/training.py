@@ -105,12 +105,12 @@ def run(fit: Fit, until: int) -> list[float]:
 
 def twin(fit: Fit) -> Fit:
     """A copy of a training between two decodes, which a test may change; its networks are decoded anew."""
+    left: dict[int, Tensor | None] = {}
     for who in fit.people:
         assert who.leaves is None
-        who.pull = who.pull.detach()
-        for decoded in ("shared", "decoded", "prior"):
-            vars(who).pop(decoded, None)
-    return copy.deepcopy(fit)
+        left |= {id(vars(who).get(name)): None for name in ("shared", "decoded", "prior")}
+        left[id(who.pull)] = who.pull.detach()
+    return copy.deepcopy(fit, left)
 
 
 def stored(fit: Fit) -> dict:
