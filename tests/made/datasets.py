@@ -20,7 +20,6 @@ from stages.formats.images import write_image, write_mask
 from stages.formats.video import decode, write_video
 from stages.synthetic import person
 from stages.synthetic.files import write_truth, write_views
-from stages.synthetic.room import make_room
 from tests.made.synthetic import clip as synthetic
 from tests.made.synthetic.effects import NO_EFFECTS, ClipEffects
 from tests.made.worlds import align_viewmats
@@ -158,9 +157,9 @@ def zju(folder: Path, subject: int = 377, moments: int = 6, cameras: int = 3, si
     half and mask_cihp/ the lower one.
     """
     model = read_body_model()
-    rng = np.random.default_rng(3)
+    room, rng = synthetic.room_of(3)
     K = pinhole(0.95 * side, side, side) + np.array([[0, 0, 2.5], [0, 3, -1.5], [0, 0, 0]])
-    stage = synthetic.Renderer(model, make_room(rng), rng.uniform(-0.8, 0.8, 10), K)
+    stage = synthetic.Renderer(model, room, rng.uniform(-0.8, 0.8, 10), K)
     orient, pose = person.make_motion(moments, 12.0, rng)
     angles = np.linspace(0, 2, cameras)
     eyes = [np.array([2.6 * np.sin(a), 1.3, 2.6 * np.cos(a)]) for a in angles]

@@ -5,9 +5,10 @@ It is the clip of `stages.synthetic.clip`, to the bit, where nothing of that is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -31,7 +32,7 @@ from stages.synthetic.clip import (
     shrink,
     tremor,
 )
-from stages.synthetic.room import make_room
+from stages.synthetic.room import Room, make_room
 from tests.made.synthetic.cloth import Poses, settled, worn
 from tests.made.synthetic.effects import (
     LAMPS,
@@ -84,8 +85,8 @@ def make_clip(
     Depths and masks are those of room and person at the frame's own time, masks blurred as the pictures are. `done` hears
     of pictures made and their number.
     """
-    rng, apart = np.random.default_rng(seed), np.random.default_rng([seed, 1])  # effects change nothing else
-    room, betas = make_room(rng), rng.uniform(-0.8, 0.8, 10)
+    (room, rng), apart = room_of(seed), np.random.default_rng([seed, 1])  # effects change nothing else
+    betas = rng.uniform(-0.8, 0.8, 10)
     garments = make_garments(wears, model, betas, np.random.default_rng([seed, 2]))
     renderer = Renderer(model, room, betas, pinhole(FOCAL * height, width, height), effects, garments=garments)
     viewmats = camera_path(frames, fps, camera, rng, effects.antialias)
@@ -99,6 +100,19 @@ def make_clip(
     plain = replace(renderer, effects=effects.scene_only())
     others = plain.views(beside, novel_orient, novel_pose, width, height, lambda n: done(frames + n, total))
     return SyntheticClip(clip, others, renderer.betas, fps)
+
+
+@lru_cache(maxsize=2)
+def _room(seed: int) -> tuple[Room, Mapping[str, Any]]:
+    rng = np.random.default_rng(seed)
+    return make_room(rng), rng.bit_generator.state
+
+
+def room_of(seed: int) -> tuple[Room, np.random.Generator]:
+    """The room of a seed, made once a process, and the generator as it is after it."""
+    (room, state), rng = _room(seed), np.random.default_rng()
+    rng.bit_generator.state = state
+    return room, rng
 
 
 def camera_path(

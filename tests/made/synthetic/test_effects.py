@@ -12,7 +12,6 @@ from stages.avatar.cameras import lens
 from stages.avatar.cameras.pinhole import camera_centers, pinhole
 from stages.formats.body_model import read_body_model
 from stages.synthetic import person
-from stages.synthetic.room import make_room
 from tests.made.synthetic import clip as synthetic
 from tests.made.synthetic.effects import ClipEffects, Course, gains, open_times, readout_times, to_linear, to_srgb
 from tests.made.synthetic.passers import make_passers
@@ -26,8 +25,8 @@ AS_BEFORE = "c1315ebb4ed884f43a57dd9f56baa6f9d9f7296d6da8dffd6167bfc78ac2bcb6"
 @pytest.fixture(scope="module")
 def setting():
     """A stage without effects, and where camera and person go."""
-    rng = np.random.default_rng(3)
-    stage = synthetic.Renderer(read_body_model(), make_room(rng), np.zeros(10), pinhole(114.0, WIDTH, HEIGHT))
+    room, rng = synthetic.room_of(3)
+    stage = synthetic.Renderer(read_body_model(), room, np.zeros(10), pinhole(114.0, WIDTH, HEIGHT))
     viewmats = synthetic.camera_path(FRAMES, 5.0, "moving", rng)
     return stage, viewmats, *person.make_motion(FRAMES, 5.0, rng)
 

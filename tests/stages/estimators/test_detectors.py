@@ -30,7 +30,6 @@ from stages.estimators.detectors.pictures import sample
 from stages.formats.body_model import read_body_model
 from stages.formats.facts import Distortion, Sfm
 from stages.synthetic import person
-from stages.synthetic.room import make_room
 from tests.made.datasets import points_of
 from tests.made.synthetic import clip as synthetic
 from tests.made.synthetic.effects import ClipEffects
@@ -322,8 +321,8 @@ def test_sampling_counts_from_the_first_pixels_centre():
 @pytest.fixture(scope="module")
 def filmed():
     """The evidence of a small clip with the effects that are named."""
-    rng, (width, height, frames) = np.random.default_rng(21), (150, 200, 14)
-    stage = synthetic.Renderer(read_body_model(), make_room(rng), np.zeros(10), pinhole(0.95 * height, width, height))
+    (room, rng), (width, height, frames) = synthetic.room_of(21), (150, 200, 14)
+    stage = synthetic.Renderer(read_body_model(), room, np.zeros(10), pinhole(0.95 * height, width, height))
     viewmats = synthetic.camera_path(2 * frames, 12.0, "moving", rng)[:frames]
     orient, pose = person.make_motion(frames, 7.0, rng)
     known = {}
