@@ -120,7 +120,7 @@ def test_a_fixed_camera_keeps_metres_and_the_pose_and_an_arm_out_of_sight_does_n
     )
     assert error.mean() <= 0.12  # one view: depth is as good as the guess of the person's size
     assert relative.mean() <= 0.045
-    assert hand.max() < 0.5  # 0.36; 0.70 if the fit starts from the guesses
+    assert hand.max() < 0.43  # 0.39; 0.48 if the fit starts from the guesses
 
 
 def test_j08_sides_are_exchanged_where_the_neighbours_say_so():

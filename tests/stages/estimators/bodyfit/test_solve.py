@@ -86,7 +86,7 @@ def test_the_hem_of_a_skirt_does_not_pull_the_knees_in_it(monkeypatch):
     found = fit_body(MODEL, regressor, gather(clip.tracks, names), clip.cameras, clip.times, masks, clip.points)
     print(f"knees {100 * knees_off(clip, found.poses):.2f} cm off")
     assert found.hidden == ["left_knee", "right_knee"]
-    assert knees_off(clip, found.poses) < 0.09
+    assert knees_off(clip, found.poses) < 0.09, "0.083; 0.104 where the hem pulls"
 
 
 def knees_off(clip, poses) -> float:
