@@ -56,7 +56,7 @@ def test_a_folder_of_ones_own_in_a_links_place_is_kept_and_named(flow):
     own.mkdir(parents=True)
     (own / "note.txt").write_text("mine")
     _, err = flow.hugs("one", code=2)
-    assert holds(err, "error", "work/clip/default/one", "no result") and holds(err, "hint", "move")
+    assert holds(err, "error", "work/clip/default/one", "not a link to a result") and holds(err, "hint", "move")
     assert (own / "note.txt").read_text() == "mine"
     own.rename(flow.folder / "away")
     assert flow.ran("one") == {}, "what was made before is not lost"
