@@ -7,7 +7,10 @@ itself, so at the true poses held-out frames differ from the clip by rounding on
 from __future__ import annotations
 
 import json
+import shutil
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -108,8 +111,16 @@ def make_viewmats() -> np.ndarray:
 
 
 def make(folder: Path, scene: bool = True) -> dict[str, Path]:
-    """Write the folders of all stages up to train; stage name -> folder."""
-    folders = {name: folder / name for name in STAGES}
+    """Write the folders of all stages up to train; stage name -> folder. Drawn once a process, then copied."""
+    shutil.copytree(drawn(scene).name, folder, dirs_exist_ok=True)
+    return {name: folder / name for name in STAGES}
+
+
+@cache
+def drawn(scene: bool) -> TemporaryDirectory:
+    """A folder with the folders of all stages, which is removed when the process ends."""
+    kept = TemporaryDirectory()
+    folders = {name: Path(kept.name) / name for name in STAGES}
     pictures = [folders[name] / "images" for name in ("frames", "sfm")]
     masks = [folders[name] / "masks" for name in ("masks", "sfm")]
     for place in (*folders.values(), *pictures, *masks):
@@ -143,7 +154,7 @@ def make(folder: Path, scene: bool = True) -> dict[str, Path]:
         for place in masks:
             write_mask(place / f"{name}.png", to_uint8(mask))
     write_facts(folders, scene)
-    return folders
+    return kept
 
 
 def write_facts(folders: dict[str, Path], scene: bool) -> None:
