@@ -88,7 +88,7 @@ class NumpyUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         module = module.replace("numpy.core.", "numpy._core.")  # numpy 2 moved it
         if (module, name) not in NUMPY_ONLY:
-            raise pickle.UnpicklingError(f"a file of arrays must not ask for {module}.{name}")
+            raise pickle.UnpicklingError(f"a file of arrays must not load {module}.{name}")
         return super().find_class(module, name)
 
 

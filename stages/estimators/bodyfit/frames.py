@@ -34,7 +34,7 @@ def join_frames(fit: SmplFit, listing: Listing) -> tuple[SmplFit, np.ndarray]:
         facts = [
             f"it has {len(fit)} poses, the clip {total} frames; by order they are joined only where there is one for each"
         ]
-        raise StageError(f"nothing in {fit.path} tells which frames its poses are of", HINT, facts)
+        raise StageError(f"{fit.path} does not name the frames of its poses", HINT, facts)
     said: list[str] = []
     keys, wanted, sure = _keys(fit, listing, said.append)
     place = {key: i for i, key in enumerate(wanted)}

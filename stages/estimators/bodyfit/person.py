@@ -42,7 +42,7 @@ def choose_person(
     if most is not None and most < NOWHERE:
         facts = [f"the best of {len(best)} overlaps the masks by {100 * most:.0f} %, in {len(rows)} frames"]
         hint = "is it of this video, frame by frame, and in the camera's axes (x right, y down, z forward)?"
-        raise StageError(f"{fit.path} shows nobody where the masks do", hint, facts)
+        raise StageError(f"the bodies of {fit.path} do not lie on the masks", hint, facts)
     found = {"tool": fit.tool, "person": chosen, "overlap": most, "people": mean}
     return fit.rows(rows), frames[rows], found
 

@@ -90,7 +90,7 @@ def match_frames(
             "say which number the first frame has with `--set sfm.cameras_from=0` or `=1`; where the pictures are "
             "every few frames of the video, give their folder in place of the video"
         )
-        raise StageError("the names of the given cameras do not tell which frames they belong to", hint, facts)
+        raise StageError("the names of the given cameras do not match those of the frames", hint, facts)
     rows = join(listing, stems, "cameras", job.warn, None if first == "auto" else first)
     missing = [name for name in names if name not in rows]
     if len(rows) < math.ceil(min_share * len(names)):

@@ -101,7 +101,7 @@ def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None 
     """Pull a lens that the model hardly fixes toward the prior, and adjust the model; facts for sfm.json.
 
     Without a prior it is what cameras have. A model that fixes its lens so well that both take the same pictures is not
-    changed, but that a lens too weak to be told from none becomes none: the focal length is then known better.
+    changed, except that a distortion within its error becomes none: the focal length is then known better.
     """
     camera = next(iter(model.reconstruction.cameras.values()))
     focal, _, _, k = (float(value) for value in camera.params)
@@ -121,12 +121,12 @@ def settle(job: Job, model: Model, width: int, height: int, prior: Prior | None 
     bent = lens.max_shift(focal, k, width, height)
     if told:
         colmap_lens.straighten(model.reconstruction)
-        job.note(f"no lens: one that bends the corners by {bent:.2f} px cannot be told from none")
+        job.note(f"no lens distortion: {bent:.2f} px at the corners is within its error")
     else:
         colmap_lens.hold_lens(model.reconstruction, likely.focal, likely.k)
         job.warn(
-            f"the clip hardly tells its focal length: {likely.focal:.0f} px is likely, give or take {likely.focal_spread:.0f}; "
-            f"SfM alone gave {focal:.0f} px and a lens that bends the corners by {bent:.1f} px. "
+            f"the clip hardly fixes its focal length: {likely.focal:.0f} px is likely, give or take {likely.focal_spread:.0f}; "
+            f"SfM alone gave {focal:.0f} px, with a distortion of {bent:.1f} px at the corners. "
             "If you know it, give it with --set sfm.focal=PX"
         )
     return facts | {"free_focal_px": focal, "free_k": k}

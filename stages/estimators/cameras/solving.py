@@ -255,7 +255,7 @@ def short_walk_of(
             best, facts["lens"] = changed or (best, spreads(walk, task.side))
     task.job.note(
         f"a short walk, no turn: a turn leaves {compared.wins:.1f} times as much of the background's motion unexplained; "
-        "how far away things are is known only roughly"
+        "distances are known only roughly"
     )
     return moving(task, best, facts)
 

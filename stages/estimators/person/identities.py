@@ -108,7 +108,7 @@ def follow_among(
     if not wanted and max(seen) > 2 * seen[chosen]:
         most = int(np.argmax(seen))
         job.note(
-            f"the largest is seen in {seen[chosen]} of {len(names)} frames; followed is who is seen in {seen[most]}: in frame "
+            f"the largest is seen in {seen[chosen]} of {len(names)} frames; another, seen in {seen[most]}, is followed: in frame "
             f"{names[people[most].frame]} {describe_place(people[most])}"
         )
         chosen = most
@@ -132,7 +132,7 @@ def _follow_each(
     if doubts:
         first = names[min(doubts)]
         job.warn(
-            f"who is who is not sure in {len(doubts)} of {len(names)} frames, first {first}: look whether two people were "
+            f"identities are uncertain in {len(doubts)} of {len(names)} frames, first {first}: look whether two people were "
             "exchanged there; masks with an id for each person (SAM 2) keep them apart"
         )
     return poses

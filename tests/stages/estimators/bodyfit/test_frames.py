@@ -56,7 +56,7 @@ def test_nothing_is_made_up_in_gaps_or_beyond_the_ends():
     assert np.allclose(taken[frames], [*np.arange(0, 1, 0.1), *np.arange(1.5, 2, 0.1)])
     with pytest.raises(StageError, match="40 of 40 frames") as caught:
         join_frames(fit_of(stored, times=stored), names_of(range(40)), 10 + np.arange(40) / 30)
-    assert "times 0.00 to 1.97 s" in caught.value.facts[0]
+    assert holds(caught.value.facts[0], "0.00 to 1.97 s")
 
 
 def test_one_pose_is_the_pose_of_its_own_moment():
@@ -127,9 +127,9 @@ def test_rows_by_count_need_most_of_the_clip():
 def test_rows_without_names_are_joined_only_where_there_is_one_for_each_frame_of_the_clip():
     """Every second frame of a film of 60: each pose would belong to a frame at half its time."""
     names, taken = names_of(range(0, 60, 2)), np.arange(0, 60, 2) / 30
-    with pytest.raises(StageError, match="tells which frames") as caught:
+    with pytest.raises(StageError, match="frames") as caught:
         join_frames(fit_of(np.arange(30) / 15), names, taken, total=60)
-    assert "30 poses, the clip 60 frames" in caught.value.facts[0] and "add `names`" in caught.value.hint
+    assert holds(caught.value.facts[0], "30 poses", "60 frames") and holds(caught.value.hint, "names")
     _, frames = join_frames(fit_of(np.arange(60) / 30), names, taken, total=60)
     assert frames.tolist() == list(range(30))
 
