@@ -120,7 +120,7 @@ def run(
     }
     write_facts(job.out / "sfm.json", facts)
     # Not in sfm.json: the same clip gives the same bytes, and the stages after it stay fresh.
-    job.note(f"what took how long: {parts}")
+    job.note(f"time by part: {parts}")
 
 
 def what_is_told(job: Job, listing: Listing, smpl_fit: Path | None) -> Prior | None:
@@ -136,7 +136,7 @@ def what_is_told(job: Job, listing: Listing, smpl_fit: Path | None) -> Prior | N
         told = Prior(found[0], FOCAL_SPREAD, f"{found[1]}'s, {plain(smpl_fit.name)}")
     else:
         return None
-    job.note(f"the focal length is told: {told.said}")
+    job.note(f"focal length before SfM: {told.said}")
     return told
 
 

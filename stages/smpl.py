@@ -238,11 +238,11 @@ def warn_of_scale(job: Job, scale: dict[str, Any]) -> None:
     if "floor_refused" in scale:
         plane = f"{scale['floor_refused']:.3g} m per SfM unit, differing by {100 * scale['floor_spread']:.0f} %"
         job.warn(
-            f"the person does not stand on the plane below their feet in the picture: it would mean {plane}, and how the"
-            f" feet stand still {scale['initial']:.3g}; a table, a stage, stairs, a jump, or does a board carry them?"
+            f"the person does not stand on the plane below their feet in the picture: it gives {plane}, the standing feet"
+            f" give {scale['initial']:.3g}; is there a table, a stage, stairs, a jump or a moving board?"
         )
     if (slope := scale.get("floor_slope_degrees")) is not None:
-        job.warn(f"the floor slopes by about {slope:.0f} degrees: balance goes by camera and person, not by it")
+        job.warn(f"the floor slopes by about {slope:.0f} degrees: upright is taken from camera and person instead")
     if scale["how"].startswith("not found"):
         job.warn("the person's scale in the scene is unknown: no floor below the feet and no standing foot was found")
     elif "floor_refused" not in scale and scale.get("floor_spread", 0) > FLOOR_SPREAD:

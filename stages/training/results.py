@@ -188,9 +188,9 @@ def _settle_swing(fit: Fit, body: FittedBody, clothing: Clothing, table: Tensor,
     try:
         untold = fit_swing(clothing, table.unflatten(1, (-1, 6)), fit.trained, torch.stack(bones), body.body_pose)
     except UNFINISHED as error:
-        say.warn(f"how the clothes swing could not be told from the pose: {error}")
+        say.warn(f"the swing of the clothes could not be computed from the pose: {error}")
         return
-    told = f"{100 * untold:.0f} % of their swing in the frames is not told by the pose"
+    told = f"{100 * untold:.0f} % of their swing in the frames is not explained by the pose"
     say.note(f"{len(clothing)} bones of clothes; {told}")
 
 

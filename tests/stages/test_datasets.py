@@ -23,6 +23,7 @@ from stages.formats.images import read_image, read_mask, write_mask
 from stages.formats.poses import read_poses
 from stages.records import BodyPoses, Cameras
 from tests.made import datasets
+from tests.made.said import any_holds, holds
 from tests.made.synthetic.clip import make_clip
 from tests.made.truth import Similarity, align, camera_errors, joints_of, psnr
 
@@ -158,7 +159,7 @@ def test_a25_smaller_pictures_a_lens_and_the_other_masks(sequences, tmp_path):
     f, x, y = read_cameras(made.truth / "cameras.npz").Ks[0][[0, 0, 1], [0, 2, 2]]
     cameras.write_text(f"1 SIMPLE_RADIAL 96 128 {f} {x} {y} 0.05\n")
     done, said = go(folder, neuman, tmp_path / "out", max_side=64)
-    assert any("distortion of up to 0.05, left out" in text for text in said)
+    assert any_holds(said, "distortion", 0.05)
     found, truth = read_cameras(done["sfm"] / "cameras.npz"), read_cameras(made.truth / "cameras.npz")
     assert (found.width, found.height) == (48, 64)
     np.testing.assert_allclose(found.Ks[:, :2], truth.Ks[:, :2] / 2, atol=1e-9)
@@ -233,21 +234,21 @@ def test_a_corner_of_every_layout_is_read():
 
 
 @pytest.mark.parametrize(
-    ("kind", "gone", "problem"),
+    ("kind", "gone", "facts"),
     [
-        ("neuman", "sparse/images.txt", "lacks images.txt"),
-        ("neuman", "4d_humans/smpl_optimized_aligned_scale.npz", "is not a NeuMan sequence"),
-        ("neuman", "images/00003.png", "1 of 15 pictures of sparse/ are not in images/"),
-        ("neuman", "4d_humans/sam_segmentations/mask_0003.png", "14 masks in"),
-        ("zju", "annots.npy", "is not a ZJU-MoCap sequence"),
-        ("zju", "new_params/2.npy", "cannot open"),
-        ("zju", "Camera_B1/000001.jpg", "1 files that annots.npy needs are not in"),
+        ("neuman", "sparse/images.txt", ("lacks", "images.txt")),
+        ("neuman", "4d_humans/smpl_optimized_aligned_scale.npz", ("not", "NeuMan")),
+        ("neuman", "images/00003.png", ("1 of 15 pictures", "images/")),
+        ("neuman", "4d_humans/sam_segmentations/mask_0003.png", ("14 masks",)),
+        ("zju", "annots.npy", ("not", "ZJU-MoCap")),
+        ("zju", "new_params/2.npy", ("2.npy",)),
+        ("zju", "Camera_B1/000001.jpg", ("1 files", "annots.npy")),
     ],
 )
-def test_what_is_missing_is_named(sequences, tmp_path, kind, gone, problem):
+def test_what_is_missing_is_named(sequences, tmp_path, kind, gone, facts):
     folder = copied(sequences[kind], tmp_path)
     (folder / gone).unlink()
-    assert problem in refused(folder, {"neuman": neuman, "zju": zju}[kind], tmp_path / "out").problem
+    assert holds(refused(folder, {"neuman": neuman, "zju": zju}[kind], tmp_path / "out").problem, *facts)
 
 
 def test_a25_a26_what_does_not_fit_is_named(sequences, tmp_path):
@@ -255,11 +256,11 @@ def test_a25_a26_what_does_not_fit_is_named(sequences, tmp_path):
     cameras = folder / "sparse" / "cameras.txt"
     text = cameras.read_text()
     cameras.write_text(text.replace("PINHOLE 96", "FISHEYE 96"))
-    assert "known are SIMPLE_PINHOLE" in refused(folder, neuman, tmp_path / "a").facts[0]
+    assert holds(refused(folder, neuman, tmp_path / "a").facts[0], "SIMPLE_PINHOLE")
     cameras.write_text(text.replace("PINHOLE 96", "PINHOLE 98"))
-    assert refused(folder, neuman, tmp_path / "b").facts == ("picture 96x128, camera 98x128",)
+    assert holds(*refused(folder, neuman, tmp_path / "b").facts, "96x128", "98x128")
     cameras.write_text("1 PINHOLE 96 x\n")
-    assert "line 1 of" in refused(folder, neuman, tmp_path / "c").problem
+    assert holds(refused(folder, neuman, tmp_path / "c").problem, "line 1")
 
 
 class Runs:

@@ -17,6 +17,7 @@ from stages.formats.images import read_image, read_mask, write_image, write_mask
 from stages.formats.points import read_points
 from tests.made import fits
 from tests.made.rooms import FOCAL, HEIGHT, K1, WALLS, WIDTH, run, walk, write_clip
+from tests.made.said import holds
 from tests.made.worlds import umeyama
 
 READERS = [(read_image, "images"), (read_mask, "masks")]
@@ -94,8 +95,8 @@ def test_a_walk_of_a_few_centimetres_is_no_turn(tmp_path):
     assert facts["verdict"] == "moving" and facts["mapper"] == "short walk" and facts["registered"] == 9
     spread = facts["lens"]["focal_spread_px"]
     assert abs(facts["focal_px"] - FOCAL) < 2 * spread < 0.2 * FOCAL
-    assert any("short walk, no turn" in event.get("text", "") for event in events)
-    assert any(f"px, give or take {spread:.0f}" in event.get("text", "") for event in events)
+    assert any(holds(event.get("text", ""), "short walk") for event in events)
+    assert any(holds(event.get("text", ""), f"{facts['focal_px']:.0f} px", f"{spread:.0f}") for event in events)
     found = read_cameras(tmp_path / "out/cameras.npz")
     truth = cameras.camera_centers(views)
     scale, R, t = umeyama(found.centers, truth)
@@ -168,7 +169,7 @@ def test_i04_i16_k03_masks_must_fit_the_frames(tmp_path):
     with pytest.raises(StageError, match="000003"):
         run(tmp_path)
     (tmp_path / "masks/masks/000003.png").unlink()
-    with pytest.raises(StageError, match="1 of 3 frames have no mask"):
+    with pytest.raises(StageError, match="1 of 3 frames"):
         sfm.check_masks(["000000", "000003", "000006"], tmp_path / "masks", WIDTH, HEIGHT)
 
 

@@ -216,7 +216,7 @@ def test_a_fit_of_somebody_else_is_refused_and_a_doubtful_one_is_said(folders, t
     clip, frames, sfm = folders
     fit = camera_fit(clip) | {"names": np.array(clip.cameras.names)}
     np.savez(tmp_path / "far.npz", **fit | {"transl": fit["transl"] + [3.0, 0, 0]})
-    with pytest.raises(StageError, match="nobody where the masks"):
+    with pytest.raises(StageError, match="masks"):
         run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "far.npz")
     np.savez(tmp_path / "near.npz", **fit | {"transl": fit["transl"] + [0.35, 0, 0]})
     _, facts, said = run(tmp_path / "out", frames, sfm, smpl_fit=tmp_path / "near.npz")
@@ -290,7 +290,7 @@ def test_a_plane_that_is_not_what_the_person_stands_on_is_said(tmp_path):
     scale = {"initial": 0.5, "how": "standing feet", "floor_refused": 1.1, "floor_spread": 0.08}
     smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
     (text,) = (event["text"] for event in said)
-    assert holds(text, "not", "plane") and "1.1 m per SfM unit" in text and "0.5" in text
+    assert holds(text, "plane") and holds(text, "1.1 m") and holds(text, 0.5)
 
 
 def test_a_floor_that_slopes_is_said_with_its_degrees(tmp_path):
@@ -298,7 +298,7 @@ def test_a_floor_that_slopes_is_said_with_its_degrees(tmp_path):
     scale = {"initial": 0.5, "how": "the body stands on the floor's SfM points", "floor_slope_degrees": 11.6}
     smpl.warn_of_scale(Job(out=tmp_path, emit=said.append), scale)
     (text,) = (event["text"] for event in said)
-    assert "slopes by about 12 degrees" in text
+    assert holds(text, "12 degrees")
 
 
 def test_one_floor_is_found_under_two_people_whose_soles_have_other_numbers_of_points(folders):
