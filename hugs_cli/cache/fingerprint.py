@@ -89,6 +89,7 @@ class Code:
         self.used: dict[str, Any] = {}
         self.files: dict[str, dict[str, Path]] = {}
         self.places: dict[str, Path | None] = {}
+        self.texts: dict[str, tuple[tuple[int, ...], str]] = {}  # module -> its file's state, digest of what it holds
         if memory and memory.is_file():
             self.known = read_memory(memory)
 
@@ -121,11 +122,15 @@ class Code:
 
     def read(self, name: str, path: Path) -> dict[str, Any]:
         """The digest of one module, its imports, and the file names in it."""
-        source = path.read_bytes()
-        text = hashlib.sha256(f"{name} {path.name}\0".encode() + source).hexdigest()
-        if text not in self.used:
-            self.used[text] = self.known.get(text) or look_into(source, name, path.name == "__init__.py")
-        return self.used[text]
+        stat = os.stat(path)
+        state = (stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
+        if self.texts.get(name, ((), ""))[0] != state:
+            source = path.read_bytes()
+            text = hashlib.sha256(f"{name} {path.name}\0".encode() + source).hexdigest()
+            if text not in self.used:
+                self.used[text] = self.known.get(text) or look_into(source, name, path.name == "__init__.py")
+            self.texts[name] = state, text
+        return self.used[self.texts[name][1]]
 
     def data_files(self, root: Path) -> dict[str, Path]:
         """The files of a package that are not code, by name."""
