@@ -21,8 +21,7 @@ test: $(VENV)/ready
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/lint-imports
-	$(VENV)/bin/mypy
-	$(PYTEST) --durations=40
+	$(VENV)/bin/mypy & types=$$!; $(PYTEST) --durations=40; tests=$$?; wait $$types && exit $$tests
 
 quick: $(VENV)/ready
 	$(PYTEST) -m "not slow"
