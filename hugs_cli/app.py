@@ -163,8 +163,16 @@ def run_pipeline(
 
 def rows(ran: list[Ran]) -> list[dict[str, Any]]:
     """The stages of a finished run as plain values."""
-    own = [{"stage": one.stage, "state": one.state, "reasons": list(map(str, one.reasons))} for one in ran]
-    return [facts | {"folder": str(one.folder), **stamp_facts(one.stamp)} for facts, one in zip(own, ran, strict=True)]
+    return [
+        {
+            "stage": one.stage,
+            "state": one.state,
+            "reasons": list(map(str, one.reasons)),
+            "folder": str(one.folder),
+            **stamp_facts(one.stamp),
+        }
+        for one in ran
+    ]
 
 
 def hint_accept(session: Session, wanted: list[str], console: Console) -> None:

@@ -88,7 +88,6 @@ class Code:
         self.known: dict[str, Any] = {}
         self.used: dict[str, Any] = {}
         self.files: dict[str, dict[str, Path]] = {}
-        self.places: dict[str, Path | None] = {}
         self.texts: dict[str, tuple[tuple[int, ...], str]] = {}  # module -> its file's state, digest of what it holds
         if memory and memory.is_file():
             self.known = read_memory(memory)
@@ -105,9 +104,7 @@ class Code:
             if name in seen:
                 continue
             seen.add(name)
-            if name not in self.places:
-                self.places[name] = module_file(root, name)
-            if (path := self.places[name]) is None:
+            if (path := module_file(root, name)) is None:
                 continue
             facts = self.read(name, path)
             found[name] = facts["digest"]
@@ -121,7 +118,7 @@ class Code:
         return found
 
     def read(self, name: str, path: Path) -> dict[str, Any]:
-        """The digest of one module, its imports, and the file names in it."""
+        """The digest of one module, its imports, and the file names in it; read again only where the file has changed."""
         stat = os.stat(path)
         state = (stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
         if self.texts.get(name, ((), ""))[0] != state:
@@ -177,10 +174,10 @@ def package_folder(top: str) -> Path:
 
 def module_file(root: Path, name: str) -> Path | None:
     """The file of a dotted name under a package's folder; None if the name is an attribute."""
-    path = root.joinpath(*name.split(".")[1:])
-    for file in (path / "__init__.py", path.with_name(f"{path.name}.py")):
-        if file.is_file():
-            return file
+    path = os.path.join(root, *name.split(".")[1:])  # text: paths are slow, and there are a thousand
+    for file in (os.path.join(path, "__init__.py"), f"{path}.py"):
+        if os.path.isfile(file):
+            return Path(file)
     return None
 
 
@@ -229,13 +226,13 @@ def flatten(node: Any, tokens: list[str]) -> None:
         tokens.append(")")
     elif isinstance(node, list):
         for item in node:
-            text = (
-                isinstance(item, ast.Expr)
-                and isinstance(item.value, ast.Constant)
-                and isinstance(item.value.value, str)
-            )
-            if not text:
+            if not (isinstance(item, ast.Expr) and is_text(item.value)):
                 flatten(item, tokens)
         tokens.append(";")
     else:
         tokens.append(repr(node))
+
+
+def is_text(node: ast.AST) -> bool:
+    """True for a plain string literal."""
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)

@@ -166,9 +166,8 @@ class Press:
                 self.console.say(f"  {state:<9}{row['folder']}  {row['pipeline']}  {text}".rstrip())
         if not over and (self.console.live or time.monotonic() - self.last_line > QUIET_EVERY):
             self.last_line = time.monotonic()
-            self.console.rows(
-                [*map(now, (row for row in rows if row["state"] in ("running", "waiting"))), f"  {counts(total)}"]
-            )
+            busy = [now(row) for row in rows if row["state"] in ("running", "waiting")]
+            self.console.rows([*busy, f"  {counts(total)}"])
 
 
 def now(row: dict[str, Any]) -> str:
