@@ -36,7 +36,7 @@ def reasons_text(reasons: tuple[Reason, ...]) -> str:
 
 
 class Console:
-    """Prints one command's output; a Watcher of the engine."""
+    """Prints the output of one command: lines, progress, and the time that is left."""
 
     def __init__(
         self,
