@@ -54,9 +54,10 @@ from stages.training.step.fit import Fit
 from stages.training.timing.accuracy import heldout_accuracy
 from tests.made import datasets, one_pose
 from tests.made.learned import Learned, Pose, draw, load_learned, pose_of
+from tests.made.synthetic.wardrobe import MAKERS
 from tests.made.truth import align, in_result_world
 
-GARMENTS = ("skirt", "coat", "ponytail", "bag", "none", *one_pose.KINDS)
+GARMENTS = (*MAKERS, "none", *one_pose.KINDS)
 SEEDS = {"setting": 0, "asked": 1}
 KINDS = (read_image, "images"), (read_mask, "masks")
 Scored = tuple[dict[str, float | None], np.ndarray]

@@ -22,7 +22,7 @@ from tests.benchmarks.train_step import Stopwatch, resized, timed_parts
 from tests.benchmarks.workloads import random_work
 from tests.made import one_pose
 from tests.made.clothes import dress, some_clothes
-from tests.made.synthetic.garments import MAKERS
+from tests.made.synthetic.wardrobe import MAKERS
 from tests.made.tiny import make_avatar
 from tests.made.training import fit_of, make_clip, run
 

@@ -19,8 +19,8 @@ from stages.formats.body_model import read_body_model
 from stages.synthetic.room import make_room
 from tests.made.synthetic import clip as synthetic
 from tests.made.synthetic.effects import Course
-from tests.made.synthetic.garments import make_garments
 from tests.made.synthetic.passers import Passer
+from tests.made.synthetic.wardrobe import make_garments
 
 FPS = 12.0
 HEAVY = 4  # the shape's number that makes the free body wide at the same height

@@ -24,8 +24,8 @@ from stages.synthetic.files import write_clip
 from stages.synthetic.room import make_room
 from tests.made.synthetic import clip as synthetic
 from tests.made.synthetic.effects import ClipEffects, Course, distort, gains, margin, to_linear, to_srgb
-from tests.made.synthetic.garments import make_garments
 from tests.made.synthetic.passers import Passer
+from tests.made.synthetic.wardrobe import make_garments
 from tests.made.yard import yard
 
 mi.set_variant("scalar_rgb")

@@ -23,7 +23,7 @@ from tests.made.family.shoes import shoes
 from tests.made.family.table import FPS, FRAMES, LONG, SHORT, Box, Shot
 from tests.made.synthetic import clip as synthetic
 from tests.made.synthetic.effects import ClipEffects
-from tests.made.synthetic.garments import make_garments
+from tests.made.synthetic.wardrobe import make_garments
 from tests.made.truth import Similarity
 
 PER_BETA = 0.1

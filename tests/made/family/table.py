@@ -49,7 +49,7 @@ class Shot:
     """Share of the person's own way that the camera goes along with, and always looks along."""
     clothing: float = 0.0
     wears: tuple[str, ...] = ()
-    """Garments that swing, rows of `tests.made.synthetic.garments.MAKERS`."""
+    """Garments that swing, rows of `tests.made.synthetic.wardrobe.MAKERS`."""
     sole: float = 0.0
     """m of the soles of shoes; 0: bare feet."""
     boxes: tuple[Box, ...] = ()

@@ -52,8 +52,9 @@ from tests.made.synthetic.effects import (
     to_linear,
     to_srgb,
 )
-from tests.made.synthetic.garments import Garment, make_garments
+from tests.made.synthetic.garments import Garment
 from tests.made.synthetic.passers import Passer, make_passers
+from tests.made.synthetic.wardrobe import make_garments
 
 NEAR_WALL = 1.15
 """Where a camera that changes its distance begins, as share of DISTANCE: a little before the wall behind it."""
@@ -81,7 +82,7 @@ def make_clip(
     `model` has keypoints. `camera`: "moving" goes around the person, "rotating"
     only turns, "static" stands. `effects` change the pictures and nothing that is drawn at random; novel views have those
     of the scene and the person, and none of the recording. `wears` names garments that swing, rows of
-    `garments.MAKERS`; in novel poses they have come to rest. Of these only the first `novel` are drawn, where it is given.
+    `wardrobe.MAKERS`; in novel poses they have come to rest. Of these only the first `novel` are drawn, where it is given.
     Depths and masks are those of room and person at the frame's own time, masks blurred as the pictures are. `done` hears
     of pictures made and their number.
     """

@@ -1,8 +1,8 @@
-"""What the person of a synthetic clip may wear or carry that does not stay on the body: skirt, coat, ponytail and bag."""
+"""Skirt, coat, ponytail and bag of the person of a synthetic clip: what swings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,12 +30,7 @@ class Garment:
     paint: Paint
 
 
-def make_garments(names: Sequence[str], model: BodyModel, betas: np.ndarray, rng: np.random.Generator) -> list[Garment]:
-    """The garments of those names of MAKERS for the body of a shape, cut and coloured by chance."""
-    return [MAKERS[name](_Body(model, betas), rng) for name in names]
-
-
-class _Body:
+class DressedBody:
     """The body at rest that clothes are cut for."""
 
     def __init__(self, model: BodyModel, betas: np.ndarray):
@@ -44,6 +39,7 @@ class _Body:
         if model.keypoint_regressor is None or model.keypoint_names is None:
             raise ValueError(f"the body model {model.name!r} has no keypoints, which clothes are cut by")
         self.at = dict(zip(model.keypoint_names, model.keypoint_regressor @ self.vertices))
+        self.faces = np.asarray(model.faces)
         self.near = cKDTree(self.vertices)
 
     def carriers(self, places: np.ndarray) -> np.ndarray:
@@ -58,7 +54,7 @@ class _Body:
         return middle, ((band - middle) @ ways.T).max(0)
 
 
-def _rest_on(rows: int, columns: int, closed: bool) -> tuple[np.ndarray, np.ndarray]:
+def grid(rows: int, columns: int, closed: bool) -> tuple[np.ndarray, np.ndarray]:
     """Faces [T,3] and rods [R,2] of a grid of particles, its columns a ring if `closed`."""
     index = np.arange(rows * columns).reshape(rows, columns)
     right = np.roll(index, -1, 1) if closed else index
@@ -70,7 +66,7 @@ def _rest_on(rows: int, columns: int, closed: bool) -> tuple[np.ndarray, np.ndar
 
 
 def _sheet(
-    body: _Body,
+    body: DressedBody,
     top: float,
     hem: float,
     held: float,
@@ -98,30 +94,30 @@ def _sheet(
     return np.stack(places), pinned, np.full(pinned.shape, stiff)
 
 
-def _skirt(body: _Body, rng: np.random.Generator) -> Garment:
+def skirt(body: DressedBody, rng: np.random.Generator) -> Garment:
     """A flared skirt from the waist to below the knees, in checks or dots, that hangs from the pelvis."""
     waist, hem = body.at["left_hip"][1] + 0.07, body.at["left_knee"][1] - rng.uniform(0.0, 0.12)
     angles = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)
     rows = 14
     places, pinned, stiff = _sheet(body, waist, hem, waist - 0.045, rng.uniform(0.38, 0.55), angles, rows, 25.0, 0.02)
-    faces, rods = _rest_on(rows, AROUND, closed=True)
+    faces, rods = grid(rows, AROUND, closed=True)
     chart = np.stack(np.broadcast_arrays(0.28 * angles, (waist - places[..., 1])), -1)
-    return _made(body, places, pinned, stiff, rods, faces, chart, _pattern(rng), 0, 0.28 * 2 * np.pi)
+    return _made(body, places, pinned, stiff, rods, faces, chart, pattern(rng), 0, 0.28 * 2 * np.pi)
 
 
-def _coat(body: _Body, rng: np.random.Generator) -> Garment:
+def coat(body: DressedBody, rng: np.random.Generator) -> Garment:
     """A long coat without sleeves, open in front, that lies on the trunk and hangs free below the hips."""
     top, hem = body.at["left_shoulder"][1] - 0.11, body.at["left_knee"][1] - rng.uniform(0.1, 0.2)
     gap = rng.uniform(0.2, 0.35)
     angles, rows = np.linspace(gap, 2 * np.pi - gap, AROUND), 22
     held = body.at["left_hip"][1] + 0.02
     places, pinned, stiff = _sheet(body, top, hem, held, rng.uniform(0.2, 0.3), angles, rows, 12.0, 0.025)
-    faces, rods = _rest_on(rows, AROUND, closed=False)
+    faces, rods = grid(rows, AROUND, closed=False)
     chart = np.stack(np.broadcast_arrays(0.25 * angles, top - places[..., 1]), -1)
-    return _made(body, places, pinned, stiff, rods, faces, chart, _pattern(rng), 0)
+    return _made(body, places, pinned, stiff, rods, faces, chart, pattern(rng), 0)
 
 
-def _ponytail(body: _Body, rng: np.random.Generator) -> Garment:
+def ponytail(body: DressedBody, rng: np.random.Generator) -> Garment:
     """Hair tied at the back of the head, a tapering tube that hangs down the neck."""
     head = body.vertices[body.weights[:, HEAD] > 0.5]
     height = body.at["left_eye"][1] + 0.03
@@ -135,7 +131,7 @@ def _ponytail(body: _Body, rng: np.random.Generator) -> Garment:
     ways = np.stack([np.cos(turn), 0 * turn, np.sin(turn)], 1)
     places = middle[:, None] + thick[:, None, None] * ways
     pinned = np.repeat((along < 0.05)[:, None], columns, 1)
-    faces, rods = _rest_on(rows, columns, closed=True)
+    faces, rods = grid(rows, columns, closed=True)
     index = np.arange(rows * columns).reshape(rows, columns)
     struts = [np.stack([index, np.roll(index, s, 1)], -1).reshape(-1, 2) for s in (2, 3, 4)]
     second = np.stack([index[:-2], index[2:]], -1).reshape(-1, 2)
@@ -150,7 +146,7 @@ def _ponytail(body: _Body, rng: np.random.Generator) -> Garment:
     return _made(body, places, pinned, np.full(pinned.shape, 8.0), rods, faces, chart, hair, HEAD, 0.04 * 2 * np.pi)
 
 
-def _bag(body: _Body, rng: np.random.Generator) -> Garment:
+def bag(body: DressedBody, rng: np.random.Generator) -> Garment:
     """A bag at the left hip on a strap over the right shoulder."""
     width, tall, deep = rng.uniform(0.24, 0.3), rng.uniform(0.18, 0.24), 0.09
     hip = body.at["left_hip"]
@@ -161,7 +157,7 @@ def _bag(body: _Body, rng: np.random.Generator) -> Garment:
     rows, columns = 6, len(ring)
     levels = np.linspace(tall / 2, -tall / 2, rows)
     box = np.stack([np.stack([ring[:, 0], np.full(columns, y), ring[:, 1]], 1) for y in levels]) + middle
-    faces, rods = _rest_on(rows, columns, closed=True)
+    faces, rods = grid(rows, columns, closed=True)
     index = np.arange(rows * columns).reshape(rows, columns)
     lids = np.concatenate([_fan(index[0][::-1]), _fan(index[-1])])
     corners = index[::5, :].ravel()
@@ -177,7 +173,7 @@ def _bag(body: _Body, rng: np.random.Generator) -> Garment:
     bulge = 0.16 * np.sin(np.pi * share) * [0.0, 0.0, 1.0]
     way = np.concatenate([front * (1 - share) + peak * share + bulge, (peak * (1 - share) + back * share - bulge)[1:]])
     strap = np.stack([way + [0, 0.0, 0], way + [0.03, 0.012, 0.0]], 1)
-    more_faces, more_rods = _rest_on(len(way), 2, closed=False)
+    more_faces, more_rods = grid(len(way), 2, closed=False)
     start = box.size // 3
     ends = [(start, index[0, abs(ring - [0, width / 2]).sum(1).argmin()]),
             (start + 2 * len(way) - 2, index[0, abs(ring - [0, -width / 2]).sum(1).argmin()])]  # fmt: skip
@@ -189,10 +185,10 @@ def _bag(body: _Body, rng: np.random.Generator) -> Garment:
     faces = np.concatenate([faces, lids, more_faces + start])
     chart = np.concatenate([np.stack([places[:start, 2] + places[:start, 0], places[:start, 1]], 1),
                             np.full((len(places) - start, 2), 9.0)])  # fmt: skip
-    pattern = _pattern(rng)
+    cover = pattern(rng)
 
     def paint(at: np.ndarray) -> np.ndarray:
-        return np.where(at[:, :1] > 8.0, [0.2, 0.12, 0.07], pattern(at))
+        return np.where(at[:, :1] > 8.0, [0.2, 0.12, 0.07], cover(at))
 
     return _made(body, places, pinned, np.full(len(places), 3.0), rods, faces, chart, paint, 0)
 
@@ -209,7 +205,7 @@ def _fan(ring: np.ndarray) -> np.ndarray:
 
 
 def _made(
-    body: _Body, places: np.ndarray, pinned: np.ndarray, stiff: np.ndarray, rods: np.ndarray, faces: np.ndarray,
+    body: DressedBody, places: np.ndarray, pinned: np.ndarray, stiff: np.ndarray, rods: np.ndarray, faces: np.ndarray,
     chart: np.ndarray, paint: Paint, hangs: int, closed: float = np.inf,
 ) -> Garment:  # fmt: skip
     """Pinned particles go with the skin beneath, the others are pulled to where joint `hangs` would carry them.
@@ -227,7 +223,7 @@ def _made(
     return Garment(cloth, faces, corners, paint)
 
 
-def _pattern(rng: np.random.Generator) -> Paint:
+def pattern(rng: np.random.Generator) -> Paint:
     """Checks, dots or stripes of 5 to 8 cm in three colours by chance."""
     inks, size, kind = rng.uniform(0.1, 0.95, (3, 3)), rng.uniform(0.09, 0.14), rng.integers(3)
 
@@ -242,8 +238,3 @@ def _pattern(rng: np.random.Generator) -> Paint:
         return np.where(band, inks[2], inks[0] * (1 - cover) + inks[1] * cover)
 
     return paint
-
-
-MAKERS: dict[str, Callable[[_Body, np.random.Generator], Garment]] = {
-    "skirt": _skirt, "coat": _coat, "ponytail": _ponytail, "bag": _bag,
-}  # fmt: skip

@@ -15,7 +15,7 @@ from stages.training.beginning.cloth import clothed
 from stages.training.views import FittedBody, Views
 from tests.made.skin import on_vertices
 from tests.made.synthetic import cloth as moving
-from tests.made.synthetic import garments
+from tests.made.synthetic import wardrobe
 
 FRAMES, WIDTH, HEIGHT = 24, 96, 128
 
@@ -27,7 +27,7 @@ def filmed():
     body, betas, faces = Body(model, dtype=torch.float64), np.zeros(10), np.asarray(model.faces, np.int64)
     orient, pose = person.make_motion(FRAMES, 8.0, rng)
     transl, vertices, _ = person.pose_body(body, betas, orient, pose)
-    skirt = garments.make_garments(["skirt"], model, betas, rng)[0]
+    skirt = wardrobe.make_garments(["skirt"], model, betas, rng)[0]
     (worn,) = moving.worn([skirt.cloth], body, faces, betas, (orient, pose, transl), 8.0)
     viewmats, K = camera_path(FRAMES, 8.0, rng), pinhole(0.95 * HEIGHT, WIDTH, HEIGHT)
     both, all_faces = np.concatenate([vertices, worn], 1), np.concatenate([faces, skirt.faces + vertices.shape[1]])
