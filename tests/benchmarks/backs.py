@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,10 +23,9 @@ from stages.formats.clip import Clip, load_clip
 from stages.formats.splits import write_split
 from stages.records import Effects
 from stages.training.beginning.start import Task, build
-from stages.training.results import result_of
 from stages.training.timing.accuracy import heldout_accuracy
 from tests.benchmarks.host import tell
-from tests.benchmarks.loose import Shown, finished
+from tests.benchmarks.loose import Shown, finished, of_one
 from tests.benchmarks.workloads import surveyed
 from tests.made.learned import load_learned
 
@@ -62,9 +60,7 @@ def measure(results: Path, lpips: Lpips) -> dict[str, Any]:
             fit.advance()
         others = [i for i in np.flatnonzero(clip.heldout).tolist() if clip.shows_person(i)]
         before = heldout_accuracy(fit.cast(), fit.seen(), others, lpips)
-        quiet = SimpleNamespace(note=lambda *_: None, warn=lambda *_: None)
-        result = result_of(fit, [clip], [{"seconds": 0.0}], {}, quiet)
-        ((avatar, body),) = result.people
+        result, avatar, body = of_one(fit, clip)
         shown = Shown(clip, body, load_learned(avatar, result.scene, result.effects or Effects()), lpips)
         after = finished(shown, fit, others)
     trained = {name: before[f"{name}_person"] for name in ("psnr", "lpips")}

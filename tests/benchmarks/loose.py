@@ -21,7 +21,6 @@ import shutil
 import time
 from pathlib import Path
 from statistics import fmean
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import cv2
@@ -47,11 +46,12 @@ from stages.formats.facts import Sfm, read_facts
 from stages.formats.images import read_image, read_mask, write_image
 from stages.formats.poses import read_poses
 from stages.formats.splats import write_splats
-from stages.records import BodyPoses, Effects
+from stages.records import Avatar, BodyPoses, Effects
 from stages.training.beginning.start import Task, build
-from stages.training.results import result_of
+from stages.training.results import Result, result_of
 from stages.training.step.fit import Fit
 from stages.training.timing.accuracy import heldout_accuracy
+from stages.training.timing.finishing import Finishing
 from tests.made import datasets, one_pose
 from tests.made.learned import Learned, Pose, draw, load_learned, pose_of
 from tests.made.synthetic.wardrobe import MAKERS
@@ -103,6 +103,14 @@ def trained(place: Path, steps: int, own: bool, clothing: bool | None) -> tuple[
     while fit.progress.step < steps:
         fit.advance()
     return fit, {"on": on, "off": finding.value, "cpu_seconds": time.process_time() - began}
+
+
+def of_one(fit: Fit, clip: Clip) -> tuple[Result, Avatar, BodyPoses]:
+    """A training of one person, finished: the result, the avatar and the poses."""
+    quiet = Finishing(Job(Path(), emit=lambda event: None), [], 0, 0.0)
+    result = result_of(fit, [clip], [{"seconds": 0.0}], {}, quiet)
+    ((avatar, body),) = result.people
+    return result, avatar, body
 
 
 class Shown(NamedTuple):
@@ -190,9 +198,8 @@ def rate(work: Path, garment: str, seed: int, args: argparse.Namespace, lpips: L
     fit, row = trained(place, args.steps, args.own, args.clothing)
     others = [int(i) for i in np.flatnonzero(~load_clip(place / "sfm", place / "smpl").training)]
     heldout = heldout_accuracy(fit.cast(), fit.seen(), others, lpips)
-    clip, quiet = load_clip(place / "sfm", place / "smpl"), SimpleNamespace(note=lambda *_: None, warn=lambda *_: None)
-    result = result_of(fit, [clip], [{"seconds": 0.0}], {}, quiet)
-    ((avatar, body),) = result.people
+    clip = load_clip(place / "sfm", place / "smpl")
+    result, avatar, body = of_one(fit, clip)
     write_splats(place / f"avatar{args.tag}.npz", avatar)
     shown = Shown(clip, body, load_learned(avatar, result.scene, result.effects or Effects()), lpips)
     scored, picture = novel(place, shown)
