@@ -80,6 +80,7 @@ KINDS: dict[str, Kind] = {
     "sitting": Kind(SITTING, JEANS, heavy=0.5),
     "turned_coat": Kind(HANGING, BARE, ("coat",)),
     "turned_skirt": Kind(A_POSE, BARE, ("skirt",)),
+    "turned_hair": Kind(A_POSE, JEANS, ("hair",)),
 }
 
 

@@ -73,18 +73,29 @@ def _hat(body: DressedBody, rng: np.random.Generator) -> Garment:
 
 
 def _hair(body: DressedBody, rng: np.random.Generator) -> Garment:
-    """Long open hair that falls from the crown over the back and swings below the ears."""
+    """Long open hair that falls from the crown over neck and back and swings below the ears."""
     forehead, middle, half = _skull(body)
-    end = forehead - rng.uniform(0.34, 0.42)
+    end = forehead - rng.uniform(0.3, 0.36)
     heights = np.concatenate([[body.vertices[:, 1].max() + 0.012], np.linspace(forehead + 0.03, end, 12)])
-    off = np.concatenate([[-half.min() + 0.02], np.full(12, 0.018)])
-    turn = np.linspace(np.pi / 2 + 0.15, 3 * np.pi / 2 - 0.15, 20)
-    x = middle[0] + (half[0] + off)[:, None] * np.sin(turn)
-    z = middle[1] + (half[1] + off)[:, None] * np.cos(turn)
+    turn = np.pi + np.linspace(-1.35, 1.35, 20)
+    level = body.at["left_shoulder"][1] + 0.06
+    reach = np.zeros((len(heights), len(turn)))
+    for row, y in enumerate(heights[1:], 1):
+        reach[row] = np.hypot(half[0] * np.sin(turn), half[1] * np.cos(turn)) + 0.018
+        if y < level:  # it lies on the back
+            trunk, girth = body.girth(y, np.array([np.pi]))
+            behind = (middle[1] - trunk[1] + girth[0] + 0.02) / np.cos(turn - np.pi).clip(0.6)
+            reach[row] = np.maximum(reach[row - 1], behind.clip(max=reach[row] + 0.1))
+    reach[0] = 0.03
+    x, z = middle[0] + reach * np.sin(turn), middle[1] + reach * np.cos(turn)
     rings = np.stack([x, np.broadcast_to(heights[:, None], x.shape), z], 2)
     free = np.repeat((heights < body.at["left_ear"][1])[:, None], len(turn), 1)
     shade = np.array([0.45, 0.28, 0.12]) * rng.uniform(0.6, 1.6)
-    return _worn(rings, _on(HEAD, x.size), lambda at: shade * (1 + 0.3 * np.sin(300 * at[:, :1])), free, closed=False)
+
+    def hair(at: np.ndarray) -> np.ndarray:
+        return shade * (1 + 0.3 * np.sin(300 * at[:, :1]))
+
+    return _worn(rings, _on(HEAD, x.size), hair, free, closed=False)
 
 
 def _hood(body: DressedBody, rng: np.random.Generator) -> Garment:
