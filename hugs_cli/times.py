@@ -70,7 +70,7 @@ USUAL: dict[str, tuple[Sizes, dict[str, float]]] = {
                                             "train": 33.0, "export": 1.0, "render": 7.0, "evaluate": 4.0}),
 }  # fmt: skip
 """Pipeline -> sizes, and seconds of its stages; others are as `default`. The phone clip, 2 idle cores, November 2026: 5 min 45 s,
-shared out as in runs beside other work (docs/benchmarks/README.md)."""
+shared out as in runs beside other work (docs/lab/2026-11/pipelines-and-people.md)."""
 
 
 def work(stage: str, sizes: Sizes) -> float:

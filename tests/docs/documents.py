@@ -39,10 +39,15 @@ class Document(NamedTuple):
         return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
 
 
-def documents() -> list[Document]:
-    """README, CHANGELOG and all of docs/."""
-    paths = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    return [Document(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")) for path in paths]
+LAB = "docs/lab/"
+"""The notebook: what it says is of the day on which it was written, so only its links are looked at."""
+
+
+def documents(lab: bool = False) -> list[Document]:
+    """All documents at the root and in docs/, with or without the notebook."""
+    paths = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+    found = [Document(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")) for path in paths]
+    return [one for one in found if lab or not one.name.startswith(LAB)]
 
 
 @cache

@@ -122,7 +122,7 @@ def test_a_long_training_of_small_pictures(free, tmp_path):
     ],
 )
 def test_runs_on_an_idle_machine_took_about_as_long_as_is_usual(pipeline, sizes, took):
-    """The table of docs/benchmarks/README.md; `preview` promises a minute."""
+    """The table of docs/lab/2026-11/pipelines-and-people.md; `preview` promises a minute."""
     assert 1 / 1.5 < sum(usual(pipeline, stage, sizes) for stage in USUAL) / took < 1.5
 
 

@@ -1,6 +1,6 @@
 """The perceptual term of a training: LPIPS on patches of the person.
 
-It does not look at the whole picture: four more patches anywhere, at weight 1, cost 2.0 dB (`docs/benchmarks/accuracy.md`).
+It does not look at the whole picture: four more patches anywhere, at weight 1, cost 2.0 dB (`docs/lab/2026-11/accuracy.md`).
 """
 
 from __future__ import annotations

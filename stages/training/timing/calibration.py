@@ -19,7 +19,7 @@ ENOUGH = 600  # steps; where fewer fit, what comes after training takes its leas
 CURVE = 4  # measurements of accuracy in a training of fewer than ENOUGH steps
 PAUSE = 6.0  # full, grown steps that take as long as measuring accuracy, until that has been timed
 SHORT_OF = {100: 5.4, 200: 4.0, 300: 2.7, 700: 1.6, 1000: 1.1, 1600: 0.8, 4000: 0.3, 10_000: 0.0}
-"""Steps -> dB of the whole picture that a training is short of one of 10,000 steps (docs/benchmarks/budgets.md#rates). That 10,000
+"""Steps -> dB of the whole picture that a training is short of one of 10,000 steps (docs/lab/2026-11/budgets.md#rates). That 10,000
 win 0.3 over 4,000 is a guess. 100 and 200 are as much worse than 400 as in the sweep of the synthetic clip."""
 
 WORTH = {"motion_blur": (0.7, 0.4)}
