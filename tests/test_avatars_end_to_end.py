@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages import hugs as front
+import hugs as front
 from stages.avatar.cameras.pinhole import look_at, pinhole
 from stages.avatar.drawing.rig import rig_of
 from stages.filming import outputs

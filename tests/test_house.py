@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("stages", "hugs_cli")
+PACKAGES = ("stages", "hugs_cli", "hugs")
 HOUSES = ("avatar", "training", "estimators", "formats", "synthetic", "filming")
 BELOW = ("commands", "records", "contract")  # what stages may import beside the houses
 LONGEST = 350  # lines
@@ -86,7 +86,7 @@ def test_nobody_imports_in_a_circle():
 
 
 def is_stage(name: str) -> bool:
-    """A stage of the flow or of a command, or the front for scripts: what stands on top of the houses."""
+    """A stage of the flow or of a command: what stands on top of the houses."""
     house, _, module = name.replace("stages.commands.", "stages.").partition(".")
     return house == "stages" and bool(module) and "." not in module and module not in (*HOUSES, *BELOW)
 

@@ -54,7 +54,7 @@ def documents(lab: bool = False) -> list[Document]:
 def hints() -> dict[str, str]:
     """Each command in backticks in a text that the product may print -> the file; what is filled in reads as X."""
     found = {}
-    for path in [*(ROOT / "stages").rglob("*.py"), *(ROOT / "hugs_cli").rglob("*.py")]:
+    for path in [path for package in ("stages", "hugs_cli", "hugs") for path in (ROOT / package).rglob("*.py")]:
         content = path.read_text("utf-8")
         if not HINT.search(content):
             continue

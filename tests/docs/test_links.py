@@ -8,7 +8,9 @@ from tests.docs.documents import ROOT, documents
 
 DOCUMENTS = documents(lab=True)
 IDS = [document.name for document in DOCUMENTS]
-PATH = re.compile(r"(?:stages|hugs_cli|tests|docs)/[\w./*-]*|[A-Za-z]+\.(?:toml|yaml)|NOTICE|CHANGELOG\.md")
+PATH = re.compile(
+    r"(?:stages|hugs_cli|hugs|tests|docs|examples)/[\w./*-]*|[A-Za-z]+\.(?:toml|yaml)|NOTICE|CHANGELOG\.md"
+)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=IDS)

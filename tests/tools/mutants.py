@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
-COPIED = ("hugs_cli", "stages", "tests", "pipelines.yaml", "pyproject.toml")
+COPIED = ("hugs", "hugs_cli", "stages", "tests", "pipelines.yaml", "pyproject.toml")
 WORKERS = 2
 
 

@@ -1,4 +1,4 @@
-"""The avatar from Python: load it, pose it, draw it. See docs/python.md. What stands here stays."""
+"""Load an avatar, pose it, draw it."""
 
 from __future__ import annotations
 
@@ -24,19 +24,7 @@ from stages.avatar.splats.factor import factored
 from stages.avatar.splats.gaussians import Splats
 from stages.formats.exchange.read import read_any_avatar, read_any_scene
 from stages.formats.images import write_image as _write
-from stages.records import JOINT_NAMES, SH_C0
-
-__all__ = [
-    "JOINT_NAMES",
-    "Avatar",
-    "Camera",
-    "Gaussians",
-    "camera",
-    "draw",
-    "load_avatar",
-    "load_scene",
-    "write_image",
-]
+from stages.records import SH_C0
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stages import hugs
+import hugs
 from stages.avatar.body.rotations import matrix_from_quat
 from stages.avatar.drawing.avatar import load_avatar, pose_avatar
 from stages.contract import StageError
