@@ -8,7 +8,6 @@ import signal
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,7 +74,9 @@ app = typer.Typer(
 def show_version(asked: bool) -> None:
     """Print the version and end."""
     if asked:
-        Console().result(version("hugs-avatar"))
+        versions = child.versions(lambda module: module == "torch")
+        said = ", ".join(f"{name} {number}" for name, number in versions.items())
+        Console().result(f"{said}; {': '.join(device_of('auto'))}")
         raise typer.Exit
 
 

@@ -17,11 +17,11 @@ from pydantic import ValidationError
 from hugs_cli import plain_yaml
 from hugs_cli.studies import variants
 from hugs_cli.words import command
-from stages.contract import Params, StageError, StageModule, load_stage, marked
+from stages.contract import DISTRIBUTION, Params, StageError, StageModule, load_stage, marked
 
 FILE = Path(__file__).parents[1] / "pipelines.yaml"
 if not FILE.exists():  # installed, not a checkout
-    FILE = Path(next(file.locate() for file in files("hugs-avatar") or () if file.name == "pipelines.yaml")).resolve()
+    FILE = Path(next(file.locate() for file in files(DISTRIBUTION) or () if file.name == "pipelines.yaml")).resolve()
 SOURCES = {
     "video": "VIDEO",
     "mask_files": "--masks",

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import os
 import resource
+import shutil
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -16,6 +19,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
+
+DISTRIBUTION = "hugs-avatar"
+"""The name of the package."""
 
 
 class Params(BaseModel):
@@ -63,6 +69,12 @@ class StageError(Exception):
         super().__init__(self.problem)
         self.facts = tuple(map(_short, facts))
         self.hint = hint
+
+    def __str__(self) -> str:
+        """Problem, facts and hint, a line each."""
+        return "\n".join(
+            [self.problem, *(f"  {fact}" for fact in self.facts), *([f"hint: {self.hint}"] if self.hint else [])]
+        )
 
 
 @contextmanager
@@ -211,6 +223,25 @@ def load_stage(name: str) -> StageModule:
     }
     given = {key.lower(): value for key, value in optional.items() if value is not None}
     return StageModule(module.Params, module.run, **given)
+
+
+def version() -> str:
+    """The version of hugs, as 0.3.0."""
+    from importlib import metadata
+
+    return metadata.version(DISTRIBUTION)
+
+
+def build() -> str:
+    """The version and, of a checkout or of an installation from one by its address, the commit: 0.3.0+1a2b3c4d."""
+    from importlib import metadata
+
+    origin = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
+    commit, root = origin.get("vcs_info", {}).get("commit_id", ""), Path(__file__).parents[1]
+    if (root / ".git").exists() and shutil.which("git"):
+        asked = ["git", "-C", str(root), "rev-parse", "HEAD"]
+        commit = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+    return f"{version()}+{commit[:8]}" if commit else version()
 
 
 MAXRSS = 1 if sys.platform == "darwin" else 1024

@@ -332,7 +332,8 @@ def _sentence(held: dict[str, dict[str, float | None]], far: dict[str, dict[str,
 
 def _versions() -> dict[str, str]:
     import platform
-    from importlib.metadata import version
+    from importlib import metadata
 
-    names = ("hugs-avatar", "torch", "numba", "numpy", "pycolmap", "opencv-contrib-python-headless")
-    return {"python": platform.python_version()} | {name: version(name) for name in names}
+    names = ("torch", "numba", "numpy", "pycolmap", "opencv-contrib-python-headless")
+    ours = {"hugs": contract.version(), "python": platform.python_version()}
+    return ours | {name: metadata.version(name) for name in names}

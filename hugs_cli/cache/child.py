@@ -215,10 +215,12 @@ def end_with_parent() -> None:
 
 
 def versions(only: Callable[[str], object] = sys.modules.get) -> dict[str, str]:
-    """Versions of Python and of the libraries in use, by default those that this process has loaded."""
+    """Versions of hugs, of Python and of the libraries in use, by default those that this process has loaded."""
     from importlib.metadata import PackageNotFoundError, version
 
-    found = {"python": platform.python_version()}
+    from stages.contract import build
+
+    found = {"hugs": build(), "python": platform.python_version()}
     for module, distribution in LIBRARIES.items():
         with suppress(PackageNotFoundError):  # a build of one's own: unknown
             if only(module):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from stages.avatar.motion.moves import clip_move, made_moves
 from stages.avatar.motion.placing import Soles
+from stages.contract import version
 from stages.filming.clip_cast import floor_under, with_casters
 from stages.formats import viewer
 from stages.formats.clip import Clip, load_people
@@ -29,7 +29,7 @@ def clip_page(
     """What the page of a clip shows; `cast` are its people in their order."""
     people, listing = load_people(sfm, smpl, train), read_facts(frames / "frames.json", Listing)
     clip, gaussians = people[0], sum(len(rig) for _, rig, _ in cast)
-    title, made_by = Path(listing.video.path).name, f"hugs {version('hugs-avatar')}"
+    title, made_by = Path(listing.video.path).name, f"hugs {version()}"
     facts = {
         "Clip": f"{title}: {len(clip.names)} frames of {clip.width}x{clip.height} px",
         ("Person" if len(cast) == 1 else f"{len(cast)} people"): f"{gaussians:,} Gaussians",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from stages.avatar.motion.moves import made_moves
+from stages.contract import version
 from stages.filming.cast import Actor
 from stages.filming.outputs import in_gain
 from stages.filming.parts import Parts
@@ -36,7 +36,7 @@ def exhibit(shoot: Shoot, title: str) -> viewer.Exhibit:
     around = "none" if scene is None else f"{len(scene):,} Gaussians"
     people = ", ".join(f"{actor.name} ({len(actor.rig):,} Gaussians)" for actor in shoot.cast)
     length = f"{shoot.count} pictures, {shoot.count / shoot.fps:.1f} s"
-    made_by = f"hugs {version('hugs-avatar')}"
+    made_by = f"hugs {version()}"
     return viewer.Exhibit(
         title=title,
         subtitle=f"{len(shoot.cast)} {'person' if len(shoot.cast) == 1 else 'people'}, {shoot.count / shoot.fps:.1f} s",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import resource
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +15,7 @@ import numpy as np
 import pytest
 
 from stages import contract
-from stages.contract import Job, listed, load_stage, whole
+from stages.contract import Job, StageError, listed, load_stage, whole
 from stages.formats.exchange.ply import write_ply
 from stages.formats.exchange.spz import write_spz
 from stages.formats.images import write_image
@@ -35,6 +37,22 @@ def test_memory_is_counted_in_bytes_on_every_system(monkeypatch, platform, unit)
 
     monkeypatch.setattr(there.resource, "getrusage", lambda who: Usage)
     assert there.peak_memory() == 3_000 * unit
+
+
+def test_an_error_reads_whole_where_nothing_formats_it():
+    assert str(StageError("no floor", "give one", ["2 frames", "1 body"])).splitlines() == [
+        "no floor",
+        "  2 frames",
+        "  1 body",
+        "hint: give one",
+    ]
+    assert str(StageError("no floor")) == "no floor"
+
+
+def test_a_checkout_names_its_commit_beside_the_version():
+    head = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent)
+    commit = f"+{head.stdout[:8]}" if head.returncode == 0 else ""
+    assert contract.build() == f"{contract.version()}{commit}" and re.fullmatch(r"\d+\.\d+\.\d+", contract.version())
 
 
 def scene() -> Scene:

@@ -106,7 +106,7 @@ def write(folder: Path, state: State, known: dict[tuple[str, str], Any]) -> list
         title=f"{state.clip}: hugs",
         state=state,
         warnings=[(row.name, text) for row in state.stages for text in row.warnings]
-        + [("report", f"{error} {'; '.join(error.facts)}") for error in trouble],
+        + [("report", f"{error.problem} {'; '.join(error.facts)}") for error in trouble],
         notes=[(row.name, note) for row in state.stages for note in row.notes],
         reload=0 if state.over else RELOAD,
         page=f"{time.time_ns():x}",

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jinja2 import DictLoader, Environment, StrictUndefined, Template
 
+from stages.contract import version
 from stages.formats.video import probe
 
 ROOM = Path(__file__).parent
@@ -32,7 +33,7 @@ class Figure(NamedTuple):
 
 def fill(template: str, **values: object) -> str:
     """The whole document. A template may use `values` and the SHARED templates; a name that is missing is an error."""
-    return _template(template).render(values) + "\n"
+    return _template(template).render(values, made_by=f"hugs {version()}") + "\n"
 
 
 @cache
