@@ -203,7 +203,9 @@ def main() -> None:
         for name, kinds in off.items():
             print(f"{name:<16}" + ", ".join(f"{kind} {error:.1e}" for kind, error in kinds.items()))
     if asked.json:
-        facts = {name: {"gaussians": len(w.parts[0]), "size": [w.camera.width, w.camera.height]} for name, w in works.items()}
+        facts = {
+            name: {"gaussians": len(w.parts[0]), "size": [w.camera.width, w.camera.height]} for name, w in works.items()
+        }
         scenes = {name: facts[name] | {"runs": list(runs.values())} for name, runs in rows.items()}
         result = {"machine": host, "fma_peak_flops": peaks, "scenes": scenes, "error_against_float64": off}
         asked.json.write_text(json.dumps(result, indent=1) + "\n")
