@@ -5,6 +5,7 @@
 # make lowest                  the oldest versions that pyproject.toml allows, in build/lowest; tests of films, masks and `ci` on them
 # make mutants                 takes stabilisers out, one by one, and shows that a test notices; FILE=stages/x.py: mistakes in that file
 # make table                   clips of HUGS_CLIPS x pipelines: docs/benchmarks/table.json, its page and plot; ONLY="--clips kitchen"
+# make gallery                 docs/gallery/: pictures of the runs that make table left; or of others: RUNS="kitchen=work/kitchen/default"
 # make bench WORK=work/kitchen/default   how fast it is here, with what that pipeline left; JSON in build/
 PYTHON ?= python3
 VENV   ?= .venv
@@ -45,6 +46,9 @@ bench: $(VENV)/ready
 table: $(VENV)/ready
 	$(VENV)/bin/python -m tests.benchmarks.table $(ONLY)
 
+gallery: $(VENV)/ready
+	$(VENV)/bin/python -m tests.tools.gallery $(RUNS)
+
 $(VENV)/ready: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; (3, 11) <= sys.version_info < (3, 14) or sys.exit("hugs needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + "; name another: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
@@ -52,4 +56,4 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test,fleet,usd,sog]'
 	touch $@
 
-.PHONY: run test quick hard mutants lowest bench table
+.PHONY: run test quick hard mutants lowest bench table gallery

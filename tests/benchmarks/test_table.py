@@ -61,6 +61,7 @@ def test_the_plot_has_a_name_for_each_clip_and_the_commit():
 def test_marked_numbers_keep_their_decimals_and_a_mark_that_leads_nowhere_is_noticed():
     mark = "<!-- kitchen.default.heldout.full.psnr -->"
     assert page.fill(f"1,000.5{mark} dB, 3{mark}", MADE) == f"29.2{mark} dB, 29{mark}"
+    assert "| `default` | 17m 33s | 1.4 GiB | 29.2 / 26.8 dB |" in page.phone(MADE)
     assert page.fill("<!-- about -->\nold\n<!-- end -->", MADE).count("abc") == 1
     with pytest.raises(KeyError, match="paper"):
         page.fill("1<!-- kitchen.paper.minutes -->", MADE)

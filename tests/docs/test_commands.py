@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import typer
+import yaml
 
 from hugs_cli import app, pipelines, within
 from hugs_cli.studies import variants
@@ -21,7 +22,7 @@ from tests.docs.documents import ROOT, documents, hints
 
 CHEAP = {"hugs stages", "hugs doctor", "hugs --help", "hugs --version"}
 CODES = {"hugs doctor": (0, 1)}  # 1 where models are missing
-PREFIXES = ("hugs ", "make ", "pip ", "python -m ")
+PREFIXES = ("hugs ", "make ", "pip ", "python -m ", "pre-commit ")
 HUGS = typer.main.get_command(app.app)
 SETTING = re.compile(r"([a-z]+)\.([a-z_0-9]+)(=\S+)?")
 STAGES = pipelines.load("default").stages
@@ -66,12 +67,16 @@ def check_hugs(words: list[str], example: bool) -> None:
     base, _, last = pipeline_name.rpartition(".")
     pipeline = pipelines.load(base if base and within.is_time(last) else pipeline_name, values.get("set_") or ())
     pipeline.upstream(values.get("stages") or [])  # refuses unknown stages
+    learned = pipeline.stages["train"].params if "train" in pipeline.stages else None
     if values.get("within") and values["within"] != "TIME":
         assert within.is_time(values["within"])
     if command == "costs":
         assert set(values.get("axis") or ()) <= set(variants.AXES)
     if command == "ablate":
-        assert set(values.get("part") or ()) <= {*variants.ABLATIONS, "none"}
+        parts = set(values.get("part") or variants.ABLATIONS) - {"none"}
+        assert all(pipelines.variant(pipeline, part).stages["train"].params != learned for part in parts), (
+            "it measures nothing"
+        )
 
 
 def check_make(words: list[str], example: bool) -> None:
@@ -98,7 +103,16 @@ def check_python(words: list[str], example: bool) -> None:
         assert f'"{option}"' in source, f"{words[1]} has no {option}"
 
 
-CHECKS = {"hugs": check_hugs, "make": check_make, "pip": check_pip, "python": check_python}
+def check_hooks(words: list[str], example: bool) -> None:
+    """The hooks are of this repository alone, and what they start is there."""
+    assert words == ["install"]
+    (repo,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    assert repo["repo"] == "local"
+    for hook in repo["hooks"]:
+        assert hook["language"] == "system" and re.match(r"\.venv/bin/(ruff|lint-imports|python) ?", hook["entry"])
+
+
+CHECKS = {"hugs": check_hugs, "make": check_make, "pip": check_pip, "python": check_python, "pre-commit": check_hooks}
 
 
 @pytest.mark.parametrize(("document", "command"), COMMANDS)
@@ -148,6 +162,7 @@ def test_commands_that_the_product_says_exist(hint):
         ("hugs run dance.mp4 --fast", "--fast"),
         ("hugs run dance.mp4 paint", "paint"),
         ("hugs run dance.mp4 --set train.no=1", "'no'"),
+        ("hugs ablate dance.mp4 --pipeline preview --part no_lbs", "measures nothing"),
     ],
 )
 def test_a_command_that_does_not_exist_is_noticed(command, problem):

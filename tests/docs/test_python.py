@@ -30,7 +30,7 @@ def work(tmp_path, monkeypatch):
 
 def test_all_documents_with_python_are_run_here():
     found = {name for name, document in DOCUMENTS.items() if document.blocks("python")}
-    assert found == {"README.md", "docs/python.md", "docs/architecture.md"}
+    assert found == {"README.md", "docs/python.md", "docs/architecture.md", "docs/researchers.md"}
 
 
 def test_readme(work):
@@ -51,6 +51,19 @@ def assert_in_the_middle(coverage):
     rows, columns = (np.flatnonzero(coverage.max(axis) > 0.5) for axis in (1, 0))
     assert rows[0] > 0 and rows[-1] < 511 and columns[0] > 0 and columns[-1] < 511
     assert len(rows) > 256
+
+
+@pytest.mark.slow
+def test_the_plot_that_researchers_draw(work, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    rows = "step,seconds,psnr\n100,10.5,20.0\n200,21.0,30.0\n"
+    (work / "work" / "dance" / "default" / "train" / "curve.csv").write_text(rows)
+    names: dict = {}
+    (block,) = DOCUMENTS["docs/researchers.md"].blocks("python")
+    exec(block, names)
+    (line,) = names["plt"].gca().lines
+    np.testing.assert_allclose(line.get_xydata(), [[10.5, 1e-2], [21, 1e-3]])
+    assert (work / "loss.pdf").stat().st_size > 1000
 
 
 def test_python_md(work):
