@@ -56,17 +56,31 @@ def compose(
         return
     if len(given) != 1:
         raise UsageError(f"{len(given)} films to make", "`hugs compose film.yaml`")
-    film = films.read_film(given[0])
+    console = Console()
+    for path in composed(given[0], device.value, work, force, console):
+        console.result(words.relative(path))
+
+
+def composed(file: Path, device: str, work: Path, force: bool, console: Console) -> list[Path]:
+    """Make the film of a file, keeping its pieces in the work folder; names what was made."""
+    film = films.read_film(file)
     if not films.outputs(film):
-        raise UsageError(f"{given[0].name} names no output", "add `out: {film: film.mp4}`")
-    kept = work / KEPT / f"{given[0].stem}-{digest(os.path.realpath(given[0]))[:8]}"
-    shoot(film, kept, device.value, work, force, [given[0]])
+        raise UsageError(f"{file.name} names no output", "add `out: {film: film.mp4}`")
+    kept = work / KEPT / f"{file.stem}-{digest(os.path.realpath(file))[:8]}"
+    return shoot(film, kept, device, work, force, [file], console, "compose")
 
 
 def shoot(
-    film: Any, kept: Path | None, device: str, work: Path, force: bool, given: list[Path], name: str = "compose"
-) -> None:
-    """Make a film, keeping its pieces in the folder `kept`; the paths of what was made are the result."""
+    film: Any,
+    kept: Path | None,
+    device: str,
+    work: Path,
+    force: bool,
+    given: list[Path],
+    console: Console,
+    name: str,
+) -> list[Path]:
+    """Make a film, keeping its pieces in the folder `kept`, and name what was made; `given` is not written over."""
     sources = [*given, *films.check_sources(film)]
     outs, folder = films.outputs(film), film.out.stills and film.out.stills.folder
     for one, other in permutations(outs, 2):
@@ -76,17 +90,7 @@ def shoot(
     for path in outs:
         check_out(path, work, sources, force, is_folder=path == folder)
     where, _ = device_of(device)
-    console = Console()
-    console.started(name, ())
-
-    def heard(event: dict[str, Any]) -> None:
-        if event["event"] == "note":
-            console.say(event["text"])
-        elif event["event"] == "warning":
-            console.say(f"warning: {event['text']}")
-        else:
-            console.heard(name, event)
-
+    emit = remembering(work, console.listens(name))
     code = Code(work / CODE_MEMORY)
     settings = film.model_dump() | {"keep": kept is not None, "code": digest(code.digests(films.MODULE))}
     alone: AbstractContextManager[Any] = nullcontext()
@@ -95,9 +99,8 @@ def shoot(
         code.save()
         alone = locked(kept / LOCK, lambda holder: console.say(f"waiting: {holder} is making this film"), without=True)
     with alone:
-        run_directly(films.MODULE, Job(kept or work, where, emit=remembering(work, heard)), settings)
-    for path in outs:
-        console.result(words.relative(path))
+        run_directly(films.MODULE, Job(kept or work, where, emit=emit), settings)
+    return outs
 
 
 TEMPLATE = """\

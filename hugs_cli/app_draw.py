@@ -138,24 +138,30 @@ def animate(
         raise UsageError("a scene alone does not move", "`--only human` or `--only both`")
     name = clip_name(video) if video else Path(avatar or "avatar").stem
     out = out or Path(f"{name}-{motion.stem}.mp4" if who == 1 else f"{name}-{who}-{motion.stem}.mp4")
-    if out.suffix.lower() != ".mp4":
-        raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
     person: dict[str, Any] = {"avatar": run_folder or avatar, "who": who, "motion": str(motion)}
     person |= {"motion_fps": motion_fps, "up": up and up.value}
     film: dict[str, Any] = {"fps": fps, "only": only.value, "out": {"film": out}, "scene_axes": scene_axes.value}
-    film |= staged(person, run_folder, scene, at, cameras)
-    given = [path for path in (video, motion, cameras, avatar, scene) if path is not None]
-    shoot(films.checked(film, "animate"), None, device.value, work, force, given, "animate")
+    film |= staged(person, scene, at, cameras)
+    console, given = Console(), [path for path in (video, motion, cameras, avatar, scene) if path is not None]
+    for path in animated(film, device.value, work, force, given, console):
+        console.result(words.relative(path))
+
+
+def animated(
+    film: dict[str, Any], device: str, work: Path, force: bool, given: list[Path], console: Console
+) -> list[Path]:
+    """Make the film of one person, and name it; `given` files are not written over, nor those that the film reads."""
+    out = film["out"]["film"]
+    if out.suffix.lower() != ".mp4":
+        raise UsageError(f"cannot write {out}: only .mp4 is written", "`--out motion.mp4`")
+    return shoot(films.checked(film, "animate"), None, device, work, force, given, console, "animate")
 
 
 def staged(
-    person: dict[str, Any],
-    run: Path | None,
-    scene: Path | None,
-    at: tuple[float, float, float],
-    cameras: Path | None,
+    person: dict[str, Any], scene: Path | None, at: tuple[float, float, float], cameras: Path | None
 ) -> dict[str, Any]:
-    """The part of a film that says where its one person stands: in the scene of another run, of their own `run`, or alone."""
+    """A film's one `person`, and where they stand: in the scene of another run, of their own if they are of a run, or alone."""
+    run = person["avatar"] if person["avatar"].is_dir() else None
     camera = str(cameras) if cameras else "still"
     if scene is not None and scene.is_dir():
         return {"people": [person | {"at": (at[0], at[2])}], "scene": scene, "camera": camera}

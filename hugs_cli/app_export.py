@@ -66,8 +66,20 @@ def export(
             raise UsageError("--formats names none", f"`hugs stages {STAGE}` lists them")
     console = Console()
     given = RunOptions(pipeline=pipeline, work=work, pipelines_file=pipelines_file).of_results(video, console)
-    changes = [*(set_ or ()), *(f"{STAGE}.{name}={json.dumps(value)}" for name, value in values.items())]
-    session = replace(given, set_=[*(given.set_ or ()), *changes]).session(video)
+    given = replace(given, set_=[*(given.set_ or ()), *(set_ or ())])
+    for path in exported(video, out, values, given, device.value, force, console):
+        console.result(words.relative(path))
+
+
+def exported(
+    video: Path, out: Path, values: dict[str, Any], given: RunOptions, device: str, force: bool, console: Console
+) -> Iterator[Path]:
+    """Write the files of a finished run, with settings of the stage that differ from the run's, and name them.
+
+    Whatever else the run was `given` is taken as it is; UsageError where it is not finished, or `out` cannot be written.
+    """
+    changes = [f"{STAGE}.{name}={json.dumps(value)}" for name, value in values.items()]
+    session, work = replace(given, set_=[*(given.set_ or ()), *changes]).session(video), given.work
     before = taken(session)
     check_out(out, work, (video,), force=True, is_folder=True)
     make_folder(out)
@@ -75,9 +87,8 @@ def export(
     if (own := session.workspace.linked(STAGE)) and not shelf.linked(STAGE):
         shelf.link(STAGE, own)  # so that what differs from the run's own export can be said
     aside = replace(session, workspace=shelf, options={})
-    (made,) = engine.run(aside, [STAGE], frozenset(), device.value, console, before)
-    for path in copied(made.folder, made.stamp, out, work, force):
-        console.result(words.relative(path))
+    (made,) = engine.run(aside, [STAGE], frozenset(), device, console, before)
+    yield from copied(made.folder, made.stamp, out, work, force)
 
 
 def taken(session: Session) -> dict[str, Verdict]:

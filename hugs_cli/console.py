@@ -140,6 +140,18 @@ class Console:
         if kind in (None, "progress"):
             self.draw(stage)
 
+    def listens(self, name: str) -> Callable[[dict[str, Any]], None]:
+        """What hears the job of a command, which has a moving row and leaves none."""
+        self.started(name, ())
+
+        def heard(event: dict[str, Any]) -> None:
+            if event["event"] in ("note", "warning"):
+                self.say(f"{'warning: ' if event['event'] == 'warning' else ''}{event['text']}")
+            else:
+                self.heard(name, event)
+
+        return heard
+
     def ended(self, stage: str, outcome: Outcome) -> None:
         """A stage's process has ended: print its row, its notes and its warnings."""
         if self.countdown:

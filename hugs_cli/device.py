@@ -7,6 +7,8 @@ from pathlib import Path
 
 from hugs_cli.pipelines import UsageError
 
+NAMES = ("auto", "cpu", "cuda")
+
 
 def find_device() -> str:
     """'cuda' if the driver shows a GPU and torch was built for it, else 'cpu'; without importing torch."""
@@ -26,6 +28,8 @@ def find_device() -> str:
 
 def device_of(name: str) -> tuple[str, str]:
     """'cpu' or 'cuda' for a name that may be 'auto', and why; UsageError where the GPU, or gsplat, is missing."""
+    if name not in NAMES:
+        raise UsageError(f"no device {name!r}", f"one of: {', '.join(NAMES)}")
     if name == "cpu":
         return "cpu", "as asked"
     gpu, why = find_device() == "cuda", "no GPU that torch can use"

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import csv
 import io
-import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stages.contract import ADAM, Job, StageError, whole
 from stages.formats.facts import Survey, read_facts
-from stages.formats.people import folder_of, people_of
+from stages.formats.people import people_of
 from stages.training.settings import Params
 from stages.training.timing.finishing import finishing_parts
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from stages.avatar.measures.lpips import Lpips
     from stages.training.beginning.start import Task
-    from stages.training.results import Result
     from stages.training.run import Breakdown
 
 RESUMES, LOADS = True, ADAM
@@ -43,6 +39,7 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
     from stages.avatar.kernels.cache import compiled
     from stages.avatar.rasterize.blend import draw_backward
     from stages.training.checkpoint import Checkpoint
+    from stages.training.files import write, write_curve
     from stages.training.run import Breakdown
     from stages.training.run import run as train
     from stages.training.timing.window import Window
@@ -64,59 +61,13 @@ def run(job: Job, params: Params, *, sfm: Path, smpl: Path, survey: Path) -> Non
 
 
 def _task(job: Job, params: Params, sfm: Path, smpl: Path, survey: Path) -> Task:
+    from stages.estimators.perceptual import network
     from stages.formats.clip import load_people
     from stages.training.beginning.start import Task
 
-    facts = read_facts(survey / "survey.json", Survey)
-    clips, perceptual = load_people(sfm, smpl), _perceptual(params, job.device)
+    facts, clips = read_facts(survey / "survey.json", Survey), load_people(sfm, smpl)
+    perceptual = network(params.perceptual_net, job.device) if params.perceptual_every else None
     return Task(clips, params, facts.decisions, facts.starts, job.seed, job.device, perceptual)
-
-
-def _perceptual(params: Params, device: str) -> Lpips | None:
-    if not params.perceptual_every:
-        return None
-    import numpy as np
-
-    from stages.avatar.measures.lpips import Lpips
-    from stages.estimators.assets import fetch
-
-    with np.load(fetch(f"lpips_{params.perceptual_net}.npz")) as arrays:
-        return Lpips(arrays).to(device)
-
-
-def write(out: Path, result: Result) -> None:
-    """Write avatar.npz, scene.npz, body.npz, curve.csv and train.json; effects.npz and cameras.npz where learned.
-
-    Those of further people are in people/2 and so on.
-    """
-    from stages.formats.cameras import write_cameras
-    from stages.formats.effects import write_effects
-    from stages.formats.poses import write_poses
-    from stages.formats.splats import write_splats
-
-    for person, (avatar, body) in enumerate(result.people, 1):
-        folder = folder_of(out, person)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_splats(folder / "avatar.npz", avatar)
-        write_poses(folder / "body.npz", body)
-    if result.scene is not None:
-        write_splats(out / "scene.npz", result.scene)
-    if result.effects is not None:
-        write_effects(out / "effects.npz", result.effects)
-    if result.cameras is not None:
-        write_cameras(out / "cameras.npz", result.cameras)
-    write_curve(out, result.curve)
-    (out / "train.json").write_text(json.dumps(result.facts, indent=1))
-
-
-def write_curve(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write curve.csv: rows of `stages.training.run.COLUMNS`."""
-    from stages.training.run import COLUMNS
-
-    with whole(out / "curve.csv") as part, part.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def _show(out: Path, strip: np.ndarray) -> None:

@@ -13,6 +13,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -67,7 +68,8 @@ class Launcher:
             with suppress(ProcessLookupError):  # send_signal would reap a process that has just ended
                 os.kill(process.id, signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
 
-        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        listens = threading.current_thread() is threading.main_thread()  # no other may, and none else is interrupted
+        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM) if listens}
         outcome = Outcome("killed")
         try:
             process.give({**job, "log": str(log.absolute()), "path": sys.path})

@@ -19,12 +19,17 @@ def write_split(path: Path, rule: str, frames: dict[str, tuple[str, int]]) -> No
     write_facts(path, {"rule": rule, "frames": rows})
 
 
+def every_fifth(count: int) -> Split:
+    """The split of so many frames where nothing else says which are held out; each is a moment of its own."""
+    at = np.arange(count)
+    heldout = at % HELD_OUT_EVERY == HELD_OUT_FIRST
+    return Split(~heldout, heldout, at, EVERY_FIFTH)
+
+
 def read_split(path: Path, names: tuple[str, ...]) -> Split:
     """The split of the frames `names`; without a file every 5th is held out and all others are trained on."""
     if not path.exists():
-        at = np.arange(len(names))
-        heldout = at % HELD_OUT_EVERY == HELD_OUT_FIRST
-        return Split(~heldout, heldout, at, EVERY_FIFTH)
+        return every_fifth(len(names))
     found = read_facts(path, SplitFacts)
     if missing := [name for name in names if name not in found.frames]:
         raise not_as_written(path, f"frames has no {missing[0]}")

@@ -33,6 +33,7 @@ from stages.formats.splats import read_avatar, read_scene
 from stages.records import Avatar, BodyPoses, Cameras
 from stages.training.beginning.start import build
 from stages.training.checkpoint import Checkpoint
+from stages.training.files import write
 from stages.training.finishing import settle
 from stages.training.finishing.bake import SHORT, as_trained, floating, shorten
 from stages.training.finishing.depths import snap_to_surface
@@ -120,7 +121,7 @@ def affected(noises, tmp_path_factory):
     decide(folders["survey"], **dict.fromkeys((*DRAWN, *LEARNED), True))
     job.emit = lambda event: said.append(event.get("text", ""))
     training = trained(folders, PARAMS.model_copy(update={"scene_cap": 60_000}), job)
-    train.write(job.out, finish(training, job))
+    write(job.out, finish(training, job))
     return folders, training, job.out, said
 
 
@@ -410,7 +411,7 @@ def test_l01_l03_rows_that_are_not_finite_stay_out_of_the_result_and_are_counted
     fit.scene.means.data[1, 2] = torch.nan
     fit.scene.quats.data[2] = 0
     fit.people[0].human.log_sizes[4] = 200  # the exponential overflows
-    train.write(job.out, finish(training, job))
+    write(job.out, finish(training, job))
     assert any_holds(said, "3 Gaussians", "not finite")
     scene, avatar = read_scene(job.out / "scene.npz"), read_avatar(job.out / "avatar.npz")
     facts = json.loads((job.out / "train.json").read_text())

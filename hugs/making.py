@@ -1,0 +1,131 @@
+"""`hugs.export`, `hugs.animate`, `hugs.compose`: what the commands of these names do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from hugs.progress import Hear, console_for
+from hugs_cli import film as films
+from hugs_cli import pipelines
+from hugs_cli.app_compose import composed, shoot
+from hugs_cli.app_draw import animated, staged
+from hugs_cli.app_export import exported
+from hugs_cli.cache.workspace import read_json
+from hugs_cli.options import RunOptions
+from hugs_cli.pipelines import UsageError
+
+Pathish = str | PathLike[str]
+WORK = Path("work")
+
+
+def export(
+    run: Pathish,
+    out: Pathish,
+    formats: Sequence[str] | None = None,
+    *,
+    settings: Mapping[str, Any] | None = None,
+    force: bool = False,
+    device: str = "auto",
+    progress: Hear | None = None,
+    pipelines_file: Pathish | None = None,
+) -> list[Path]:
+    """Write avatar and scene of a finished run into a folder, as `hugs export` does, and return the paths of what was written.
+
+    - `run`: its folder, as "work/dance/default"; its own export stays as it is.
+    - `formats`: as ["ply", "glb", "bvh"], see docs/exports.md; those of the run without them. `settings` of the stage, as
+      {"names": "mixamo", "triangles": 5000}; `hugs stages export` lists all.
+    - `force`: write over files that others made. `device`: "auto", "cpu" or "cuda". `progress` hears how far it is.
+    - `pipelines_file`: the run's, where it is not pipelines.yaml.
+
+    StageError, with facts and a hint, for a run that is not finished and a file that may not be written over.
+
+        hugs.export("work/dance/default", "out", formats=["glb", "ply"])
+    """
+    values = dict(settings or {}) | ({} if formats is None else {"formats": list(formats)})
+    console = console_for(progress)
+    video, given = _run(Path(run), Path(pipelines_file or pipelines.FILE))
+    given = given.of_last_run(video, console)
+    return list(exported(video, Path(out), values, given, device, force, console))
+
+
+def animate(
+    person: Pathish,
+    motion: Pathish,
+    out: Pathish,
+    *,
+    scene: Pathish | None = None,
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    who: int = 1,
+    only: str = "both",
+    cameras: Pathish | None = None,
+    fps: float = 30.0,
+    settings: Mapping[str, Any] | None = None,
+    force: bool = False,
+    device: str = "auto",
+    progress: Hear | None = None,
+) -> Path:
+    """Let a person perform a motion file, as `hugs animate` does, and return the path of the film.
+
+    - `person`: the folder of a run, as "work/dance/default", or the file of an avatar; `who` of the people of a run, from 1 on.
+    - `motion`: a .bvh of any skeleton, or an .npz of SMPL poses. `out`: an .mp4, of `fps` frames a second.
+    - `scene`: the folder of another run, or a .ply, .spz or .npz; their own without it. `at` [3] m: where the soles stand in it.
+    - `only`: "both", or "human" over white. `cameras`: an .npz as for `hugs render`.
+    - `settings` of the person, as {"motion_fps": 60, "up": "z"}: those that docs/films.md lists under `people`.
+
+    StageError, with facts and a hint, for a run that is not finished, and files that cannot be read or may not be written over.
+
+        hugs.animate("work/dance/default", "moves.bvh", "dance-moves.mp4")
+    """
+    behind, views = (None if one is None else Path(one) for one in (scene, cameras))
+    actor: dict[str, Any] = {"avatar": Path(person), "who": who, "motion": str(motion), **(settings or {})}
+    film: dict[str, Any] = {"fps": fps, "only": only, "out": {"film": Path(out)}}
+    film |= staged(actor, behind, at, views)
+    (made,) = animated(film, device, _work(person), force, [], console_for(progress))
+    return made
+
+
+def compose(
+    film: Pathish | Mapping[str, Any],
+    *,
+    work: Pathish = WORK,
+    force: bool = False,
+    device: str = "auto",
+    progress: Hear | None = None,
+) -> list[Path]:
+    """Put people of several clips into one scene, as `hugs compose` does, and return the paths of what was made.
+
+    - `film`: a film.yaml, or a mapping with its keys (docs/films.md) and paths from the current folder. Of a file, what is as it
+      was is not made again.
+    - `work`: where pieces of a film are kept. `force`: write over files that others made.
+
+    StageError, with facts and a hint, for unknown keys, runs that are not finished and files that may not be written over.
+
+        hugs.compose("film.yaml")
+        ann = {"avatar": "avatar.npz", "motion": "wave"}
+        hugs.compose({"people": [ann], "camera": "orbit", "out": {"film": "wave.mp4"}})
+    """
+    console = console_for(progress)
+    if not isinstance(film, Mapping):
+        return composed(Path(film), device, Path(work), force, console)
+    checked = films.checked(dict(film), "film")
+    if not films.outputs(checked):
+        raise UsageError("the film names no output", 'add `"out": {"film": "film.mp4"}`')
+    return shoot(checked, None, device, Path(work), force, [], console, "compose")
+
+
+def _run(folder: Path, file: Path) -> tuple[Path, RunOptions]:
+    """The clip and the options of a run's folder; UsageError where no run has made it."""
+    place = folder.absolute()
+    known = read_json(place.parent / "sources.json").get("video")
+    if not isinstance(known, dict) or not isinstance(known.get("path"), str):
+        hint = "give the folder of a run, such as work/dance/default"
+        raise UsageError(f"{folder} is not the folder of a run", hint, [f"no clip in {place.parent / 'sources.json'}"])
+    return Path(known["path"]), RunOptions(pipeline=place.name, work=place.parents[1], pipelines_file=file)
+
+
+def _work(person: Pathish) -> Path:
+    """The work folder of a run, or the usual one for a file."""
+    return Path(person).absolute().parents[1] if Path(person).is_dir() else WORK
